@@ -1,0 +1,5 @@
+"""Sets of landmarked images: read from a folder, or made."""
+
+from liaam.datasets.folder import Dataset, LeftOut, Sample, load_folder
+
+__all__ = ["Dataset", "LeftOut", "Sample", "load_folder"]

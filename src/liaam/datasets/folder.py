@@ -1,0 +1,385 @@
+"""Pair the images of a folder with their landmarks, and say what was left out and why.
+
+An image ``face.jpg`` takes its landmarks from the file of the same stem in the same folder (``face.pts``),
+or from an entry for it in a file of many images (dlib ``.xml``, COCO ``.json``, ``.csv`` with a column
+``image``). Where there are several, its own file comes before a file of many, and then the order of
+`liaam.io.LANDMARK_SUFFIXES` decides.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
+from typing import overload
+
+import numpy as np
+
+from liaam.errors import ImageError, LandmarkError, LiaamError
+from liaam.io.files import natural_key
+from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image
+from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, parse_landmark_file
+
+_UNIT = (1.0, 1.0)  # stands for the image's size where only the name of the image is wanted
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One landmarked image."""
+
+    name: str
+    """Unique in its data set: the path inside the folder, without ending."""
+    image: np.ndarray | Path
+    """(height, width, 3) uint8, uint16 or float32 in RGB order, or the file to read it from."""
+    landmarks: Landmarks
+    landmark_file: Path | None = None
+    """Where the landmarks were read from."""
+
+    def read_image(self) -> np.ndarray:
+        """Give the image, (height, width, 3); reads it anew at each call if it is a file.
+
+        Raises
+        ------
+        ImageError
+            If the file cannot be read (see :func:`liaam.io.read_image`).
+        """
+        return read_image(self.image) if isinstance(self.image, Path) else self.image
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A file that gave no sample."""
+
+    path: Path
+    reason: str
+    """One sentence; what it has in common with others stands before the first colon."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Dataset:
+    """Landmarked images with the same number of landmarks."""
+
+    samples: tuple[Sample, ...]
+    left_out: tuple[LeftOut, ...] = ()
+    source: str = ""
+    """Where the samples are from, for the report."""
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def __repr__(self) -> str:
+        return f"Dataset({len(self)} samples, {len(self.left_out)} left out, source={self.source!r})"
+
+    def __iter__(self) -> Iterator[Sample]:
+        return iter(self.samples)
+
+    @overload
+    def __getitem__(self, index: int) -> Sample: ...
+    @overload
+    def __getitem__(self, index: slice) -> Dataset: ...
+    def __getitem__(self, index: int | slice) -> Sample | Dataset:
+        if isinstance(index, slice):
+            return replace(self, samples=self.samples[index])
+        return self.samples[index]
+
+    def select(self, which: str | Iterable[str] | Callable[[Sample], bool]) -> Dataset:
+        """Keep some of the samples, in their order.
+
+        Parameters
+        ----------
+        which : str, iterable of str, or callable
+            Patterns such as ``"01-*"`` (``*``, ``?``, ``[...]``) of which a sample's name must match one,
+            or a function of the sample.
+
+        Raises
+        ------
+        LiaamError
+            If nothing is left.
+        """
+        kept = tuple(filter(which if callable(which) else _matcher(which), self.samples))
+        if not kept:
+            some = _some([sample.name for sample in self.samples])
+            raise LiaamError(
+                f"no sample of {self.source or 'the data set'} matches {which!r}: the names are like {some}."
+            )
+        return replace(self, samples=kept)
+
+    def report(self) -> str:
+        """Give a few lines for people: how many samples, from which formats, what was left out and why."""
+        source = f" from {self.source}" if self.source else ""
+        lines = [f"{len(self)} samples{source}", *self._landmark_lines()]
+        groups: dict[str, list[LeftOut]] = defaultdict(list)
+        for left in self.left_out:
+            groups[left.reason.partition(":")[0]].append(left)
+        for reason, members in groups.items():
+            detail = members[0].reason.partition(": ")[2]
+            lines.append(f"left out {len(members)}: {reason} ({_some([left.path.name for left in members])})")
+            lines += [f"  first: {detail}"] if detail else []
+        return "\n".join(lines)
+
+    def _landmark_lines(self) -> list[str]:
+        if not self.samples:
+            return []
+        suffixes = Counter(
+            sample.landmark_file.suffix.lower() for sample in self.samples if sample.landmark_file
+        )
+        formats = ", ".join(f"{FORMATS[suffix].title} ({suffix}): {n}" for suffix, n in suffixes.items())
+        n_missing = sum(int(sample.landmarks.missing.sum()) for sample in self.samples)
+        missing = f", {n_missing} of them missing in all" if n_missing else ""
+        count = f"{len(self.samples[0].landmarks)} landmarks each{missing}"
+        return [f"{count}; {formats}" if formats else count]
+
+
+def load_folder(
+    folder: str | os.PathLike[str],
+    pattern: str | None = None,
+    recursive: bool = False,
+    progress: bool = False,
+) -> Dataset:
+    """Find the landmarked images of a folder.
+
+    The images are not decoded; of an image whose landmarks need its size (``.asf``) the header is read.
+    Hidden files are passed over.
+
+    Parameters
+    ----------
+    folder : path-like
+        Holds images and landmark files.
+    pattern : str, optional
+        Take only images whose name (with or without ending, or path inside the folder) matches, e.g.
+        ``"01-*"``.
+    recursive : bool, optional
+        Whether to look into subfolders.
+    progress : bool, optional
+        Whether to show a progress bar on stderr.
+
+    Returns
+    -------
+    Dataset
+        Samples in natural order of their names (2 before 10), all with the number of landmarks that most
+        have. `left_out` tells which files gave no sample, and why.
+
+    Raises
+    ------
+    ImageError
+        If the folder is missing, or holds no image (of that pattern).
+    LandmarkError
+        If no image has landmarks.
+    """
+    root = Path(folder)
+    files = _list_files(root, recursive)
+    images = [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES]
+    wanted = [image for image in images if pattern is None or _matches(root, image, pattern)]
+    if not wanted:
+        endings = ", ".join(IMAGE_SUFFIXES)
+        like = f" like '{pattern}'" if pattern else ""
+        hint = "" if recursive else ", or look into subfolders too (recursive)"
+        raise ImageError(f"{root} holds no image{like} ({endings}): name another folder{hint}.")
+    marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
+    pairing = _Pairing(root, images, wanted)
+    for file in _track(marks, progress):
+        pairing.add(file)
+    samples = pairing.finish()
+    if not samples:
+        raise LandmarkError(_no_pairs(root, wanted, pairing.left_out))
+    samples, odd = _same_count(samples)
+    left_out = sorted([*pairing.left_out, *odd], key=lambda left: natural_key(str(left.path)))
+    return Dataset(tuple(samples), tuple(left_out), str(root))
+
+
+def _list_files(root: Path, recursive: bool) -> list[Path]:
+    """List the files that are not hidden, in natural order."""
+    if not root.is_dir():
+        what = "is a file, not a folder" if root.exists() else "does not exist"
+        raise ImageError(f"{root} {what}: name the folder that holds the images and their landmarks.")
+    try:
+        paths = root.rglob("*") if recursive else root.iterdir()
+        files = [path for path in paths if not _is_hidden(path.relative_to(root)) and path.is_file()]
+    except OSError as fault:
+        raise ImageError(
+            f"{root} cannot be read ({fault.strerror}): check the rights on the folder."
+        ) from fault
+    return sorted(files, key=lambda path: natural_key(path.relative_to(root).as_posix()))
+
+
+def _is_hidden(path: Path) -> bool:
+    return any(part.startswith(".") for part in path.parts)
+
+
+def _name(root: Path, path: Path) -> str:
+    return path.relative_to(root).with_suffix("").as_posix()
+
+
+def _matches(root: Path, image: Path, pattern: str) -> bool:
+    relative = image.relative_to(root).as_posix()
+    return any(fnmatchcase(text, pattern) for text in (image.name, image.stem, relative, _name(root, image)))
+
+
+def _matcher(patterns: str | Iterable[str]) -> Callable[[Sample], bool]:
+    wanted = [patterns] if isinstance(patterns, str) else list(patterns)
+    return lambda sample: any(fnmatchcase(sample.name, pattern) for pattern in wanted)
+
+
+def _track(files: list[Path], progress: bool) -> Iterable[Path]:
+    if not progress:
+        return files
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(files, "Reading landmarks", console=Console(stderr=True))
+
+
+@dataclass(frozen=True)
+class _Option:
+    """Landmarks that an image could have."""
+
+    file: Path
+    landmarks: Landmarks
+    own: bool
+    """Whether the file is of this image alone."""
+
+
+class _Pairing:
+    """Collects, file by file, which landmarks each image could have."""
+
+    def __init__(self, root: Path, images: list[Path], wanted: list[Path]) -> None:
+        self.root = root
+        self.wanted = wanted
+        self.left_out: list[LeftOut] = []
+        self.options: dict[Path, list[_Option]] = {image: [] for image in wanted}
+        self.by_stem: dict[Path, Path] = {}
+        self.by_name: dict[str, list[Path]] = defaultdict(list)
+        for image in sorted(images, key=lambda path: (path not in self.options, _rank(path, IMAGE_SUFFIXES))):
+            self.by_stem.setdefault(image.with_suffix(""), image)
+            self.by_name[image.name].append(image)
+
+    def add(self, file: Path) -> None:
+        """Read one landmark file, if an image that is wanted may need it."""
+        form = FORMATS[file.suffix.lower()]
+        image = self.by_stem.get(file.with_suffix(""))
+        if image is not None and image not in self.options and not form.may_be_collection:
+            return
+        try:
+            if image is None and form.parse_with_size is not None:
+                image = self._host(file)
+            if image is None and not form.may_be_collection:
+                self._leave_out(file, "there is no image of its name")
+                return
+            size = image_size(image) if image is not None and form.parse_with_size is not None else None
+            parsed = parse_landmark_file(file, size)
+        except ImageError as fault:
+            self._leave_out(file, f"the header of its image cannot be read: {fault}")
+        except LandmarkError as fault:
+            self._leave_out(file, f"the landmarks cannot be read: {fault}")
+        else:
+            self._add_parsed(file, image, parsed)
+
+    def finish(self) -> list[Sample]:
+        """Choose the landmarks of each image, the best option first; tell of everything not used."""
+        winners = self._winners()
+        samples = []
+        for image in self.wanted:
+            best = winners[image.with_suffix("")]
+            options = sorted(self.options[image], key=_preference)
+            if image != best:
+                self._leave_out(image, f"another image has the same name: {best.name} is used")
+            elif not options:
+                self._leave_out(image, "the image has no landmarks")
+            else:
+                samples.append(Sample(_name(self.root, image), image, options[0].landmarks, options[0].file))
+                self._tell_unused(options)
+        return samples
+
+    def _winners(self) -> dict[Path, Path]:
+        """Choose among images of the same stem: one that has landmarks, without loss if possible."""
+        winners: dict[Path, Path] = {}
+        for image in sorted(
+            self.wanted, key=lambda path: (not self.options[path], _rank(path, IMAGE_SUFFIXES))
+        ):
+            winners.setdefault(image.with_suffix(""), image)
+        return winners
+
+    def _add_parsed(self, file: Path, image: Path | None, parsed: Landmarks | dict[str, Landmarks]) -> None:
+        if isinstance(parsed, dict):
+            self._add_collection(file, parsed)
+        elif image is None:
+            self._leave_out(file, "there is no image of its name")
+        elif image in self.options:
+            self.options[image].append(_Option(file, parsed, own=True))
+
+    def _add_collection(self, file: Path, collection: dict[str, Landmarks]) -> None:
+        absent = []
+        for entry, landmarks in collection.items():
+            image = self._find(file.parent, entry)
+            if image is None:
+                absent.append(entry)
+            elif image in self.options:
+                self.options[image].append(_Option(file, landmarks, own=False))
+        if absent:
+            self._leave_out(
+                file, f"it names images that are not there: {_some(absent)} ({len(absent)} in all)"
+            )
+
+    def _host(self, file: Path) -> Path | None:
+        """Find the image that a file names inside, where none has the file's own name."""
+        parsed = parse_landmark_file(file, _UNIT)
+        name = parsed.image_name if isinstance(parsed, Landmarks) else None
+        return self._find(file.parent, name) if name else None
+
+    def _find(self, folder: Path, entry: str) -> Path | None:
+        """Find the image that an entry of a file names: by its path, or else by its name alone."""
+        relative = PurePosixPath(entry.replace("\\", "/"))
+        candidates = self.by_name.get(relative.name, [])
+        exact = [image for image in candidates if image == folder / relative]
+        if exact:
+            return exact[0]
+        return candidates[0] if len(candidates) == 1 else None
+
+    def _tell_unused(self, options: list[_Option]) -> None:
+        for unused in options[1:]:
+            used = options[0].file.name
+            self._leave_out(unused.file, f"an image has landmarks in a preferred file: {used} is used")
+
+    def _leave_out(self, path: Path, reason: str) -> None:
+        self.left_out.append(LeftOut(path, reason))
+
+
+def _preference(option: _Option) -> tuple[bool, int]:
+    return not option.own, _rank(option.file, LANDMARK_SUFFIXES)
+
+
+def _rank(file: Path, suffixes: tuple[str, ...]) -> int:
+    return suffixes.index(file.suffix.lower())
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:3]) + ", ..." * (len(names) > 3)
+
+
+def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[LeftOut]]:
+    """Keep the samples that have the most common number of landmarks."""
+    usual = Counter(len(sample.landmarks) for sample in samples).most_common(1)[0][0]
+    odd = [
+        LeftOut(
+            sample.landmark_file or Path(sample.name),
+            f"{len(sample.landmarks)} landmarks where most have {usual}: those of {sample.name}",
+        )
+        for sample in samples
+        if len(sample.landmarks) != usual
+    ]
+    return [sample for sample in samples if len(sample.landmarks) == usual], odd
+
+
+def _no_pairs(root: Path, wanted: list[Path], left_out: list[LeftOut]) -> str:
+    unreadable = [left.reason for left in left_out if "cannot be read" in left.reason]
+    if unreadable:
+        return f"{root}: no image has landmarks that can be read. The first fault: {unreadable[0]}"
+    stem = wanted[0].stem
+    return (
+        f"{root}: none of the {len(wanted)} images has landmarks. Looked for files such as {stem}.pts "
+        f"({', '.join(LANDMARK_SUFFIXES)}), and for .csv, .xml or .json files "
+        "that name the images: put them there."
+    )

@@ -1,0 +1,35 @@
+"""Simulated portraits: a parametric head, Planckian lights with cast shadows, and a camera.
+
+>>> from liaam.datasets.scenes import Head, lateral, make_set, render
+>>> training = make_set(2, head=Head(7))
+>>> test = render(Head(7), lights=lateral("left"))
+
+The image formation is that of Pizarro, Peyras and Bartoli (CVPR 2008), section 3, after Finlayson: a
+Lambertian surface, Planckian light, and a sensor that is linear up to its response curve. Everything follows
+from the seeds.
+"""
+
+from liaam.datasets.scenes.camera import Camera, narrow_band_camera
+from liaam.datasets.scenes.head import Expression, Head, Pose
+from liaam.datasets.scenes.light import DIFFUSE, Ambient, Lights, PointLight, lateral
+from liaam.datasets.scenes.render import Scene, make_set, random_expression, random_pose, render
+
+Light = Lights
+
+__all__ = [
+    "DIFFUSE",
+    "Ambient",
+    "Camera",
+    "Expression",
+    "Head",
+    "Light",
+    "PointLight",
+    "Pose",
+    "Scene",
+    "lateral",
+    "make_set",
+    "narrow_band_camera",
+    "random_expression",
+    "random_pose",
+    "render",
+]

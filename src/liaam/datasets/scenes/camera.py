@@ -1,0 +1,179 @@
+"""The camera: spectral sensitivities, exposure, noise, response and quantisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from liaam.datasets.scenes.light import COLDEST_K, HOTTEST_K, Radiator, spectrum
+from liaam.errors import LiaamError
+
+BASIS_PEAKS_NM, BASIS_WIDTH_NM = (605.0, 540.0, 460.0), 23.0
+TABLE_SIZE = 400
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera with three Gaussian sensitivities."""
+
+    peaks_nm: tuple[float, float, float] = (600.0, 540.0, 460.0)
+    """Wavelengths of the channels R, G, B, nm."""
+    widths_nm: tuple[float, float, float] = (28.0, 30.0, 24.0)
+    """Standard deviations of the sensitivities, nm; 0 is a line, for which the paper's theory is exact."""
+    white_K: float = 5000.0  # noqa: N815 - a kelvin is a K
+    """Temperature of the light in which white is rendered white (fixed gains, no automatic white balance)."""
+    exposure: float | None = None
+    """Gain from reflectance times irradiance to linear values; None: bright parts of the face come to 0.8."""
+    vignetting: float = 0.08
+    """Loss of light in the corners, 0 to 1."""
+    response: str | float = "srgb"
+    """"srgb", "linear", or the exponent g of an encoding value**(1/g)."""
+    read_noise: float = 0.0015
+    """Standard deviation of the noise in the dark, in linear units (1 is white)."""
+    shot_noise: float = 0.0001
+    """Growth a of the variance with the linear value: variance = a rho + read_noise**2."""
+    bits: int | None = 8
+    """8 or 16 for integers; None for float32 in 0..1."""
+
+    def __post_init__(self) -> None:
+        if len(self.peaks_nm) != 3 or not all(380 <= p <= 720 for p in self.peaks_nm):
+            raise LiaamError(
+                f"Camera.peaks_nm is {self.peaks_nm!r}: give three wavelengths from 380 to 720 nm"
+            )
+        if len(self.widths_nm) != 3 or not all(0 <= w <= 100 for w in self.widths_nm):
+            raise LiaamError(f"Camera.widths_nm is {self.widths_nm!r}: give three widths from 0 to 100 nm")
+        if self.bits not in (8, 16, None):
+            raise LiaamError(f"Camera.bits is {self.bits!r}: give 8, 16 or None (float32)")
+        known = self.response in ("srgb", "linear")
+        if not known and (isinstance(self.response, str) or not 0.1 < self.response < 10):
+            raise LiaamError(f"Camera.response is {self.response!r}: give 'srgb', 'linear' or an exponent")
+        for name in ("vignetting", "read_noise", "shot_noise"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise LiaamError(f"Camera.{name} is {getattr(self, name)!r}: give a number from 0 to 1")
+        if self.exposure is not None and not self.exposure > 0:
+            raise LiaamError(
+                f"Camera.exposure is {self.exposure!r}: give a positive gain, or None for automatic"
+            )
+        if not COLDEST_K <= self.white_K <= HOTTEST_K:
+            raise LiaamError(
+                f"Camera.white_K is {self.white_K!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin"
+            )
+
+    def matrix(self, mired: np.ndarray | float, radiator: Radiator) -> np.ndarray:
+        """Matrices (..., 3, 3) from the coefficients of a reflectance to linear channel values.
+
+        Row k holds the integrals of E(lambda, T) b_j(lambda) Q_k(lambda) over the wavelength (the paper's
+        equation 6 with the reflectance spectrum S = sum_j r_j b_j), with the gains of the white balance.
+        """
+        mired = np.asarray(mired, float)[..., None]
+        nodes, sensitivity = self._quadrature()
+        light = spectrum(nodes, mired, radiator)
+        white = sensitivity @ spectrum(nodes, 1e6 / self.white_K, radiator)
+        return np.einsum("...n,kn,jn->...kj", light, sensitivity / white[:, None], reflectance_basis(nodes))
+
+    def theta(self, radiator: Radiator = "wien") -> float:
+        """Give the true invariant angle, radians in 0..pi.
+
+        L(theta) is orthogonal to the shift of log RGB with temperature. For line sensors and Wien's law it is
+        90 deg + atan2(1/lB - 1/lG, 1/lB - 1/lR); otherwise the shift is that of a grey surface from 4000
+        to 6500 K.
+        """
+        grey = self.matrix(np.array([1e6 / 4000, 1e6 / 6500]), radiator).sum(axis=-1)
+        shift = np.log(grey[1] / grey[0])
+        return float(np.arctan2(shift[0] - shift[2], shift[2] - shift[1]) % np.pi)
+
+    def encode(self, linear: np.ndarray) -> np.ndarray:
+        """Response of the camera: linear values in 0..1 to encoded values in 0..1."""
+        linear = np.clip(linear, 0, 1)
+        if self.response == "srgb":
+            return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        return linear if self.response == "linear" else linear ** (1 / float(self.response))
+
+    def decode(self, encoded: np.ndarray) -> np.ndarray:
+        """Inverse of `encode`."""
+        encoded = np.clip(encoded, 0, 1)
+        if self.response == "srgb":
+            return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+        return encoded if self.response == "linear" else encoded ** float(self.response)
+
+    def expose(self, linear: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Take the picture: noise, response and quantisation.
+
+        Parameters
+        ----------
+        linear : (h, w, 3) array
+            Linear values without noise; above 1 the sensor saturates.
+
+        Returns
+        -------
+        (h, w, 3) uint8, uint16 or float32
+        """
+        variance = self.shot_noise * linear + self.read_noise**2
+        encoded = self.encode(linear + np.sqrt(variance) * rng.standard_normal(linear.shape))
+        if self.bits is None:
+            return encoded.astype(np.float32)
+        return np.round(encoded * (2**self.bits - 1)).astype(np.uint8 if self.bits == 8 else np.uint16)
+
+    def falloff(self, height: int, width: int) -> np.ndarray:
+        """Vignetting (h, w): 1 in the middle."""
+        y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+        return 1 - self.vignetting * 0.5 * (x**2 + y**2)
+
+    def noiseless(self, response: str | float = "linear") -> Camera:
+        """Give the same camera without noise and quantisation."""
+        return replace(self, read_noise=0.0, shot_noise=0.0, bits=None, response=response)
+
+    def _quadrature(self) -> tuple[np.ndarray, np.ndarray]:
+        """Wavelengths (n,) and the sensitivities' weights (3, n) for integrals over the spectrum."""
+        offsets = np.linspace(-3, 3, 41)
+        nodes = [
+            p + (w * offsets if w > 0 else np.zeros(1))
+            for p, w in zip(self.peaks_nm, self.widths_nm, strict=True)
+        ]
+        weights = np.zeros((3, sum(map(len, nodes))))
+        start = 0
+        for k, own in enumerate(nodes):
+            bell = np.exp(-0.5 * offsets**2) if len(own) > 1 else np.ones(1)
+            weights[k, start : start + len(own)] = bell / bell.sum()
+            start += len(own)
+        return np.concatenate(nodes), weights
+
+
+def narrow_band_camera(
+    peaks_nm: tuple[float, float, float] = (610.0, 540.0, 450.0), response: str | float = "linear"
+) -> Camera:
+    """Camera of the paper's theory: line sensors, no noise, no quantisation, no vignetting.
+
+    Examples
+    --------
+    >>> round(float(np.degrees(narrow_band_camera().theta("wien"))), 2)
+    122.43
+    """
+    return Camera(
+        peaks_nm,
+        (0.0, 0.0, 0.0),
+        vignetting=0.0,
+        response=response,
+        read_noise=0.0,
+        shot_noise=0.0,
+        bits=None,
+    )
+
+
+def reflectance_basis(wavelength_nm: np.ndarray) -> np.ndarray:
+    """Three smooth positive spectra (3, n) that add to 1: the red, green and blue parts of a reflectance."""
+    peaks = np.array(BASIS_PEAKS_NM)[:, None]
+    bells = np.exp(-0.5 * ((wavelength_nm - peaks) / BASIS_WIDTH_NM) ** 2 + 1e-12)
+    return bells / bells.sum(axis=0)
+
+
+def matrices_at(camera: Camera, mired: np.ndarray, radiator: Radiator) -> np.ndarray:
+    """`Camera.matrix` for a whole image (h, w) of reciprocal temperatures, by a table.
+
+    The table is interpolated in the logarithm, which Wien's law and line sensors make exactly linear in 1/T.
+    """
+    grid = np.linspace(1e6 / HOTTEST_K, 1e6 / COLDEST_K, TABLE_SIZE)
+    table = np.log(camera.matrix(grid, radiator))
+    entries = [np.interp(mired, grid, table[:, k, j]) for k in range(3) for j in range(3)]
+    return np.exp(np.stack(entries, -1)).reshape(*mired.shape, 3, 3)

@@ -1,0 +1,217 @@
+"""Light: Planckian sources, their spectra, and the shadows they cast.
+
+Spectra follow the paper's equation 6: a source of temperature T has the spectral power
+E(lambda, T) = I k1 lambda^-5 exp(-k2 / (T lambda)) (Wien), or Planck's law.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from liaam.datasets.scenes.raster import depth_map, splat_map, transform, visibility
+from liaam.errors import LiaamError
+
+Radiator = Literal["wien", "planck"]
+K2_NM = 1.438776877e7  # second radiation constant, nm K
+REFERENCE_NM = 550.0  # spectra are 1 here, so that a strength does not depend on the temperature
+COLDEST_K, HOTTEST_K = 1500.0, 20000.0
+
+SHADOW_MAP = 420
+SHADOW_REACH = 1.55  # half width of what the shadow map covers, head units
+PENUMBRA_SAMPLES, WIDE_SAMPLES = 5, 10
+WIDE = 0.1  # a lamp of this softness throws shadows so blurred that a coarse mesh will do
+DOME_MAP = 110
+DOME_SAMPLES = 28
+
+
+def _check_source(owner: str, temperature: float, strength: float) -> None:
+    if not COLDEST_K <= temperature <= HOTTEST_K:
+        raise LiaamError(
+            f"{owner}.temperature_K is {temperature!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin"
+        )
+    if not np.isfinite(strength) or strength < 0:
+        raise LiaamError(f"{owner}.strength is {strength!r}: give a number of at least 0")
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """A far lamp."""
+
+    direction: tuple[float, float, float] = (0.0, 0.3, 1.0)
+    """Towards the lamp: right in the image, up, towards the camera. Any length."""
+    temperature_K: float = 5000.0  # noqa: N815 - a kelvin is a K
+    """Colour temperature, kelvin."""
+    strength: float = 1.0
+    """Irradiance of a surface that faces the lamp."""
+    softness: float = 0.025
+    """Angular radius of the lamp, radians: the wider, the softer the shadow's edge."""
+
+    def __post_init__(self) -> None:
+        if not np.all(np.isfinite(self.direction)) or len(self.direction) != 3 or not np.any(self.direction):
+            raise LiaamError(f"PointLight.direction is {self.direction!r}: give three numbers, not all zero")
+        if not 0 <= self.softness <= 1:
+            raise LiaamError(f"PointLight.softness is {self.softness!r}: give 0 (hard) to 1 radian")
+        _check_source("PointLight", self.temperature_K, self.strength)
+
+    @property
+    def unit(self) -> np.ndarray:
+        """Direction (3,) of unit length."""
+        direction = np.asarray(self.direction, float)
+        return direction / np.linalg.norm(direction)
+
+
+@dataclass(frozen=True)
+class Ambient:
+    """Light from everywhere, a little more from above, dimmed in hollows."""
+
+    temperature_K: float = 6500.0  # noqa: N815
+    """Colour temperature, kelvin."""
+    strength: float = 1.0
+    """Irradiance of an open surface that faces the camera."""
+
+    def __post_init__(self) -> None:
+        _check_source("Ambient", self.temperature_K, self.strength)
+
+
+Lights = tuple[PointLight | Ambient, ...]
+
+DIFFUSE: Lights = (
+    Ambient(temperature_K=5000.0, strength=0.62),
+    PointLight((0.0, 0.45, 1.0), temperature_K=5000.0, strength=0.42, softness=0.35),
+)
+"""Homogeneous frontal light of one temperature, as a photographer's diffusers give it."""
+
+
+def lateral(
+    side: Literal["left", "right"] = "left",
+    temperature_K: float = 3900.0,
+    strength: float = 1.0,
+    azimuth: float = 0.90,
+    elevation: float = 0.35,
+    ambient_temperature_K: float = 7500.0,
+    ambient_strength: float = 0.15,
+) -> Lights:
+    """Hard light from one side of the image, which casts shadows, and a weak bluish ambient.
+
+    Parameters
+    ----------
+    side : {"left", "right"}
+        Side of the image on which the lamp stands.
+    temperature_K, ambient_temperature_K : float
+        Colour temperatures, kelvin.
+    strength, ambient_strength : float
+        Irradiances of the lamp and of the ambient.
+    azimuth, elevation : float
+        Angles of the lamp from the camera's axis, radians.
+    """
+    if side not in ("left", "right"):
+        raise LiaamError(f"the side of a lateral light is {side!r}: give 'left' or 'right'")
+    sign = -1.0 if side == "left" else 1.0
+    direction = (
+        sign * float(np.sin(azimuth) * np.cos(elevation)),
+        float(np.sin(elevation)),
+        float(np.cos(azimuth) * np.cos(elevation)),
+    )
+    return PointLight(direction, temperature_K, strength), Ambient(ambient_temperature_K, ambient_strength)
+
+
+def spectrum(wavelength_nm: np.ndarray, mired: np.ndarray | float, radiator: Radiator) -> np.ndarray:
+    """Spectral power relative to that at 550 nm.
+
+    Parameters
+    ----------
+    wavelength_nm : array_like
+    mired : array_like
+        Reciprocal temperature, 1e6 / K; broadcast against the wavelengths.
+    radiator : {"wien", "planck"}
+        The law of radiation.
+    """
+    c = K2_NM * np.asarray(mired) * 1e-6
+    if radiator == "wien":
+        ratio = np.exp(-c * (1 / wavelength_nm - 1 / REFERENCE_NM))
+    elif radiator == "planck":
+        ratio = np.expm1(c / REFERENCE_NM) / np.expm1(c / wavelength_nm)
+    else:
+        raise LiaamError(f"the radiator is {radiator!r}: give 'wien' or 'planck'")
+    return ratio * (REFERENCE_NM / wavelength_nm) ** 5
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What casts shadows: a triangle mesh in the viewer's axes."""
+
+    points: np.ndarray
+    """(n, 3) float64 vertices."""
+    triangles: np.ndarray
+    """(m, 3) int32."""
+    coarse: np.ndarray
+    """(about m / 4, 3) int32: the same surface with larger triangles."""
+    centre: np.ndarray
+    """(3,) middle of the head."""
+    unit: float
+    """Length of a head unit."""
+
+
+def direct_visibility(
+    geometry: Geometry, at: np.ndarray, normals: np.ndarray, light: PointLight
+) -> np.ndarray:
+    """Share (n,) of a lamp that points (n, 3) with normals (n, 3) see past the mesh."""
+    seen = np.zeros(len(at), np.float32)
+    # Away from the surface by a texel or so, lest it shadow itself.
+    lifted = at + normals * (0.022 * geometry.unit)
+    samples = _lamp_samples(light)
+    triangles = geometry.coarse if light.softness > WIDE else geometry.triangles
+    for direction in samples:
+        frame = _light_frame(geometry, direction, SHADOW_MAP, SHADOW_REACH)
+        depth = depth_map(transform(geometry.points, frame), triangles, SHADOW_MAP)
+        seen += visibility(transform(lifted, frame), depth, 0.010 * geometry.unit)
+    return seen / len(samples)
+
+
+def dome_irradiance(geometry: Geometry, normals: np.ndarray) -> np.ndarray:
+    """Irradiance (n,) of the vertices under an open sky; 1 for an open surface facing the camera."""
+    directions = _dome()
+    weights = 1 + 0.45 * directions[:, 1]
+    total = np.zeros(len(normals), np.float32)
+    lifted = geometry.points + normals * (0.035 * geometry.unit)
+    for direction, weight in zip(directions, weights, strict=True):
+        frame = _light_frame(geometry, direction, DOME_MAP, 1.9)
+        depth = splat_map(transform(geometry.points, frame), DOME_MAP)
+        facing = np.maximum(np.einsum("nk,k->n", normals, direction), 0)
+        total += weight * facing * visibility(transform(lifted, frame), depth, 0.03 * geometry.unit)
+    return total / np.sum(weights * np.maximum(directions[:, 2], 0))
+
+
+def _lamp_samples(light: PointLight) -> np.ndarray:
+    """Directions (n, 3) spread evenly over the lamp's disc, in a sunflower's spiral."""
+    unit = light.unit
+    side = np.cross(unit, [0.0, 1.0, 0.0] if abs(unit[1]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    n = WIDE_SAMPLES if light.softness > WIDE else PENUMBRA_SAMPLES
+    i = np.arange(n) + 0.5
+    radius, angle = np.tan(light.softness) * np.sqrt(i / n), np.pi * (1 + 5**0.5) * i
+    samples = unit + (radius * np.cos(angle))[:, None] * side
+    samples += (radius * np.sin(angle))[:, None] * np.cross(unit, side)
+    return samples / np.linalg.norm(samples, axis=1, keepdims=True)
+
+
+def _dome() -> np.ndarray:
+    """Directions (n, 3) spread over the sphere's half that faces the camera, and a little behind."""
+    i = np.arange(DOME_SAMPLES) + 0.5
+    z = 1 - 1.25 * i / DOME_SAMPLES
+    turn = np.pi * (1 + 5**0.5) * i
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(turn), r * np.sin(turn), z], -1)
+
+
+def _light_frame(geometry: Geometry, direction: np.ndarray, size: int, reach: float) -> np.ndarray:
+    """Affine map (3, 4) from the viewer's axes to the pixels and the nearness of a light's depth map."""
+    side = np.cross([0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0], direction)
+    side /= np.linalg.norm(side)
+    scale = size / (2 * reach * geometry.unit)
+    axes = np.stack([scale * side, scale * np.cross(direction, side), direction])
+    offset = np.array([size / 2, size / 2, 0.0]) - axes @ geometry.centre
+    return np.column_stack([axes, offset])

@@ -1,0 +1,338 @@
+"""From a head, its pose, lights and a camera to a picture with its ground truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from liaam.datasets.scenes import body as figure
+from liaam.datasets.scenes import light as lighting
+from liaam.datasets.scenes.body import Body, build_body
+from liaam.datasets.scenes.camera import Camera, matrices_at
+from liaam.datasets.scenes.chart import CONTOURS, Face, smoothstep
+from liaam.datasets.scenes.head import Expression, Head, Pose, Traits
+from liaam.datasets.scenes.light import DIFFUSE, Ambient, Lights, PointLight, Radiator
+from liaam.datasets.scenes.paint import Textures, look_up, look_up_periodic, skin_tone, textures_of
+from liaam.datasets.scenes.raster import draw
+from liaam.datasets.scenes.surface import face_of, landmark_points
+from liaam.errors import LiaamError
+
+Mixing = Literal["additive", "planckian"]
+VIEWING_DISTANCE = 14.0  # head units: a camera at 1.4 m
+BRIGHTEST = 0.8  # linear value given to the 98th percentile of the face
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A picture and all that is true of it; ``(h, w)`` is its size."""
+
+    image: np.ndarray
+    """(h, w, 3) uint8, uint16 or float32: the encoded picture, with noise."""
+    linear: np.ndarray
+    """(h, w, 3) float32: linear values before noise and saturation."""
+    landmarks: np.ndarray
+    """(58, 2) float64: (x, y), pixels, origin at the centre of the top-left pixel; in the IMM set's order."""
+    contours: tuple[tuple[tuple[int, ...], bool], ...]
+    """Landmarks that form lines, and whether the line is closed."""
+    theta: float
+    """True invariant angle of the camera, radians."""
+    reflectance: np.ndarray
+    """(h, w, 3) float32: linear values under a unit of the camera's white light, without shading."""
+    shading: np.ndarray
+    """(h, w) float32: irradiance, summed over the lights."""
+    shadow: np.ndarray
+    """(h, w) float32: share of the lamps' light that is missing, 0 (lit) to 1 (cast or attached shadow)."""
+    mask: np.ndarray
+    """(h, w) bool: inside the hull of the landmarks."""
+
+
+def render(
+    head: Head,
+    pose: Pose | None = None,
+    expression: Expression | None = None,
+    lights: Lights = DIFFUSE,
+    camera: Camera | None = None,
+    size: tuple[int, int] = (320, 240),
+    *,
+    seed: int = 0,
+    mixing: Mixing = "additive",
+    radiator: Radiator = "wien",
+    supersample: int = 2,
+) -> Scene:
+    """Take a picture of a head.
+
+    A pixel has one reflectance spectrum S and, per light, one irradiance. Its linear value in channel k is
+    the paper's equation 6: the sum over the lights of irradiance times the integral of
+    E(lambda, T) S(lambda) Q_k(lambda).
+
+    Parameters
+    ----------
+    head, pose, expression
+        Who, where, and what the face does; the default is neutral and frontal.
+    lights : tuple of PointLight and Ambient
+        All lights.
+    camera : Camera, optional
+        Default: broad sensors, sRGB, 8 bits.
+    size : (int, int)
+        Height and width, pixels.
+    seed : int
+        Seed of the sensor's noise.
+    mixing : {"additive", "planckian"}
+        "additive" adds the lights' spectra, as nature does. "planckian" gives each pixel one Planckian
+        spectrum whose reciprocal temperature is the mean of the lights', weighted by irradiance: the paper's
+        model then holds exactly, also where lights of different temperatures mix.
+    radiator : {"wien", "planck"}
+        Law of radiation.
+    supersample : int
+        Samples per pixel and axis, 1 to 4.
+
+    Returns
+    -------
+    Scene
+
+    Examples
+    --------
+    >>> from liaam.datasets.scenes import Head, lateral, render
+    >>> scene = render(Head(3), lights=lateral("left"))
+    >>> scene.image.shape, scene.landmarks.shape
+    ((320, 240, 3), (58, 2))
+    """
+    _check_request(lights, size, mixing, supersample)
+    pose, expression, camera = pose or Pose(), expression or Expression(), camera or Camera()
+    face, view = face_of(head), _View.of(size, pose)
+    body = build_body(face, pose, expression)
+    pixels = _draw_figure(body, view, supersample)
+    colour = _shrink(_paint_pixels(pixels, face, textures_of(head), expression), supersample)
+    irradiance, missing = _irradiances(body, pixels, lights, supersample)
+    landmarks = view.project(figure.turn(landmark_points(face, expression), pose.rotation()))
+    mask = _hull_mask(landmarks, size)
+    linear = _develop(colour, irradiance, lights, camera, mixing, radiator) * camera.falloff(*size)[..., None]
+    gain = camera.exposure or _auto_exposure(linear, mask)
+    linear = linear * gain
+    white = camera.matrix(1e6 / camera.white_K, radiator)
+    return Scene(
+        image=camera.expose(linear, np.random.default_rng([seed, head.seed, 0x0A15E])),
+        linear=linear.astype(np.float32),
+        landmarks=landmarks,
+        contours=CONTOURS,
+        theta=camera.theta(radiator),
+        reflectance=(colour @ white.T).astype(np.float32),
+        shading=irradiance.sum(axis=0).astype(np.float32),
+        shadow=missing.astype(np.float32),
+        mask=mask,
+    )
+
+
+def make_set(
+    n: int,
+    head: Head | None = None,
+    lights: Lights = DIFFUSE,
+    camera: Camera | None = None,
+    seed: int = 0,
+    size: tuple[int, int] = (320, 240),
+    **options,
+) -> list[Scene]:
+    """Take ``n`` pictures of one head with random expressions and poses.
+
+    Further ``options`` go to `render`. The pictures of a longer set begin with those of a shorter one.
+    """
+    if n < 1:
+        raise LiaamError(f"a set of {n!r} pictures: give a number of at least 1")
+    head = head or Head(0)
+    scenes = []
+    for i in range(n):
+        rng = np.random.default_rng([seed, i, 0x5E7])
+        pose, expression = random_pose(rng, size), random_expression(rng)
+        scenes.append(render(head, pose, expression, lights, camera, size, seed=seed + i, **options))
+    return scenes
+
+
+def random_pose(rng: np.random.Generator, size: tuple[int, int] = (320, 240)) -> Pose:
+    """Draw a natural pose for a picture of that size."""
+    yaw, pitch, roll = np.clip(rng.normal(0, (0.10, 0.06, 0.045)), -0.26, 0.26)
+    shift = 0.012 * min(size)
+    x, y = np.clip(rng.normal(0, shift, 2), -2 * shift, 2 * shift)
+    return Pose(float(yaw), float(pitch), float(roll), float(rng.uniform(0.95, 1.04)), float(x), float(y))
+
+
+def random_expression(rng: np.random.Generator) -> Expression:
+    """Draw an expression; about one in four faces is almost neutral."""
+    amount = 0.15 if rng.random() < 0.25 else 1.0
+    closed = 0.9 if rng.random() < 0.10 else 0.25 * rng.random()
+    return Expression(
+        mouth_open=float(amount * 0.8 * max(rng.uniform(-0.8, 1), 0)),
+        smile=float(amount * rng.uniform(-0.45, 1)),
+        brow_raise=float(amount * rng.uniform(-0.8, 1)),
+        eye_close=float(amount * closed),
+        pucker=float(amount * 0.7 * max(rng.uniform(-2, 1), 0)),
+    )
+
+
+@dataclass(frozen=True)
+class _View:
+    """Perspective from the viewer's axes to pixels."""
+
+    height: int
+    width: int
+    unit: float
+    x: float
+    y: float
+
+    @classmethod
+    def of(cls, size: tuple[int, int], pose: Pose) -> _View:
+        height, width = size
+        framing = min(height / 3.2, width / 2.4)
+        return cls(
+            height, width, framing * pose.scale, (width - 1) / 2 + pose.x, 0.47 * (height - 1) + pose.y
+        )
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels (x, y) of points (..., 3)."""
+        scale = self.unit * VIEWING_DISTANCE / (VIEWING_DISTANCE - points[..., 2])
+        return np.stack([self.x + scale * points[..., 0], self.y - scale * points[..., 1]], -1)
+
+
+# Columns of the attributes that are interpolated over the triangles.
+_CHART, _NORMAL, _POINT, _SKY, _PART = slice(0, 4), slice(4, 7), slice(7, 10), 10, 11
+
+
+def _draw_figure(body: Body, view: _View, s: int) -> np.ndarray:
+    """Attributes (s h, s w, 12) of the figure at every sample; part 0 is the wall."""
+    geometry = _geometry(body)
+    sky = lighting.dome_irradiance(geometry, body.normals)
+    attributes = np.column_stack([body.chart, body.normals, body.points, sky, body.part]).astype(np.float32)
+    at = (view.project(body.points) + 0.5) * s - 0.5
+    screen = np.column_stack([at, body.points[:, 2]])
+    image, covered = draw(screen, body.triangles, attributes, s * view.height, s * view.width)
+    wall = np.zeros(image.shape[-1], np.float32)
+    wall[_NORMAL], wall[_SKY] = (0, 0, 1), 1
+    return np.where(covered[..., None], image, wall)
+
+
+def _paint_pixels(pixels: np.ndarray, face: Face, textures: Textures, expression: Expression) -> np.ndarray:
+    """Reflectance (s h, s w, 3) of every sample."""
+    t, part = face.traits, np.round(pixels[..., _PART]).astype(int)
+    u, v, skull_u, skull_v = np.moveaxis(pixels[..., _CHART], -1, 0)
+    skin = look_up(textures.skin, u, v)
+    skull = look_up(textures.skull, skull_u, skull_v)
+    # Closed lips and lids meet: what the mesh leaves open between them is lip line and lashes.
+    mouth, eyes = (
+        smoothstep(expression.mouth_open / 0.12),
+        1 - smoothstep((expression.eye_close - 0.75) / 0.2),
+    )
+    opening = skin[..., 3] * np.where(v < -0.3, mouth, eyes)
+    colour = skin[..., :3] + opening[..., None] * (skull - skin[..., :3])
+    others = {
+        0: lambda: _wall(part.shape, t, textures),
+        figure.SKIN: lambda: (
+            skin_tone(t.skin) * np.exp(-0.12 + 0.02 * look_up_periodic(textures.weave, u, v))[..., None]
+        ),
+        figure.CLOTH: lambda: (
+            np.array(t.cloth_colour)
+            * np.exp(0.09 * look_up_periodic(textures.weave, 1.6 * u, 2.2 * v))[..., None]
+        ),
+        figure.HAIR: lambda: (
+            np.array(t.hair_colour)
+            * np.exp(0.17 * look_up_periodic(textures.strands, 0.8 * u, 0.3 * v))[..., None]
+        ),
+    }
+    for number, paint in others.items():
+        colour = np.where((part == number)[..., None], paint(), colour)
+    return colour.astype(np.float32)
+
+
+def _wall(shape: tuple[int, int], t: Traits, textures: Textures) -> np.ndarray:
+    """A plastered wall, brighter behind the head."""
+    y, x = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j]
+    glow = np.exp(-0.55 * (x**2 + (y + 0.25) ** 2))
+    clouds = cv2.resize(
+        cv2.GaussianBlur(textures.weave, (0, 0), 14), shape[::-1], interpolation=cv2.INTER_CUBIC
+    )
+    return np.array(t.wall_colour) * ((0.55 + 0.75 * glow) * np.exp(0.05 * clouds / clouds.std()))[..., None]
+
+
+def _irradiances(body: Body, pixels: np.ndarray, lights: Lights, s: int) -> tuple[np.ndarray, np.ndarray]:
+    """Irradiance (n_lights, h, w) and the share of the lamps' light that is in shadow (h, w)."""
+    geometry, shape = _geometry(body), pixels.shape[:2]
+    solid = pixels[..., _PART] > 0.5
+    at = pixels[..., _POINT][solid].astype(float)
+    normals = pixels[..., _NORMAL][solid].astype(float)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
+    maps, blocked, lamps = [], np.zeros(shape, np.float32), 1e-12
+    for source in lights:
+        if isinstance(source, Ambient):
+            maps.append(source.strength * _shrink(pixels[..., _SKY], s))
+            continue
+        facing = normals @ source.unit
+        seen = lighting.direct_visibility(geometry, at, normals, source)
+        direct = np.full(shape, max(source.unit[2], 0.0), np.float32)
+        direct[solid] = np.maximum(facing, 0) * seen
+        maps.append(source.strength * _shrink(direct, s))
+        hidden = np.zeros(shape, np.float32)
+        hidden[solid] = 1 - seen * np.clip(facing / 0.05, 0, 1)
+        blocked, lamps = blocked + source.strength * hidden, lamps + source.strength
+    return np.stack(maps).astype(float), _shrink(blocked, s) / lamps
+
+
+def _geometry(body: Body) -> lighting.Geometry:
+    return lighting.Geometry(body.points, body.triangles, body.coarse, np.array([0.0, -0.15, 0.0]), 1.0)
+
+
+def _develop(
+    colour: np.ndarray,
+    irradiance: np.ndarray,
+    lights: Lights,
+    camera: Camera,
+    mixing: Mixing,
+    radiator: Radiator,
+) -> np.ndarray:
+    """Linear values (h, w, 3): the paper's equation 6 at every pixel."""
+    mired = np.array([1e6 / source.temperature_K for source in lights])
+    colour = colour.astype(float)
+    if mixing == "additive":
+        return np.einsum(
+            "lhw,lkj,hwj->hwk", irradiance, camera.matrix(mired, radiator), colour, optimize=True
+        )
+    total = irradiance.sum(axis=0)
+    mean = np.tensordot(mired, irradiance, 1) / np.maximum(total, 1e-12)
+    matrices = matrices_at(camera, np.where(total > 0, mean, mired[0]), radiator)
+    return total[..., None] * np.einsum("hwkj,hwj->hwk", matrices, colour)
+
+
+def _auto_exposure(linear: np.ndarray, mask: np.ndarray) -> float:
+    face = linear[mask] if mask.any() else linear.reshape(-1, 3)
+    bright = float(np.percentile(face.max(axis=-1), 98))
+    return BRIGHTEST / bright if bright > 0 else 1.0
+
+
+def _hull_mask(landmarks: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    hull = cv2.convexHull(landmarks.astype(np.float32))
+    mask = np.zeros(size, np.uint8)
+    cv2.fillConvexPoly(mask, np.round(hull).astype(np.int32), 1)
+    return mask.astype(bool)
+
+
+def _shrink(samples: np.ndarray, s: int) -> np.ndarray:
+    """Mean over the s x s samples of each pixel."""
+    h, w = samples.shape[0] // s, samples.shape[1] // s
+    return samples.reshape(h, s, w, s, *samples.shape[2:]).mean(axis=(1, 3))
+
+
+def _check_request(lights: Lights, size: tuple[int, int], mixing: str, supersample: int) -> None:
+    if (
+        not isinstance(lights, tuple)
+        or not lights
+        or not all(isinstance(s, PointLight | Ambient) for s in lights)
+    ):
+        raise LiaamError(
+            "the lights are a tuple of at least one PointLight or Ambient, such as DIFFUSE or lateral()"
+        )
+    if len(size) != 2 or not all(isinstance(n, int | np.integer) and 32 <= n <= 4096 for n in size):
+        raise LiaamError(f"the size is {size!r}: give (height, width), whole numbers from 32 to 4096")
+    if mixing not in ("additive", "planckian"):
+        raise LiaamError(f"the mixing is {mixing!r}: give 'additive' or 'planckian'")
+    if supersample not in (1, 2, 3, 4):
+        raise LiaamError(f"supersample is {supersample!r}: give 1, 2, 3 or 4 samples per pixel and axis")

@@ -1,0 +1,8 @@
+"""Fitting: the table of methods, the one objective, the one solver."""
+
+from liaam.fitting.fitter import Fitter, fit
+from liaam.fitting.methods import METHODS, Method, get_method
+from liaam.fitting.result import FitResult, FitStatus, Iteration
+from liaam.fitting.solver import SolverOptions
+
+__all__ = ["METHODS", "FitResult", "FitStatus", "Fitter", "Iteration", "Method", "SolverOptions", "fit", "get_method"]

@@ -1,0 +1,60 @@
+"""Global start of the image angle: for fixed p, theta_2 and lambda have one closed form (DESIGN section 1)."""
+
+import numpy as np
+
+from liaam.fitting.normal_equations import _solve_symmetric, gram
+from liaam.fitting.objective import FitProblem, Objective, State
+
+
+SEARCH = np.deg2rad(60.0)
+"""How far from the model's angle the start may lie. Physical cameras lie in 90-135 degrees; far from the
+object the global minimum over the full circle is often an inverted image (measured on the spot protocol:
+most lost fits of ``li`` started near 250 degrees)."""
+
+
+def best_image_angle(objective: Objective, problem: FitProblem, state: State) -> float:
+    """Angle theta_2 that, with its best lambda, fits the image at the state's shape.
+
+    With u = (cos theta_2, sin theta_2) the cost is u'Su - 2 b'u + const: S and b are Gram matrices of the
+    two log-chromaticity columns log R - log B and log G - log B with the appearance projected out. On
+    the unit circle it has at most four stationary points, found as roots of a quartic. The best angle within
+    :data:`SEARCH` of theta_1 is returned.
+
+    Parameters
+    ----------
+    objective : Objective
+        Of a method whose metric is the invariant.
+    problem : FitProblem
+    state : State
+        Gives p and theta_1.
+
+    Returns
+    -------
+    float
+        theta_2, radians; the state's own where no pixel counts.
+    """
+    seen = objective.linearise(problem, state)
+    root = objective.root_weights * seen.weights
+    log_r, log_g, log_b = seen.values.T
+    design = objective.design(float(state.angles[0]))
+    columns = np.stack([log_r - log_b, log_g - log_b, design.mean[:, 0]], axis=1) * root[:, None]
+    modes = design.weighted * seen.weights[:, None]
+    cross = gram(modes, columns)
+    inner = gram(columns, columns) - cross.T @ _solve_symmetric(gram(modes, modes), cross)
+    if not np.isfinite(inner).all() or inner[0, 0] + inner[1, 1] <= 0:
+        return float(state.angles[1])
+    return _minimise_on_arc(inner[:2, :2], inner[:2, 2], float(state.angles[0]), SEARCH)
+
+
+def _minimise_on_arc(S: np.ndarray, b: np.ndarray, centre: float, reach: float) -> float:
+    """Angle t within reach of a centre that minimises u'Su - 2b'u over u = (cos t, sin t)."""
+    # With z = exp(it) the cost is Re(second z^2) - 2 Re(first z); its stationary points are the unit roots of
+    # a quartic.
+    second = complex(0.5 * (S[0, 0] - S[1, 1]), -S[0, 1])
+    first = complex(b[0], -b[1])
+    roots = np.roots([second, -first, 0.0, np.conj(first), -np.conj(second)])
+    around = np.angle(np.exp(1j * (np.angle(roots[np.abs(roots) > 0]) - centre)))
+    offsets = np.concatenate([around[np.abs(around) <= reach], [-reach, 0.0, reach]])
+    u = np.stack([np.cos(centre + offsets), np.sin(centre + offsets)])
+    cost = np.einsum("it,ij,jt->t", u, S, u) - 2 * b @ u
+    return centre + float(offsets[cost.argmin()])

@@ -1,0 +1,234 @@
+"""Fitting an image: prepare, start, solve, judge."""
+
+import os
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from liaam.errors import ImageError
+from liaam.fitting.angles import best_image_angle
+from liaam.fitting.methods import Method, get_method
+from liaam.fitting.objective import FitProblem, Objective, State, make_objectives
+from liaam.fitting.result import FitResult, FitStatus, Iteration
+from liaam.fitting.solver import Solution, SolverOptions, solve
+from liaam.fitting.start import start_shape
+from liaam.mesh import folded_share
+from liaam.model import AAM
+from liaam.photometry import Response, is_grey
+from liaam.photometry.encoding import as_colour
+from liaam.sampling import make_patch
+from liaam.shape import Similarity, align, diagonal_of
+
+MARGIN = 0.6
+"""Surroundings of the start that the fit may visit, as a share of the object's diagonal."""
+
+SCALE_LIMITS = (1 / 3, 3.0)
+"""Change of size from the start beyond which a fit has diverged."""
+
+FOLD_LIMIT = 0.3
+"""Share of the mesh turned over beyond which a fit has diverged."""
+
+COARSE = 10.0
+"""How much sooner than the finest level the coarser ones may stop."""
+
+USABLE_LIMIT = 0.25
+"""Share of the object's pixels that must be usable."""
+
+
+@dataclass(frozen=True)
+class Fitter:
+    """A model and a method, ready for many images: what can be worked out once is worked out once.
+
+    Attributes
+    ----------
+    model : AAM
+    method : str or Method
+        A name of :data:`liaam.fitting.METHODS`, or a row of your own.
+    options : SolverOptions
+    kernel : {"fast", "reference"}
+    response : Response, optional
+        Response of the camera of the images to be fitted; the training camera's if left out.
+
+    Examples
+    --------
+    >>> fitter = Fitter(model, "li")                                    # doctest: +SKIP
+    >>> results = [fitter.fit(image, box) for image, box in pictures]   # doctest: +SKIP
+    """
+
+    model: AAM
+    method: str | Method = "li"
+    options: SolverOptions = field(default_factory=SolverOptions)
+    kernel: str = "fast"
+    response: Response | None = None
+
+    def __post_init__(self) -> None:
+        self._objectives  # noqa: B018 (complain now, not at the first image)
+
+    @cached_property
+    def _objectives(self) -> tuple[Objective, ...]:
+        return make_objectives(self.model, get_method(self.method), self.kernel)
+
+    @property
+    def _method(self) -> Method:
+        return self._objectives[0].method
+
+    def fit(self, image, init, name: str = "image") -> FitResult:  # noqa: ANN001
+        """Fit the model to one image.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8, uint16 or float array, or path
+        init : (n, 2) shape, (x0, y0, x1, y1) box, or (x, y, diagonal)
+            Where to start, image pixels (see :func:`liaam.fitting.start.start_shape`).
+        name : str
+            What to call the image in errors; a path's own name is used for paths.
+
+        Returns
+        -------
+        FitResult
+            Also for a fit that fails: see its ``status``.
+
+        Raises
+        ------
+        ImageError, StartError
+            For input that makes no sense.
+        """
+        image, name = _load(image, name)
+        if self._method.needs_colour and is_grey(image):
+            raise ImageError(
+                f"{name}: the picture is grey (three equal channels), but method {self._method.name} "
+                "compares colours; use method 'grey'"
+            )
+        start = start_shape(self.model, init, (image.shape[1], image.shape[0]), name)
+        # The pose puts the shape model upright at the start's scale.
+        pose = align(self.model.shape_model.mean, start)
+        p = self.model.shape_model.parameters(pose.inverse()(start))
+        solutions = self._solve_levels(image, start, pose, self._objectives[0].start(p))
+        return self._result(image, pose, solutions)
+
+    def _solve_levels(self, image: np.ndarray, start: np.ndarray, pose: Similarity, state: State) -> list[Solution]:
+        """Solve from the coarsest level to the finest, each from where the one before it stopped."""
+        solutions: list[Solution] = []
+        for objective, level in zip(self._objectives, self.model.levels, strict=True):
+            problem = self._problem(image, start, pose, level.blur)
+            angles = state.angles
+            if not solutions and self._method.free_angles == "image":
+                angles = np.array([angles[0], best_image_angle(objective, problem, state)])
+            # Each level has its own appearance modes, so lambda starts afresh.
+            state = State(state.p, angles, np.zeros(objective.n_lambda))
+            finest = objective is self._objectives[-1]
+            options = self.options if finest else replace(self.options, tolerance=COARSE * self.options.tolerance)
+            solutions.append(solve(objective, problem, state, options))
+            state = solutions[-1].state
+        return solutions
+
+    def _problem(self, image: np.ndarray, start: np.ndarray, pose: Similarity, blur: float) -> FitProblem:
+        patch = make_patch(
+            image,
+            start,
+            pose.scale,
+            encoding=self._method.encoding,
+            response=self.model.response if self.response is None else self.response,
+            blur=blur,
+            margin=MARGIN,
+        )
+        to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
+        return FitProblem(patch, to_patch)
+
+    def _result(self, image: np.ndarray, pose: Similarity, solutions: list[Solution]) -> FitResult:
+        method, shape_model, solution = self._method, self.model.shape_model, solutions[-1]
+        has_angle = method.metric == "invariant"
+        history = tuple(
+            Iteration(cost, pose(shape_model.shape(state.p)), float(state.angles[1]) if has_angle else np.nan, level)
+            for level, part in enumerate(solutions)
+            for cost, state in part.path[min(level, 1) :]
+        )
+        state, last = solution.state, solution.last
+        return FitResult(
+            shape=history[-1].shape,
+            status=self._status(image, history, solution),
+            theta=float(state.angles[1]) if has_angle else np.nan,
+            theta_model=float(state.angles[0]) if has_angle else np.nan,
+            p=state.p,
+            pose=pose,
+            lam=state.lam,
+            cost=last.equations.cost,
+            n_iterations=sum(part.n_iterations for part in solutions),
+            history=history,
+            residual=last.residual * last.weights[:, None],
+            usable=last.weights,
+            covariance=_covariance(solution),
+            method=method.name,
+        )
+
+    def _status(self, image: np.ndarray, history: tuple[Iteration, ...], solution: Solution) -> FitStatus:
+        shape = history[-1].shape
+        if not np.isfinite(shape).all():
+            return FitStatus.DIVERGED
+        growth = diagonal_of(shape) / diagonal_of(history[0].shape)
+        if not SCALE_LIMITS[0] < growth < SCALE_LIMITS[1]:
+            return FitStatus.DIVERGED
+        points = self.model.warp.interpolate(shape)
+        inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
+        if inside.mean() < 0.5:
+            return FitStatus.LEFT_IMAGE
+        if solution.last.weights[inside].mean() < USABLE_LIMIT:
+            return self._why_unusable(image, points[inside])
+        if folded_share(shape, self.model.triangles) > FOLD_LIMIT:
+            return FitStatus.DIVERGED
+        if solution.flat:
+            return FitStatus.NO_TEXTURE
+        if not solution.settled:
+            return FitStatus.MAX_ITERATIONS
+        return FitStatus.LIGHT_UNOBSERVABLE if solution.angles_held else FitStatus.CONVERGED
+
+    def _why_unusable(self, image: np.ndarray, points: np.ndarray) -> FitStatus:
+        """Tell a wandering fit from a dark or an overexposed object."""
+        x, y = np.rint(points).astype(int).T
+        pixels = image[y, x].astype(np.float64)
+        top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
+        level = np.nanmedian(pixels) / top if np.isfinite(pixels).any() else 0.0
+        if level < 0.15:
+            return FitStatus.TOO_DARK
+        return FitStatus.SATURATED if level > 0.85 else FitStatus.DIVERGED
+
+
+def _covariance(solution: Solution) -> np.ndarray:
+    """Gauss-Newton covariance of q; infinite where the image says nothing."""
+    equations = solution.last.equations
+    hessian, _ = equations.reduced()
+    values, vectors = np.linalg.eigh(np.nan_to_num(hessian))
+    variance = equations.cost if np.isfinite(equations.cost) else 1.0
+    inverse = np.divide(variance, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
+    return (vectors * inverse) @ vectors.T
+
+
+def _load(image, name: str) -> tuple[np.ndarray, str]:  # noqa: ANN001
+    if not isinstance(image, (str, os.PathLike)):
+        return as_colour(image, name), name
+    from liaam.io import read_image
+
+    path = Path(image)
+    return as_colour(read_image(path), path.name), path.name
+
+
+def fit(model: AAM, image, init, method: str | Method = "li", **options) -> FitResult:  # noqa: ANN001
+    """Fit a model to one image; for many images make a :class:`Fitter` once.
+
+    Parameters
+    ----------
+    model : AAM
+    image : (h, w, 3) uint8, uint16 or float array, or path
+    init : (n, 2) shape, (x0, y0, x1, y1) box, or (x, y, diagonal)
+    method : str or Method
+        See :data:`liaam.fitting.METHODS`.
+    **options
+        Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
+
+    Returns
+    -------
+    FitResult
+    """
+    return Fitter(model, method, SolverOptions(**options)).fit(image, init)

@@ -1,0 +1,140 @@
+"""The table of methods (DESIGN section 1): every fitting method is one row of one objective."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.appearance import APPEARANCES
+from liaam.errors import MethodError
+from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE, invariant_row, invariant_row_derivative
+
+METRICS = ("luminance", "rgb", "chromaticity", "invariant")
+
+FREE_ANGLES = {
+    "none": np.zeros((2, 0)),
+    "image": np.array([[0.0], [1.0]]),
+    "both": np.eye(2),
+    "shared": np.array([[1.0], [1.0]]),
+}
+"""d (theta_1, theta_2) / d (free angles) of each choice of free angles, (2, n_free)."""
+
+BIASES = ("none", "common", "rows")
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to measure the difference between model and image: a row of the table.
+
+    The residual of a pixel is ``P(theta_2) E(I(W(x; p))) - P(theta_1) (A0 + sum_i lambda_i A_i)`` minus
+    the extra modes, with ``E`` the encoding and ``P`` the metric.
+
+    Attributes
+    ----------
+    name : str
+    summary : str
+        One line for people.
+    encoding : {"value", "log"}
+        What is measured in the image.
+    appearance : {"value", "log", "invariant"}
+        Which of the model's appearances it is compared with.
+    metric : {"luminance", "rgb", "chromaticity", "invariant"}
+        Rows of P; only ``invariant`` depends on the angles.
+    free_angles : {"none", "image", "both", "shared"}
+        Which of theta_1 (model) and theta_2 (image) are estimated.
+    gain : bool
+        Add the mean appearance as a mode (a global gain).
+    bias : {"none", "common", "rows"}
+        Add a constant, common to all channels or one per row of P.
+    """
+
+    name: str
+    summary: str
+    encoding: str
+    appearance: str
+    metric: str
+    free_angles: str = "none"
+    gain: bool = False
+    bias: str = "none"
+
+    def __post_init__(self) -> None:
+        _check("encoding", self.encoding, ENCODINGS)
+        _check("appearance", self.appearance, APPEARANCES)
+        _check("metric", self.metric, METRICS)
+        _check("free_angles", self.free_angles, FREE_ANGLES)
+        _check("bias", self.bias, BIASES)
+        if self.metric != "invariant" and self.free_angles != "none":
+            raise MethodError(f"method {self.name}: metric {self.metric} has no angle to free")
+        if self.metric in ("invariant", "chromaticity") and self.bias == "common":
+            # L . 1 = 0 (and C . 1 = 0): a grey constant in log space is a null vector.
+            raise MethodError(f"method {self.name}: a common bias is invisible to metric {self.metric}")
+        if self.appearance == "invariant" and self.free_angles in ("both", "shared"):
+            raise MethodError(f"method {self.name}: theta_1 is fixed by an appearance projected before the PCA")
+
+    @property
+    def needs_colour(self) -> bool:
+        """Whether grey pictures carry nothing for this method."""
+        return self.metric in ("invariant", "chromaticity")
+
+    @property
+    def n_rows(self) -> int:
+        """Rows of P, k."""
+        return {"luminance": 1, "rgb": 3, "chromaticity": 2, "invariant": 1}[self.metric]
+
+    @property
+    def angle_directions(self) -> np.ndarray:
+        """d (theta_1, theta_2) / d (free angles), (2, n_free)."""
+        return FREE_ANGLES[self.free_angles]
+
+    def image_metric(self, theta: float) -> np.ndarray:
+        """Rows of P for the image (angle theta_2), (k, 3)."""
+        fixed = {"luminance": LUMINANCE, "rgb": np.eye(3), "chromaticity": CHROMATICITY}
+        return invariant_row(theta) if self.metric == "invariant" else fixed[self.metric]
+
+    def model_metric(self, theta: float) -> np.ndarray:
+        """Rows of P for the model (angle theta_1), (k, channels of the appearance)."""
+        return np.eye(1) if self.appearance == "invariant" else self.image_metric(theta)
+
+    def image_metric_derivative(self, theta: float) -> np.ndarray:
+        """dP/dtheta for the image, (k, 3)."""
+        return invariant_row_derivative(theta)
+
+    def model_metric_derivative(self, theta: float) -> np.ndarray:
+        """dP/dtheta for the model, (k, channels of the appearance)."""
+        return np.zeros((1, 1)) if self.appearance == "invariant" else invariant_row_derivative(theta)
+
+
+def _check(what: str, value: str, known) -> None:  # noqa: ANN001 (any collection of names)
+    if value not in known:
+        raise MethodError(f"{what} {value!r} does not exist; there are {', '.join(known)}")
+
+
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (
+        Method("grey", "luminance; drifts when the light changes", "value", "value", "luminance", gain=True, bias="common"),
+        Method("rgb", "colour values; drifts when the light changes", "value", "value", "rgb", gain=True, bias="common"),
+        Method("li", "light-invariant, image angle estimated (paper section 4)", "log", "log", "invariant", "image"),
+        Method(
+            "li-lit", "as li, appearance learnt after the projection", "log", "invariant", "invariant", "image"
+        ),
+        Method("li-pc", "light-invariant, both cameras unknown", "log", "log", "invariant", "both"),
+        Method("li-pcs", "light-invariant, one unknown camera for both", "log", "log", "invariant", "shared"),
+        Method("chroma", "log-chromaticity: blind to intensity, not to colour of light", "log", "log", "chromaticity", bias="rows"),
+    )
+}
+"""The methods by name, in the order of the table."""
+
+
+def get_method(method: str | Method) -> Method:
+    """Look a method up by name; a :class:`Method` of your own passes through.
+
+    Raises
+    ------
+    MethodError
+        If there is none of that name; the message lists those that exist.
+    """
+    if isinstance(method, Method):
+        return method
+    if method not in METHODS:
+        raise MethodError(f"method {method!r} does not exist; there are {', '.join(METHODS)}")
+    return METHODS[method]

@@ -1,0 +1,139 @@
+"""What a fit gives back. Failure is a value with a sentence a person can act on."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from liaam.shape import Similarity
+
+
+class FitStatus(StrEnum):
+    """How a fit ended. Defined once, with what a person can do about it."""
+
+    CONVERGED = "converged"
+    LIGHT_UNOBSERVABLE = "light unobservable"
+    MAX_ITERATIONS = "max iterations"
+    DIVERGED = "diverged"
+    LEFT_IMAGE = "left the image"
+    TOO_DARK = "too dark"
+    SATURATED = "saturated"
+    NO_TEXTURE = "no texture"
+
+    @property
+    def ok(self) -> bool:
+        """Whether the landmarks may be used."""
+        return self in (FitStatus.CONVERGED, FitStatus.LIGHT_UNOBSERVABLE)
+
+    @property
+    def message(self) -> str:
+        """What happened, and what to do about it."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    FitStatus.CONVERGED: "The fit settled.",
+    FitStatus.LIGHT_UNOBSERVABLE: (
+        "The fit settled. The light differs too little from training to tell the camera's angle, so the angle was "
+        "held; the landmarks are not affected."
+    ),
+    FitStatus.MAX_ITERATIONS: (
+        "The fit was still moving when its iterations ran out; start nearer to the object or allow more iterations."
+    ),
+    FitStatus.DIVERGED: (
+        "The fit lost the object (its shape collapsed, folded or blew up); start nearer to it, or use a method that "
+        "suits the light."
+    ),
+    FitStatus.LEFT_IMAGE: "More than half of the object lies outside the picture; start inside it, or use a wider picture.",
+    FitStatus.TOO_DARK: (
+        "Most of the object is too dark for its colour to be measured; use a brighter picture, or method 'grey'."
+    ),
+    FitStatus.SATURATED: (
+        "Most of the object is overexposed, so its colour cannot be measured; use a darker picture, or method 'grey'."
+    ),
+    FitStatus.NO_TEXTURE: "The picture is flat where the fit started: there is nothing to fit to; check the start and the file.",
+}
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One accepted state of a fit.
+
+    Attributes
+    ----------
+    cost : float
+        Mean squared residual.
+    shape : (n, 2) float64
+        Landmarks, image pixels.
+    theta : float
+        Image angle theta_2, radians; NaN for methods without angles.
+    level : int
+        Level of the model, 0 the coarsest; costs compare within a level only.
+    """
+
+    cost: float
+    shape: np.ndarray
+    theta: float
+    level: int = 0
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """Result of fitting one image.
+
+    Attributes
+    ----------
+    shape : (n, 2) float64
+        Landmarks (x, y), image pixels.
+    status : FitStatus
+        How the fit ended; ``status.ok`` says whether to use it, ``message`` what to do.
+    theta : float
+        Angle of this image's camera (theta_2), radians; NaN for methods without angles.
+    theta_model : float
+        Angle of the training camera (theta_1), radians; NaN for methods without angles.
+    p : (m + 4,) float64
+        Shape parameters in the model's pixels, the similarity vectors last; ``pose`` maps s(p) to the image.
+    pose : Similarity
+        Model pixels to image pixels.
+    lam : (m,) float64
+        Appearance coordinates, extra modes (gain, bias) last.
+    cost : float
+        Mean squared residual in the method's own units.
+    n_iterations : int
+        Gauss-Newton steps tried.
+    history : tuple of Iteration
+        Start and every accepted step; the last is the result.
+    residual : (n_pixels, k) float32
+        Image minus model per model pixel and row of the metric, 0 where not usable.
+    usable : (n_pixels,) float32
+        1 where the image could be used, else 0.
+    covariance : (n_q, n_q) float64
+        Gauss-Newton covariance of (p, free angles) for independent residuals. Neighbouring pixels are not
+        independent, so it is too small: good for comparing directions, not yet calibrated.
+    method : str
+    """
+
+    shape: np.ndarray
+    status: FitStatus
+    theta: float
+    theta_model: float
+    p: np.ndarray
+    pose: Similarity
+    lam: np.ndarray
+    cost: float
+    n_iterations: int
+    history: tuple[Iteration, ...]
+    residual: np.ndarray
+    usable: np.ndarray
+    covariance: np.ndarray
+    method: str
+
+    @property
+    def message(self) -> str:
+        """What happened, and what to do about it."""
+        return self.status.message
+
+    @property
+    def start(self) -> np.ndarray:
+        """Landmarks at the start, (n, 2) float64."""
+        return self.history[0].shape

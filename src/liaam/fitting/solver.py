@@ -1,0 +1,207 @@
+"""The one solver: Levenberg-damped Gauss-Newton on (p, free angles) with lambda eliminated or joint.
+
+Paper eq 5, 9 and 10 give the additive Gauss-Newton step of the joint system (p, lambda, theta). Both
+eliminations take that step for p and theta; they differ in lambda:
+
+``varpro``  variable projection: lambda is solved afresh at every state, the cost compared is the reduced one;
+``joint``   the paper's form: lambda moves by its own part of the joint step.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from liaam.errors import MethodError
+from liaam.fitting.normal_equations import NormalEquations
+from liaam.fitting.objective import FitProblem, Linearisation, Objective, State
+
+ELIMINATIONS = ("varpro", "joint")
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """How to iterate.
+
+    Attributes
+    ----------
+    max_iterations : int
+        Gauss-Newton steps to try at most.
+    tolerance : float
+        Stop when a step moves the landmarks by less than this root mean square, model pixels.
+    elimination : {"varpro", "joint"}
+        How lambda is treated.
+    damping : float
+        Initial Levenberg damping, relative to the Hessian's diagonal; 0 for pure Gauss-Newton as in the
+        paper (every step is taken).
+    shape_prior : float
+        Strength of the Gaussian prior on the shape modes: 1 as learnt, 0 none (the paper).
+    observable : float
+        An angle is estimated only where its curvature exceeds this multiple of what noise alone would give.
+    """
+
+    max_iterations: int = 50
+    tolerance: float = 0.01
+    elimination: str = "varpro"
+    damping: float = 1e-3
+    shape_prior: float = 1.0
+    observable: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuse options that make no sense."""
+        if self.elimination not in ELIMINATIONS:
+            raise MethodError(f"elimination {self.elimination!r} does not exist; there are {', '.join(ELIMINATIONS)}")
+        if self.max_iterations < 0 or self.tolerance < 0 or min(self.damping, self.shape_prior) < 0:
+            raise MethodError("max_iterations, tolerance, damping and shape_prior may not be negative")
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where the solver stopped.
+
+    Attributes
+    ----------
+    state : State
+    last : Linearisation
+        At that state.
+    path : tuple of (cost, State)
+        The start and every accepted state.
+    n_iterations : int
+    settled : bool
+        The last step was below the tolerance.
+    angles_held : bool
+        The angles, or one combination of them, could not be observed at the end.
+    flat : bool
+        There was nothing to descend on: no texture under the model.
+    """
+
+    state: State
+    last: Linearisation
+    path: tuple[tuple[float, State], ...]
+    n_iterations: int
+    settled: bool
+    angles_held: bool
+    flat: bool
+
+
+DAMPING_RANGE = (1e-7, 1e7)
+
+
+def solve(objective: Objective, problem: FitProblem, start: State, options: SolverOptions) -> Solution:
+    """Minimise an objective over one image from a start.
+
+    Never raises for a fit that goes wrong and never loops beyond ``max_iterations``.
+    """
+    workspace = objective.workspace()
+    state, last = _evaluate(objective, problem, start, options, workspace, start_up=True)
+    path = [(last.equations.cost, state)]
+    damping, settled, flat, iteration = options.damping, False, False, 0
+    free, held = _free_directions(objective, state, last.equations, options.observable)
+    for iteration in range(1, options.max_iterations + 1):  # noqa: B007 (reported)
+        precision = _prior_precision(objective, last.equations, options.shape_prior)
+        step, lambda_step = _step(last.equations, state, precision, free, damping)
+        if step is None:
+            flat = True
+            break
+        moved = objective.warp.movement(step[: objective.warp.n_parameters])
+        new, there = _evaluate(
+            objective, problem, objective.update(state, step, lambda_step), options, workspace, start_up=False
+        )
+        worse = not _merit(there.equations, new, precision) <= _merit(last.equations, state, precision)
+        if options.damping > 0 and worse:
+            if moved < options.tolerance or damping >= DAMPING_RANGE[1]:
+                settled = True
+                break
+            damping = min(max(damping, 1e-4) * 10, DAMPING_RANGE[1])
+            continue
+        state, last = new, there
+        path.append((last.equations.cost, state))
+        damping = max(damping / 10, DAMPING_RANGE[0]) if options.damping > 0 else 0.0
+        free, held = _free_directions(objective, state, last.equations, options.observable)
+        if moved < options.tolerance:
+            settled = True
+            break
+        if not np.isfinite(last.equations.cost):
+            break
+    return Solution(state, last, tuple(path), iteration, settled, held, flat)
+
+
+def _evaluate(
+    objective: Objective, problem: FitProblem, state: State, options: SolverOptions, workspace: np.ndarray, start_up: bool
+) -> tuple[State, Linearisation]:
+    """Linearise at a state; variable projection (and any start) also solves lambda there."""
+    seen = objective.linearise(problem, state, workspace)
+    if options.elimination == "joint" and not start_up:
+        return state, seen
+    if not seen.equations.weight > 0:
+        return state, seen
+    step = seen.equations.best_lambda_step()
+    state = replace(state, lam=state.lam + step)
+    return state, replace(seen, equations=seen.equations.after_lambda_step(step))
+
+
+def _prior_precision(objective: Objective, equations: NormalEquations, strength: float) -> np.ndarray:
+    """Precision of the prior on q in units of squared residuals, (n_q,); angles have none."""
+    variance = equations.cost if np.isfinite(equations.cost) else 0.0
+    precision = np.zeros(objective.n_q)
+    precision[: objective.warp.n_parameters] = strength * variance * objective.prior
+    return precision
+
+
+def _merit(equations: NormalEquations, state: State, precision: np.ndarray) -> float:
+    """Give what an accepted step must not raise: mean squared residual plus the prior's share."""
+    prior = float(precision[: len(state.p)] @ np.square(state.p))
+    return equations.cost + (prior / equations.weight if equations.weight > 0 else 0.0)
+
+
+def _step(
+    equations: NormalEquations, state: State, precision: np.ndarray, free: np.ndarray, damping: float
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Damped Gauss-Newton step of q and the lambda step that goes with it; None where there is nothing to see."""
+    if not equations.weight > 0 or not np.isfinite(equations.rr):
+        return None, None
+    hessian, gradient = equations.reduced()
+    gradient[: len(state.p)] += precision[: len(state.p)] * state.p
+    hessian, gradient = free.T @ (hessian + np.diag(precision)) @ free, free.T @ gradient
+    diagonal = np.diag(hessian)
+    if not diagonal.max() > 1e-10 * equations.weight:
+        return None, None
+    floor = 1e-9 * diagonal.max()
+    damped = hessian + np.diag(damping * np.maximum(diagonal, floor) + floor)
+    try:
+        step = free @ np.linalg.solve(damped, -gradient)
+    except np.linalg.LinAlgError:
+        return None, None
+    return step, equations.lambda_step(step)
+
+
+def _free_directions(
+    objective: Objective, state: State, equations: NormalEquations, observable: float
+) -> tuple[np.ndarray, bool]:
+    """Directions of q that may move: all of p, and the combinations of angles that the image can tell.
+
+    Where the light has not changed, dr/dtheta is noise: its energy is that of the residual itself, scaled
+    by |L'|^2 / |L|^2. A direction with less than ``observable`` times that is held, so that noise cannot make
+    the angles drift.
+
+    Returns
+    -------
+    free : (n_q, n_free) float64
+        Orthonormal columns.
+    held : bool
+        Whether any direction of the angles is held.
+    """
+    n_p, n_q = objective.warp.n_parameters, objective.n_q
+    if n_q == n_p:
+        return np.eye(n_q), False
+    hessian = equations.reduced()[0][n_p:, n_p:]
+    theta = state.angles[1]
+    derivative = np.square(objective.method.image_metric_derivative(theta)).sum()
+    noise = max(equations.rr, 0.0) * derivative / np.square(objective.method.image_metric(theta)).sum()
+    curvature, directions = np.linalg.eigh(hessian)
+    # Two free angles hold two shares of noise in the direction that moves both.
+    shares = (objective.method.angle_directions @ directions)[1] ** 2 if n_q > n_p else 1.0
+    seen = curvature > observable * noise * np.maximum(shares, 1e-3) + 1e-12 * equations.weight
+    free = np.zeros((n_q, n_p + int(seen.sum())))
+    free[:n_p, :n_p] = np.eye(n_p)
+    free[n_p:, n_p:] = directions[:, seen]
+    return free, not seen.all()

@@ -1,0 +1,30 @@
+"""Reading and writing: images, landmark files, and files in general that are either complete or not there."""
+
+from liaam.io.atomic import atomic_path, write_bytes_atomically, write_text_atomically
+from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image, write_image
+from liaam.io.landmarks import (
+    LANDMARK_SUFFIXES,
+    Contour,
+    Landmarks,
+    read_collection,
+    read_landmarks,
+    write_collection,
+    write_landmarks,
+)
+
+__all__ = [
+    "IMAGE_SUFFIXES",
+    "LANDMARK_SUFFIXES",
+    "Contour",
+    "Landmarks",
+    "atomic_path",
+    "image_size",
+    "read_collection",
+    "read_image",
+    "read_landmarks",
+    "write_bytes_atomically",
+    "write_collection",
+    "write_image",
+    "write_landmarks",
+    "write_text_atomically",
+]

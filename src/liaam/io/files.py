@@ -1,0 +1,82 @@
+"""What every reader of files shares: finding the file, saying why it cannot be found, and natural order."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LiaamError
+
+
+def natural_key(text: str) -> list[Any]:
+    """Give a sort key under which ``img2`` comes before ``img10``, whatever the case of the letters."""
+    parts = re.split(r"([0-9]+)", text.casefold())
+    return [int(part) if part.isdecimal() and part.isascii() else part for part in parts]
+
+
+def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:
+    """Check that a file is there and not empty.
+
+    Parameters
+    ----------
+    path : path-like
+        The file asked for.
+    error : type of LiaamError
+        The class of error to raise.
+    kind : str
+        What the file should be, for the message: "image", "landmark file" ...
+
+    Returns
+    -------
+    Path
+        The same path.
+
+    Raises
+    ------
+    LiaamError
+        Of class `error`, if the path is missing, a folder, empty, or not accessible.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise error(f"{path} is a folder; give the name of one {kind} inside it.")
+        if not path.exists():
+            raise error(f"{path} does not exist. {_closest(path)}")
+        if not path.is_file():  # a pipe or a device could block for ever
+            raise error(f"{path} is not an ordinary file: give one on disk.")
+        if path.stat().st_size == 0:
+            raise error(f"{path} is empty (0 bytes): copy or export it again.")
+    except OSError as fault:
+        raise error(
+            f"{path} cannot be read ({fault.strerror or fault}): check the name and the rights."
+        ) from fault
+    return path
+
+
+def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:
+    """Read a whole file of at most `limit` bytes; a fault is raised as `error`."""
+    try:
+        size = path.stat().st_size
+        if size > limit:
+            raise error(
+                f"{path} has {size:,} bytes, more than the {limit:,} allowed: split it into smaller files."
+            )
+        return path.read_bytes()
+    except OSError as fault:
+        raise error(
+            f"{path} cannot be read ({fault.strerror or fault}): check the rights on the file."
+        ) from fault
+
+
+def _closest(path: Path) -> str:
+    """Say which files of the folder have a similar name."""
+    if not path.parent.is_dir():
+        return f"The folder {path.parent} does not exist either: check the path."
+    names = [entry.name for entry in path.parent.iterdir() if entry.name != path.name]
+    close = difflib.get_close_matches(path.name, names, n=3, cutoff=0.6)
+    if not close:
+        return f"Nothing in {path.parent} has a similar name: check the path."
+    return f"Did you mean {' or '.join(close)}?"

@@ -1,0 +1,452 @@
+"""Read and write still images as RGB arrays, without touching the values that the file holds.
+
+Pillow decodes what has 8 bits per channel and notices files that were cut short; OpenCV decodes what is
+deeper (16-bit and float), which Pillow would reduce to 8 bits. The header is read, and the size checked,
+before anything is decoded. The format is recognised by content, not by the name's ending.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from liaam.errors import ImageError
+from liaam.io.atomic import write_bytes_atomically
+from liaam.io.files import existing_file, read_bytes
+
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
+"""Endings (lower case) of the image files that can be read and written; those without loss come first."""
+
+MAX_PIXELS = 200_000_000
+"""Default limit on width x height: larger images are refused before they are decoded."""
+
+_MAX_BYTES = 4_000_000_000
+_SIGNATURES = (
+    (b"\x89PNG\r\n\x1a\n", "PNG"),
+    (b"\xff\xd8\xff", "JPEG"),
+    (b"II*\0", "TIFF"),
+    (b"MM\0*", "TIFF"),
+    (b"II+\0", "TIFF"),
+    (b"MM\0+", "TIFF"),
+    (b"BM", "BMP"),
+    *((b"P%d" % digit, "PNM") for digit in range(1, 7)),
+)
+_PILLOW_NAMES = {
+    ".png": "PNG",
+    ".jpg": "JPEG",
+    ".jpeg": "JPEG",
+    ".tif": "TIFF",
+    ".tiff": "TIFF",
+    ".bmp": "BMP",
+    ".ppm": "PPM",
+    ".pgm": "PPM",
+    ".pnm": "PPM",
+}
+_DEEP_SUFFIXES = (".png", ".tif", ".tiff", ".ppm", ".pgm", ".pnm")
+_FLOAT_SUFFIXES = (".tif", ".tiff")
+_EXIF_ORIENTATION = 0x0112
+_PNM_HEADER = re.compile(
+    rb"P(?P<kind>[1-6])(?:\s|#[^\n\r]*[\n\r])+(?P<width>\d{1,9})(?:\s|#[^\n\r]*[\n\r])+(?P<height>\d{1,9})"
+    rb"(?:(?:\s|#[^\n\r]*[\n\r])+(?P<maximum>\d{1,5}))?\s"
+)
+# Tags of the TIFF 6.0 specification.
+_WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _SAMPLES, _PLANAR, _FORMAT = 256, 257, 258, 262, 277, 284, 339
+_EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of tiles
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What the first bytes of an image file say, before its orientation is applied."""
+
+    kind: str
+    width: int
+    height: int
+    bits: int = 8
+    orientation: int = 1
+    fault: str = ""
+    """Why the pixels cannot be decoded although the header can be read."""
+    maximum: int = 255
+    """PNM only: the value that stands for white."""
+    offset: int = 0
+    """PNM only: where the pixels begin, in bytes."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) as a person sees the image: orientations 5 to 8 lie on their side."""
+        if self.orientation >= 5:
+            return self.height, self.width
+        return self.width, self.height
+
+
+def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np.ndarray:
+    """Read a colour image as it is stored.
+
+    Parameters
+    ----------
+    path : path-like
+        A PNG, JPEG, TIFF, BMP, PPM or PGM file. The first page of a TIFF file is read.
+    max_pixels : int, optional
+        Images with more pixels are refused before they are decoded.
+
+    Returns
+    -------
+    np.ndarray
+        (height, width, 3) uint8, uint16 or float32, in RGB order. The response is not changed and colour
+        profiles are not applied. A grey image has three equal channels; transparency is dropped; palettes and
+        CMYK are converted; the image is turned upright by its EXIF orientation. 64-bit floats become float32,
+        NaN stays. PPM and PGM values are scaled so that white is 255 or 65535.
+
+    Raises
+    ------
+    ImageError
+        If the file is missing, a folder, empty, cut short, damaged, not an image of these formats, has more
+        than `max_pixels`, or holds values that have no place here (32-bit integers, signed integers ...).
+    """
+    path = existing_file(path, ImageError, "image")
+    header = _read_header(path)
+    if header.width * header.height > max_pixels:
+        raise ImageError(
+            f"{path} has {header.width} x {header.height} pixels, more than the {max_pixels:,} allowed: "
+            "make the image smaller, or raise max_pixels."
+        )
+    if header.fault:
+        raise ImageError(f"{path} {header.fault}")
+    data = read_bytes(path, ImageError, _MAX_BYTES)
+    if header.bits <= 8:
+        return _decode_shallow(path, data, header)
+    if header.kind == "PNM":
+        return _decode_deep_pnm(path, data, header)
+    return _decode_deep(path, data, header)
+
+
+def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Read only the header of an image: its (width, height) in pixels, upright by its EXIF orientation.
+
+    Raises
+    ------
+    ImageError
+        If the file is missing, a folder, empty, or its header cannot be read.
+    """
+    return _read_header(existing_file(path, ImageError, "image")).size
+
+
+def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
+    """Write an image in the format of the name's ending; nothing half-written is left if it fails.
+
+    Parameters
+    ----------
+    path : path-like
+        Ends in one of `IMAGE_SUFFIXES`.
+    array : np.ndarray
+        (height, width, 3) in RGB order, or (height, width) grey. uint8 for every format; uint16 for PNG,
+        TIFF, PPM and PGM; float32 for TIFF only. JPEG is written with quality 95 and full-resolution
+        chroma.
+
+    Raises
+    ------
+    ImageError
+        If the ending, the shape or the type of the values cannot be written, or the disk refuses.
+    """
+    path = Path(path)
+    array = np.asarray(array)
+    suffix = _check_writable(path, array)
+    if suffix == ".ppm" and array.ndim == 2:
+        array = _as_three_channels(array)
+    data = _encode_shallow(array, suffix) if array.dtype == np.uint8 else _encode_deep(array, suffix)
+    write_bytes_atomically(path, data, ImageError)
+
+
+# Headers ------------------------------------------------------------------------------------------
+
+
+def _read_header(path: Path) -> _Header:
+    """Read kind, size and depth without decoding a pixel."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(16)
+            kind = next((kind for signature, kind in _SIGNATURES if start.startswith(signature)), None)
+            if kind is None:
+                raise ImageError(
+                    f"{path} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image, whatever its name says: "
+                    "open it in an image program and save it as PNG."
+                )
+            file.seek(0)
+            header = _HEADER_READERS[kind](file)
+    except ImageError:
+        raise
+    except OSError as fault:
+        if fault.errno is not None:
+            raise ImageError(
+                f"{path} cannot be read ({fault.strerror}): check the rights on the file."
+            ) from fault
+        raise _damaged(path, fault) from fault
+    except Exception as fault:  # Pillow's parsers meet bad bytes with errors of any class
+        raise _damaged(path, fault) from fault
+    if header.width < 1 or header.height < 1:
+        raise _damaged(path, f"a size of {header.width} x {header.height} pixels")
+    return header
+
+
+def _damaged(path: Path, fault: object) -> ImageError:
+    return ImageError(
+        f"{path} is damaged or cut short ({fault}): copy it again, "
+        "or save it again from the program that made it."
+    )
+
+
+def _open_pillow(file: Any, kind: str) -> Any:
+    """Open with the one reader of this kind: Image.open tries others, and has its own limit on the size."""
+    from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, PpmImagePlugin, TiffImagePlugin
+
+    readers = {
+        "PNG": PngImagePlugin.PngImageFile,
+        "JPEG": JpegImagePlugin.jpeg_factory,
+        "TIFF": TiffImagePlugin.TiffImageFile,
+        "BMP": BmpImagePlugin.BmpImageFile,
+        "PNM": PpmImagePlugin.PpmImageFile,
+    }
+    return readers[kind](file)
+
+
+def _pillow_header(file: Any, kind: str) -> _Header:
+    image = _open_pillow(file, kind)
+    return _Header(kind, *image.size, orientation=_orientation(image.getexif()))
+
+
+def _orientation(tags: Any) -> int:
+    value = tags.get(_EXIF_ORIENTATION, 1)
+    return value if value in range(1, 9) else 1
+
+
+def _jpeg_header(file: Any) -> _Header:
+    return _pillow_header(file, "JPEG")
+
+
+def _bmp_header(file: Any) -> _Header:
+    return _pillow_header(file, "BMP")
+
+
+def _png_header(file: Any) -> _Header:
+    """Read the chunks directly: Pillow decodes the pixels to look for an eXIf chunk behind them."""
+    from PIL import Image
+
+    width, height, bits = struct.unpack(">IIB", file.read(25)[16:])  # IHDR always comes first
+    chunks = _png_chunks(file, file.seek(0, os.SEEK_END))
+    exif = Image.Exif()
+    if b"eXIf" in chunks:
+        offset, size = chunks[b"eXIf"]
+        file.seek(offset)
+        exif.load(file.read(size))
+    fault = "" if b"IEND" in chunks else "is cut short (it ends within a chunk): copy it again."
+    return _Header("PNG", width, height, bits=bits, orientation=_orientation(exif), fault=fault)
+
+
+def _png_chunks(file: Any, n_bytes: int) -> dict[bytes, tuple[int, int]]:
+    """Give the offset and size of the data of each kind of chunk, of the chunks that are whole."""
+    chunks: dict[bytes, tuple[int, int]] = {}
+    offset = 8
+    while offset + 12 <= n_bytes and b"IEND" not in chunks:
+        file.seek(offset)
+        size, tag = struct.unpack(">I4s", file.read(8))
+        if offset + 12 + size <= n_bytes:
+            chunks[tag] = (offset + 8, size)
+        offset += 12 + size
+    return chunks
+
+
+def _pnm_header(file: Any) -> _Header:
+    match = _PNM_HEADER.match(file.read(10_000))
+    if match is None:
+        raise ValueError("its header is incomplete")
+    maximum = 1 if match["kind"] in b"14" else int(match["maximum"] or 0)
+    if not 1 <= maximum <= 65535:
+        raise ValueError(f"its header gives {maximum} as the largest value")
+    deep = maximum > 255
+    plain_text = "holds more than 8 bits per channel as plain text: save it as binary PPM or as PNG."
+    return _Header(
+        "PNM",
+        int(match["width"]),
+        int(match["height"]),
+        bits=16 if deep else 8,
+        fault=plain_text if deep and match["kind"] in b"23" else "",
+        maximum=maximum,
+        offset=match.end(),
+    )
+
+
+def _tiff_header(file: Any) -> _Header:
+    """Read the tags directly: Pillow refuses to open a float RGB file at all."""
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    start = file.read(8)
+    if start[2] == 43 or start[3] == 43:  # BigTIFF has a longer header
+        start += file.read(8)
+    tags = ImageFileDirectory_v2(start)
+    file.seek(tags.next)
+    tags.load(file)
+    return _Header(
+        "TIFF",
+        int(tags[_WIDTH]),
+        int(tags[_HEIGHT]),
+        bits=max(tags.get(_BITS, (1,))),
+        orientation=_orientation(tags),
+        fault=_tiff_fault(tags, file.seek(0, os.SEEK_END)),
+    )
+
+
+def _tiff_fault(tags: Any, n_bytes: int) -> str:
+    """Say what keeps the pixels from being decoded as they are stored; empty if nothing does."""
+    for offsets, counts in _EXTENTS:
+        pairs = zip(tags.get(offsets, ()), tags.get(counts, ()), strict=False)
+        if any(offset + count > n_bytes for offset, count in pairs):
+            return "is cut short (its pixels end before the file should): copy it again."
+    bits = set(tags.get(_BITS, (1,)))
+    if max(bits) <= 8:
+        return ""
+    kinds = {(depth, form) for depth in bits for form in tags.get(_FORMAT, (1,))}
+    if kinds not in ({(16, 1)}, {(32, 3)}, {(64, 3)}):
+        return "holds neither 8- or 16-bit unsigned integers nor 32-bit floats: convert it to one of these."
+    n_samples = tags.get(_SAMPLES, 1)
+    if n_samples not in (1, 3, 4) or tags.get(_PHOTOMETRIC) not in (1, 2):
+        return "is not a grey or RGB image: convert it to RGB."
+    if n_samples > 1 and tags.get(_PLANAR, 1) != 1:
+        return "keeps its channels in separate planes: save it with interleaved channels."
+    return ""
+
+
+_HEADER_READERS = {
+    "PNG": _png_header,
+    "JPEG": _jpeg_header,
+    "TIFF": _tiff_header,
+    "BMP": _bmp_header,
+    "PNM": _pnm_header,
+}
+
+
+# Decoding -----------------------------------------------------------------------------------------
+
+
+def _decode_shallow(path: Path, data: bytes, header: _Header) -> np.ndarray:
+    """Decode what has at most 8 bits per channel, and notice when it was cut short."""
+    try:
+        image = _open_pillow(io.BytesIO(data), header.kind)
+        image.load()
+        if "transparency" in image.info:  # a palette with transparency has no direct way to RGB
+            image = image.convert("RGBA")
+        array = np.array(image.convert("RGB"))
+    except MemoryError:
+        raise
+    except Exception as fault:  # Pillow's decoders meet bad bytes with errors of any class
+        raise _damaged(path, fault) from fault
+    return _upright(array, header)
+
+
+def _decode_deep(path: Path, data: bytes, header: _Header) -> np.ndarray:
+    """Decode 16-bit PNG, and 16-bit and float TIFF."""
+    import cv2
+
+    if header.kind == "PNG":  # OpenCV may fill what is missing with zeros; Pillow says that it is missing
+        _decode_shallow(path, data, header)
+    try:
+        array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as fault:
+        raise _damaged(path, fault) from fault
+    if array is None:
+        raise _damaged(path, "its pixels cannot be decoded")
+    if array.dtype == np.float64:
+        with np.errstate(over="ignore"):
+            array = array.astype(np.float32)
+    rgb = _as_three_channels(array) if array.ndim == 2 else array[:, :, 2::-1]
+    return _upright(np.ascontiguousarray(rgb), header)
+
+
+def _decode_deep_pnm(path: Path, data: bytes, header: _Header) -> np.ndarray:
+    n_channels = 3 if data[1:2] == b"6" else 1
+    n_values = header.width * header.height * n_channels
+    if len(data) - header.offset < 2 * n_values:
+        raise _damaged(path, f"{2 * n_values} bytes of pixels promised, {len(data) - header.offset} there")
+    values = np.frombuffer(data, ">u2", n_values, header.offset).astype(np.float64)
+    scaled = np.rint(np.minimum(values, header.maximum) * (65535 / header.maximum)).astype(np.uint16)
+    array = scaled.reshape(header.height, header.width, n_channels)
+    return array if n_channels == 3 else _as_three_channels(array[:, :, 0])
+
+
+def _upright(array: np.ndarray, header: _Header) -> np.ndarray:
+    """Apply the EXIF orientation, except to TIFF, where both decoders have done so."""
+    if header.kind == "TIFF" or header.orientation == 1:
+        return array
+    if header.orientation >= 5:
+        array = array.transpose(1, 0, 2)
+    if header.orientation in (3, 4, 7, 8):
+        array = array[::-1]
+    if header.orientation in (2, 3, 6, 7):
+        array = array[:, ::-1]
+    return np.ascontiguousarray(array)
+
+
+def _as_three_channels(grey: np.ndarray) -> np.ndarray:
+    return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+# Encoding -----------------------------------------------------------------------------------------
+
+
+def _check_writable(path: Path, array: np.ndarray) -> str:
+    """Give the suffix in lower case, if this array can be written under it."""
+    suffix = path.suffix.lower()
+    if suffix not in IMAGE_SUFFIXES:
+        raise ImageError(
+            f"{path} cannot be written: '{path.suffix}' is no known ending. Use {', '.join(IMAGE_SUFFIXES)}."
+        )
+    if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or array.size == 0:
+        raise ImageError(
+            f"{path} cannot be written: the array has shape {array.shape}. "
+            "Give (height, width, 3) for colour or (height, width) for grey."
+        )
+    if array.dtype not in (np.uint8, np.uint16, np.float32):
+        raise ImageError(
+            f"{path} cannot be written: the values are {array.dtype}. "
+            "Convert them to uint8, uint16 or float32."
+        )
+    if array.dtype == np.float32 and suffix not in _FLOAT_SUFFIXES:
+        raise ImageError(
+            f"{path} cannot be written: {suffix} holds no float32 values. "
+            "Use .tiff, or convert the array to uint8."
+        )
+    if array.dtype == np.uint16 and suffix not in _DEEP_SUFFIXES:
+        raise ImageError(
+            f"{path} cannot be written: {suffix} holds no 16-bit values. "
+            "Use .png, or convert the array to uint8."
+        )
+    if suffix == ".pgm" and array.ndim == 3:
+        raise ImageError(
+            f"{path} cannot be written: .pgm holds grey images only. Use .ppm or .png for colour."
+        )
+    return suffix
+
+
+def _encode_shallow(array: np.ndarray, suffix: str) -> bytes:
+    from PIL import Image
+
+    options = {"quality": 95, "subsampling": 0} if _PILLOW_NAMES[suffix] == "JPEG" else {}
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(array)).save(buffer, _PILLOW_NAMES[suffix], **options)
+    return buffer.getvalue()
+
+
+def _encode_deep(array: np.ndarray, suffix: str) -> bytes:
+    import cv2
+
+    if suffix == ".pnm":
+        suffix = ".pgm" if array.ndim == 2 else ".ppm"
+    bgr = array if array.ndim == 2 else array[:, :, ::-1]
+    options = [cv2.IMWRITE_TIFF_COMPRESSION, 1] if suffix in _FLOAT_SUFFIXES else []
+    _, data = cv2.imencode(suffix, np.ascontiguousarray(bgr), options)
+    return data.tobytes()

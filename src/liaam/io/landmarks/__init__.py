@@ -1,0 +1,199 @@
+"""Landmark files: one module per format, and the registry that finds it by the name's ending.
+
+Every format is converted to liaam's convention (pixel centres that count from 0); how, is said at the top
+of the format's module.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from liaam.errors import LandmarkError
+from liaam.io.atomic import write_text_atomically
+from liaam.io.files import existing_file
+from liaam.io.landmarks import asf, coco, csv_points, dlib_xml, ljson, pts, tem
+from liaam.io.landmarks.base import Contour, Landmarks, read_text
+
+__all__ = [
+    "FORMATS",
+    "LANDMARK_SUFFIXES",
+    "Contour",
+    "Format",
+    "Landmarks",
+    "parse_landmark_file",
+    "read_collection",
+    "read_landmarks",
+    "write_collection",
+    "write_landmarks",
+]
+
+Parsed = Landmarks | dict[str, Landmarks]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A landmark file format."""
+
+    title: str
+    """What people call it."""
+    parse: Callable[[Path, str], Parsed] | None = None
+    """From a path (for the messages) and the file's text to landmarks, or to those of many images."""
+    parse_with_size: Callable[[Path, str, tuple[float, float] | None], Landmarks] | None = None
+    """The same, where the image's (width, height) is needed."""
+    dump: Callable[[Landmarks], str] | None = None
+    """To the file's text; None if the format is only read."""
+    dump_collection: Callable[[Mapping[str, Landmarks]], str] | None = None
+    """To the text of a file of many images."""
+    may_be_collection: bool = False
+    """Whether one file can hold many images."""
+
+
+FORMATS: dict[str, Format] = {
+    ".pts": Format("300-W points", pts.parse, dump=pts.dump),
+    ".ljson": Format("menpo landmarks", ljson.parse, dump=ljson.dump),
+    ".tem": Format("WebMorph template", tem.parse),
+    ".asf": Format("AAM-API shape", parse_with_size=asf.parse),
+    ".csv": Format(
+        "CSV table",
+        csv_points.parse,
+        dump=csv_points.dump,
+        dump_collection=csv_points.dump_collection,
+        may_be_collection=True,
+    ),
+    ".xml": Format("dlib imglab", dlib_xml.parse, may_be_collection=True),
+    ".json": Format("COCO keypoints", coco.parse, may_be_collection=True),
+}
+"""The formats by ending, in the order in which they are preferred where an image has several files."""
+
+LANDMARK_SUFFIXES = tuple(FORMATS)
+"""Endings (lower case) of the landmark files that can be read, the preferred first."""
+
+
+def read_landmarks(path: str | os.PathLike[str], image_size: tuple[float, float] | None = None) -> Landmarks:
+    """Read the landmarks of one image.
+
+    Parameters
+    ----------
+    path : path-like
+        A file of one of `LANDMARK_SUFFIXES`. A file of many images is read if it holds exactly one.
+    image_size : tuple of float, optional
+        (width, height) of the image in pixels; needed for ``.asf``.
+
+    Returns
+    -------
+    Landmarks
+        Points in pixels, (0, 0) at the centre of the top-left pixel, NaN where missing.
+
+    Raises
+    ------
+    LandmarkError
+        If the file is missing, empty, cut short, of an unknown ending, contradicts itself, holds what is
+        not a number, or holds several images.
+    """
+    parsed = parse_landmark_file(path, image_size)
+    if isinstance(parsed, Landmarks):
+        return parsed
+    if len(parsed) > 1:
+        some = ", ".join(list(parsed)[:3])
+        raise LandmarkError(
+            f"{path} holds the landmarks of {len(parsed)} images ({some} ...): "
+            "use read_collection, or load the folder that holds it."
+        )
+    return next(iter(parsed.values()))
+
+
+def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
+    """Read a file with the landmarks of many images (dlib ``.xml``, COCO ``.json``, ``.csv`` with ``image``).
+
+    Returns
+    -------
+    dict of str to Landmarks
+        By the image's file name as the file gives it.
+
+    Raises
+    ------
+    LandmarkError
+        As :func:`read_landmarks`, or if the file is of one image and does not name it.
+    """
+    suffix = _suffix(Path(path))
+    parsed = parse_landmark_file(path) if FORMATS[suffix].may_be_collection else None
+    if isinstance(parsed, dict):
+        return parsed
+    raise LandmarkError(f"{path} holds the landmarks of one image and does not name it: use read_landmarks.")
+
+
+def parse_landmark_file(
+    path: str | os.PathLike[str], image_size: tuple[float, float] | None = None
+) -> Parsed:
+    """Read a landmark file into `Landmarks`, or into a dict of them if the file names its images.
+
+    Raises
+    ------
+    LandmarkError
+        As :func:`read_landmarks`.
+    """
+    suffix = _suffix(Path(path))
+    path = existing_file(path, LandmarkError, "landmark file")
+    text = read_text(path)
+    known = FORMATS[suffix]
+    if known.parse is not None:
+        return known.parse(path, text)
+    assert known.parse_with_size is not None
+    return known.parse_with_size(path, text, image_size)
+
+
+def write_landmarks(path: str | os.PathLike[str], landmarks: Landmarks | np.ndarray) -> None:
+    """Write the landmarks of one image as ``.pts``, ``.csv`` or ``.ljson``, all or nothing.
+
+    Contours survive only in ``.ljson``; names in ``.ljson`` and ``.csv``.
+
+    Parameters
+    ----------
+    path : path-like
+        Its ending chooses the format.
+    landmarks : Landmarks or np.ndarray
+        Or (n, 2) points in pixels, (0, 0) at the centre of the top-left pixel, NaN where missing.
+
+    Raises
+    ------
+    LandmarkError
+        If the ending cannot be written, the points are not valid, or the disk refuses.
+    """
+    dump = FORMATS[_suffix(Path(path))].dump
+    if dump is None:
+        writable = ", ".join(suffix for suffix, known in FORMATS.items() if known.dump is not None)
+        raise LandmarkError(f"{path} cannot be written: {Path(path).suffix} is only read. Use {writable}.")
+    if not isinstance(landmarks, Landmarks):
+        landmarks = Landmarks(landmarks)
+    write_text_atomically(path, dump(landmarks), LandmarkError)
+
+
+def write_collection(path: str | os.PathLike[str], collection: Mapping[str, Landmarks]) -> None:
+    """Write the landmarks of many images, by file name, as one ``.csv``, all or nothing.
+
+    Raises
+    ------
+    LandmarkError
+        If the ending is not ``.csv``, there is nothing to write, or the disk refuses.
+    """
+    dump = FORMATS[_suffix(Path(path))].dump_collection
+    if dump is None:
+        raise LandmarkError(f"{path} cannot be written: only .csv takes many images. Use that ending.")
+    if not collection:
+        raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give at least one image's.")
+    write_text_atomically(path, dump(collection), LandmarkError)
+
+
+def _suffix(path: Path) -> str:
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        known = ", ".join(f"{ending} ({form.title})" for ending, form in FORMATS.items())
+        raise LandmarkError(
+            f"{path} has the ending '{path.suffix}', which is no known landmark format: use {known}."
+        )
+    return suffix

@@ -1,0 +1,80 @@
+"""``.asf`` of the AAM-API (IMM face databases): fractions of the image's width and height, y downwards.
+
+x is multiplied by the width and y by the height (not by width - 1), as the AAM-API does, and the result is
+taken as a pixel centre that counts from 0. So (0, 0) is the centre of the top-left pixel, and the file
+alone does not give pixels: the image's size is needed. Connectivity (``connects from``, ``connects to``)
+becomes contours, and the host image named on the last line is kept.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Landmarks, chain_edges, make_landmarks, parse_count, parse_number
+
+_N_COLUMNS = 7  # path, type, x, y, point, from, to; the user's columns after them are optional
+
+
+def parse(path: Path, text: str, image_size: tuple[float, float] | None) -> Landmarks:
+    """Parse the text of an ``.asf`` file.
+
+    Parameters
+    ----------
+    path : Path
+        For the messages.
+    text : str
+        What the file holds.
+    image_size : tuple of float or None
+        (width, height) of the image in pixels.
+
+    Raises
+    ------
+    LandmarkError
+        If `image_size` is None, a line is not as it should be, or the counts do not agree.
+    """
+    if image_size is None:
+        raise LandmarkError(
+            f"{path} gives positions as fractions of the image's size: "
+            "pass image_size=(width, height) in pixels."
+        )
+    lines = [line for line in map(str.strip, text.splitlines()) if line and not line.startswith("#")]
+    if not lines:
+        raise LandmarkError(f"{path} holds comments only; it may be cut short: export it again.")
+    count = parse_count(path, lines[0], "points")
+    columns = [line.split() for line in lines[1:]]
+    rows = [row for row in columns if len(row) >= _N_COLUMNS]
+    if len(rows) != count:
+        raise LandmarkError(
+            f"{path}: the header promises {count} points but {len(rows)} are there; "
+            "the file may be cut short: export it again."
+        )
+    host = lines[-1] if len(columns) > count else None
+    return _landmarks(path, rows, image_size, host)
+
+
+def _landmarks(path: Path, rows: list[list[str]], size: tuple[float, float], host: str | None) -> Landmarks:
+    points: list[tuple[float, float] | None] = [None] * len(rows)
+    edges = []
+    for row in rows:
+        index, _, target = (_index(path, token, len(rows)) for token in row[4:7])
+        where = f"point {index}"
+        points[index] = (
+            parse_number(path, row[2], where) * size[0],
+            parse_number(path, row[3], where) * size[1],
+        )
+        edges.append((index, target))
+    if None in points:
+        raise LandmarkError(
+            f"{path} has no point number {points.index(None)}: number the points 0 to {len(rows) - 1}."
+        )
+    return make_landmarks(path, points, chain_edges(edges), image_name=host)
+
+
+def _index(path: Path, token: str, n_points: int) -> int:
+    index = parse_count(path, token, "a point")
+    if index >= n_points:
+        raise LandmarkError(
+            f"{path} names point {index}, but has points 0 to {n_points - 1}: correct its numbers."
+        )
+    return index

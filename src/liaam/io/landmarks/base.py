@@ -1,0 +1,276 @@
+"""Landmarks in memory, and what the readers of all landmark formats share.
+
+Inside liaam a landmark is (x, y) = (column, row) in pixels, with (0, 0) at the centre of the top-left pixel;
+a missing landmark is (NaN, NaN). Each format's module converts from and to its own convention.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from liaam.errors import LandmarkError
+from liaam.io.files import read_bytes
+
+MAX_BYTES = 500_000_000
+"""Landmark files larger than this are refused before they are read."""
+
+_MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "?", "-"})
+
+
+@dataclass(frozen=True)
+class Contour:
+    """A line through landmarks, such as an eyelid or the jaw."""
+
+    indices: tuple[int, ...]
+    """Landmarks along the line, counted from 0; the first is not repeated at the end of a closed line."""
+    closed: bool = False
+    """Whether the last landmark is joined to the first."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Landmarks:
+    """The landmarks of one image.
+
+    Raises
+    ------
+    LandmarkError
+        If the points are not (n, 2), are infinite or half missing, or a contour or the names do not fit them.
+    """
+
+    points: np.ndarray
+    """(n, 2) float64, read-only: x, y in pixels; a missing landmark is (NaN, NaN)."""
+    contours: tuple[Contour, ...] = ()
+    """Lines through the landmarks, as far as the file tells."""
+    names: tuple[str, ...] = ()
+    """One name per landmark, or empty."""
+    image_name: str | None = None
+    """The image's file name as the landmark file gives it, if it does."""
+
+    def __post_init__(self) -> None:
+        points = _checked_points(self.points)
+        object.__setattr__(self, "points", points)
+        if self.names and len(self.names) != len(points):
+            raise LandmarkError(
+                f"there are {len(self.names)} names for {len(points)} landmarks: give one name each."
+            )
+        for contour in self.contours:
+            _check_contour(contour, len(points))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        return f"Landmarks({len(self)} points, {self.missing.sum()} missing, {len(self.contours)} contours)"
+
+    @property
+    def missing(self) -> np.ndarray:
+        """(n,) bool: which landmarks are missing."""
+        return np.isnan(self.points[:, 0])
+
+
+def _checked_points(points: Any) -> np.ndarray:
+    """Give the points as a read-only (n, 2) float64 copy."""
+    try:
+        points = np.array(points, dtype=np.float64)
+    except (TypeError, ValueError) as fault:
+        raise LandmarkError(
+            f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y."
+        ) from fault
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
+        raise LandmarkError(
+            f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0."
+        )
+    absent = np.isnan(points)
+    half = np.flatnonzero(absent[:, 0] != absent[:, 1])
+    if len(half):
+        raise LandmarkError(
+            f"landmark {half[0] + 1} (counting from 1) has only one of x and y: give both, or leave out both."
+        )
+    if np.isinf(points).any():
+        raise LandmarkError("a landmark lies at infinity: give finite pixels, or NaN for a missing one.")
+    points.setflags(write=False)
+    return points
+
+
+def _check_contour(contour: Contour, n_points: int) -> None:
+    wrong = [index for index in contour.indices if not 0 <= index < n_points]
+    if wrong:
+        raise LandmarkError(
+            f"a contour names landmark {wrong[0]} (counting from 0), but there are {n_points} landmarks: "
+            "correct the contour."
+        )
+
+
+# Reading ------------------------------------------------------------------------------------------
+
+
+def make_landmarks(
+    path: Path,
+    points: Any,
+    contours: Iterable[Contour] = (),
+    names: Iterable[str] = (),
+    image_name: str | None = None,
+) -> Landmarks:
+    """Make `Landmarks`, and name the file in the message if they are not valid."""
+    try:
+        return Landmarks(points, tuple(contours), tuple(names), image_name)
+    except LandmarkError as fault:
+        raise LandmarkError(f"{path}: {fault}") from fault
+
+
+def read_text(path: Path) -> str:
+    """Read a text file as UTF-8 (or UTF-16 with its mark, or Latin-1), and refuse what is not text."""
+    data = read_bytes(path, LandmarkError, MAX_BYTES)
+    binary = LandmarkError(f"{path} is not a text file, so not a landmark file: export the landmarks again.")
+    encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as fault:
+        if encoding == "utf-16" or _has_control_characters(data):
+            raise binary from fault
+        text = data.decode("latin-1")
+    if "\0" in text:
+        raise binary
+    if not text.strip():
+        raise LandmarkError(f"{path} is empty (only blank lines): copy or export it again.")
+    return text
+
+
+def _has_control_characters(data: bytes) -> bool:
+    """Tell binary data, in which control characters abound, from text in an old encoding."""
+    return len(data.translate(None, bytes(set(range(32)) - set(b"\t\n\f\r")))) < len(data)
+
+
+def parse_count(path: Path, token: str, what: str) -> int:
+    """Parse a whole number, not negative."""
+    if not (token.isascii() and token.isdigit() and len(token) <= 18):
+        raise LandmarkError(f"{path}: '{_short(token)}' is not a number of {what}: export the file again.")
+    return int(token)
+
+
+def parse_number(path: Path, token: str, where: str) -> float:
+    """Parse one coordinate; NaN for the usual words for a missing one."""
+    token = token.strip()
+    if token.lower() in _MISSING_WORDS:
+        return math.nan
+    try:
+        value = float(token) if "_" not in token else math.inf
+    except ValueError:
+        value = math.inf
+    if not math.isfinite(value):
+        raise LandmarkError(
+            f"{path}: '{_short(token)}' in {where} is not a number: "
+            "correct it (decimals take a point, as in 12.5)."
+        )
+    return value
+
+
+def parse_pair(path: Path, line: str, where: str) -> tuple[float, float]:
+    """Parse a line that holds x and y."""
+    tokens = line.split()
+    if len(tokens) != 2:
+        raise LandmarkError(
+            f"{path}: {where} holds {len(tokens)} values ('{_short(line)}'), not x and y: correct it."
+        )
+    return parse_number(path, tokens[0], where), parse_number(path, tokens[1], where)
+
+
+def check_number(path: Path, value: Any, where: str) -> float:
+    """Check one coordinate from JSON: a number, or null for a missing one."""
+    if value is None:
+        return math.nan
+    try:
+        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.inf
+    except OverflowError:
+        number = math.inf
+    if math.isinf(number):
+        raise LandmarkError(
+            f"{path}: '{_short(str(value))}' in {where} is not a number: correct it, or use null."
+        )
+    return number
+
+
+def parse_json(path: Path, text: str) -> Any:
+    """Parse JSON, with a message for people."""
+    import json
+
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as fault:
+        raise LandmarkError(
+            f"{path} is not complete JSON ({_short(str(fault), 100)}): it may be cut short; export it again."
+        ) from fault
+
+
+def _short(text: str, length: int = 40) -> str:
+    return text if len(text) <= length else f"{text[: length - 3]}..."
+
+
+# Contours -----------------------------------------------------------------------------------------
+
+
+def contour_of(indices: Sequence[int], closed: bool) -> Contour | None:
+    """Make a contour; a repeated first point closes it, and a lone point is none."""
+    if len(indices) > 2 and indices[0] == indices[-1]:
+        indices, closed = indices[:-1], True
+    if len(set(indices)) < 2:
+        return None
+    return Contour(tuple(indices), closed)
+
+
+def edges_of(contours: Iterable[Contour]) -> list[tuple[int, int]]:
+    """List the edges between neighbours along the contours."""
+    edges = []
+    for contour in contours:
+        edges += zip(contour.indices, contour.indices[1:], strict=False)
+        if contour.closed:
+            edges.append((contour.indices[-1], contour.indices[0]))
+    return edges
+
+
+def chain_edges(edges: Iterable[tuple[int, int]]) -> tuple[Contour, ...]:
+    """Join edges into contours, the inverse of `edges_of` for contours that do not touch.
+
+    Lines end at loose ends and where three or more edges meet; what has no end is closed. Repeated edges
+    count once, and an edge from a landmark to itself says nothing.
+    """
+    neighbours = _neighbours(edges)
+    used: set[frozenset[int]] = set()
+    ends = [node for node, others in neighbours.items() if len(others) != 2]
+    chains = [_walk(node, other, neighbours, used) for node in ends for other in neighbours[node]]
+    chains += [_walk(node, others[0], neighbours, used) for node, others in neighbours.items() if others]
+    contours = (contour_of(chain, closed=False) for chain in chains)
+    found = [contour for contour in contours if contour is not None]
+    order = {node: number for number, node in enumerate(neighbours)}
+    return tuple(sorted(found, key=lambda contour: min(order[node] for node in contour.indices)))
+
+
+def _neighbours(edges: Iterable[tuple[int, int]]) -> dict[int, list[int]]:
+    neighbours: dict[int, dict[int, None]] = {}
+    for start, end in edges:
+        if start != end:
+            neighbours.setdefault(start, {})[end] = None
+            neighbours.setdefault(end, {})[start] = None
+    return {node: list(others) for node, others in neighbours.items()}
+
+
+def _walk(
+    start: int, following: int, neighbours: dict[int, list[int]], used: set[frozenset[int]]
+) -> list[int]:
+    """Follow unused edges from `start` through `following` up to a loose end or a junction."""
+    chain = [start]
+    node, target = start, following
+    while frozenset((node, target)) not in used:
+        used.add(frozenset((node, target)))
+        chain.append(target)
+        others = neighbours[target]
+        if len(others) != 2:
+            break
+        node, target = target, others[0] if others[1] == node else others[1]
+    return chain

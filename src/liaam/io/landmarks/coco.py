@@ -1,0 +1,81 @@
+"""COCO keypoints (``.json``): 0-indexed pixels, x to the right and y downwards.
+
+The data format of COCO says "a 0-indexed location x, y" for keypoints; annotators clicked on whole pixels,
+so the numbers are taken as pixel centres, without a shift of half a pixel. A keypoint of visibility 0 is
+missing (1, hidden but labelled, is there). One file holds many images; of several annotations of an image,
+the one with the largest area is taken. The category's keypoint names become the names, its skeleton (pairs
+that count from 1) the contours.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Landmarks, chain_edges, check_number, make_landmarks, parse_json
+
+
+def parse(path: Path, text: str) -> dict[str, Landmarks]:
+    """Parse the text of a COCO keypoints file into landmarks by the image's file name.
+
+    Raises
+    ------
+    LandmarkError
+        If it is not JSON, not COCO, has no keypoints, or keypoints that are not triples of numbers.
+    """
+    content = parse_json(path, text)
+    try:
+        files = {image["id"]: str(image["file_name"]) for image in content["images"]}
+        categories = {category["id"]: category for category in content.get("categories") or ()}
+        chosen = _largest(path, content["annotations"])
+        found = {
+            files[image]: _landmarks(
+                path, annotation, categories.get(annotation.get("category_id"), {}), files[image]
+            )
+            for image, annotation in chosen.items()
+        }
+    except (TypeError, KeyError, ValueError, AttributeError, IndexError) as fault:
+        raise LandmarkError(
+            f"{path} lacks the parts of a COCO keypoints file "
+            "(images, annotations, categories): export it again."
+        ) from fault
+    if not found:
+        raise LandmarkError(f"{path} is COCO without keypoints: export the annotations with keypoints.")
+    return found
+
+
+def _largest(path: Path, annotations: Any) -> dict[Any, Any]:
+    """Choose one annotation with keypoints per image."""
+    chosen: dict[Any, tuple[float, Any]] = {}
+    for annotation in annotations:
+        if not annotation.get("keypoints"):
+            continue
+        area = _area(path, annotation)
+        if area > chosen.get(annotation["image_id"], (-math.inf, None))[0]:
+            chosen[annotation["image_id"]] = (area, annotation)
+    return {image: annotation for image, (_, annotation) in chosen.items()}
+
+
+def _area(path: Path, annotation: Any) -> float:
+    if "area" in annotation:
+        area = check_number(path, annotation["area"], "an area")
+    else:
+        _, _, width, height = annotation.get("bbox", (0, 0, 0, 0))
+        area = check_number(path, width, "a box") * check_number(path, height, "a box")
+    return 0.0 if math.isnan(area) else area
+
+
+def _landmarks(path: Path, annotation: Any, category: Any, image: str) -> Landmarks:
+    values = annotation["keypoints"]
+    if len(values) % 3:
+        raise LandmarkError(
+            f"{path}: image '{image}' has {len(values)} keypoint values, not x, y, v for each: correct it."
+        )
+    numbers = [check_number(path, value, f"the keypoints of image '{image}'") for value in values]
+    triples = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)
+    points = [(x, y) if v else (math.nan, math.nan) for x, y, v in triples]
+    names = tuple(map(str, category.get("keypoints") or ()))
+    edges = [(int(start) - 1, int(end) - 1) for start, end in category.get("skeleton") or ()]
+    return make_landmarks(path, points, chain_edges(edges), names, image)

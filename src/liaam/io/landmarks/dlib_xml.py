@@ -1,0 +1,85 @@
+"""dlib ``imglab`` data sets (``.xml``): pixel centres that count from 0, x to the right and y downwards.
+
+One file holds many images. The landmarks are the ``part`` elements of a box; of several boxes in an image
+the largest that has parts is taken. Parts are put in the natural order of their names (1, 2, ... 10), over
+all the images of the file; a part that an image lacks is missing there.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LandmarkError
+from liaam.io.files import natural_key
+from liaam.io.landmarks.base import Landmarks, make_landmarks, parse_number
+
+_Parts = dict[str, tuple[float, float]]
+
+
+def parse(path: Path, text: str) -> dict[str, Landmarks]:
+    """Parse the text of an ``imglab`` file into landmarks by the image's file name.
+
+    Raises
+    ------
+    LandmarkError
+        If it is not complete XML, declares a document type or entities, or has no landmarks.
+    """
+    chosen: dict[str, tuple[float, _Parts]] = {}
+    for image in _root(path, text).iter("image"):
+        name = image.get("file", "")
+        for box in image.iter("box"):
+            parts = _parts(path, name, box)
+            area = _area(path, name, box)
+            if parts and area > chosen.get(name, (-math.inf, {}))[0]:
+                chosen[name] = (area, parts)
+    if not chosen:
+        raise LandmarkError(
+            f"{path} has no image with landmarks (part elements in a box): check that it is imglab's."
+        )
+    names = sorted({name for _, parts in chosen.values() for name in parts}, key=natural_key)
+    absent = (math.nan, math.nan)
+    return {
+        image: make_landmarks(
+            path, [parts.get(name, absent) for name in names], names=names, image_name=image
+        )
+        for image, (_, parts) in chosen.items()
+    }
+
+
+def _root(path: Path, text: str) -> Any:
+    """Parse XML that can neither define entities nor read other files."""
+    from xml.etree import ElementTree
+
+    lower = text.lower()
+    if "<!doctype" in lower or "<!entity" in lower:
+        raise LandmarkError(
+            f"{path} declares a document type or entities, which is not safe to read: remove that part."
+        )
+    try:
+        return ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as fault:
+        raise LandmarkError(
+            f"{path} is not complete XML ({fault}); it may be cut short: export it again."
+        ) from fault
+
+
+def _parts(path: Path, image: str, box: Any) -> _Parts:
+    parts: _Parts = {}
+    for part in box.iter("part"):
+        where = f"part '{part.get('name')}' of image '{image}'"
+        if part.get("name") in parts:
+            raise LandmarkError(f"{path}: {where} is there twice: remove one of them.")
+        parts[part.get("name", "")] = (
+            parse_number(path, part.get("x", ""), where),
+            parse_number(path, part.get("y", ""), where),
+        )
+    return parts
+
+
+def _area(path: Path, image: str, box: Any) -> float:
+    sides = [
+        parse_number(path, box.get(side, "0"), f"a box of image '{image}'") for side in ("width", "height")
+    ]
+    return sides[0] * sides[1]

@@ -1,0 +1,97 @@
+"""menpo ``.ljson``: points are [y, x], pixel centres that count from 0; ``null`` for a missing one.
+
+Versions 2 and 3 are read (3 with one group of landmarks), version 2 is written. Connectivity becomes
+contours by joining its edges. Labels in menpo name sets of landmarks; where each landmark has a label of
+its own, these are the landmarks' names.
+"""
+
+from __future__ import annotations
+
+import json
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Landmarks, chain_edges, check_number, edges_of, make_landmarks, parse_json
+
+_ALL = "all"
+
+
+def parse(path: Path, text: str) -> Landmarks:
+    """Parse the text of an ``.ljson`` file.
+
+    Raises
+    ------
+    LandmarkError
+        If it is not JSON, of another version, holds several groups, or its points are not pairs of numbers.
+    """
+    group = _group(path, parse_json(path, text))
+    try:
+        rows = group["landmarks"]["points"]
+        edges = [(start, end) for start, end in group["landmarks"].get("connectivity") or ()]
+        masks = [(str(label["label"]), list(label["mask"])) for label in group.get("labels") or ()]
+        pairs = [(x, y) for y, x in rows]
+        sound = all(type(index) is int for index in chain(*edges, *(mask for _, mask in masks)))
+    except (TypeError, KeyError, ValueError, AttributeError) as fault:
+        raise _misshapen(path) from fault
+    if not sound:
+        raise _misshapen(path)
+    points = [
+        tuple(check_number(path, value, f"point {number}") for value in pair)
+        for number, pair in enumerate(pairs, 1)
+    ]
+    return make_landmarks(path, points, chain_edges(edges), _names(masks, len(points)))
+
+
+def dump(landmarks: Landmarks) -> str:
+    """Give the text of a version 2 ``.ljson`` file."""
+    points = [[None, None] if x != x else [y, x] for x, y in landmarks.points.tolist()]
+    body: dict[str, Any] = {"points": points}
+    edges = edges_of(landmarks.contours)
+    if edges:
+        body["connectivity"] = edges
+    content = {"labels": _labels(landmarks), "landmarks": body, "version": 2}
+    return json.dumps(content, ensure_ascii=False, indent=1) + "\n"
+
+
+def _misshapen(path: Path) -> LandmarkError:
+    return LandmarkError(
+        f"{path} lacks the parts of a menpo .ljson file (landmarks, points as [y, x]): export it again."
+    )
+
+
+def _group(path: Path, content: Any) -> Any:
+    """Find the group of landmarks in the content of either version."""
+    version = content.get("version") if isinstance(content, dict) else None
+    if version == 2:
+        return content
+    if version != 3:
+        raise LandmarkError(
+            f"{path} is not .ljson version 2 or 3 (it says {version}): export it again with menpo."
+        )
+    groups = content.get("groups")
+    if not isinstance(groups, dict) or not groups:
+        raise _misshapen(path)
+    if len(groups) > 1:
+        raise LandmarkError(
+            f"{path} holds {len(groups)} groups of landmarks ({', '.join(groups)}): keep only one of them."
+        )
+    return next(iter(groups.values()))
+
+
+def _labels(landmarks: Landmarks) -> list[dict[str, Any]]:
+    """Label each named landmark; otherwise all of them as one, which menpo demands where there are edges."""
+    if landmarks.names:
+        return [{"label": name, "mask": [index]} for index, name in enumerate(landmarks.names)]
+    if not landmarks.contours:
+        return []
+    return [{"label": _ALL, "mask": list(range(len(landmarks)))}]
+
+
+def _names(masks: list[tuple[str, list[int]]], n_points: int) -> tuple[str, ...]:
+    """Give the labels as names, if each landmark has exactly one of its own."""
+    by_index = {mask[0]: label for label, mask in masks if len(mask) == 1}
+    if len(masks) != n_points or set(by_index) != set(range(n_points)):
+        return ()
+    return tuple(by_index[index] for index in range(n_points))

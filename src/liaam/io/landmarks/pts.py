@@ -1,0 +1,51 @@
+"""300-W ``.pts``: pixel centres that count from 1, so that (1, 1) is the centre of the top-left pixel.
+
+One is subtracted on reading and added on writing. A missing landmark is written ``nan nan``. The format has
+no place for contours or names.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Landmarks, make_landmarks, parse_count, parse_pair
+
+_COUNT = re.compile(r"n_?points\s*[:=]?\s*(\S+)", re.IGNORECASE)
+_COMMENT = re.compile(r"(#|//|%).*")
+
+
+def parse(path: Path, text: str) -> Landmarks:
+    """Parse the text of a ``.pts`` file: a header, then one ``x y`` per line between braces.
+
+    Raises
+    ------
+    LandmarkError
+        If the braces are missing, a line is not two numbers, or the header's count is not the number of
+        lines.
+    """
+    text = "\n".join(_COMMENT.sub("", line) for line in text.splitlines())
+    header, brace, rest = text.partition("{")
+    if not brace:
+        raise LandmarkError(
+            f"{path} has no '{{' before its points, so it is no 300-W .pts file: export it again."
+        )
+    body, brace, _ = rest.partition("}")
+    lines = [line for line in body.splitlines() if line.strip()]
+    count = _COUNT.search(header)
+    if count is not None and parse_count(path, count[1], "points") != len(lines):
+        raise LandmarkError(
+            f"{path}: the header promises {count[1]} points but {len(lines)} are there; "
+            "the file may be cut short: export it again."
+        )
+    if not brace:
+        raise LandmarkError(f"{path} has no '}}' after its points; it may be cut short: export it again.")
+    pairs = [parse_pair(path, line, f"point {number}") for number, line in enumerate(lines, 1)]
+    return make_landmarks(path, [(x - 1, y - 1) for x, y in pairs])
+
+
+def dump(landmarks: Landmarks) -> str:
+    """Give the text of a ``.pts`` file."""
+    lines = [f"{x + 1!r} {y + 1!r}" for x, y in landmarks.points.tolist()]
+    return "\n".join(["version: 1", f"n_points: {len(lines)}", "{", *lines, "}", ""])

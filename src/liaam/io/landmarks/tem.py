@@ -1,0 +1,61 @@
+"""WebMorph / Psychomorph ``.tem``: pixels of the template's image from its top-left, y downwards.
+
+The numbers are taken as pixel centres that count from 0, without a shift; neither program documents whether
+its origin is the centre or the corner of the first pixel, and its landmarks are placed by hand to about a
+pixel. Line templates (a count, then for each line 0 open or 1 closed, the number of points and their
+indices from 0) become contours; a line whose last point is its first is closed, and one that stays on one
+point is dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Contour, Landmarks, contour_of, make_landmarks, parse_count, parse_pair
+
+
+def parse(path: Path, text: str) -> Landmarks:
+    """Parse the text of a ``.tem`` file; the line templates after the points are optional.
+
+    Raises
+    ------
+    LandmarkError
+        If there are fewer points or lines than promised, or something is not a number.
+    """
+    lines = [line for line in text.splitlines() if line.strip()]
+    count = parse_count(path, lines[0].strip(), "points")
+    pairs = lines[1 : count + 1]
+    if len(pairs) != count:
+        raise LandmarkError(
+            f"{path}: the first line promises {count} points but {len(pairs)} are there; "
+            "the file may be cut short: export it again."
+        )
+    points = [parse_pair(path, line, f"point {number}") for number, line in enumerate(pairs, 1)]
+    contours = _contours(path, " ".join(lines[count + 1 :]).split())
+    return make_landmarks(path, points, contours)
+
+
+def _contours(path: Path, tokens: list[str]) -> list[Contour]:
+    if not tokens:
+        return []
+    stream = iter(tokens)
+    contours = []
+    for _ in range(_next(path, stream)):
+        closed = _next(path, stream) == 1
+        indices = [_next(path, stream) for _ in range(_next(path, stream))]
+        contours.append(contour_of(indices, closed))
+    left = sum(1 for _ in stream)
+    if left:
+        raise LandmarkError(
+            f"{path} goes on for {left} values after its last line template: export it again."
+        )
+    return [contour for contour in contours if contour is not None]
+
+
+def _next(path: Path, stream: Iterator[str]) -> int:
+    token = next(stream, None)
+    if token is None:
+        raise LandmarkError(f"{path} ends within its line templates; it may be cut short: export it again.")
+    return parse_count(path, token, "a line template")

@@ -1,0 +1,24 @@
+"""Kernels: sampling an encoded image and linearising the projected samples.
+
+Both kernels keep one contract, :func:`liaam.kernels.reference.linearise`. ``fast`` is numba for single
+images, ``reference`` plain array code that says what the result has to be.
+"""
+
+from types import ModuleType
+
+from liaam.errors import MethodError
+
+KERNELS = ("fast", "reference")
+
+
+def get_kernel(name: str = "fast") -> ModuleType:
+    """Module of a kernel by name (imported when first asked for: numba is slow to import)."""
+    if name == "fast":
+        from liaam.kernels import fast
+
+        return fast
+    if name == "reference":
+        from liaam.kernels import reference
+
+        return reference
+    raise MethodError(f"kernel {name!r} does not exist; there are {', '.join(KERNELS)}")

@@ -1,0 +1,196 @@
+"""The triangulated mesh over the mean shape, and the reference frame's pixels in it (paper eq 3)."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from liaam.errors import TrainingError
+
+FOLD_TOLERANCE = 0.15
+"""Share of the mesh's area that may be turned over before a shape counts as folded. Landmarks of lips
+and lids touch and cross by a pixel in good annotations; a wrong order of points turns over far more."""
+
+
+def delaunay(points: np.ndarray) -> np.ndarray:
+    """Delaunay triangles of points, all of positive signed area, slivers on the border left out.
+
+    Parameters
+    ----------
+    points : (n, 2) float
+
+    Returns
+    -------
+    (t, 3) int32
+    """
+    from scipy.spatial import Delaunay, QhullError
+
+    try:
+        triangles = np.asarray(Delaunay(points).simplices)
+    except QhullError as error:
+        raise TrainingError(
+            "the landmarks lie on one line or in one place, so they span no mesh; check their order and units"
+        ) from error
+    areas = signed_areas(points, triangles)
+    triangles = np.where(areas[:, None] < 0, triangles[:, ::-1], triangles)
+    return triangles[np.abs(areas) > 1e-6 * np.abs(areas).sum()].astype(np.int32)
+
+
+def triangles_from_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray | None:
+    """Triangles of a file's connectivity, or None where its edges are contours rather than a mesh.
+
+    A connectivity counts as a mesh if every point belongs to an empty 3-cycle.
+
+    Parameters
+    ----------
+    points : (n, 2) float
+        Mean shape.
+    edges : (m, 2) int
+        Pairs of connected points.
+    """
+    neighbours: dict[int, set[int]] = {i: set() for i in range(len(points))}
+    for a, b in np.asarray(edges, dtype=int).reshape(-1, 2):
+        if a != b:
+            neighbours[int(a)].add(int(b))
+            neighbours[int(b)].add(int(a))
+    cycles = [
+        (a, b, c)
+        for a in neighbours
+        for b in neighbours[a]
+        if b > a
+        for c in neighbours[a] & neighbours[b]
+        if c > b
+    ]
+    faces = [cycle for cycle in cycles if _is_empty(points, cycle)]
+    if not faces or len({i for face in faces for i in face}) < len(points):
+        return None
+    triangles = np.array(sorted(faces), dtype=np.int32)
+    flipped = signed_areas(points, triangles) < 0
+    return np.where(flipped[:, None], triangles[:, ::-1], triangles).astype(np.int32)
+
+
+def _is_empty(points: np.ndarray, cycle: tuple[int, int, int]) -> bool:
+    """Tell whether no other point lies strictly inside a triangle."""
+    weights = barycentric(points, points[list(cycle)])
+    inside = (weights > 1e-9).all(axis=1)
+    inside[list(cycle)] = False
+    return not inside.any()
+
+
+def signed_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Twice-signed areas / 2 of triangles, (t,) float64; negative where a triangle is turned over."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    u, v = b - a, c - a
+    return 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+
+
+def folded_share(shape: np.ndarray, triangles: np.ndarray) -> float:
+    """Share of a shape's absolute area in turned-over triangles, 0 to 1 (1 if it has no area)."""
+    areas = signed_areas(shape, triangles)
+    total = np.abs(areas).sum()
+    return float(-areas[areas < 0].sum() / total) if total > 0 else 1.0
+
+
+def barycentric(points: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """Barycentric weights of (m, 2) points in one (3, 2) triangle, (m, 3); they sum to 1."""
+    a, b, c = triangle
+    basis = np.column_stack([b - a, c - a])
+    determinant = basis[0, 0] * basis[1, 1] - basis[0, 1] * basis[1, 0]
+    if determinant == 0:
+        return np.full((len(points), 3), -1.0)
+    d = points - a
+    v = (basis[1, 1] * d[:, 0] - basis[0, 1] * d[:, 1]) / determinant
+    w = (basis[0, 0] * d[:, 1] - basis[1, 0] * d[:, 0]) / determinant
+    return np.column_stack([1.0 - v - w, v, w])
+
+
+@dataclass(frozen=True)
+class ReferenceFrame:
+    """Pixels of the mean shape: where the model's appearance lives.
+
+    Attributes
+    ----------
+    points : (n_points, 2) float64
+        Mean shape s0, centred, in pixels.
+    triangles : (t, 3) int32
+        Vertices of each triangle, all of positive signed area on s0.
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+
+    def __post_init__(self) -> None:
+        areas = signed_areas(self.points, self.triangles)
+        if (areas <= 0).any():
+            where = self.triangles[int(areas.argmin())].tolist()
+            raise TrainingError(
+                f"the mesh is folded on the mean shape (triangle of points {where}, counting from 0): "
+                "check the triangles, or leave them out to have the mesh made from the landmarks"
+            )
+
+    @cached_property
+    def origin(self) -> np.ndarray:
+        """Coordinates of the frame's top-left pixel on s0, (2,) float64 (whole numbers)."""
+        return np.floor(self.points.min(axis=0)) - 1.0
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the frame in pixels."""
+        extent = np.ceil(self.points.max(axis=0)) + 1.0 - self.origin + 1.0
+        return int(extent[0]), int(extent[1])
+
+    @cached_property
+    def _raster(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixel indices (row, column), triangle and weights of every pixel inside the mesh."""
+        width, height = self.size
+        owner = np.full((height, width), -1, dtype=np.int32)
+        weights = np.zeros((height, width, 3))
+        for t, triangle in enumerate(self.triangles):
+            corners = self.points[triangle] - self.origin
+            (x0, y0), (x1, y1) = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
+            xs, ys = np.meshgrid(np.arange(x0, x1 + 1), np.arange(y0, y1 + 1))
+            w = barycentric(np.column_stack([xs.ravel(), ys.ravel()]).astype(float), corners)
+            inside = (w >= -1e-9).all(axis=1) & (owner[ys.ravel(), xs.ravel()] < 0)
+            rows, columns = ys.ravel()[inside], xs.ravel()[inside]
+            owner[rows, columns] = t
+            weights[rows, columns] = w[inside]
+        rows, columns = np.nonzero(owner >= 0)
+        return np.column_stack([rows, columns]), owner[rows, columns], weights[rows, columns]
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """Row and column in the frame of each model pixel, (n_pixels, 2) int, in raster order."""
+        return self._raster[0]
+
+    @property
+    def n_pixels(self) -> int:
+        """Number of model pixels."""
+        return len(self._raster[0])
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """The three mesh vertices around each model pixel, (n_pixels, 3) int32."""
+        return self.triangles[self._raster[1]]
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Barycentric weights beta_v(x) of those vertices, (n_pixels, 3) float64."""
+        return self._raster[2]
+
+    def picture(self, values: np.ndarray, fill: float = 0.0) -> np.ndarray:
+        """Lay per-pixel values out as a picture.
+
+        Parameters
+        ----------
+        values : (n_pixels,) or (n_pixels, c)
+        fill : float
+            Value outside the mesh.
+
+        Returns
+        -------
+        (height, width) or (height, width, c) float32
+        """
+        width, height = self.size
+        out = np.full((height, width, *np.shape(values)[1:]), fill, dtype=np.float32)
+        out[self.pixels[:, 0], self.pixels[:, 1]] = values
+        return out

@@ -1,0 +1,277 @@
+"""The active appearance model: one frozen object, one safetensors file."""
+
+import json
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from liaam.appearance import APPEARANCES, AppearanceModel
+from liaam.errors import LiaamError, ModelFileError
+from liaam.mesh import ReferenceFrame
+from liaam.photometry import Response, parse_response
+from liaam.shape import ShapeModel, diagonal_of
+from liaam.warp import PiecewiseAffineWarp
+
+SCHEMA_VERSION = 1
+"""Version of the model file; raised whenever its meaning changes."""
+
+MAX_DIAGONAL = 2000.0
+"""Largest reference frame, pixels: a larger one is a forged file or a slip of the pen."""
+
+FORMAT = "liaam-aam"
+
+
+@dataclass(frozen=True)
+class Level:
+    """The model's appearance at one sharpness; a fit goes from the blurred levels to the sharp one.
+
+    Attributes
+    ----------
+    blur : float
+        Standard deviation of the Gaussian blur of the encoded images, pixels of the reference frame.
+    appearances : dict of str to AppearanceModel
+        One per name of :data:`liaam.appearance.APPEARANCES`, all on the same pixels. ``invariant`` is
+        absent from a model trained on grey pictures.
+    """
+
+    blur: float
+    appearances: dict[str, AppearanceModel]
+
+
+@dataclass(frozen=True)
+class AAM:
+    """An active appearance model.
+
+    Attributes
+    ----------
+    shape_model : ShapeModel
+        Shapes in pixels of the reference frame.
+    triangles : (t, 3) int32
+        The mesh.
+    levels : tuple of Level
+        Appearance from coarse to fine.
+    theta : float
+        Angle of the training camera (theta_1 of the paper), radians.
+    response : Response
+        Response of the training camera.
+    n_images : int
+        Number of training images.
+    contours : tuple of (indices, closed)
+        Lines between landmarks, for drawing.
+    name : str
+        What the model was trained on, for people.
+    """
+
+    shape_model: ShapeModel
+    triangles: np.ndarray
+    levels: tuple[Level, ...]
+    theta: float
+    response: Response
+    n_images: int
+    contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
+    name: str = ""
+
+    @cached_property
+    def frame(self) -> ReferenceFrame:
+        """Pixels of the mean shape."""
+        return ReferenceFrame(self.shape_model.mean, self.triangles)
+
+    @cached_property
+    def warp(self) -> PiecewiseAffineWarp:
+        """Piecewise-affine warp of the mesh under the shape model."""
+        return PiecewiseAffineWarp(self.frame, self.shape_model)
+
+    @property
+    def n_points(self) -> int:
+        """Number of landmarks."""
+        return self.shape_model.n_points
+
+    @property
+    def n_pixels(self) -> int:
+        """Number of pixels of the reference frame inside the mesh."""
+        return self.frame.n_pixels
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the mean shape's bounding box, pixels of the reference frame."""
+        return diagonal_of(self.shape_model.mean)
+
+    @property
+    def is_colour(self) -> bool:
+        """Whether the model was trained on colour pictures."""
+        return "invariant" in self.levels[-1].appearances
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the model as one safetensors file, atomically.
+
+        Raises
+        ------
+        ModelFileError
+            If the folder does not exist or cannot be written.
+        """
+        from safetensors.numpy import save
+
+        from liaam.io import write_bytes_atomically
+
+        data = save(_tensors(self), {"liaam": json.dumps(_header(self))})
+        try:
+            write_bytes_atomically(Path(path), data)
+        except OSError as error:
+            raise ModelFileError(f"{path}: the model cannot be written ({error.strerror or error})") from error
+
+
+def _header(model: AAM) -> dict:
+    return {
+        "format": FORMAT,
+        "schema": SCHEMA_VERSION,
+        "theta": model.theta,
+        "response": model.response,
+        "blurs": [level.blur for level in model.levels],
+        "n_images": model.n_images,
+        "n_pixels": model.n_pixels,
+        "contours": [[list(indices), closed] for indices, closed in model.contours],
+        "name": model.name,
+    }
+
+
+def _tensors(model: AAM) -> dict[str, np.ndarray]:
+    shape = model.shape_model
+    tensors = {
+        "shape.mean": shape.mean,
+        "shape.modes": shape.modes,
+        "shape.eigenvalues": shape.eigenvalues,
+        "triangles": model.triangles,
+    }
+    for i, level in enumerate(model.levels):
+        for name, appearance in level.appearances.items():
+            for field in ("mean", "modes", "eigenvalues", "usable"):
+                tensors[f"level{i}.{name}.{field}"] = getattr(appearance, field)
+    return {key: np.ascontiguousarray(value) for key, value in tensors.items()}
+
+
+def load_model(path: str | os.PathLike) -> AAM:
+    """Read a model file, checking all of it. Nothing in the file is ever run.
+
+    Raises
+    ------
+    ModelFileError
+        If the file is missing, cut short, forged, of another version, or no liaam model.
+    """
+    path = Path(path)
+    header, tensors = _read(path)
+    try:
+        model = _build(header, tensors)
+    except (KeyError, TypeError, ValueError, IndexError, LiaamError) as error:
+        raise ModelFileError(f"{path}: the model file contradicts itself ({error}); train the model again") from error
+    return model
+
+
+def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    """Header and tensors of a file; sizes are checked by safetensors against the file's own length."""
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise ModelFileError(f"{path}: the model file {what}; make one with 'liaam train FOLDER -o MODEL'")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = _checked_header(path, (file.metadata() or {}).get("liaam", ""))
+            return header, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (no mapping)
+    except SafetensorError as error:
+        raise ModelFileError(
+            f"{path}: this is no complete liaam model ({error}); it may be cut short or of another kind: "
+            "copy it again or train it again"
+        ) from error
+    except OSError as error:
+        raise ModelFileError(f"{path}: the model file cannot be read ({error.strerror or error})") from error
+
+
+def _checked_header(path: Path, text: str) -> dict:
+    try:
+        header = json.loads(text)
+    except ValueError:
+        header = None
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ModelFileError(f"{path}: this safetensors file is no liaam model; make one with 'liaam train'")
+    if header.get("schema") != SCHEMA_VERSION:
+        raise ModelFileError(
+            f"{path}: the model has schema version {header.get('schema')}, this liaam reads version {SCHEMA_VERSION}; "
+            "train the model again, or use the liaam that wrote it"
+        )
+    return header
+
+
+def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
+    mean = _tensor(tensors, "shape.mean", np.float64, (None, 2))
+    n = len(mean)
+    modes = _tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
+    eigenvalues = _tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
+    triangles = _tensor(tensors, "triangles", np.int32, (None, 3))
+    if n < 3 or not len(triangles) or triangles.min() < 0 or triangles.max() >= n:
+        raise ValueError("the mesh does not belong to the landmarks")
+    if not 8.0 <= diagonal_of(mean) <= MAX_DIAGONAL:
+        raise ValueError(f"a reference frame of {diagonal_of(mean):.0f} pixels")
+    frame = ReferenceFrame(mean, triangles)
+    if frame.n_pixels != header["n_pixels"]:
+        raise ValueError("its reference frame does not match its pixels")
+    return AAM(
+        shape_model=ShapeModel(mean, modes, eigenvalues),
+        triangles=triangles,
+        levels=tuple(_level(tensors, i, blur, frame.n_pixels) for i, blur in enumerate(_blurs(header["blurs"]))),
+        theta=_finite(header["theta"]),
+        response=parse_response(header["response"]),
+        n_images=int(header["n_images"]),
+        contours=_contours(header["contours"], n),
+        name=str(header["name"]),
+    )
+
+
+def _blurs(blurs: list) -> list[float]:
+    blurs = [_finite(blur) for blur in blurs]
+    if not 1 <= len(blurs) <= 10 or not all(0 <= blur <= 100 for blur in blurs):
+        raise ValueError(f"blurs {blurs}")
+    return blurs
+
+
+def _level(tensors: dict[str, np.ndarray], i: int, blur: float, n_pixels: int) -> Level:
+    names = [name for name in APPEARANCES if f"level{i}.{name}.mean" in tensors]
+    if "value" not in names or "log" not in names:
+        raise ValueError("an appearance is missing")
+    return Level(blur, {name: _appearance(tensors, f"level{i}.{name}", name, n_pixels) for name in names})
+
+
+def _appearance(tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int) -> AppearanceModel:
+    channels = 1 if name == "invariant" else 3
+    modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
+    return AppearanceModel(
+        mean=_tensor(tensors, f"{prefix}.mean", np.float32, (n_pixels, channels)),
+        modes=modes,
+        eigenvalues=_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
+        usable=_tensor(tensors, f"{prefix}.usable", np.float32, (n_pixels,)),
+    )
+
+
+def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
+    tensor = tensors[key]
+    fits = tensor.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, tensor.shape, strict=True))
+    if tensor.dtype != dtype or not fits:
+        raise ValueError(f"{key} has type {tensor.dtype} and shape {tensor.shape}")
+    if tensor.dtype.kind == "f" and not np.isfinite(tensor).all():
+        raise ValueError(f"{key} has values that are not numbers")
+    return tensor
+
+
+def _finite(value: float) -> float:
+    if not np.isfinite(value):
+        raise ValueError(f"{value} is not a finite number")
+    return float(value)
+
+
+def _contours(rows: list, n: int) -> tuple[tuple[tuple[int, ...], bool], ...]:
+    contours = tuple((tuple(int(i) for i in indices), bool(closed)) for indices, closed in rows)
+    if any(not 0 <= i < n for indices, _ in contours for i in indices):
+        raise ValueError("a contour names a landmark that does not exist")
+    return contours

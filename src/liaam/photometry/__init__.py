@@ -1,0 +1,35 @@
+"""Photometry: camera response, the light-invariant projection, and image encodings."""
+
+from liaam.photometry.encoding import ENCODINGS, SATURATED, encode, is_grey, too_dark
+from liaam.photometry.invariant import (
+    CHROMATICITY,
+    LUMINANCE,
+    THETA_DEFAULT,
+    invariant,
+    invariant_row,
+    invariant_row_derivative,
+    temperature_direction,
+    wien_theta,
+)
+from liaam.photometry.response import Response, linear_to_srgb, parse_response, srgb_to_linear, to_linear
+
+__all__ = [
+    "CHROMATICITY",
+    "ENCODINGS",
+    "LUMINANCE",
+    "SATURATED",
+    "THETA_DEFAULT",
+    "Response",
+    "encode",
+    "invariant",
+    "invariant_row",
+    "invariant_row_derivative",
+    "is_grey",
+    "linear_to_srgb",
+    "parse_response",
+    "srgb_to_linear",
+    "temperature_direction",
+    "to_linear",
+    "too_dark",
+    "wien_theta",
+]

@@ -1,0 +1,100 @@
+"""The light-invariant projection of log-RGB (paper, section 2 and eq 6-8).
+
+Under Lambert + Planck (Wien) + narrow-band sensors a change of light moves ``log rho`` along
+``1 = (1, 1, 1)`` (intensity) and along ``d(theta)`` (colour temperature). The row ``L(theta)`` is
+orthogonal to both, so the invariant ``L(theta) . log rho`` does not move.
+"""
+
+import numpy as np
+
+LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]])
+"""Rec. 709 luminance weights, the metric of the ``grey`` method, shape (1, 3)."""
+
+CHROMATICITY = np.array(
+    [
+        [1 / np.sqrt(2), -1 / np.sqrt(2), 0.0],
+        [1 / np.sqrt(6), 1 / np.sqrt(6), -2 / np.sqrt(6)],
+    ]
+)
+"""The two orthonormal rows orthogonal to 1, the metric of the ``chroma`` method, shape (2, 3)."""
+
+THETA_DEFAULT = float(np.deg2rad(119.0))
+"""Angle assumed for an unknown camera, radians: the middle of 116-122 degrees that published sensor
+sensitivities give (DESIGN section 1)."""
+
+
+def invariant_row(theta: float) -> np.ndarray:
+    """Row L(theta) = (cos, sin, -cos - sin) of paper eq 7.
+
+    Parameters
+    ----------
+    theta : float
+        Camera angle, radians.
+
+    Returns
+    -------
+    (1, 3) float64
+
+    Examples
+    --------
+    >>> float(abs(invariant_row(2.0).sum())) < 1e-15  # blind to intensity: L . 1 = 0
+    True
+    """
+    c, s = np.cos(theta), np.sin(theta)
+    return np.array([[c, s, -c - s]])
+
+
+def invariant_row_derivative(theta: float) -> np.ndarray:
+    """Derivative dL/dtheta = (-sin, cos, sin - cos), shape (1, 3) float64."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.array([[-s, c, s - c]])
+
+
+def temperature_direction(theta: float) -> np.ndarray:
+    """Unit direction d(theta) in which log rho moves with colour temperature, shape (3,) float64.
+
+    It is orthogonal to both ``1`` and ``L(theta)``; the sign is that of rising blue for theta in
+    90-135 degrees (a hotter light).
+    """
+    d = np.cross(invariant_row(theta)[0], np.ones(3))
+    d /= np.linalg.norm(d)
+    return d if d[2] >= 0 else -d
+
+
+def invariant(log_rgb: np.ndarray, theta: float) -> np.ndarray:
+    """Light-invariant value L(theta) . log rho of each pixel (paper eq 8).
+
+    Parameters
+    ----------
+    log_rgb : (..., 3) float
+        Logarithm of linear RGB.
+    theta : float
+        Camera angle, radians.
+
+    Returns
+    -------
+    (...) float64
+    """
+    return np.asarray(log_rgb, dtype=np.float64) @ invariant_row(theta)[0]
+
+
+def wien_theta(peaks_nm: tuple[float, float, float]) -> float:
+    """Angle of an ideal narrow-band camera from its peak wavelengths (Wien's approximation).
+
+    Parameters
+    ----------
+    peaks_nm : (float, float, float)
+        Peak wavelengths of the R, G, B sensors; only their ratios matter.
+
+    Returns
+    -------
+    float
+        90 deg + atan2(1/lB - 1/lG, 1/lB - 1/lR), radians.
+
+    Examples
+    --------
+    >>> round(float(np.rad2deg(wien_theta((610, 540, 450)))), 1)
+    122.1
+    """
+    r, g, b = (1.0 / x for x in peaks_nm)
+    return float(np.pi / 2 + np.arctan2(b - g, b - r))

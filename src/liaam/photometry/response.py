@@ -1,0 +1,44 @@
+"""Camera response: from stored pixel values to linear light and back."""
+
+from typing import Literal
+
+import numpy as np
+
+from liaam.errors import ImageError
+
+Response = Literal["srgb", "linear"] | float
+"""How stored values relate to linear light: the sRGB curve, no curve, or a power (gamma)."""
+
+
+def parse_response(text: str | float) -> Response:
+    """Read a response as people write it: ``srgb``, ``linear`` or a gamma such as ``2.2``."""
+    if text in ("srgb", "linear"):
+        return text
+    try:
+        gamma = float(text)
+    except ValueError:
+        gamma = np.nan
+    if not 0.2 <= gamma <= 5.0:
+        raise ImageError(f"response {text!r} is not known: use 'srgb', 'linear' or a gamma between 0.2 and 5")
+    return gamma
+
+
+def srgb_to_linear(values: np.ndarray) -> np.ndarray:
+    """Decode sRGB values in [0, 1] to linear light (IEC 61966-2-1)."""
+    v = np.asarray(values)
+    return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(values: np.ndarray) -> np.ndarray:
+    """Encode linear light in [0, 1] as sRGB values (IEC 61966-2-1)."""
+    v = np.asarray(values)
+    return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def to_linear(values: np.ndarray, response: Response = "srgb") -> np.ndarray:
+    """Decode stored values in [0, 1] (any shape) to linear light under a response."""
+    if response == "srgb":
+        return srgb_to_linear(values)
+    if response == "linear":
+        return np.asarray(values)
+    return np.maximum(values, 0.0) ** float(response)

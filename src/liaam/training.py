@@ -1,0 +1,279 @@
+"""Training: from landmarked images to an active appearance model."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.appearance import AppearanceModel, train_appearance_model
+from liaam.errors import TrainingError
+from liaam.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
+from liaam.model import AAM, MAX_DIAGONAL, Level
+from liaam.pca import check_variance
+from liaam.photometry import ENCODINGS, THETA_DEFAULT, Response, invariant_row, is_grey
+from liaam.photometry.encoding import as_colour
+from liaam.sampling import make_patch, sample_texture
+from liaam.shape import align, train_shape_model
+from liaam.warp import PiecewiseAffineWarp
+
+BLURS_DEFAULT = (3.0, 1.0)
+"""Blur of the levels from coarse to fine, standard deviation in pixels of the reference frame."""
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One training sample, checked: a name for messages, the image's reader, and its landmarks."""
+
+    name: str
+    read_image: Callable[[], np.ndarray]
+    points: np.ndarray
+
+
+def train(
+    data: Iterable,
+    *,
+    variance: float | int = 0.98,
+    appearance_variance: float | int | None = None,
+    diagonal: float = 150.0,
+    theta: float = THETA_DEFAULT,
+    response: Response = "srgb",
+    blurs: tuple[float, ...] = BLURS_DEFAULT,
+    triangles: np.ndarray | None = None,
+    name: str = "",
+    progress: Callable[[int, int, str], None] | None = None,
+) -> AAM:
+    """Train an active appearance model.
+
+    Parameters
+    ----------
+    data : Dataset, or iterable of Sample or (image, landmarks) pairs
+        Images are (h, w, 3) arrays; landmarks (n, 2) arrays (x, y) or
+        :class:`liaam.io.Landmarks`. All must have the same number of points, in the same order.
+    variance : float or int
+        Share of the shapes' variance to keep, in (0, 1], or a count of modes.
+    appearance_variance : float or int, optional
+        The same for appearances; as ``variance`` if left out.
+    diagonal : float
+        Diagonal of the mean shape in the reference frame, pixels. More is slower and finer.
+    theta : float
+        Angle of the training camera (theta_1 of the paper), radians; 119 degrees if unknown.
+    response : "srgb", "linear" or float
+        How the pictures' values relate to linear light.
+    blurs : tuple of float
+        Blur of the levels a fit goes through, from coarse to fine, pixels of the reference frame.
+    triangles : (t, 3) int, optional
+        The mesh. If left out: the files' connectivity where it is a mesh, else Delaunay of the mean shape.
+    name : str
+        What the model shows, for people.
+    progress : callable, optional
+        Called with (done, total, name) before each image.
+
+    Returns
+    -------
+    AAM
+
+    Raises
+    ------
+    TrainingError
+        Fewer than 3 shapes, counts that differ, missing (NaN) or folded landmarks, black images ...
+        The message names the sample.
+    """
+    _check_options(variance, appearance_variance, diagonal, blurs)
+    entries, contours, edges = _entries(data)
+    shapes = np.array([entry.points for entry in entries])
+    shape_model = train_shape_model(shapes, diagonal, variance)
+    triangles = _triangles(shape_model.mean, triangles, edges)
+    frame = ReferenceFrame(shape_model.mean, triangles)
+    for entry in entries:
+        _check_fold(entry, frame)
+    warp = PiecewiseAffineWarp(frame, shape_model)
+    textures = _sample_all(entries, warp, response, blurs, progress)
+    kept = variance if appearance_variance is None else appearance_variance
+    return AAM(
+        shape_model=shape_model,
+        triangles=triangles,
+        levels=tuple(
+            Level(float(blur), _appearances(part, theta, kept)) for blur, part in zip(blurs, textures, strict=True)
+        ),
+        theta=float(theta),
+        response=response,
+        n_images=len(entries),
+        contours=contours,
+        name=name,
+    )
+
+
+def _check_options(variance: float | int, appearance_variance: float | int | None, diagonal: float, blurs: tuple[float, ...]) -> None:
+    check_variance(variance)
+    if appearance_variance is not None:
+        check_variance(appearance_variance)
+    if not 16 <= diagonal <= MAX_DIAGONAL:
+        raise TrainingError(f"diagonal {diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels")
+    if not blurs or list(blurs) != sorted(blurs, reverse=True) or not 0 <= blurs[-1] <= blurs[0] <= 10:
+        raise TrainingError(f"blurs {blurs}: give 0 to 10 pixels of the reference frame, from coarse to fine")
+
+
+def _entries(data: Iterable) -> tuple[list[_Entry], tuple, np.ndarray]:
+    """Checked samples, the contours and the connectivity of the first that has any."""
+    entries: list[_Entry] = []
+    contours: tuple = ()
+    for i, item in enumerate(data):
+        entry, own = _entry(item, i)
+        if entries and len(entry.points) != len(entries[0].points):
+            raise TrainingError(
+                f"{entry.name} has {len(entry.points)} landmarks but {entries[0].name} has {len(entries[0].points)}; "
+                "every image needs the same points in the same order"
+            )
+        entries.append(entry)
+        contours = contours or own
+    if len(entries) < 3:
+        raise TrainingError(f"{len(entries)} landmarked images are too few to learn from; at least 3 are needed, 5 to 20 better")
+    return entries, contours, _edges(contours)
+
+
+def _entry(item, i: int) -> tuple[_Entry, tuple]:  # noqa: ANN001 (Sample or pair)
+    if hasattr(item, "landmarks"):
+        name, landmarks, read = item.name, item.landmarks, item.read_image
+    else:
+        image, landmarks = item
+        name = f"image {i + 1}"
+        read = lambda: image  # noqa: E731
+    points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
+        raise TrainingError(f"{name}: landmarks of shape {points.shape} are not (n, 2) points with n of at least 3")
+    missing = ~np.isfinite(points).all(axis=1)
+    if missing.any():
+        which = ", ".join(str(j + 1) for j in np.flatnonzero(missing)[:5])
+        raise TrainingError(
+            f"{name}: {missing.sum()} of {len(points)} landmarks are missing (NaN; point {which} counting from 1); "
+            "place them or leave this image out"
+        )
+    if np.ptp(points, axis=0).max() < 2:
+        raise TrainingError(f"{name}: all landmarks lie within 2 pixels of each other; are they in pixels?")
+    contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
+    return _Entry(name, read, points), contours
+
+
+def _edges(contours: tuple) -> np.ndarray:
+    pairs: list[tuple[int, int]] = []
+    for indices, closed in contours:
+        pairs += zip(indices, indices[1:], strict=False)
+        if closed:
+            pairs.append((indices[-1], indices[0]))
+    return np.array(pairs, dtype=int).reshape(-1, 2)
+
+
+def _triangles(mean: np.ndarray, given: np.ndarray | None, edges: np.ndarray) -> np.ndarray:
+    if given is None:
+        mesh = triangles_from_edges(mean, edges) if len(edges) else None
+        return delaunay(mean) if mesh is None else mesh
+    triangles = np.asarray(given)
+    right = triangles.ndim == 2 and triangles.shape[1] == 3 and triangles.dtype.kind in "iu" and len(triangles)
+    if not right or triangles.min() < 0 or triangles.max() >= len(mean):
+        raise TrainingError(f"triangles must be (t, 3) whole numbers from 0 to {len(mean) - 1}")
+    triangles = triangles.astype(np.int32)
+    # People's triangles come clockwise or not; what matters is that all agree.
+    return triangles[:, ::-1].copy() if (signed_areas(mean, triangles) < 0).mean() > 0.5 else triangles
+
+
+def _check_fold(entry: _Entry, frame: ReferenceFrame) -> None:
+    upright = align(entry.points, frame.points)(entry.points)
+    share = folded_share(upright, frame.triangles)
+    if share > FOLD_TOLERANCE:
+        raise TrainingError(
+            f"{entry.name}: its landmarks fold the mesh ({share:.0%} of the area is turned over); "
+            "are its points in the same order as in the other images, and the image not mirrored?"
+        )
+
+
+@dataclass(frozen=True)
+class _Textures:
+    """Textures of all samples at one blur: values (n, n_pixels, 3) and usable (n, n_pixels) by encoding."""
+
+    values: dict[str, np.ndarray]
+    usable: dict[str, np.ndarray]
+    grey: bool
+
+
+def _sample_all(
+    entries: list[_Entry],
+    warp: PiecewiseAffineWarp,
+    response: Response,
+    blurs: tuple[float, ...],
+    progress: Callable | None,
+) -> list[_Textures]:
+    """Sample the textures of all entries at every blur."""
+    n, n_pixels, n_blurs = len(entries), warp.frame.n_pixels, len(blurs)
+    values = {encoding: np.empty((n_blurs, n, n_pixels, 3), np.float32) for encoding in ENCODINGS}
+    usable = {encoding: np.empty((n_blurs, n, n_pixels), np.float32) for encoding in ENCODINGS}
+    grey = []
+    for i, entry in enumerate(entries):
+        if progress:
+            progress(i, n, entry.name)
+        image = as_colour(entry.read_image(), entry.name)
+        _check_inside(entry, image)
+        grey.append(is_grey(image))
+        for encoding in ENCODINGS:
+            for j, blur in enumerate(blurs):
+                texture = _sample(image, entry.points, warp, encoding, response, blur)
+                values[encoding][j, i], usable[encoding][j, i] = texture
+        _check_light(entry, usable["log"][-1, i], values["value"][-1, i])
+    if progress:
+        progress(n, n, "appearance")
+    if any(grey) and not all(grey):
+        name = entries[grey.index(True)].name
+        raise TrainingError(
+            f"{name} is grey (three equal channels) but others are in colour; leave the grey images out, "
+            "or make all grey and fit with method 'grey'"
+        )
+    return [
+        _Textures({e: values[e][j] for e in ENCODINGS}, {e: usable[e][j] for e in ENCODINGS}, grey=all(grey))
+        for j in range(n_blurs)
+    ]
+
+
+def _sample(
+    image: np.ndarray, shape: np.ndarray, warp: PiecewiseAffineWarp, encoding: str, response: Response, blur: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Texture (n_pixels, 3) of one image under its own landmarks, and which of it is usable (n_pixels,)."""
+    scale = align(warp.frame.points, shape).scale
+    patch = make_patch(image, shape, scale, encoding=encoding, response=response, blur=blur, margin=0.1)
+    points = warp.interpolate(shape)
+    # Beyond the border the nearest pixel stands in, with weight 0.
+    border = np.clip(points, 0, np.array(image.shape[1::-1]) - 1.0)
+    values, usable = sample_texture(patch, border)
+    return values, usable * (border == points).all(axis=1)
+
+
+def _check_inside(entry: _Entry, image: np.ndarray) -> None:
+    height, width = image.shape[:2]
+    outside = ((entry.points < -0.5) | (entry.points > [width - 0.5, height - 0.5])).any(axis=1)
+    if outside.mean() > 0.1:
+        raise TrainingError(
+            f"{entry.name}: {outside.sum()} of {len(outside)} landmarks lie outside the image of {width}×{height} pixels; "
+            "do the landmarks belong to this image at this size?"
+        )
+
+
+def _check_light(entry: _Entry, usable: np.ndarray, values: np.ndarray) -> None:
+    if usable.mean() >= 0.2:
+        return
+    what = "black" if np.median(values) < 0.5 else "saturated"
+    raise TrainingError(
+        f"{entry.name}: the object is almost wholly {what} there ({usable.mean():.0%} of its pixels usable); "
+        "leave this image out or expose it otherwise"
+    )
+
+
+def _appearances(textures: _Textures, theta: float, variance: float | int) -> dict[str, AppearanceModel]:
+    appearances = {
+        encoding: train_appearance_model(textures.values[encoding], textures.usable[encoding], variance)
+        for encoding in ENCODINGS
+    }
+    if not textures.grey:
+        # LIT: project first, then learn (paper section 4).
+        projected = textures.values["log"] @ invariant_row(theta).T.astype(np.float32)
+        appearances["invariant"] = train_appearance_model(projected, textures.usable["log"], variance)
+    return appearances
+
+

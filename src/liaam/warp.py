@@ -1,0 +1,92 @@
+"""Warps W(x; p) from the reference frame to the image: one interface, so that every solver serves all.
+
+A warp gives the points, their derivative and the update. Derivatives are with respect to the points'
+own coordinates; the fitting problem adds the constant similarity between model and image pixels.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from liaam.mesh import ReferenceFrame
+from liaam.shape import ShapeModel
+
+
+class Warp(Protocol):
+    """What the solver needs of a warp."""
+
+    @property
+    def n_parameters(self) -> int:
+        """Length of p."""
+        ...
+
+    def movement(self, step: np.ndarray) -> float:
+        """Size of a step of p: root mean square movement of what the warp carries, model pixels."""
+        ...
+
+    def points(self, p: np.ndarray) -> np.ndarray:
+        """W(x; p) of every model pixel, (n_pixels, 2) float64."""
+        ...
+
+    def jacobian(self, p: np.ndarray) -> np.ndarray:
+        """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32, C-contiguous."""
+        ...
+
+    def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Parameters after a Gauss-Newton step."""
+        ...
+
+
+@dataclass(frozen=True)
+class PiecewiseAffineWarp:
+    """Piecewise-affine warp of a mesh whose vertices follow a shape model (paper eq 3).
+
+    W(x; p) = sum_v beta_v(x) s_v(p) is linear in p, so dW/dp_i = sum_v beta_v(x) s_i[v] is constant and
+    worked out once.
+    """
+
+    frame: ReferenceFrame
+    shape_model: ShapeModel
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of shape modes plus the four similarity vectors."""
+        return len(self.shape_model.basis)
+
+    def movement(self, step: np.ndarray) -> float:
+        """Root mean square movement of the landmarks by a step of p, model pixels."""
+        # The shape vectors are orthonormal over the 2 n landmark coordinates.
+        return float(np.linalg.norm(step) / np.sqrt(self.shape_model.n_points))
+
+    def points(self, p: np.ndarray) -> np.ndarray:
+        """W(x; p) of every model pixel, (n_pixels, 2) float64."""
+        return self.interpolate(self.shape_model.shape(p))
+
+    def interpolate(self, vertices: np.ndarray) -> np.ndarray:
+        """Carry (n_points, 2) vertex positions to all model pixels, (n_pixels, 2) float64."""
+        return self._interpolation @ np.asarray(vertices, dtype=np.float64)
+
+    @cached_property
+    def _interpolation(self):  # noqa: ANN202 (a scipy type)
+        from scipy.sparse import csr_array
+
+        n = self.frame.n_pixels
+        starts = np.arange(0, 3 * n + 1, 3)
+        data = (self.frame.weights.ravel(), self.frame.vertices.ravel(), starts)
+        return csr_array(data, shape=(n, len(self.frame.points)))
+
+    @cached_property
+    def _jacobian(self) -> np.ndarray:
+        modes = self.shape_model.basis.reshape(self.n_parameters, -1, 2)
+        carried = np.einsum("nv,inva->nai", self.frame.weights, modes[:, self.frame.vertices])
+        return np.ascontiguousarray(carried, dtype=np.float32)
+
+    def jacobian(self, p: np.ndarray) -> np.ndarray:  # noqa: ARG002 (constant for this warp)
+        """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32; the same for every p."""
+        return self._jacobian
+
+    def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Forward-additive update p + step."""
+        return p + step

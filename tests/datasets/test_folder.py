@@ -1,0 +1,293 @@
+"""Folders: which images are paired with which landmarks, and what is left out and why."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from liaam.datasets import Dataset, LeftOut, Sample, load_folder
+from liaam.errors import ImageError, LandmarkError, LiaamError
+from liaam.io import Landmarks, write_collection, write_image, write_landmarks
+
+SQUARE = np.array([[1.0, 1.0], [5.0, 1.0], [5.0, 4.0], [1.0, 4.0]])
+
+
+def add_image(path: Path, value: int = 0) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_image(path, np.full((6, 8, 3), value, np.uint8))
+    return path
+
+
+def add_pair(folder: Path, stem: str, points: np.ndarray = SQUARE, suffix: str = ".pts") -> None:
+    add_image(folder / f"{stem}.png")
+    write_landmarks(folder / f"{stem}{suffix}", points)
+
+
+def write_asf(path: Path, host: str) -> None:
+    rows = [f"0 0 {x / 8} {y / 6} {i} {(i - 1) % 4} {(i + 1) % 4}" for i, (x, y) in enumerate(SQUARE)]
+    path.write_text("\n".join(["4", *rows, host]))
+
+
+def names(dataset: Dataset) -> list[str]:
+    return [sample.name for sample in dataset]
+
+
+def reasons(dataset: Dataset) -> dict[str, str]:
+    return {left.path.name: left.reason for left in dataset.left_out}
+
+
+# Pairing -------------------------------------------------------------------------------------------
+
+
+def test_pairs_by_stem_in_natural_order(tmp_path: Path) -> None:
+    for stem in ("img10", "img2", "IMG1"):
+        add_pair(tmp_path, stem)
+    dataset = load_folder(tmp_path)
+    assert names(dataset) == ["IMG1", "img2", "img10"]
+    assert dataset.left_out == ()
+    assert dataset[0].image == tmp_path / "IMG1.png"
+    assert dataset[0].landmark_file == tmp_path / "IMG1.pts"
+    np.testing.assert_array_equal(dataset[2].landmarks.points, SQUARE)
+
+
+@pytest.mark.parametrize("suffix", [".pts", ".csv", ".ljson"])
+def test_every_format_of_one_image(tmp_path: Path, suffix: str) -> None:
+    add_pair(tmp_path, "a", suffix=suffix)
+    np.testing.assert_array_equal(load_folder(tmp_path)[0].landmarks.points, SQUARE)
+
+
+def test_asf_takes_the_size_from_the_header_of_its_image(tmp_path: Path) -> None:
+    add_image(tmp_path / "a.png")
+    data = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(data[:50])  # the size is there, but no pixel could be decoded
+    write_asf(tmp_path / "a.asf", "a.png")
+    np.testing.assert_array_equal(load_folder(tmp_path)[0].landmarks.points, SQUARE)
+
+
+def test_asf_of_another_stem_is_paired_by_the_image_it_names(tmp_path: Path) -> None:
+    add_image(tmp_path / "a.png")
+    write_asf(tmp_path / "shape_17.asf", "a.png")
+    dataset = load_folder(tmp_path)
+    assert names(dataset) == ["a"]
+    np.testing.assert_array_equal(dataset[0].landmarks.points, SQUARE)
+    write_asf(tmp_path / "shape_18.asf", "b.png")
+    assert reasons(load_folder(tmp_path)) == {"shape_18.asf": "there is no image of its name"}
+
+
+def test_collections(tmp_path: Path) -> None:
+    for stem in ("a", "b", "c"):
+        add_image(tmp_path / "images" / f"{stem}.png")
+    write_collection(tmp_path / "all.csv", {"a.png": Landmarks(SQUARE), "gone.png": Landmarks(SQUARE)})
+    part = "".join(f"<part name='{i}' x='{x:g}' y='{y:g}'/>" for i, (x, y) in enumerate(SQUARE))
+    box = f"<box top='0' left='0' width='8' height='6'>{part}</box>"
+    (tmp_path / "all.xml").write_text(f"<dataset><image file='images\\b.png'>{box}</image></dataset>")
+    keypoints = [value for x, y in SQUARE for value in (x, y, 2)]
+    coco = {
+        "images": [{"id": 1, "file_name": "c.png"}],
+        "annotations": [{"image_id": 1, "keypoints": keypoints}],
+    }
+    (tmp_path / "all.json").write_text(json.dumps(coco))
+    dataset = load_folder(tmp_path, recursive=True)
+    assert names(dataset) == ["images/a", "images/b", "images/c"]
+    assert [sample.landmark_file for sample in dataset] == [
+        tmp_path / name for name in ("all.csv", "all.xml", "all.json")
+    ]
+    assert all((sample.landmarks.points == SQUARE).all() for sample in dataset)
+    assert reasons(dataset) == {"all.csv": "it names images that are not there: gone.png (1 in all)"}
+
+
+def test_an_entry_s_path_decides_between_images_of_one_name(tmp_path: Path) -> None:
+    for folder in ("one", "two"):
+        add_image(tmp_path / folder / "a.png")
+    write_collection(tmp_path / "all.csv", {"two/a.png": Landmarks(SQUARE), "a.png": Landmarks(SQUARE + 1)})
+    dataset = load_folder(tmp_path, recursive=True)
+    assert names(dataset) == ["two/a"]
+    np.testing.assert_array_equal(dataset[0].landmarks.points, SQUARE)
+    assert reasons(dataset)["all.csv"] == "it names images that are not there: a.png (1 in all)"
+
+
+def test_recursive_or_not(tmp_path: Path) -> None:
+    add_pair(tmp_path, "a")
+    (tmp_path / "sub").mkdir()
+    add_pair(tmp_path / "sub", "a")
+    assert names(load_folder(tmp_path)) == ["a"]
+    assert names(load_folder(tmp_path, recursive=True)) == ["a", "sub/a"]
+
+
+def test_hidden_files_are_passed_over(tmp_path: Path) -> None:
+    add_pair(tmp_path, "a")
+    (tmp_path / "._a.png").write_bytes(b"resource fork of a Mac")
+    (tmp_path / ".cache").mkdir()
+    add_pair(tmp_path / ".cache", "b")
+    dataset = load_folder(tmp_path, recursive=True)
+    assert names(dataset) == ["a"]
+    assert dataset.left_out == ()
+
+
+@pytest.mark.parametrize("pattern", ["01-*", "01-?.png"])
+def test_a_pattern_leaves_no_trace_of_the_others(tmp_path: Path, pattern: str) -> None:
+    for stem in ("01-1", "01-2", "02-1"):
+        add_pair(tmp_path, stem)
+    (tmp_path / "02-1.pts").write_text("junk")
+    dataset = load_folder(tmp_path, pattern)
+    assert names(dataset) == ["01-1", "01-2"]
+    assert dataset.left_out == ()
+
+
+def test_progress_goes_to_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    add_pair(tmp_path, "a")
+    assert len(load_folder(tmp_path, progress=True)) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "Reading landmarks" in err
+
+
+# What is left out ----------------------------------------------------------------------------------
+
+
+def test_every_reason_is_told(tmp_path: Path) -> None:
+    for stem in ("a", "b"):
+        add_pair(tmp_path, stem)
+    add_pair(tmp_path, "few", SQUARE[:3])
+    add_image(tmp_path / "lonely.png")
+    write_landmarks(tmp_path / "orphan.pts", SQUARE)
+    write_landmarks(tmp_path / "orphan2.csv", SQUARE)
+    add_pair(tmp_path, "broken")
+    (tmp_path / "broken.pts").write_text("{\n1 1\n")
+    (tmp_path / "noise.jpg").write_bytes(b"no image at all")
+    write_asf(tmp_path / "noise.asf", "noise.jpg")
+    (tmp_path / "settings.json").write_text("{}")
+    dataset = load_folder(tmp_path)
+    assert names(dataset) == ["a", "b"]
+    told = reasons(dataset)
+    assert told["few.pts"] == "3 landmarks where most have 4: those of few"
+    assert told["lonely.png"] == "the image has no landmarks"
+    assert told["orphan.pts"] == told["orphan2.csv"] == "there is no image of its name"
+    assert told["broken.pts"].startswith("the landmarks cannot be read: ")
+    assert "no '}' after its points" in told["broken.pts"]
+    assert told["noise.asf"].startswith("the header of its image cannot be read: ")
+    assert told["settings.json"].startswith("the landmarks cannot be read: ")
+    assert set(told) == {
+        *("few.pts", "lonely.png", "orphan.pts", "orphan2.csv", "broken.pts", "broken.png"),
+        *("noise.asf", "noise.jpg", "settings.json"),
+    }
+
+
+def test_the_preferred_file_is_used_and_the_other_told(tmp_path: Path) -> None:
+    add_pair(tmp_path, "a")
+    write_landmarks(tmp_path / "a.ljson", SQUARE + 1)
+    write_collection(tmp_path / "all.csv", {"a.png": Landmarks(SQUARE + 2)})
+    dataset = load_folder(tmp_path)
+    np.testing.assert_array_equal(dataset[0].landmarks.points, SQUARE)
+    told = "an image has landmarks in a preferred file: a.pts is used"
+    assert reasons(dataset) == {"a.ljson": told, "all.csv": told}
+
+
+def test_an_unreadable_preferred_file_gives_way_to_the_next(tmp_path: Path) -> None:
+    add_pair(tmp_path, "a", suffix=".ljson")
+    (tmp_path / "a.pts").write_text("junk")
+    dataset = load_folder(tmp_path)
+    np.testing.assert_array_equal(dataset[0].landmarks.points, SQUARE)
+    assert list(reasons(dataset)) == ["a.pts"]
+
+
+def test_two_images_of_one_stem(tmp_path: Path) -> None:
+    add_pair(tmp_path, "a")
+    add_image(tmp_path / "a.jpg")
+    dataset = load_folder(tmp_path)
+    assert dataset[0].image == tmp_path / "a.png"
+    assert reasons(dataset) == {"a.jpg": "another image has the same name: a.png is used"}
+
+
+def test_of_two_images_of_one_stem_the_one_with_landmarks_is_taken(tmp_path: Path) -> None:
+    add_image(tmp_path / "a.png")
+    add_image(tmp_path / "a.jpg")
+    write_collection(tmp_path / "all.csv", {"a.jpg": Landmarks(SQUARE)})
+    assert load_folder(tmp_path)[0].image == tmp_path / "a.jpg"
+
+
+def test_missing_folder_no_images_no_pairs(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match="does not exist: name the folder"):
+        load_folder(tmp_path / "no")
+    with pytest.raises(ImageError, match=r"holds no image \(.*\.png.*subfolders"):
+        load_folder(tmp_path)
+    add_image(tmp_path / "a.png")
+    with pytest.raises(ImageError, match="is a file, not a folder"):
+        load_folder(tmp_path / "a.png")
+    with pytest.raises(ImageError, match=r"no image like 'b\*'"):
+        load_folder(tmp_path, "b*")
+    with pytest.raises(LandmarkError, match=r"none of the 1 images has landmarks\. Looked for .* a\.pts"):
+        load_folder(tmp_path)
+    (tmp_path / "a.pts").write_text("junk")
+    with pytest.raises(LandmarkError, match=r"The first fault: .*a\.pts has no '\{'"):
+        load_folder(tmp_path)
+
+
+# Samples and data sets -----------------------------------------------------------------------------
+
+
+def test_a_sample_reads_its_image_or_has_it(tmp_path: Path) -> None:
+    marks = Landmarks(SQUARE)
+    path = add_image(tmp_path / "a.png", 9)
+    assert Sample("a", path, marks).read_image()[0, 0].tolist() == [9, 9, 9]
+    array = np.zeros((2, 2, 3), np.uint8)
+    assert Sample("b", array, marks).read_image() is array
+
+
+def test_slices_and_selection() -> None:
+    samples = tuple(Sample(name, Path(name), Landmarks(SQUARE)) for name in ("01-1", "01-2", "02-1"))
+    dataset = Dataset(samples, (LeftOut(Path("x"), "why"),), "here")
+    assert names(dataset[1:]) == ["01-2", "02-1"]
+    assert dataset[1:].left_out == dataset.left_out
+    assert dataset[-1].name == "02-1"
+    assert names(dataset.select("01-*")) == ["01-1", "01-2"]
+    assert names(dataset.select(["02-?", "*-2"])) == ["01-2", "02-1"]
+    assert names(dataset.select(lambda sample: sample.name.endswith("1"))) == ["01-1", "02-1"]
+    with pytest.raises(
+        LiaamError, match="no sample of here matches '9': the names are like 01-1, 01-2, 02-1"
+    ):
+        dataset.select("9")
+    assert repr(dataset) == "Dataset(3 samples, 1 left out, source='here')"
+
+
+def test_report(tmp_path: Path) -> None:
+    for stem in ("a", "b", "c"):
+        add_pair(tmp_path, stem)
+    write_landmarks(tmp_path / "c.pts", np.where(np.arange(4)[:, None] == 2, np.nan, SQUARE))
+    for stem in ("p", "q", "r", "s"):
+        add_image(tmp_path / f"{stem}.png")
+    add_pair(tmp_path, "few", SQUARE[:3])
+    assert load_folder(tmp_path).report().splitlines() == [
+        f"3 samples from {tmp_path}",
+        "4 landmarks each, 1 of them missing in all; 300-W points (.pts): 3",
+        "left out 1: 3 landmarks where most have 4 (few.pts)",
+        "  first: those of few",
+        "left out 4: the image has no landmarks (p.png, q.png, r.png, ...)",
+    ]
+    assert Dataset(()).report() == "0 samples"
+
+
+# Real folders --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("folder", "n_samples", "n_points", "title"),
+    [
+        ("imm", 132, 58, "300-W points (.pts): 132"),
+        ("imm-frontal", 60, 73, "AAM-API shape (.asf): 60"),
+        ("one-person", 26, 58, "300-W points (.pts): 26"),
+        ("london", 60, 189, "WebMorph template (.tem): 60"),
+    ],
+)
+def test_real_folders(shared_data: Path, folder: str, n_samples: int, n_points: int, title: str) -> None:
+    dataset = load_folder(shared_data / folder)
+    assert len(dataset) == n_samples
+    assert {len(sample.landmarks) for sample in dataset} == {n_points}
+    assert dataset.left_out == ()
+    assert title in dataset.report()
+
+
+def test_real_images_without_landmarks(shared_data: Path) -> None:
+    with pytest.raises(LandmarkError, match="none of the 12 images has landmarks"):
+        load_folder(shared_data / "illuminants")

@@ -1,0 +1,489 @@
+"""Images: what is read is what is stored, and every bad file has a message a person can act on."""
+
+import io
+import os
+import stat
+import struct
+import subprocess
+import sys
+import warnings
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from liaam.errors import ImageError, LiaamError, ModelFileError
+from liaam.io import (
+    atomic_path,
+    image_size,
+    read_image,
+    write_bytes_atomically,
+    write_image,
+    write_text_atomically,
+)
+from liaam.io.files import natural_key
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:PIL")  # Pillow remarks on broken files
+
+JUNK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+STARTS = [
+    b"\x89PNG\r\n\x1a\n",
+    b"\xff\xd8\xff",
+    b"II*\0",
+    b"MM\0*",
+    b"II+\0",
+    b"BM",
+    b"P6\n3 3\n",
+    b"P2 1 1 ",
+    b"",
+]
+
+
+def make_png(width: int, height: int, bits: int, colour_type: int, raw: bytes, extra: bytes = b"") -> bytes:
+    """Build a PNG by hand, for kinds that Pillow does not write."""
+    header = struct.pack(">IIBBBBB", width, height, bits, colour_type, 0, 0, 0)
+    ending = chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + extra + ending
+
+
+def chunk(tag: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + tag + data + struct.pack(">I", zlib.crc32(tag + data))
+
+
+def make_tiff(array: np.ndarray, changes: dict[int, list[int]] | None = None) -> bytes:
+    """Build an uncompressed little-endian TIFF with its tags before its pixels."""
+    height, width = array.shape[:2]
+    n_channels = 1 if array.ndim == 2 else array.shape[2]
+    kind = {"u": 1, "i": 2, "f": 3}[array.dtype.kind]
+    tags = {256: [width], 257: [height], 258: [array.itemsize * 8] * n_channels, 259: [1]}
+    tags |= {262: [1 if n_channels == 1 else 2], 273: [0], 277: [n_channels], 278: [height]}
+    tags |= {279: [array.nbytes], 284: [1], 339: [kind] * n_channels} | (changes or {})
+    blob_at = 8 + 2 + 12 * len(tags) + 4
+    blob_size = sum(4 * len(values) for values in tags.values() if len(values) > 1)
+    tags[273] = [blob_at + blob_size]
+    entries, blob = b"", b""
+    for tag, values in sorted(tags.items()):
+        packed = struct.pack(f"<{len(values)}I", *values)
+        if len(values) > 1:
+            packed, blob = struct.pack("<I", blob_at + len(blob)), blob + packed
+        entries += struct.pack("<HHI", tag, 4, len(values)) + packed
+    return b"II*\0\x08\0\0\0" + struct.pack("<H", len(tags)) + entries + b"\0\0\0\0" + blob + array.tobytes()
+
+
+def colour(rng: np.random.Generator, dtype: type, shape: tuple[int, ...] = (5, 7, 3)) -> np.ndarray:
+    if dtype == np.float32:
+        return rng.normal(0, 1e3, shape).astype(np.float32)
+    return rng.integers(0, np.iinfo(dtype).max, shape, endpoint=True).astype(dtype)
+
+
+# Round trips ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype"),
+    [(s, np.uint8) for s in (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pnm", ".PNG")]
+    + [(s, np.uint16) for s in (".png", ".tif", ".tiff", ".ppm", ".pnm")]
+    + [(s, np.float32) for s in (".tif", ".tiff")],
+)
+def test_colour_returns_exactly_as_written(tmp_path: Path, rng, suffix: str, dtype: type) -> None:
+    array = colour(rng, dtype)
+    write_image(tmp_path / f"a{suffix}", array)
+    back = read_image(tmp_path / f"a{suffix}")
+    assert back.dtype == dtype
+    np.testing.assert_array_equal(back, array)
+    assert image_size(tmp_path / f"a{suffix}") == (7, 5)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype"),
+    [(s, np.uint8) for s in (".png", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm")]
+    + [(s, np.uint16) for s in (".png", ".tiff", ".ppm", ".pgm", ".pnm")]
+    + [(".tiff", np.float32)],
+)
+def test_grey_comes_back_as_three_equal_channels(tmp_path: Path, rng, suffix: str, dtype: type) -> None:
+    array = colour(rng, dtype, (4, 6))
+    write_image(tmp_path / f"a{suffix}", array)
+    back = read_image(tmp_path / f"a{suffix}")
+    assert back.dtype == dtype
+    np.testing.assert_array_equal(back, np.stack([array] * 3, axis=-1))
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    shape=st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    dtype=st.sampled_from([np.uint8, np.uint16, np.float32]),
+)
+@JUNK
+def test_any_size_survives_tiff(tmp_path: Path, seed: int, shape: tuple[int, int], dtype: type) -> None:
+    array = colour(np.random.default_rng(seed), dtype, (*shape, 3))
+    write_image(tmp_path / "a.tiff", array)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tiff"), array)
+
+
+def test_nan_and_any_float_survive(tmp_path: Path) -> None:
+    array = np.array([[[np.nan, -3, 1e30], [np.inf, 0, 1e-30]]], np.float32)
+    write_image(tmp_path / "a.tiff", array)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tiff"), array)
+
+
+def test_float64_becomes_float32(tmp_path: Path) -> None:
+    (tmp_path / "a.tiff").write_bytes(make_tiff(np.full((2, 2, 3), 0.1)))
+    back = read_image(tmp_path / "a.tiff")
+    assert back.dtype == np.float32
+    assert back[0, 0, 0] == np.float32(0.1)
+
+
+def test_jpeg_keeps_colour_to_a_few_levels(tmp_path: Path) -> None:
+    array = np.zeros((32, 32, 3), np.uint8)
+    array[:, :16] = (200, 30, 60)
+    array[:, 16:] = (20, 130, 220)
+    write_image(tmp_path / "a.jpg", array)
+    back = read_image(tmp_path / "a.jpg")
+    assert np.abs(back.astype(int) - array).max() <= 6  # with halved chroma this edge is off by over 20
+
+
+# Kinds of files ------------------------------------------------------------------------------------
+
+
+def test_channels_are_in_rgb_order(tmp_path: Path) -> None:
+    (tmp_path / "a.ppm").write_bytes(b"P6 1 1 255\n" + bytes([10, 20, 30]))
+    assert read_image(tmp_path / "a.ppm").tolist() == [[[10, 20, 30]]]
+    (tmp_path / "a.png").write_bytes(make_png(1, 1, 16, 2, b"\0" + struct.pack(">HHH", 1000, 2000, 3000)))
+    assert read_image(tmp_path / "a.png").tolist() == [[[1000, 2000, 3000]]]
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_alpha_is_dropped_and_not_multiplied_in(tmp_path: Path, deep: bool) -> None:
+    pixel = struct.pack(">4H", 1000, 2000, 3000, 1) if deep else bytes([10, 20, 30, 1])
+    (tmp_path / "a.png").write_bytes(make_png(1, 1, 16 if deep else 8, 6, b"\0" + pixel))
+    assert read_image(tmp_path / "a.png").tolist() == [[[1000, 2000, 3000] if deep else [10, 20, 30]]]
+
+
+def test_deep_grey_with_alpha(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(make_png(1, 1, 16, 4, b"\0" + struct.pack(">HH", 1000, 7)))
+    assert read_image(tmp_path / "a.png").tolist() == [[[1000, 1000, 1000]]]
+
+
+def test_palette_with_transparency_and_cmyk_and_bilevel(tmp_path: Path) -> None:
+    image = Image.new("P", (1, 1), 1)
+    image.putpalette([0, 0, 0, 10, 20, 30])
+    image.save(tmp_path / "p.png", transparency=b"\x00\x80")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read_image(tmp_path / "p.png").tolist() == [[[10, 20, 30]]]
+    Image.new("CMYK", (8, 8), (0, 255, 255, 0)).save(tmp_path / "c.jpg", quality=100)
+    assert np.abs(read_image(tmp_path / "c.jpg")[4, 4].astype(int) - [255, 0, 0]).max() <= 3
+    Image.new("1", (1, 1), 1).save(tmp_path / "b.png")
+    assert read_image(tmp_path / "b.png").tolist() == [[[255, 255, 255]]]
+
+
+def test_deep_pnm_is_scaled_by_its_largest_value(tmp_path: Path) -> None:
+    (tmp_path / "a.pgm").write_bytes(b"P5\n# a comment\n3 1\n4095\n" + struct.pack(">HHH", 0, 4095, 9999))
+    assert read_image(tmp_path / "a.pgm")[0, :, 0].tolist() == [0, 65535, 65535]
+
+
+def test_orientation_behind_the_pixels_of_a_png(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    data = make_png(3, 2, 8, 0, b"\0\0\1\2\0\3\4\5")
+    tail = chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\0\0"))
+    (tmp_path / "a.png").write_bytes(data[:-12] + tail + data[-12:])
+    assert read_image(tmp_path / "a.png")[:, :, 0].tolist() == ORIENTED[6]
+    assert image_size(tmp_path / "a.png") == (2, 3)
+
+
+def test_the_size_is_read_without_decoding(tmp_path: Path, rng) -> None:
+    write_image(tmp_path / "a.png", colour(rng, np.uint8, (40, 50, 3)))
+    data = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(data[:200])  # no pixel can be decoded
+    assert image_size(tmp_path / "a.png") == (50, 40)
+
+
+def test_the_content_counts_not_the_name(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_bytes(b"P6 1 1 255\n" + bytes([10, 20, 30]))
+    assert read_image(tmp_path / "a.jpg").tolist() == [[[10, 20, 30]]]
+
+
+ORIENTED = {  # where the stored pixels [[0, 1, 2], [3, 4, 5]] go under each EXIF orientation
+    1: [[0, 1, 2], [3, 4, 5]],
+    2: [[2, 1, 0], [5, 4, 3]],
+    3: [[5, 4, 3], [2, 1, 0]],
+    4: [[3, 4, 5], [0, 1, 2]],
+    5: [[0, 3], [1, 4], [2, 5]],
+    6: [[3, 0], [4, 1], [5, 2]],
+    7: [[5, 2], [4, 1], [3, 0]],
+    8: [[2, 5], [1, 4], [0, 3]],
+}
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", ["png8", "png16", "tiff8", "tiff16", "tiff32f", "jpeg"])
+def test_orientation_is_applied_once(tmp_path: Path, kind: str, orientation: int) -> None:
+    stored = np.arange(6).reshape(2, 3)
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    path = tmp_path / kind
+    if kind == "jpeg":  # blocks of 8 pixels, so that compression does not blur the numbers
+        big = np.kron(stored * 40, np.ones((16, 16))).astype(np.uint8)
+        Image.fromarray(big).save(path, "JPEG", exif=exif, quality=100)
+        want = np.kron(np.array(ORIENTED[orientation]) * 40, np.ones((16, 16)))
+        back = read_image(path)
+        assert np.abs(back[:, :, 0] - want).max() <= 3
+    else:
+        path.write_bytes(oriented_bytes(kind, stored, exif, orientation))
+        back = read_image(path)
+        assert back[:, :, 0].tolist() == ORIENTED[orientation]
+    assert image_size(path) == back.shape[1::-1]
+
+
+def oriented_bytes(kind: str, stored: np.ndarray, exif: Image.Exif, orientation: int) -> bytes:
+    if kind.startswith("tiff"):
+        dtype = {"tiff8": np.uint8, "tiff16": np.uint16, "tiff32f": np.float32}[kind]
+        return make_tiff(np.stack([stored] * 3, -1).astype(dtype), {274: [orientation]})
+    bits = int(kind[3:])
+    rows = b"".join(b"\0" + row.tobytes() for row in stored.astype(f">u{bits // 8}"))
+    return make_png(3, 2, bits, 0, rows, chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\0\0")))
+
+
+# Bad files -----------------------------------------------------------------------------------------
+
+
+def refusal(path: Path, **options: int) -> str:
+    with pytest.raises(ImageError) as caught:
+        read_image(path, **options)
+    assert str(path) in str(caught.value)
+    return str(caught.value)
+
+
+def test_missing_file_suggests_close_names(tmp_path: Path) -> None:
+    (tmp_path / "face_01.png").write_bytes(b"x")
+    assert "does not exist. Did you mean face_01.png?" in refusal(tmp_path / "face_1.png")
+    assert "similar name" in refusal(tmp_path / "quite different.jpg")
+    assert "does not exist either" in refusal(tmp_path / "no" / "a.png")
+
+
+def test_folder_empty_file_and_text(tmp_path: Path) -> None:
+    assert "is a folder" in refusal(tmp_path)
+    (tmp_path / "empty.png").touch()
+    assert "is empty (0 bytes)" in refusal(tmp_path / "empty.png")
+    (tmp_path / "text.png").write_text("hello")
+    assert "is not a PNG, JPEG, TIFF, BMP, PPM or PGM image" in refusal(tmp_path / "text.png")
+
+
+def test_a_pipe_is_refused_instead_of_waiting(tmp_path: Path) -> None:
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("this system has no named pipes")
+    os.mkfifo(tmp_path / "a.png")
+    assert "is not an ordinary file" in refusal(tmp_path / "a.png")
+
+
+def test_unreadable_file(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(b"x")
+    (tmp_path / "a.png").chmod(0)
+    if os.access(tmp_path / "a.png", os.R_OK):
+        pytest.skip("this user may read everything")
+    assert "Permission denied" in refusal(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype"),
+    [(s, np.uint8) for s in (".png", ".jpg", ".tiff", ".bmp", ".ppm")]
+    + [(s, np.uint16) for s in (".png", ".tiff", ".ppm")]
+    + [(".tiff", np.float32)],
+)
+@pytest.mark.parametrize("kept", [0.02, 0.5, 0.9])
+def test_truncated_files_are_noticed(tmp_path: Path, rng, suffix: str, dtype: type, kept: float) -> None:
+    path = tmp_path / f"a{suffix}"
+    write_image(path, colour(rng, dtype, (40, 50, 3)))
+    data = path.read_bytes()
+    path.write_bytes(data[: int(kept * len(data))])
+    assert "cut short" in refusal(path)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_truncated_tiff_with_its_tags_first(tmp_path: Path, rng, dtype: type) -> None:
+    data = make_tiff(colour(rng, dtype, (40, 50, 3)))
+    (tmp_path / "a.tiff").write_bytes(data[:-1])
+    assert "cut short" in refusal(tmp_path / "a.tiff")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_png_whose_last_chunk_promises_too_much(tmp_path: Path, rng, dtype: type) -> None:
+    write_image(tmp_path / "a.png", colour(rng, dtype))
+    data = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(data[:-12] + b"\x7f" + data[-11:])  # OpenCV would make room for 2 GB
+    assert "ends within a chunk" in refusal(tmp_path / "a.png")
+
+
+def test_too_many_pixels_are_refused_before_decoding(tmp_path: Path) -> None:
+    (tmp_path / "bomb.png").write_bytes(make_png(60_000, 60_000, 8, 2, b""))
+    message = refusal(tmp_path / "bomb.png")
+    assert "60000 x 60000 pixels, more than the 200,000,000 allowed" in message
+    assert "max_pixels" in message
+    (tmp_path / "bomb.ppm").write_bytes(b"P6 999999999 999999999 255\n")
+    assert "more than" in refusal(tmp_path / "bomb.ppm")
+    write_image(tmp_path / "a.png", np.zeros((3, 4), np.uint8))
+    assert read_image(tmp_path / "a.png", max_pixels=12).shape == (3, 4, 3)
+    assert "more than the 11 allowed" in refusal(tmp_path / "a.png", max_pixels=11)
+
+
+@pytest.mark.parametrize(
+    ("array", "changes", "words"),
+    [
+        (np.zeros((2, 2, 3), np.int16), {}, "neither 8- or 16-bit unsigned"),
+        (np.zeros((2, 2, 3), np.uint32), {}, "neither 8- or 16-bit unsigned"),
+        (np.zeros((2, 2, 3), np.float16), {}, "neither 8- or 16-bit unsigned"),
+        (np.zeros((2, 2), np.uint16), {262: [0]}, "not a grey or RGB image"),
+        (np.zeros((2, 2, 2), np.uint16), {262: [1]}, "not a grey or RGB image"),
+        (np.zeros((2, 2, 3), np.uint16), {284: [2]}, "separate planes"),
+    ],
+)
+def test_tiff_that_cannot_be_given_as_stored(
+    tmp_path: Path, array: np.ndarray, changes: dict[int, list[int]], words: str
+) -> None:
+    (tmp_path / "a.tiff").write_bytes(make_tiff(array, changes))
+    assert words in refusal(tmp_path / "a.tiff")
+
+
+def test_deep_plain_text_pnm_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.pgm").write_bytes(b"P2 1 1 65535 7\n")
+    assert "plain text" in refusal(tmp_path / "a.pgm")
+
+
+@given(start=st.sampled_from(STARTS), rest=st.binary(max_size=200))
+@JUNK
+def test_junk_raises_only_image_errors(tmp_path: Path, start: bytes, rest: bytes) -> None:
+    (tmp_path / "junk").write_bytes(start + rest)
+    try:
+        array = read_image(tmp_path / "junk", max_pixels=10_000)
+    except ImageError as error:
+        assert "junk" in str(error)
+    else:
+        assert array.ndim == 3
+
+
+@given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from([".png", ".jpg", ".tiff", ".bmp", ".ppm"]))
+@JUNK
+def test_flipped_bytes_raise_only_image_errors(tmp_path: Path, seed: int, kind: str) -> None:
+    rng = np.random.default_rng(seed)
+    write_image(tmp_path / f"a{kind}", colour(rng, np.uint8, (9, 11, 3)))
+    data = bytearray((tmp_path / f"a{kind}").read_bytes())
+    for place in rng.integers(0, len(data), 3):
+        data[place] = rng.integers(256)
+    (tmp_path / "junk").write_bytes(data)
+    try:
+        array = read_image(tmp_path / "junk", max_pixels=10_000)
+    except ImageError as error:
+        assert "junk" in str(error)
+    else:
+        assert array.shape[2] == 3
+
+
+# Writing -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "words"),
+    [
+        ("a.gif", np.zeros((2, 2), np.uint8), "'.gif' is no known ending"),
+        ("a.png", np.zeros((2, 2), np.float32), "Use .tiff, or convert"),
+        ("a.jpg", np.zeros((2, 2), np.uint16), "holds no 16-bit values"),
+        ("a.png", np.zeros((2, 2)), "the values are float64"),
+        ("a.png", np.zeros((2, 2, 4), np.uint8), "shape (2, 2, 4)"),
+        ("a.png", np.zeros((0, 2), np.uint8), "shape (0, 2)"),
+        ("a.pgm", np.zeros((2, 2, 3), np.uint8), "grey images only"),
+        ("no/a.png", np.zeros((2, 2), np.uint8), "does not exist. Make it first"),
+    ],
+)
+def test_what_cannot_be_written_leaves_nothing(
+    tmp_path: Path, name: str, array: np.ndarray, words: str
+) -> None:
+    with pytest.raises(ImageError) as caught:
+        write_image(tmp_path / name, array)
+    assert words in str(caught.value)
+    assert name in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failure_in_the_middle_keeps_the_old_file(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    with pytest.raises(RuntimeError, match="stop"), atomic_path(target) as temp:
+        temp.write_text("half")
+        raise RuntimeError("stop")
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_the_disk_s_fault_has_the_wanted_class(tmp_path: Path) -> None:
+    with pytest.raises(ModelFileError, match="No space left"), atomic_path(tmp_path / "a", ModelFileError):
+        raise OSError(28, "No space left on device")
+    with pytest.raises(LiaamError, match="is a folder"):
+        write_bytes_atomically(tmp_path, b"")
+    with pytest.raises(LiaamError, match="rename"):
+        write_text_atomically(tmp_path / "a", "\udc80")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_atomic_writing_keeps_rights_links_and_suffix(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    target.chmod(0o640)
+    (tmp_path / "link").symlink_to(target)
+    with atomic_path(tmp_path / "link") as temp:
+        assert temp.suffix == ".txt"
+        assert temp.parent == tmp_path.resolve()
+        temp.write_text("new")
+    assert target.read_text() == "new"
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+    assert (tmp_path / "link").is_symlink()
+
+
+def test_new_files_have_the_usual_rights(tmp_path: Path) -> None:
+    write_text_atomically(tmp_path / "a", "x\n")
+    (tmp_path / "b").write_bytes(b"x\n")
+    assert (tmp_path / "a").read_bytes() == b"x\n"
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
+
+
+def test_natural_order() -> None:
+    assert sorted(["b1", "a10", "A2", "a²", "7"], key=natural_key) == ["7", "A2", "a10", "a²", "b1"]
+
+
+# Real files ----------------------------------------------------------------------------------------
+
+
+def test_real_images_are_as_pillow_decodes_them(shared_data: Path) -> None:
+    for name in ("imm/01-1m.jpg", "london/001_03.jpg", "one-person/107_0764.png"):
+        back = read_image(shared_data / name)
+        with Image.open(shared_data / name) as image:
+            np.testing.assert_array_equal(back, np.asarray(image))
+            assert image_size(shared_data / name) == image.size
+    assert (
+        np.ptp(read_image(shared_data / "imm/02-1m.jpg").astype(int), axis=2).max() == 0
+    )  # grey, per its README
+
+
+def test_truncated_real_jpeg(shared_data: Path, tmp_path: Path) -> None:
+    data = (shared_data / "imm/01-1m.jpg").read_bytes()
+    (tmp_path / "a.jpg").write_bytes(data[: len(data) * 2 // 3])
+    assert "truncated" in refusal(tmp_path / "a.jpg")
+
+
+def test_importing_liaam_io_needs_no_decoder() -> None:
+    code = "import sys, liaam.io, liaam.datasets.folder; print({'cv2', 'PIL', 'rich'} & set(sys.modules))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "set()"
+
+
+def test_buffers_are_not_shared(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    Image.new("RGB", (2, 2)).save(buffer, "PNG")
+    (tmp_path / "a.png").write_bytes(buffer.getvalue())
+    array = read_image(tmp_path / "a.png")
+    array[0, 0] = 7  # callers may write to what they are given
+    assert read_image(tmp_path / "a.png")[0, 0].tolist() == [0, 0, 0]

@@ -1,0 +1,550 @@
+"""Landmark files: each format's convention by a number, round trips, and a message for every bad file."""
+
+import json
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from liaam.errors import LandmarkError
+from liaam.io import (
+    LANDMARK_SUFFIXES,
+    Contour,
+    Landmarks,
+    image_size,
+    read_collection,
+    read_landmarks,
+    write_collection,
+    write_landmarks,
+)
+from liaam.io.landmarks.base import chain_edges, contour_of, edges_of
+
+SOME = settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+NAN = math.nan
+
+ASF = """# a comment
+3
+0 0 0.25 0.5 0 2 1 0.0 0.0 0.0
+0 0 0.50 0.5 1 0 2 0.0 0.0 0.0
+0 0 0.00 1.0 2 1 0 0.0 0.0 0.0
+# host image
+face.jpg
+"""
+DLIB = """<?xml version='1.0' encoding='ISO-8859-1'?>
+<?xml-stylesheet type='text/xsl' href='image_metadata_stylesheet.xsl'?>
+<dataset><name>faces</name><images>
+  <image file='a.jpg'>
+    <box top='0' left='0' width='10' height='10'><part name='0' x='90' y='91'/></box>
+    <box top='0' left='0' width='20' height='10'>
+      <part name='10' x='5' y='6'/><part name='2' x='3' y='4'/><part name='0' x='1' y='2'/>
+    </box>
+    <box top='0' left='0' width='90' height='90'/>
+  </image> <image file='sub/b.jpg'><box top='0' left='0' width='9' height='9'><part name='2' x='7'
+  y='8'/></box></image> <image file='c.jpg'/>
+</images></dataset>
+"""
+COCO = {
+    "images": [
+        {"id": 7, "file_name": "a.jpg"},
+        {"id": 8, "file_name": "b.jpg"},
+        {"id": 9, "file_name": "c.jpg"},
+    ],
+    "annotations": [
+        {"image_id": 7, "category_id": 1, "area": 5, "keypoints": [1, 1, 2, 1, 1, 2, 1, 1, 2]},
+        {"image_id": 7, "category_id": 1, "area": 50, "keypoints": [10, 20.5, 2, 0, 0, 0, 30, 40, 1]},
+        {"image_id": 8, "category_id": 1, "bbox": [0, 0, 2, 3], "keypoints": [1, 2, 2, 3, 4, 2, 5, 6, 2]},
+        {"image_id": 8, "category_id": 1, "bbox": [0, 0, 2, 2], "keypoints": [9, 9, 2, 9, 9, 2, 9, 9, 2]},
+        {"image_id": 9, "category_id": 1, "area": 5},
+    ],
+    "categories": [{"id": 1, "keypoints": ["nose", "eye", "ear"], "skeleton": [[1, 2], [2, 3]]}],
+}
+
+
+def save(folder: Path, name: str, content: str | bytes | dict) -> Path:
+    if isinstance(content, dict):
+        content = json.dumps(content)
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def refusal(path: Path, image_size: tuple[int, int] | None = (100, 100)) -> str:
+    with pytest.raises(LandmarkError) as caught:
+        read_landmarks(path, image_size)
+    assert str(path) in str(caught.value)
+    return str(caught.value)
+
+
+def ljson(points: object, **more: object) -> dict:
+    return {"version": 2, "labels": [], "landmarks": {"points": points, **more}}
+
+
+# Conventions, one number each ----------------------------------------------------------------------
+
+
+def test_pts_counts_from_one(tmp_path: Path) -> None:
+    path = save(tmp_path, "a.pts", "version: 1\nn_points: 2\n{\n1 1\n10.5 20\n}\n")
+    assert read_landmarks(path).points.tolist() == [[0, 0], [9.5, 19]]
+    write_landmarks(tmp_path / "b.pts", np.array([[0.0, 0.0], [NAN, NAN]]))
+    assert (tmp_path / "b.pts").read_text() == "version: 1\nn_points: 2\n{\n1.0 1.0\nnan nan\n}\n"
+
+
+def test_asf_is_relative_to_width_and_height(tmp_path: Path) -> None:
+    shape = read_landmarks(save(tmp_path, "a.asf", ASF), (800, 600))
+    assert shape.points.tolist() == [[200, 300], [400, 300], [0, 600]]
+    assert shape.contours == (Contour((0, 1, 2), closed=True),)
+    assert shape.image_name == "face.jpg"
+
+
+def test_tem_counts_pixels_from_zero_downwards(tmp_path: Path) -> None:
+    text = "4\n0 0\n3.5 7\n5 5\n6 6\n4\n0\n2\n0 0\n0\n4\n0 1 2 0\n1\n3\n1 2 3\n0\n2\n2 3\n"
+    template = read_landmarks(save(tmp_path, "a.tem", text))
+    assert template.points[:2].tolist() == [[0, 0], [3.5, 7]]
+    assert template.contours == (
+        Contour((0, 1, 2), closed=True),  # its last point is its first
+        Contour((1, 2, 3), closed=True),  # its type is 1
+        Contour((2, 3), closed=False),
+    )
+    assert read_landmarks(save(tmp_path, "b.tem", "1\n2 3\n")).contours == ()
+
+
+def test_ljson_puts_y_first_and_null_is_missing(tmp_path: Path) -> None:
+    content = ljson([[20, 10], [None, None], [0.5, 0]], connectivity=[[0, 1], [1, 2], [2, 0]])
+    marks = read_landmarks(save(tmp_path, "a.ljson", content))
+    np.testing.assert_array_equal(marks.points, [[10, 20], [NAN, NAN], [0, 0.5]])
+    assert marks.contours == (Contour((0, 1, 2), closed=True),)
+    assert marks.missing.tolist() == [False, True, False]
+    three = {"version": 3, "groups": {"LJSON": content}}
+    np.testing.assert_array_equal(read_landmarks(save(tmp_path, "b.ljson", three)).points, marks.points)
+
+
+def test_ljson_is_written_as_menpo_reads_it(tmp_path: Path) -> None:
+    write_landmarks(tmp_path / "a.ljson", Landmarks(np.array([[10, 20], [NAN, NAN]]), (Contour((0, 1)),)))
+    assert json.loads((tmp_path / "a.ljson").read_text()) == {
+        "version": 2,
+        "labels": [{"label": "all", "mask": [0, 1]}],
+        "landmarks": {"points": [[20, 10], [None, None]], "connectivity": [[0, 1]]},
+    }
+
+
+def test_dlib_counts_pixels_from_zero_and_orders_parts_by_number(tmp_path: Path) -> None:
+    found = read_collection(save(tmp_path, "a.xml", DLIB))
+    assert list(found) == ["a.jpg", "sub/b.jpg"]
+    assert found["a.jpg"].points.tolist() == [[1, 2], [3, 4], [5, 6]]  # of the largest box that has parts
+    np.testing.assert_array_equal(found["sub/b.jpg"].points, [[NAN, NAN], [7, 8], [NAN, NAN]])
+    assert found["a.jpg"].names == ("0", "2", "10")
+
+
+def test_coco_is_taken_without_a_shift_and_v_zero_is_missing(tmp_path: Path) -> None:
+    found = read_collection(save(tmp_path, "a.json", COCO))
+    assert list(found) == ["a.jpg", "b.jpg"]
+    np.testing.assert_array_equal(found["a.jpg"].points, [[10, 20.5], [NAN, NAN], [30, 40]])
+    assert found["b.jpg"].points.tolist() == [[1, 2], [3, 4], [5, 6]]
+    assert found["a.jpg"].names == ("nose", "eye", "ear")
+    assert found["a.jpg"].contours == (Contour((0, 1, 2), closed=False),)  # its skeleton counts from 1
+
+
+def test_csv_is_our_own_convention(tmp_path: Path) -> None:
+    marks = read_landmarks(save(tmp_path, "a.csv", "x,y,name\n0,0,nose\n,,ear\n10.5,20,eye\n"))
+    np.testing.assert_array_equal(marks.points, [[0, 0], [NAN, NAN], [10.5, 20]])
+    assert marks.names == ("nose", "ear", "eye")
+
+
+def test_csv_collection_groups_rows_by_image(tmp_path: Path) -> None:
+    path = save(tmp_path, "a.csv", "image,x,y\na.jpg,1,2\nb.jpg,5,6\na.jpg,3,4\nb.jpg,,\n")
+    found = read_collection(path)
+    assert found["a.jpg"].points.tolist() == [[1, 2], [3, 4]]
+    np.testing.assert_array_equal(found["b.jpg"].points, [[5, 6], [NAN, NAN]])
+    assert found["b.jpg"].image_name == "b.jpg"
+
+
+# Variants of a format ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "version: 1\r\nn_points:  2\r\n{\r\n2 3\r\n4 5\r\n}\r\n",
+        "\ufeffn_points:2\n{\n2 3\n4 5\n}",
+        "# made by hand\nversion: 1.0\nN_POINTS: 2 // two\n{ \n\n2 3 # nose\n4\t5\n\n}\n\n",
+        "{\n2 3\n4 5\n}\n",
+        "n_points = 2 {\n  2.0e0   3\n4 5}",
+    ],
+)
+def test_pts_header_variants(tmp_path: Path, text: str) -> None:
+    assert read_landmarks(save(tmp_path, "a.pts", text)).points.tolist() == [[1, 2], [3, 4]]
+
+
+@pytest.mark.parametrize("word", ["nan", "NaN", "null", "NA", "?", "-"])
+def test_words_for_missing(tmp_path: Path, word: str) -> None:
+    path = save(tmp_path, "a.pts", f"n_points: 2\n{{\n{word} {word}\n1 1\n}}")
+    assert read_landmarks(path).missing.tolist() == [True, False]
+
+
+def test_csv_of_european_spreadsheets(tmp_path: Path) -> None:
+    path = save(tmp_path, "a.csv", "Name;X;Y;Note\r\nnez;1,5;2;\r\nœil;;;\r\n".encode("utf-16"))
+    marks = read_landmarks(path)
+    np.testing.assert_array_equal(marks.points, [[1.5, 2], [NAN, NAN]])
+    assert marks.names == ("nez", "œil")
+
+
+def test_text_in_an_old_encoding(tmp_path: Path) -> None:
+    path = save(tmp_path, "a.csv", "x,y,name\n1,2,bouché\n".encode("latin-1"))
+    assert read_landmarks(path).names == ("bouché",)
+
+
+def test_suffix_in_capitals_and_text_path(tmp_path: Path) -> None:
+    path = save(tmp_path, "A.PTS", "{\n1 1\n}")
+    assert read_landmarks(str(path)).points.tolist() == [[0, 0]]
+
+
+def test_collection_of_one_image_reads_as_one(tmp_path: Path) -> None:
+    path = save(tmp_path, "a.csv", "image,x,y\na.jpg,1,2\n")
+    assert read_landmarks(path).points.tolist() == [[1, 2]]
+
+
+def test_coco_without_categories(tmp_path: Path) -> None:
+    content = {key: value for key, value in COCO.items() if key != "categories"}
+    found = read_collection(save(tmp_path, "a.json", content))
+    assert found["a.jpg"].names == ()
+    assert found["a.jpg"].contours == ()
+
+
+# Bad files -----------------------------------------------------------------------------------------
+
+BAD = [
+    ("a.pts", "n_points: 3\n{\n1 1\n2 2\n}", "promises 3 points but 2 are there"),
+    ("a.pts", "n_points: 1\n{\n1 1\n2 2\n}", "promises 1 points but 2 are there"),
+    ("a.pts", "n_points: 99999999999999999\n{\n1 1\n}", "promises 99999999999999999 points but 1 are there"),
+    ("a.pts", "n_points: many\n{\n1 1\n}", "'many' is not a number of points"),
+    ("a.pts", "n_points: -1\n{\n1 1\n}", "'-1' is not a number of points"),
+    ("a.pts", "n_points: 1\n{\n1 1\n", "no '}' after its points"),
+    ("a.pts", "1 1\n", "no '{' before its points"),
+    ("a.pts", "{\n1 1 1\n}", "point 1 holds 3 values ('1 1 1')"),
+    ("a.pts", "{\n1 1\n1\n}", "point 2 holds 1 values"),
+    ("a.pts", "{\n1 one\n}", "'one' in point 1 is not a number"),
+    ("a.pts", "{\n1,5 2\n}", "decimals take a point"),
+    ("a.pts", "{\n1 1_000\n}", "'1_000' in point 1 is not a number"),
+    ("a.pts", "{\n1 inf\n}", "'inf' in point 1 is not a number"),
+    ("a.pts", "{\n1 nan\n}", "landmark 1 (counting from 1) has only one of x and y"),
+    ("a.pts", "n_points: 0\n{\n}", "n > 0"),
+    ("a.pts", "", "is empty (0 bytes)"),
+    ("a.pts", " \n\n", "only blank lines"),
+    ("a.pts", b"{\n\x00\x01\n}", "is not a text file"),
+    ("a.pts", bytes(range(256)), "is not a text file"),
+    ("a.pts", b"\xff\xfe\x00", "is not a text file"),
+    ("a.asf", "# nothing\n", "holds comments only"),
+    ("a.asf", ASF.replace("3\n0", "4\n0"), "promises 4 points but 3 are there"),
+    ("a.asf", ASF.replace("3\n0", "88888888888\n0"), "promises 88888888888 points but 3 are there"),
+    ("a.asf", ASF.replace("0.5 1 0 2", "0.5 1 0 3"), "names point 3, but has points 0 to 2"),
+    ("a.asf", ASF.replace("0.5 1 0 2", "0.5 0 0 2"), "has no point number 1"),
+    ("a.asf", ASF.replace("0.25", "left"), "'left' in point 0 is not a number"),
+    ("a.asf", ASF[:60], "promises 3 points but"),
+    ("a.tem", "3\n1 1\n2 2\n", "promises 3 points but 2 are there"),
+    ("a.tem", "777777777777777\n1 1\n", "promises 777777777777777 points but 1 are there"),
+    ("a.tem", "2.5\n1 1\n", "'2.5' is not a number of points"),
+    ("a.tem", "2\n1 1\n2 2\n1\n0\n3\n0 1", "ends within its line templates"),
+    ("a.tem", "2\n1 1\n2 2\n999999999999999\n0\n2\n0 1", "ends within its line templates"),
+    ("a.tem", "2\n1 1\n2 2\n1\n0\n999999999999\n0 1", "ends within its line templates"),
+    ("a.tem", "2\n1 1\n2 2\n1\n0\n2\n0 1\n7 7", "goes on for 2 values"),
+    ("a.tem", "2\n1 1\n2 2\n1\n0\n2\n0 5", "names landmark 5 (counting from 0), but there are 2"),
+    ("a.ljson", '{"version": 2, "landm', "is not complete JSON"),
+    ("a.ljson", "[" * 100_000, "is not complete JSON"),
+    ("a.ljson", {"version": 1, "groups": []}, "it says 1"),
+    ("a.ljson", "[1]", "it says None"),
+    ("a.ljson", {"version": 2}, "lacks the parts of a menpo"),
+    ("a.ljson", {"version": 3, "groups": {}}, "lacks the parts of a menpo"),
+    ("a.ljson", {"version": 3, "groups": {"a": 1, "b": 2}}, "2 groups of landmarks (a, b)"),
+    ("a.ljson", ljson([[1, 2, 3]]), "lacks the parts of a menpo"),
+    ("a.ljson", ljson([["1", 2]]), "'1' in point 1 is not a number"),
+    ("a.ljson", ljson([[True, 2]]), "'True' in point 1 is not a number"),
+    ("a.ljson", ljson([[10**400, 2]]), "in point 1 is not a number"),
+    ("a.ljson", ljson([[1, None]]), "only one of x and y"),
+    ("a.ljson", ljson([[1, 2]], connectivity=[[0, 4]]), "names landmark 4"),
+    ("a.ljson", ljson([[1, 2]], connectivity=[[0, 0.5]]), "lacks the parts of a menpo"),
+    ("a.ljson", ljson([]), "n > 0"),
+    ("a.xml", DLIB[:-40], "is not complete XML"),
+    ("a.xml", "<dataset><images/></dataset>", "has no image with landmarks"),
+    ("a.xml", DLIB.replace("x='90'", "x='ninety'"), "'ninety' in part '0' of image 'a.jpg' is not a number"),
+    ("a.xml", DLIB.replace("name='2' x='3'", "name='0' x='3'"), "part '0' of image 'a.jpg' is there twice"),
+    ("a.xml", DLIB.replace("width='20'", "width='wide'"), "'wide' in a box of image 'a.jpg'"),
+    ("a.xml", '<!DOCTYPE d [<!ENTITY a "aaaa">]><d>&a;</d>', "not safe to read"),
+    ("a.xml", '<!DOCTYPE d [<!ENTITY a "aaaa">]><d>&a;</d>'.encode("utf-16"), "not safe to read"),
+    ("a.xml", DLIB, "holds the landmarks of 2 images (a.jpg, sub/b.jpg ...)"),
+    ("a.json", "{}", "lacks the parts of a COCO"),
+    ("a.json", "3", "lacks the parts of a COCO"),
+    ("a.json", {**COCO, "annotations": []}, "is COCO without keypoints"),
+    (
+        "a.json",
+        {**COCO, "annotations": [{"image_id": 1, "keypoints": [1, 2, 2]}]},
+        "lacks the parts of a COCO",
+    ),
+    ("a.json", {**COCO, "annotations": [{"image_id": 7, "keypoints": [1, 2]}]}, "has 2 keypoint values"),
+    (
+        "a.json",
+        {**COCO, "annotations": [{"image_id": 7, "keypoints": "abc"}]},
+        "'a' in the keypoints of image 'a.jpg'",
+    ),
+    (
+        "a.json",
+        {**COCO, "annotations": [{**COCO["annotations"][0], "keypoints": [1, 2, 2]}]},
+        "3 names for 1",
+    ),
+    ("a.csv", "a,b\n1,2\n", "has no columns x and y"),
+    ("a.csv", "x,y\n", "has no rows under its header"),
+    ("a.csv", "x,y\n1,2\n3\n", "line 3 has 1 cells but the header 2"),
+    ("a.csv", "x,y\n1,\n", "line 2 has only one of x and y"),
+    ("a.csv", "x,y\n1,two\n", "'two' in line 2 is not a number"),
+    ("a.csv", 'x,y\n1,"2\n' + "2" * 200_000, "is not a CSV table"),
+    ("a.txt", "1 2\n", "has the ending '.txt', which is no known landmark format: use .pts (300-W points)"),
+    ("a", "1 2\n", "has the ending ''"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "words"), BAD, ids=[f"{n}-{w[:30]}" for n, _, w in BAD])
+def test_bad_files_are_refused_with_a_message(
+    tmp_path: Path, name: str, content: str | bytes | dict, words: str
+) -> None:
+    assert words in refusal(save(tmp_path, name, content))
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    save(tmp_path, "face_01.pts", "{\n1 1\n}")
+    assert "Did you mean face_01.pts?" in refusal(tmp_path / "face_1.pts")
+    (tmp_path / "b.pts").mkdir()
+    assert "is a folder" in refusal(tmp_path / "b.pts")
+
+
+def test_asf_without_a_size_says_what_to_pass(tmp_path: Path) -> None:
+    assert "pass image_size=(width, height)" in refusal(save(tmp_path, "a.asf", ASF), None)
+
+
+def test_a_huge_file_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("liaam.io.landmarks.base.MAX_BYTES", 10)
+    assert "more than the 10 allowed" in refusal(save(tmp_path, "a.pts", "{\n1 1\n2 2\n}"))
+
+
+def test_read_collection_of_one_image_s_file(tmp_path: Path) -> None:
+    for name, text in (("a.pts", "{\n1 1\n}"), ("a.csv", "x,y\n1,2\n")):
+        with pytest.raises(LandmarkError, match="use read_landmarks"):
+            read_collection(save(tmp_path, name, text))
+
+
+@pytest.mark.parametrize(
+    ("points", "more", "words"),
+    [
+        ([[1, 2, 3]], {}, r"shape \(1, 3\)"),
+        ([], {}, "n > 0"),
+        ("ab", {}, "not numbers"),
+        ([[1, NAN]], {}, "only one of x and y"),
+        ([[1, math.inf]], {}, "infinity"),
+        ([[1, 2]], {"names": ("a", "b")}, "2 names for 1 landmarks"),
+        ([[1, 2]], {"contours": (Contour((0, 1)),)}, "names landmark 1"),
+        ([[1, 2]], {"contours": (Contour((-1, 0)),)}, "names landmark -1"),
+    ],
+)
+def test_landmarks_are_validated(points: object, more: dict, words: str) -> None:
+    with pytest.raises(LandmarkError, match=words):
+        Landmarks(points, **more)  # pyright: ignore[reportArgumentType]
+
+
+def test_landmarks_are_a_frozen_copy() -> None:
+    points = np.zeros((3, 2))
+    marks = Landmarks(points)
+    points[0] = 7
+    assert marks.points[0].tolist() == [0, 0]
+    assert marks.points.dtype == np.float64
+    with pytest.raises(ValueError, match="read-only"):
+        marks.points[0] = 1
+    assert repr(marks) == "Landmarks(3 points, 0 missing, 0 contours)"
+
+
+# Writing -------------------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(LandmarkError, match=r"\.tem is only read\. Use \.pts, \.ljson, \.csv"):
+        write_landmarks(tmp_path / "a.tem", np.zeros((1, 2)))
+    with pytest.raises(LandmarkError, match="no known landmark format"):
+        write_landmarks(tmp_path / "a.doc", np.zeros((1, 2)))
+    with pytest.raises(LandmarkError, match="shape"):
+        write_landmarks(tmp_path / "a.pts", np.zeros((2, 3)))
+    with pytest.raises(LandmarkError, match=r"does not exist\. Make it first"):
+        write_landmarks(tmp_path / "no" / "a.pts", np.zeros((1, 2)))
+    with pytest.raises(LandmarkError, match=r"only \.csv takes many"):
+        write_collection(tmp_path / "a.pts", {})
+    with pytest.raises(LandmarkError, match="there are no landmarks"):
+        write_collection(tmp_path / "a.csv", {})
+    assert list(tmp_path.iterdir()) == []
+
+
+# A magnitude at which adding 1 and taking it away again loses less than 1e-9 of a pixel.
+coordinates = st.floats(-1e5, 1e5, allow_nan=False)
+point_lists = st.lists(
+    st.one_of(st.tuples(coordinates, coordinates), st.just((NAN, NAN))), min_size=1, max_size=12
+)
+texts = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=8)
+
+
+@given(points=point_lists, suffix=st.sampled_from([".pts", ".csv", ".ljson"]))
+@SOME
+def test_written_points_come_back(tmp_path: Path, points: list, suffix: str) -> None:
+    write_landmarks(tmp_path / f"a{suffix}", np.array(points))
+    back = read_landmarks(tmp_path / f"a{suffix}").points
+    np.testing.assert_allclose(back, points, rtol=0, atol=1e-9 if suffix == ".pts" else 0)
+
+
+@given(points=point_lists, data=st.data(), suffix=st.sampled_from([".csv", ".ljson"]))
+@SOME
+def test_names_come_back(tmp_path: Path, points: list, data: st.DataObject, suffix: str) -> None:
+    names = tuple(data.draw(st.lists(texts, min_size=len(points), max_size=len(points))))
+    write_landmarks(tmp_path / f"a{suffix}", Landmarks(np.array(points), names=names))
+    assert read_landmarks(tmp_path / f"a{suffix}").names == names
+
+
+@given(order=st.permutations(range(9)), cuts=st.sets(st.integers(1, 8)), data=st.data())
+@SOME
+def test_contours_come_back_from_ljson(
+    tmp_path: Path, order: list[int], cuts: set[int], data: st.DataObject
+) -> None:
+    bounds = [0, *sorted(cuts), 9]
+    parts = [tuple(order[a:b]) for a, b in pairwise(bounds) if b - a > 1]
+    contours = tuple(Contour(part, len(part) > 2 and data.draw(st.booleans())) for part in parts)
+    write_landmarks(tmp_path / "a.ljson", Landmarks(np.zeros((9, 2)), contours))
+    assert read_landmarks(tmp_path / "a.ljson").contours == contours
+
+
+@given(collection=st.dictionaries(texts, point_lists, min_size=1, max_size=4))
+@SOME
+def test_collections_come_back_from_csv(tmp_path: Path, collection: dict[str, list]) -> None:
+    marks = {name: Landmarks(np.array(points)) for name, points in collection.items()}
+    write_collection(tmp_path / "a.csv", marks)
+    back = read_collection(tmp_path / "a.csv")
+    assert list(back) == list(marks)
+    for name in marks:
+        np.testing.assert_array_equal(back[name].points, marks[name].points)
+
+
+@pytest.mark.parametrize("suffix", LANDMARK_SUFFIXES)
+@given(junk=st.one_of(st.binary(max_size=150), texts.map(str.encode)))
+@SOME
+def test_junk_raises_only_landmark_errors(tmp_path: Path, suffix: str, junk: bytes) -> None:
+    path = save(tmp_path, f"junk{suffix}", junk)
+    with pytest.raises(LandmarkError, match="junk"):
+        read_landmarks(path, (10, 10))
+
+
+WHOLE = {".asf": ASF, ".xml": DLIB, ".json": json.dumps(COCO), ".tem": "2\n1 1\n2 2\n1\n0\n2\n0 1\n"}
+WHOLE |= {".pts": "version: 1\nn_points: 2\n{\n1 1\n2 2\n}\n", ".csv": "x,y\n1,2\n3,4\n"}
+WHOLE |= {".ljson": json.dumps(ljson([[1, 2], [3, 4]], connectivity=[[0, 1]]))}
+
+
+@pytest.mark.parametrize("suffix", LANDMARK_SUFFIXES)
+@given(data=st.data())
+@SOME
+def test_damaged_files_raise_only_landmark_errors(tmp_path: Path, suffix: str, data: st.DataObject) -> None:
+    text = WHOLE[suffix]
+    place = data.draw(st.integers(0, len(text) - 1))
+    patch = data.draw(st.text(st.sampled_from("0123456789-.,[]{}<>/'\"\\ \n\txyn&!#"), max_size=3))
+    path = save(
+        tmp_path, f"junk{suffix}", text[:place] + patch + text[place + data.draw(st.integers(0, 5)) :]
+    )
+    try:
+        marks = read_landmarks(path, (10, 10))
+    except LandmarkError as error:
+        assert "junk" in str(error)
+    else:
+        assert marks.points.shape[1] == 2
+
+
+@given(cut=st.integers(0, 50))
+@SOME
+def test_a_pts_file_cut_anywhere_is_refused(tmp_path: Path, cut: int) -> None:
+    whole = WHOLE[".pts"]
+    assume(cut < whole.index("}"))
+    with pytest.raises(LandmarkError):
+        read_landmarks(save(tmp_path, "a.pts", whole[:cut]))
+
+
+# Contours ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("edges", "contours"),
+    [
+        ([(0, 1), (1, 2)], [((0, 1, 2), False)]),
+        ([(2, 1), (0, 1)], [((2, 1, 0), False)]),
+        ([(0, 1), (1, 2), (2, 0)], [((0, 1, 2), True)]),
+        ([(4, 5), (0, 1)], [((4, 5), False), ((0, 1), False)]),
+        ([(0, 1), (1, 0), (2, 2)], [((0, 1), False)]),
+        ([(0, 1), (1, 2), (1, 3)], [((0, 1), False), ((1, 2), False), ((1, 3), False)]),
+        ([(0, 1), (1, 2), (2, 3), (3, 1)], [((0, 1), False), ((1, 2, 3), True)]),
+        ([], []),
+    ],
+)
+def test_edges_are_chained(edges: list, contours: list) -> None:
+    assert chain_edges(edges) == tuple(Contour(*contour) for contour in contours)
+
+
+@given(edges=st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8))))
+def test_chaining_keeps_every_edge_once(edges: list[tuple[int, int]]) -> None:
+    want = sorted({(min(edge), max(edge)) for edge in edges if edge[0] != edge[1]})
+    assert sorted((min(edge), max(edge)) for edge in edges_of(chain_edges(edges))) == want
+
+
+def test_contour_of_degenerate_lines() -> None:
+    assert contour_of([3], closed=False) is None
+    assert contour_of([3, 3], closed=False) is None
+    assert contour_of([], closed=True) is None
+    assert contour_of([3, 4], closed=True) == Contour((3, 4), closed=True)
+
+
+# Real files ----------------------------------------------------------------------------------------
+
+
+def test_imm_has_58_points_inside_its_images(shared_data: Path) -> None:
+    files = sorted((shared_data / "imm").glob("*.pts"))
+    assert len(files) == 132
+    for file in files:
+        points = read_landmarks(file).points
+        assert points.shape == (58, 2)
+        assert (points >= 0).all()
+        assert (points < (640, 480)).all()
+    assert read_landmarks(shared_data / "imm/01-1m.pts").points[0].tolist() == [
+        228,
+        307,
+    ]  # the file says 229 308
+
+
+def test_imm_frontal_has_73_points_and_its_contours(shared_data: Path) -> None:
+    for file in sorted((shared_data / "imm-frontal").glob("*.asf")):
+        shape = read_landmarks(file, image_size(file.with_suffix(".jpg")))
+        assert len(shape) == 73
+        assert shape.image_name == file.with_suffix(".jpg").name
+        # 12 paths, of which pupils and the tip of the nose are lone points; brows, eyes and lips are closed
+        assert [(len(contour.indices), contour.closed) for contour in shape.contours] == [
+            *((8, True),) * 4,
+            (11, False),
+            (10, True),
+            (3, False),
+            (3, False),
+            (11, False),
+        ]
+    first = read_landmarks(shared_data / "imm-frontal/01_01.asf", (800, 600)).points[0]
+    np.testing.assert_allclose(first, (0.31251052 * 800, 0.37090045 * 600), rtol=0, atol=1e-12)
+
+
+def test_london_has_189_points_and_its_lines(shared_data: Path) -> None:
+    files = sorted((shared_data / "london").glob("*.tem"))
+    assert len(files) == 60
+    for file in files:
+        template = read_landmarks(file)
+        assert len(template) == 189
+        assert len(template.contours) == 42  # 44 lines, of which 2 stay on the pupils
+        assert sum(contour.closed for contour in template.contours) == 2  # the irises
+    pupils = read_landmarks(shared_data / "london/001_03.tem").points[:2]
+    assert pupils.tolist() == [[188.3333, 210.6667], [259.3333, 208.0]]
