@@ -16,7 +16,7 @@ from liaam.sampling import make_patch, sample_texture
 from liaam.shape import align, train_shape_model
 from liaam.warp import PiecewiseAffineWarp
 
-BLURS_DEFAULT = (3.0, 1.0)
+BLURS_DEFAULT = (3.0, 0.5)
 """Blur of the levels from coarse to fine, standard deviation in pixels of the reference frame."""
 
 
@@ -56,7 +56,7 @@ def train(
     diagonal : float
         Diagonal of the mean shape in the reference frame, pixels. More is slower and finer.
     theta : float
-        Angle of the training camera (theta_1 of the paper), radians; 119 degrees if unknown.
+        Angle of the training camera (theta_1 of the paper), radians; 122 degrees if unknown.
     response : "srgb", "linear" or float
         How the pictures' values relate to linear light.
     blurs : tuple of float

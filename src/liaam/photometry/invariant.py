@@ -18,9 +18,10 @@ CHROMATICITY = np.array(
 )
 """The two orthonormal rows orthogonal to 1, the metric of the ``chroma`` method, shape (2, 3)."""
 
-THETA_DEFAULT = float(np.deg2rad(119.0))
-"""Angle assumed for an unknown camera, radians: the middle of 116-122 degrees that published sensor
-sensitivities give (DESIGN section 1)."""
+THETA_DEFAULT = float(np.deg2rad(122.0))
+"""Angle assumed for an unknown camera, radians: the direction in which Planckian lights of 3000-8000 K move
+the logarithm of linear sRGB, which is what most pictures hold. Published sensor sensitivities give 116-122
+degrees (DESIGN section 1)."""
 
 
 def invariant_row(theta: float) -> np.ndarray:
