@@ -116,11 +116,7 @@ class AAM:
 
         from liaam.io import write_bytes_atomically
 
-        data = save(_tensors(self), {"liaam": json.dumps(_header(self))})
-        try:
-            write_bytes_atomically(Path(path), data)
-        except OSError as error:
-            raise ModelFileError(f"{path}: the model cannot be written ({error.strerror or error})") from error
+        write_bytes_atomically(path, save(_tensors(self), {"liaam": json.dumps(_header(self))}), ModelFileError)
 
 
 def _header(model: AAM) -> dict:

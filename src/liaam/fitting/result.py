@@ -34,8 +34,8 @@ class FitStatus(StrEnum):
 _MESSAGES = {
     FitStatus.CONVERGED: "The fit settled.",
     FitStatus.LIGHT_UNOBSERVABLE: (
-        "The fit settled. The light differs too little from training to tell the camera's angle, so the angle was "
-        "held; the landmarks are not affected."
+        "The fit settled. The light differs too little from training, for what the model leaves unexplained, to tell "
+        "the camera's angle, so the angle was held; the landmarks are not affected."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit was still moving when its iterations ran out; start nearer to the object or allow more iterations."

@@ -12,6 +12,8 @@ from liaam.io.landmarks import (
     write_landmarks,
 )
 
+from liaam.io.results import write_fit
+
 __all__ = [
     "IMAGE_SUFFIXES",
     "LANDMARK_SUFFIXES",
@@ -24,6 +26,7 @@ __all__ = [
     "read_landmarks",
     "write_bytes_atomically",
     "write_collection",
+    "write_fit",
     "write_image",
     "write_landmarks",
     "write_text_atomically",

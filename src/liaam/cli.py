@@ -1,0 +1,397 @@
+"""The command line: thin. Everything it does is a call that Python users have too."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from liaam import __version__
+from liaam.errors import LiaamError, MethodError, StartError
+
+if TYPE_CHECKING:
+    from liaam.fitting import FitResult, Fitter
+    from liaam.model import AAM
+
+app = typer.Typer(
+    help="Fit deformable models of faces and other objects to colour images under any light.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+experiments = typer.Typer(help="Run an experiment; writes a table, a summary and a figure.", no_args_is_help=True)
+app.add_typer(experiments, name="experiment")
+
+console = Console()
+complaints = Console(stderr=True)
+
+Progress = Callable[[int, int, str], None]
+
+
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """Show a bar; it appears on terminals only and leaves nothing behind."""
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
+    with Bar(*columns, console=complaints, transient=True, disable=not complaints.is_terminal) as bar:
+        task = bar.add_task("")
+
+        def tell(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        yield tell
+
+
+def say(text: str) -> None:
+    """Print plain text (no markup: file names hold brackets)."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def complain(text: str) -> None:
+    """Print to standard error."""
+    complaints.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def version(show: bool) -> None:
+    """Print the version and stop."""
+    if show:
+        say(f"liaam {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """Fit deformable models of faces and other objects to colour images under any light."""
+
+
+@app.command()
+def train(
+    folder: Annotated[Path, typer.Argument(help="Folder of images with landmarks beside them.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write.")],
+    images: Annotated[
+        list[str] | None,
+        typer.Option("--images", help="Only images whose name matches, such as '07-[12346]*'; may be repeated."),
+    ] = None,
+    recursive: Annotated[bool, typer.Option("--recursive", help="Look into sub-folders too.")] = False,
+    variance: Annotated[
+        str, typer.Option(help="Share of the variance to keep (0.98), or a whole number of modes (12).")
+    ] = "0.98",
+    appearance_variance: Annotated[
+        str | None, typer.Option(help="The same for the appearance; as --variance if left out.")
+    ] = None,
+    diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
+    theta: Annotated[float, typer.Option(help="Angle of the training camera, degrees.")] = 122.0,
+    response: Annotated[str, typer.Option(help="Camera response: srgb, linear, or a gamma.")] = "srgb",
+    name: Annotated[str | None, typer.Option(help="What the model shows, for 'liaam info'.")] = None,
+) -> None:
+    """Train a model on a folder of landmarked images.
+
+    Landmarks: .pts, .asf, .tem, .ljson, .csv beside each image, or one dlib .xml, COCO .json or .csv for all.
+    """
+    import numpy as np
+
+    from liaam.datasets import load_folder
+    from liaam.photometry import parse_response
+    from liaam.training import train as train_model
+
+    options = {
+        "variance": parse_variance(variance),
+        "appearance_variance": None if appearance_variance is None else parse_variance(appearance_variance),
+        "response": parse_response(response),
+    }
+    if not output.parent.is_dir() or output.is_dir():  # before the work, not after it
+        what = "is a folder" if output.is_dir() else f"cannot be written: the folder {output.parent} does not exist"
+        raise LiaamError(f"{output} {what}; give the name of a file in a folder that exists")
+    data = load_folder(folder, recursive=recursive)
+    data = data.select(images) if images else data
+    say(data.report())
+    with progress_bar() as tell:
+        model = train_model(
+            data, diagonal=diagonal, theta=float(np.deg2rad(theta)), name=name or folder.name, progress=tell, **options
+        )
+    model.save(output)
+    modes = f"{len(model.shape_model.modes)} shape and {model.levels[-1].appearances['value'].n_modes} appearance modes"
+    say(f"{output}: {modes} from {model.n_images} images, {model.n_pixels} pixels")
+
+
+def parse_variance(text: str) -> float | int:
+    """Read a share (with a point) or a count (without)."""
+    try:
+        return int(text) if text.strip().isdigit() and int(text) > 1 else float(text)
+    except ValueError:
+        raise LiaamError(f"variance {text!r}: give a share such as 0.98, or a whole number of modes") from None
+
+
+@app.command()
+def fit(
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Images to fit.")],
+    init: Annotated[
+        str,
+        typer.Option(
+            help="Where to start: a box x0,y0,x1,y1 around the landmarks; a centre and the box's diagonal x,y,size; "
+            "a landmark file; or a folder with a landmark file for each image."
+        ),
+    ],
+    method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "li",
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
+    iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
+    history: Annotated[bool, typer.Option("--history", help="Also write each iteration's cost and shape.")] = False,
+) -> None:
+    """Fit a model to images; writes landmarks (.pts, .csv, .json) and an overlay picture for each."""
+    from liaam.fitting import Fitter, SolverOptions
+    from liaam.model import load_model
+
+    fitter = Fitter(load_model(model_file), method, SolverOptions(max_iterations=iterations))
+    make_folder(output)
+    table = Table("image", "status", "iterations", "cost", "theta", box=None, header_style="bold")
+    advice: dict[str, list[str]] = {}
+    failed = 0
+    with progress_bar() as tell:
+        for i, (image, stem) in enumerate(zip(images, unique_stems(images), strict=True)):
+            tell(i, len(images), image.name)
+            try:
+                result = fit_one(fitter, image, init, output, stem, history)
+            except LiaamError as error:
+                failed += 1
+                complain(f"error: {error}")
+                continue
+            angle = f"{angle_degrees(result):.1f}°" if angle_degrees(result) is not None else "–"
+            table.add_row(image.name, str(result.status), str(result.n_iterations), f"{result.cost:.3g}", angle)
+            if not result.status.ok:
+                failed += 1
+                advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
+    if table.row_count:
+        console.print(table)
+        say(f"written to {output}")
+    for text, names in advice.items():
+        complain(f"{', '.join(names[:5])}{' …' if len(names) > 5 else ''}: {text}")
+    if failed:
+        raise typer.Exit(1)
+
+
+def fit_one(fitter: "Fitter", image: Path, init: str, output: Path, stem: str, history: bool) -> "FitResult":
+    """Fit one image file and write what belongs to it."""
+    from liaam.io import Contour, Landmarks, read_image, write_fit, write_image
+    from liaam.plotting import overlay
+
+    model = fitter.model
+    pixels = read_image(image)
+    result = fitter.fit(pixels, read_init(init, image, pixels.shape[1::-1]), image.name)
+    contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
+    facts = {
+        "image": image.name,
+        "method": result.method,
+        "status": str(result.status),
+        "message": result.message,
+        "theta_deg": angle_degrees(result),
+        "cost": result.cost,
+        "iterations": result.n_iterations,
+        "liaam": __version__,
+    }
+    write_fit(output, stem, Landmarks(result.shape, contours), facts)
+    write_image(output / f"{stem}_fit.png", overlay(pixels, result.shape, model))
+    if history:
+        write_history(output / f"{stem}_history.csv", result)
+    return result
+
+
+def angle_degrees(result: "FitResult") -> float | None:
+    """Estimated angle of the image's camera in degrees, or None for methods without one."""
+    import numpy as np
+
+    return float(np.rad2deg(result.theta)) if np.isfinite(result.theta) else None
+
+
+def write_history(path: Path, result: "FitResult") -> None:
+    """Write one row per accepted iteration: level, cost, theta, and all landmarks."""
+    import numpy as np
+
+    from liaam.io import write_text_atomically
+
+    n = len(result.shape)
+    lines = [",".join(["iteration", "level", "cost", "theta_deg", *(f"{a}{i}" for i in range(n) for a in "xy")])]
+    for i, step in enumerate(result.history):
+        theta = f"{np.rad2deg(step.theta):.4f}" if np.isfinite(step.theta) else ""
+        coordinates = (f"{v:.3f}" for v in step.shape.ravel())
+        lines.append(",".join([str(i), str(step.level), f"{step.cost:.8g}", theta, *coordinates]))
+    write_text_atomically(path, "\n".join(lines) + "\n")
+
+
+def read_init(text: str, image: Path, size: tuple[int, int]):  # noqa: ANN201 (whatever a start may be)
+    """Read --init for one image: numbers, a landmark file, or a folder of them."""
+    from liaam.io import LANDMARK_SUFFIXES, read_landmarks
+
+    path = Path(text)
+    if path.is_file():
+        return read_landmarks(path, size)
+    if path.is_dir():
+        found = [path / f"{image.stem}{suffix}" for suffix in LANDMARK_SUFFIXES]
+        for candidate in found:
+            if candidate.is_file():
+                return read_landmarks(candidate, size)
+        raise StartError(f"{image.name}: {path} holds no landmark file for it ({image.stem}.pts or the like)")
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise StartError(
+            f"--init {text}: there is no such file or folder, and it is no box x0,y0,x1,y1 and no x,y,size either"
+        ) from None
+    if len(numbers) not in (3, 4):
+        raise StartError(f"--init {text}: give four numbers x0,y0,x1,y1 (a box) or three x,y,size, not {len(numbers)}")
+    return numbers
+
+
+def unique_stems(images: list[Path]) -> list[str]:
+    """Give names for the results, each once: the image's stem, with its folder where stems collide."""
+    stems = [image.stem for image in images]
+    taken: set[str] = set()
+    names = []
+    for image, stem in zip(images, stems, strict=True):
+        name = stem if stems.count(stem) == 1 else f"{image.resolve().parent.name}_{image.name.replace('.', '_')}"
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        names.append(name)
+    return names
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, or say why it cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LiaamError(f"{folder}: the folder cannot be made ({error.strerror or error}); give another with -o") from error
+
+
+@app.command()
+def show(
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Picture to write; beside the model if left out.")
+    ] = None,
+) -> None:
+    """Draw a model: mean, mesh, and what its shape and appearance modes do."""
+    from liaam.model import load_model
+    from liaam.plotting import figure_of_model, save_figure
+
+    path = output or model_file.with_name(f"{model_file.stem}_model.png")
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise LiaamError(f"{path}: give a picture file that ends in .png, .svg or .pdf")
+    save_figure(figure_of_model(load_model(model_file)), path)
+    say(f"written to {path}")
+
+
+@app.command()
+def info(model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")]) -> None:
+    """Describe a model file."""
+    from liaam.model import load_model
+
+    table = Table.grid(padding=(0, 2))
+    for key, value in describe(load_model(model_file), model_file).items():
+        table.add_row(key, value)
+    console.print(table)
+
+
+def describe(model: "AAM", path: Path) -> dict[str, str]:
+    """Facts of a model in words."""
+    import numpy as np
+
+    appearances = model.levels[-1].appearances
+    spread = np.sqrt((model.shape_model.eigenvalues.sum()) / model.n_points)
+    width, height = model.frame.size
+    return {
+        "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
+        "trained on": f"{model.n_images} {'colour' if model.is_colour else 'grey'} images",
+        "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
+        "shape modes": f"{len(model.shape_model.modes)} + 4 (position, size, turn); spread {spread:.1f} px",
+        "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
+        "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
+        "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
+        "camera": f"response {model.response}, theta {np.rad2deg(model.theta):.1f}°",
+    }
+
+
+@app.command()
+def methods() -> None:
+    """List the fitting methods."""
+    from liaam.fitting import METHODS
+
+    table = Table("method", "compares", "what it is", box=None, header_style="bold")
+    for method in METHODS.values():
+        table.add_row(method.name, f"{method.encoding}, {method.metric}", method.summary)
+    console.print(table)
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the figure.")] = Path("liaam-demo"),
+) -> None:
+    """Train on simulated portraits under one light, fit under another: grey and RGB drift, LI holds."""
+    from liaam.experiments.demo import run_demo
+
+    make_folder(output)
+    with progress_bar() as tell:
+        rows, start_error = run_demo(output, tell)
+    table = Table("method", "error (px)", "status", "theta", box=None, header_style="bold")
+    table.add_row("start", f"{start_error:.2f}", "", "")
+    for row in rows:
+        angle = angle_degrees(row.result)
+        table.add_row(row.method, f"{row.error:.2f}", str(row.result.status), f"{angle:.1f}°" if angle else "–")
+    console.print(table)
+    say(f"written to {output / 'figure.png'}")
+
+
+@experiments.command()
+def spot(
+    data: Annotated[Path, typer.Option(help="Folder with pictures NN-1 … NN-6 of each person and their landmarks.")],
+    output: Annotated[Path, typer.Option("--out", "-o", help="Folder for results.csv, summary.json and figure.png.")],
+    methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = "rgb,grey,li,li-lit,li-pc,li-pcs",
+    trials: Annotated[int, typer.Option(help="Starts per person.", min=1)] = 3,
+    seed: Annotated[int, typer.Option(help="Seed of the starts.", min=0)] = 0,
+) -> None:
+    """Person-specific models from diffuse light, fitted to a spot-lit picture (paper section 7.2)."""
+    from liaam.experiments.spot import run_spot
+
+    names = [name.strip() for name in methods.split(",") if name.strip()]
+    if not names:
+        raise MethodError("--methods is empty; see 'liaam methods' for those that exist")
+    make_folder(output)
+    with progress_bar() as tell:
+        summary = run_spot(data, output, names, trials, seed, tell)
+    table = Table("method", "median NME", "p90", "converged", "iterations", "theta", box=None, header_style="bold")
+    for name, row in summary["methods"].items():
+        theta = "–" if row["theta_deg_median"] is None else f"{row['theta_deg_median']:.1f}°"
+        table.add_row(
+            name, f"{row['nme_median']:.2%}", f"{row['nme_p90']:.2%}", f"{row['converged']:.0%}",
+            f"{row['iterations_median']:.0f}", theta,
+        )  # fmt: skip
+    table.add_row("bound", f"{summary['bound_median']:.2%}")
+    console.print(table)
+    for text in summary["left_out"]:
+        say(f"left out: {text}")
+    say(f"written to {output}")
+
+
+def main() -> None:
+    """Run the command line; errors become one line and an exit status."""
+    try:
+        app()
+    except LiaamError as error:
+        complain(f"error: {error}")
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""The demo: train on simulated portraits under one light, fit under a hard lateral one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from liaam.evaluation import point_error
+from liaam.fitting import Fitter, FitResult
+from liaam.plotting import figure_of_fits, save_figure
+from liaam.training import train
+
+METHODS = ("grey", "rgb", "li")
+
+N_TRAINING = 12
+
+
+@dataclass(frozen=True)
+class DemoRow:
+    """One method's result.
+
+    Attributes
+    ----------
+    method : str
+    error : float
+        Mean distance from the true landmarks, pixels.
+    result : FitResult
+    """
+
+    method: str
+    error: float
+    result: FitResult
+
+
+def run_demo(folder: Path, progress: Callable[[int, int, str], None] | None = None) -> tuple[list[DemoRow], float]:
+    """Render, train, fit and write ``figure.png`` to a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists or is made.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Returns
+    -------
+    rows : list of DemoRow
+    start_error : float
+        Mean distance of the start from the true landmarks, pixels.
+    """
+    from liaam.datasets.scenes import Expression, Head, Pose, lateral, make_set, render
+
+    tell = progress or (lambda done, total, what: None)
+    total = N_TRAINING + 3
+    head = Head(5)
+    training = []
+    for i in range(N_TRAINING):
+        tell(i, total, "rendering training pictures")
+        training += make_set(1, head=head, seed=i)
+    test = render(head, Pose(yaw=0.06, x=3.0), Expression(smile=0.3, mouth_open=0.15), lights=lateral("left"), seed=99)
+    tell(N_TRAINING, total, "training")
+    model = train([(scene.image, scene_landmarks(scene)) for scene in training], name="demo head")
+    start = disturbed(test.landmarks, model.shape_model.mean)
+    rows = []
+    for i, method in enumerate(METHODS):
+        tell(N_TRAINING + 1 + (i > 0), total, f"fitting with {method}")
+        result = Fitter(model, method).fit(test.image, start)
+        rows.append(DemoRow(method, point_error(result.shape, test.landmarks), result))
+    fits = {row.method: (row.result.shape, row.error) for row in rows}
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = figure_of_fits(training[0].image, test.image, start, test.landmarks, fits, model)
+    save_figure(figure, folder / "figure.png")
+    tell(total, total, "done")
+    return rows, point_error(start, test.landmarks)
+
+
+def scene_landmarks(scene) -> "Landmarks":  # noqa: ANN001, F821
+    """Landmarks of a simulated scene with their contours."""
+    from liaam.io import Contour, Landmarks
+
+    return Landmarks(scene.landmarks, tuple(Contour(tuple(i), c) for i, c in scene.contours))
+
+
+def disturbed(truth: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Mean shape near the truth: shifted, turned and scaled as a rough click would be."""
+    from liaam.shape import align
+
+    rough = align(mean, truth)(mean)
+    centre = rough.mean(axis=0)
+    angle = np.deg2rad(4.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return 1.06 * (rough - centre) @ turn.T + centre + [5.0, -4.0]

@@ -1,0 +1,50 @@
+"""Results of fits: landmarks as .pts and .csv, everything a program wants as .json."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+
+from liaam.io.atomic import write_text_atomically
+from liaam.io.landmarks import Landmarks, write_landmarks
+
+
+def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict) -> list[Path]:
+    """Write a fit's landmarks and facts.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    stem : str
+        File name without suffix.
+    landmarks : Landmarks
+        Pixels, centre of the top-left pixel at (0, 0).
+    facts : dict
+        What else to say in the .json; numbers that are not finite become null.
+
+    Returns
+    -------
+    list of Path
+        ``stem.pts`` (counts from 1), ``stem.csv`` and ``stem.json`` (both count from 0).
+    """
+    paths = [folder / f"{stem}{suffix}" for suffix in (".pts", ".csv", ".json")]
+    write_landmarks(paths[0], landmarks)
+    write_landmarks(paths[1], landmarks)
+    content = {**facts, "landmarks": landmarks.points}
+    write_text_atomically(paths[2], json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
+    return paths
+
+
+def _plain(value: object) -> object:
+    """Turn arrays and numbers into what JSON knows."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,75 @@
+"""The spot protocol, on generated persons and on the real ones."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
+from liaam.errors import LiaamError, MethodError
+from liaam.experiments.spot import EYES, disturbed_start, find_persons, run_spot
+from liaam.io import write_image, write_landmarks
+
+
+def write_person(folder, person, conditions="123456"):
+    rng = np.random.default_rng(person)
+    for condition in conditions:
+        lights = lateral("left") if condition == "5" else DIFFUSE
+        scene = render(Head(person), random_pose(rng, (200, 150)), random_expression(rng), lights, size=(200, 150))
+        write_image(folder / f"{person:02d}-{condition}m.png", scene.image)
+        write_landmarks(folder / f"{person:02d}-{condition}m.pts", scene.landmarks)
+
+
+@pytest.fixture(scope="module")
+def persons_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("persons")
+    write_person(folder, 3)
+    write_person(folder, 4)
+    write_person(folder, 5, conditions="12345")
+    return folder
+
+
+def test_writes_a_row_per_fit_and_repeats_itself(persons_folder, tmp_path):
+    summary = run_spot(persons_folder, tmp_path / "a", ["rgb", "li"], trials=2, seed=7)
+    run_spot(persons_folder, tmp_path / "b", ["rgb", "li"], trials=2, seed=7)
+    text = (tmp_path / "a" / "results.csv").read_text()
+    assert text == (tmp_path / "b" / "results.csv").read_text()
+    rows = list(csv.DictReader(text.splitlines()))
+    assert len(rows) == 2 * 2 * 2
+    assert list(rows[0]) == ["method", "person", "trial", "nme", "bound", "converged", "iterations", "theta_deg", "status"]
+    assert all(float(row["nme"]) >= 0.5 * float(row["bound"]) for row in rows)
+    medians = {m: np.median([float(r["nme"]) for r in rows if r["method"] == m]) for m in ("rgb", "li")}
+    assert medians["li"] == pytest.approx(summary["methods"]["li"]["nme_median"], abs=1e-6)
+    assert json.loads((tmp_path / "a" / "summary.json").read_text()) == summary
+    assert summary["left_out"] == ["person 05: picture 6 is missing"]
+    assert (tmp_path / "a" / "figure.png").stat().st_size > 1000
+
+
+def test_starts_depend_on_seed_person_and_trial_only(persons_folder):
+    persons, _ = find_persons(persons_folder)
+    truth = persons[0].spot.landmarks.points
+    iod = np.linalg.norm(truth[EYES[0]].mean(0) - truth[EYES[1]].mean(0))
+    starts = [disturbed_start(truth, truth, iod, np.random.default_rng([0, 3, trial])) for trial in (0, 0, 1)]
+    assert np.array_equal(starts[0], starts[1])
+    assert not np.allclose(starts[0], starts[2])
+
+
+def test_refuses_before_the_work_starts(persons_folder, tmp_path):
+    with pytest.raises(MethodError, match="'magic' does not exist; there are grey, rgb, li"):
+        run_spot(persons_folder, tmp_path / "out", ["magic"])
+    write_person(tmp_path, 6, conditions="12")
+    with pytest.raises(LiaamError, match=r"no person has pictures NN-1.*IMM"):
+        run_spot(tmp_path, tmp_path / "out", ["li"])
+    assert not (tmp_path / "out").exists()
+
+
+def test_light_invariance_pays_on_real_spot_lit_faces(shared_data, tmp_path):
+    summary = run_spot(shared_data / "imm", tmp_path, ["rgb", "li"], trials=3, seed=0)
+    rgb, li = summary["methods"]["rgb"], summary["methods"]["li"]
+    assert len(summary["persons"]) == 21
+    assert summary["left_out"] == ["person 02: the pictures are grey"]
+    assert li["nme_median"] <= 0.049
+    assert li["nme_median"] <= 0.87 * rgb["nme_median"]
+    assert li["converged"] >= 0.90
+    assert summary["bound_median"] == pytest.approx(0.0364, abs=5e-4)

@@ -1,0 +1,170 @@
+"""The command line as a person types it."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from liaam import cli
+from liaam.datasets.scenes import Head, lateral, make_set, render
+from liaam.io import read_image, read_landmarks, write_image, write_landmarks
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run 'liaam ...' in this process; gives (exit status, standard output, standard error)."""
+
+    def call(*arguments):
+        monkeypatch.setenv("COLUMNS", "200")
+        monkeypatch.setattr(sys, "argv", ["liaam", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            cli.main()
+            raise SystemExit(0)
+        captured = capsys.readouterr()
+        return stopped.value.code or 0, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def portraits(tmp_path_factory):
+    """A folder of landmarked portraits, a differently lit picture, its truth, and a model."""
+    folder = tmp_path_factory.mktemp("portraits")
+    for i, scene in enumerate(make_set(6, head=Head(5), size=(200, 150))):
+        write_image(folder / f"face{i}.png", scene.image)
+        write_landmarks(folder / f"face{i}.pts", scene.landmarks)
+    scene = render(Head(5), lights=lateral("left"), size=(200, 150))
+    aside = tmp_path_factory.mktemp("aside")
+    write_image(aside / "new.png", scene.image)
+    write_landmarks(aside / "truth.pts", scene.landmarks)
+    return folder, aside / "new.png", aside / "truth.pts"
+
+
+@pytest.fixture(scope="module")
+def model_file(portraits, tmp_path_factory):
+    from liaam.datasets import load_folder
+    from liaam.training import train
+
+    path = tmp_path_factory.mktemp("model") / "face.safetensors"
+    train(load_folder(portraits[0]), diagonal=100).save(path)
+    return path
+
+
+def box_around(points):
+    return ",".join(f"{v:.0f}" for v in [*points.min(0) - 3, *points.max(0) + 3])
+
+
+def test_train_info_show(run, portraits, tmp_path):
+    model = tmp_path / "m.safetensors"
+    code, out, err = run("train", portraits[0], "-o", model, "--images", "face[0-4]*", "--diagonal", 80, "--name", "me")
+    assert (code, err) == (0, "")
+    assert "5 samples" in out
+    assert "shape and" in out
+    code, out, _ = run("info", model)
+    assert code == 0
+    assert "me (" in out
+    assert "5 colour images" in out
+    assert run("show", model)[0] == 0
+    assert read_image(tmp_path / "m_model.png").shape[2] == 3
+
+
+def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tmp_path):
+    truth = read_landmarks(portraits[2]).points
+    out = tmp_path / "fits"
+    code, text, err = run("fit", model_file, portraits[1], "--init", box_around(truth), "-o", out, "--history")
+    assert (code, err) == (0, "")
+    assert "converged" in text or "light unobservable" in text
+    assert sorted(p.name for p in out.iterdir()) == ["new.csv", "new.json", "new.pts", "new_fit.png", "new_history.csv"]
+    found = read_landmarks(out / "new.pts").points
+    assert np.linalg.norm(found - truth, axis=1).mean() < 1.5
+    assert np.allclose(found, read_landmarks(out / "new.csv").points, atol=1e-3)
+    facts = json.loads((out / "new.json").read_text())
+    assert facts["method"] == "li"
+    assert 90 < facts["theta_deg"] < 150
+    assert len((out / "new_history.csv").read_text().splitlines()) >= 3
+
+
+def test_fit_goes_on_after_a_bad_image_and_says_so(run, portraits, model_file, tmp_path):
+    bad = tmp_path / "bad.png"
+    bad.write_bytes(portraits[1].read_bytes()[:500])
+    code, out, err = run("fit", model_file, bad, portraits[1], "--init", portraits[2], "-o", tmp_path / "o")
+    assert code == 1
+    assert "bad.png" in err
+    assert "new.png" in out
+    assert sorted(p.name for p in (tmp_path / "o").iterdir()) == ["new.csv", "new.json", "new.pts", "new_fit.png"]
+
+
+def test_fit_takes_a_folder_of_starts(run, portraits, model_file, tmp_path):
+    images = [portraits[0] / "face0.png", portraits[0] / "face1.png"]
+    code, out, _ = run("fit", model_file, *images, "--init", portraits[0], "-o", tmp_path, "-m", "rgb")
+    assert code == 0
+    assert "face1.png" in out
+    code, _, err = run("fit", model_file, portraits[1], "--init", portraits[0], "-o", tmp_path)
+    assert code == 1
+    assert "no landmark file for it (new.pts" in err
+
+
+def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tmp_path):
+    write_image(tmp_path / "black.png", np.zeros((200, 150, 3), np.uint8))
+    code, out, err = run("fit", model_file, tmp_path / "black.png", "--init", portraits[2], "-o", tmp_path, "-m", "rgb")
+    assert code == 1
+    assert "no texture" in out
+    assert "nothing to fit to" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("train", "{missing}", "-o", "m"), "missing"),
+        (("train", "{empty}", "-o", "m"), "no image"),
+        (("train", "{portraits}", "-o", "{empty}/no/m"), "does not exist"),
+        (("train", "{portraits}", "-o", "m", "--variance", "lots"), "give a share such as 0.98"),
+        (("train", "{portraits}", "-o", "m", "--response", "film"), "'srgb', 'linear' or a gamma"),
+        (("train", "{portraits}", "-o", "m", "--diagonal", "3"), "16 to 2000"),
+        (("train", "{portraits}", "-o", "m", "--images", "face0*"), "too few"),
+        (("info", "{missing}"), "does not exist; make one with 'liaam train"),
+        (("info", "{image}"), "no complete liaam model"),
+        (("show", "{model}", "-o", "x.gif"), "ends in .png, .svg or .pdf"),
+        (("fit", "{model}", "{missing}.png", "--init", "1,2,3,4"), "missing"),
+        (("fit", "{model}", "{image}", "--init", "nowhere.pts"), "no such file"),
+        (("fit", "{model}", "{image}", "--init", "1,2"), "four numbers"),
+        (("fit", "{model}", "{image}", "--init", "900,900,950,980"), "outside the image"),
+        (("fit", "{model}", "{image}", "--init", "50,50,20,90"), "is empty"),
+        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "there are grey, rgb, li"),
+        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "cannot be made"),
+        (("experiment", "spot", "--data", "{portraits}", "--out", "o"), "named as the IMM"),
+        (("experiment", "spot", "--data", "{portraits}", "--out", "o", "--methods", ","), "is empty"),
+    ],
+)
+def test_wrong_input_is_one_line_that_says_what_to_do(run, arguments, message, portraits, model_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    places = {
+        "missing": tmp_path / "missing",
+        "empty": tmp_path / "empty",
+        "portraits": portraits[0],
+        "image": portraits[1],
+        "model": model_file,
+    }
+    places["empty"].mkdir()
+    code, _, err = run(*(argument.format(**places) for argument in arguments))
+    assert code == 1
+    assert err.startswith("error: ")
+    assert message in err
+    assert "Traceback" not in err
+    assert not (tmp_path / "m").exists()
+
+
+def test_images_of_one_stem_do_not_overwrite_each_other(tmp_path):
+    images = [tmp_path / "a" / "x.png", tmp_path / "b" / "x.png", tmp_path / "b" / "y.png", tmp_path / "b" / "x.jpg"]
+    assert cli.unique_stems(images) == ["a_x_png", "b_x_png", "y", "b_x_jpg"]
+
+
+def test_help_and_methods(run):
+    for arguments in (("--help",), ("train", "--help"), ("fit", "--help"), ("experiment", "spot", "--help")):
+        code, out, _ = run(*arguments)
+        assert code == 0
+        assert "Usage" in out
+    code, out, _ = run("methods")
+    assert code == 0
+    assert all(name in out for name in ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs", "chroma"))
