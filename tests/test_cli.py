@@ -75,7 +75,13 @@ def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tm
     code, text, err = run("fit", model_file, portraits[1], "--init", box_around(truth), "-o", out, "--history")
     assert (code, err) == (0, "")
     assert "converged" in text or "light unobservable" in text
-    assert sorted(p.name for p in out.iterdir()) == ["new.csv", "new.json", "new.pts", "new_fit.png", "new_history.csv"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "new.csv",
+        "new.json",
+        "new.pts",
+        "new_fit.png",
+        "new_history.csv",
+    ]
     found = read_landmarks(out / "new.pts").points
     assert np.linalg.norm(found - truth, axis=1).mean() < 1.5
     assert np.allclose(found, read_landmarks(out / "new.csv").points, atol=1e-3)
@@ -92,7 +98,12 @@ def test_fit_goes_on_after_a_bad_image_and_says_so(run, portraits, model_file, t
     assert code == 1
     assert "bad.png" in err
     assert "new.png" in out
-    assert sorted(p.name for p in (tmp_path / "o").iterdir()) == ["new.csv", "new.json", "new.pts", "new_fit.png"]
+    assert sorted(p.name for p in (tmp_path / "o").iterdir()) == [
+        "new.csv",
+        "new.json",
+        "new.pts",
+        "new_fit.png",
+    ]
 
 
 def test_fit_takes_a_folder_of_starts(run, portraits, model_file, tmp_path):
@@ -137,7 +148,9 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("experiment", "spot", "--data", "{portraits}", "--out", "o", "--methods", ","), "is empty"),
     ],
 )
-def test_wrong_input_is_one_line_that_says_what_to_do(run, arguments, message, portraits, model_file, tmp_path, monkeypatch):
+def test_wrong_input_is_one_line_that_says_what_to_do(
+    run, arguments, message, portraits, model_file, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     places = {
         "missing": tmp_path / "missing",
@@ -156,7 +169,12 @@ def test_wrong_input_is_one_line_that_says_what_to_do(run, arguments, message, p
 
 
 def test_images_of_one_stem_do_not_overwrite_each_other(tmp_path):
-    images = [tmp_path / "a" / "x.png", tmp_path / "b" / "x.png", tmp_path / "b" / "y.png", tmp_path / "b" / "x.jpg"]
+    images = [
+        tmp_path / "a" / "x.png",
+        tmp_path / "b" / "x.png",
+        tmp_path / "b" / "y.png",
+        tmp_path / "b" / "x.jpg",
+    ]
     assert cli.unique_stems(images) == ["a_x_png", "b_x_png", "y", "b_x_jpg"]
 
 

@@ -5,41 +5,58 @@ other. The public names below load on first use, so that ``import liaam`` is qui
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from liaam.datasets import Dataset, Sample, load_folder
+    from liaam.errors import LiaamError
+    from liaam.fitting import METHODS, FitResult, FitStatus, Fitter, Method, SolverOptions, fit
+    from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
+    from liaam.model import AAM, load_model
+    from liaam.training import train
 
 __version__ = "0.1.0"
 
-_HOME = {
-    "AAM": "liaam.model",
-    "Dataset": "liaam.datasets",
-    "FitResult": "liaam.fitting",
-    "FitStatus": "liaam.fitting",
-    "Fitter": "liaam.fitting",
-    "Landmarks": "liaam.io",
-    "LiaamError": "liaam.errors",
-    "METHODS": "liaam.fitting",
-    "Method": "liaam.fitting",
-    "Sample": "liaam.datasets",
-    "SolverOptions": "liaam.fitting",
-    "fit": "liaam.fitting",
-    "load_folder": "liaam.datasets",
-    "load_model": "liaam.model",
-    "read_image": "liaam.io",
-    "read_landmarks": "liaam.io",
-    "train": "liaam.training",
-    "write_image": "liaam.io",
-    "write_landmarks": "liaam.io",
-}
+__all__ = [
+    "AAM",
+    "METHODS",
+    "Dataset",
+    "FitResult",
+    "FitStatus",
+    "Fitter",
+    "Landmarks",
+    "LiaamError",
+    "Method",
+    "Sample",
+    "SolverOptions",
+    "fit",
+    "load_folder",
+    "load_model",
+    "read_image",
+    "read_landmarks",
+    "train",
+    "write_image",
+    "write_landmarks",
+]
 
-__all__ = [*sorted(_HOME), "__version__"]  # noqa: PLE0604
+_HOMES = {
+    "datasets": ("Dataset", "Sample", "load_folder"),
+    "errors": ("LiaamError",),
+    "fitting": ("METHODS", "FitResult", "FitStatus", "Fitter", "Method", "SolverOptions", "fit"),
+    "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
+    "model": ("AAM", "load_model"),
+    "training": ("train",),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:
     if name not in _HOME:
         raise AttributeError(f"module 'liaam' has no attribute {name!r}")
-    value = getattr(import_module(_HOME[name]), name)
+    value = getattr(import_module(f"liaam.{_HOME[name]}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return [*__all__, "__version__"]

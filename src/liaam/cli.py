@@ -39,7 +39,12 @@ def progress_bar() -> Iterator[Progress]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False),
+    )
     with Bar(*columns, console=complaints, transient=True, disable=not complaints.is_terminal) as bar:
         task = bar.add_task("")
 
@@ -118,7 +123,12 @@ def train(
     say(data.report())
     with progress_bar() as tell:
         model = train_model(
-            data, diagonal=diagonal, theta=float(np.deg2rad(theta)), name=name or folder.name, progress=tell, **options
+            data,
+            diagonal=diagonal,
+            theta=float(np.deg2rad(theta)),
+            name=name or folder.name,
+            progress=tell,
+            **options,
         )
     model.save(output)
     modes = f"{len(model.shape_model.modes)} shape and {model.levels[-1].appearances['value'].n_modes} appearance modes"
@@ -229,7 +239,7 @@ def write_history(path: Path, result: "FitResult") -> None:
     write_text_atomically(path, "\n".join(lines) + "\n")
 
 
-def read_init(text: str, image: Path, size: tuple[int, int]):  # noqa: ANN201 (whatever a start may be)
+def read_init(text: str, image: Path, size: tuple[int, int]):
     """Read --init for one image: numbers, a landmark file, or a folder of them."""
     from liaam.io import LANDMARK_SUFFIXES, read_landmarks
 
@@ -272,7 +282,9 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise LiaamError(f"{folder}: the folder cannot be made ({error.strerror or error}); give another with -o") from error
+        raise LiaamError(
+            f"{folder}: the folder cannot be made ({error.strerror or error}); give another with -o"
+        ) from error
 
 
 @app.command()
@@ -294,7 +306,9 @@ def show(
 
 
 @app.command()
-def info(model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")]) -> None:
+def info(
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+) -> None:
     """Describe a model file."""
     from liaam.model import load_model
 

@@ -54,12 +54,7 @@ def triangles_from_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray | 
             neighbours[int(a)].add(int(b))
             neighbours[int(b)].add(int(a))
     cycles = [
-        (a, b, c)
-        for a in neighbours
-        for b in neighbours[a]
-        if b > a
-        for c in neighbours[a] & neighbours[b]
-        if c > b
+        (a, b, c) for a in neighbours for b in neighbours[a] if b > a for c in neighbours[a] & neighbours[b] if c > b
     ]
     faces = [cycle for cycle in cycles if _is_empty(points, cycle)]
     if not faces or len({i for face in faces for i in face}) < len(points):
@@ -72,7 +67,7 @@ def triangles_from_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray | 
 def _is_empty(points: np.ndarray, cycle: tuple[int, int, int]) -> bool:
     """Tell whether no other point lies strictly inside a triangle."""
     weights = barycentric(points, points[list(cycle)])
-    inside = (weights > 1e-9).all(axis=1)
+    inside = np.asarray((weights > 1e-9).all(axis=1))
     inside[list(cycle)] = False
     return not inside.any()
 
@@ -147,7 +142,10 @@ class ReferenceFrame:
         weights = np.zeros((height, width, 3))
         for t, triangle in enumerate(self.triangles):
             corners = self.points[triangle] - self.origin
-            (x0, y0), (x1, y1) = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
+            (x0, y0), (x1, y1) = (
+                np.floor(corners.min(axis=0)).astype(int),
+                np.ceil(corners.max(axis=0)).astype(int),
+            )
             xs, ys = np.meshgrid(np.arange(x0, x1 + 1), np.arange(y0, y1 + 1))
             w = barycentric(np.column_stack([xs.ravel(), ys.ravel()]).astype(float), corners)
             inside = (w >= -1e-9).all(axis=1) & (owner[ys.ravel(), xs.ravel()] < 0)

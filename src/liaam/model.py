@@ -160,7 +160,7 @@ def load_model(path: str | os.PathLike) -> AAM:
     header, tensors = _read(path)
     try:
         model = _build(header, tensors)
-    except (KeyError, TypeError, ValueError, IndexError, LiaamError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError, LiaamError) as error:
         raise ModelFileError(f"{path}: the model file contradicts itself ({error}); train the model again") from error
     return model
 
@@ -176,7 +176,11 @@ def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
         with safe_open(path, framework="numpy") as file:
             header = _checked_header(path, (file.metadata() or {}).get("liaam", ""))
             return header, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (no mapping)
-    except SafetensorError as error:
+    except (
+        SafetensorError,
+        AttributeError,
+        TypeError,
+    ) as error:  # the last two: number types that numpy lacks
         raise ModelFileError(
             f"{path}: this is no complete liaam model ({error}); it may be cut short or of another kind: "
             "copy it again or train it again"
@@ -188,7 +192,7 @@ def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
 def _checked_header(path: Path, text: str) -> dict:
     try:
         header = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         header = None
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ModelFileError(f"{path}: this safetensors file is no liaam model; make one with 'liaam train'")
@@ -208,8 +212,9 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     triangles = _tensor(tensors, "triangles", np.int32, (None, 3))
     if n < 3 or not len(triangles) or triangles.min() < 0 or triangles.max() >= n:
         raise ValueError("the mesh does not belong to the landmarks")
-    if not 8.0 <= diagonal_of(mean) <= MAX_DIAGONAL:
-        raise ValueError(f"a reference frame of {diagonal_of(mean):.0f} pixels")
+    # The mean is centred, so that no coordinate exceeds the diagonal; differences of larger ones might overflow.
+    if np.abs(mean).max() > MAX_DIAGONAL or not 8.0 <= diagonal_of(mean) <= MAX_DIAGONAL:
+        raise ValueError(f"a reference frame of no sensible size (8 to {MAX_DIAGONAL:.0f} pixels)")
     frame = ReferenceFrame(mean, triangles)
     if frame.n_pixels != header["n_pixels"]:
         raise ValueError("its reference frame does not match its pixels")
@@ -252,11 +257,17 @@ def _appearance(tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels
 
 def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
     tensor = tensors[key]
-    fits = tensor.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, tensor.shape, strict=True))
+    fits = tensor.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, tensor.shape, strict=True)
+    )
     if tensor.dtype != dtype or not fits:
         raise ValueError(f"{key} has type {tensor.dtype} and shape {tensor.shape}")
     if tensor.dtype.kind == "f" and not np.isfinite(tensor).all():
         raise ValueError(f"{key} has values that are not numbers")
+    if (key.endswith(("eigenvalues", "usable")) and (tensor < 0).any()) or (
+        key.endswith("usable") and (tensor > 1).any()
+    ):
+        raise ValueError(f"{key} has values out of range")
     return tensor
 
 

@@ -55,7 +55,7 @@ def principal_components(vectors: np.ndarray, variance: float | int) -> Componen
     kept = _count(squares, variance)
     modes = combinations[:, :kept].T @ deviations
     # Orthonormalise once more: the Gram matrix squares the condition number.
-    modes = np.linalg.qr(modes.T)[0].T if kept else modes
+    modes = np.ascontiguousarray(np.linalg.qr(modes.T)[0].T) if kept else modes
     largest = np.abs(modes).argmax(axis=1) if kept else np.zeros(0, dtype=int)
     modes *= np.sign(modes[np.arange(kept), largest])[:, None]
     return Components(mean, modes, squares[:kept] / max(n - 1, 1), float(squares.clip(0).sum()) / max(n - 1, 1))

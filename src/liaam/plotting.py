@@ -51,7 +51,9 @@ def mesh_edges(triangles: np.ndarray) -> np.ndarray:
     return np.unique(pairs, axis=0)
 
 
-def overlay(image: np.ndarray, shape: np.ndarray, model: AAM, colour: tuple[int, int, int] = (64, 255, 140)) -> np.ndarray:
+def overlay(
+    image: np.ndarray, shape: np.ndarray, model: AAM, colour: tuple[int, int, int] = (64, 255, 140)
+) -> np.ndarray:
     """Draw a fitted shape on its picture.
 
     Parameters
@@ -112,10 +114,18 @@ def _subplots(rows: int, columns: int, size: tuple[float, float]) -> tuple["Figu
     return figure, axes
 
 
-def _draw_shape(axis: "Axes", shape: np.ndarray, model: AAM, colour: str, label: str = "", **style) -> None:  # noqa: ANN003
+def _draw_shape(axis: "Axes", shape: np.ndarray, model: AAM, colour: str, label: str = "", **style) -> None:
     style = {"lw": LINE_WIDTH, **style}
     if not model.contours:
-        axis.triplot(shape[:, 0], shape[:, 1], model.triangles, color=colour, alpha=0.8, label=label, lw=0.6 * style["lw"])
+        axis.triplot(
+            shape[:, 0],
+            shape[:, 1],
+            model.triangles,
+            color=colour,
+            alpha=0.8,
+            label=label,
+            lw=0.6 * style["lw"],
+        )
         return
     for i, (indices, closed) in enumerate(model.contours):
         line = shape[[*indices, indices[0]] if closed else list(indices)]
@@ -214,7 +224,11 @@ def _show_appearance_mode(axis: "Axes", model: AAM, i: int) -> None:
     step = 2 * np.sqrt(appearance.eigenvalues[i]) * appearance.modes[i]
     pair = [model.frame.picture(appearance.mean + sign * step, 1.0) for sign in (-1, 1)]
     half = pair[0].shape[1] // 2
-    _show(axis, np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1), f"appearance mode {i + 1}, −2 | +2 sd")
+    _show(
+        axis,
+        np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1),
+        f"appearance mode {i + 1}, −2 | +2 sd",
+    )
 
 
 def figure_of_errors(errors: Mapping[str, Sequence[float]], bound: Iterable[float], limit: float) -> "Figure":
@@ -222,10 +236,22 @@ def figure_of_errors(errors: Mapping[str, Sequence[float]], bound: Iterable[floa
     figure, axes = _subplots(1, 1, (6.4, 4.4))
     axis = axes[0, 0]
     grid = np.linspace(0, 0.12, 241)
-    axis.plot(100 * grid, 100 * cumulative_errors(np.array(list(bound)), grid), color="#bbbbbb", ls="--", label="shape model's bound")
+    axis.plot(
+        100 * grid,
+        100 * cumulative_errors(np.array(list(bound)), grid),
+        color="#bbbbbb",
+        ls="--",
+        label="shape model's bound",
+    )
     for method, values in errors.items():
         label = f"{method}: median {100 * np.median(values):.2f} %"
-        axis.plot(100 * grid, 100 * cumulative_errors(np.array(values), grid), color=colour_of(method), lw=LINE_WIDTH, label=label)
+        axis.plot(
+            100 * grid,
+            100 * cumulative_errors(np.array(values), grid),
+            color=colour_of(method),
+            lw=LINE_WIDTH,
+            label=label,
+        )
     axis.axvline(100 * limit, color="#dddddd", lw=1, zorder=0)
     axis.set(xlabel="error, % of inter-ocular distance", ylabel="fits at or below, %", xlim=(0, 12), ylim=(0, 101))
     axis.legend(loc="lower right", fontsize=8, frameon=False)

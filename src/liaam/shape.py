@@ -95,7 +95,7 @@ def _normalised(shape: np.ndarray) -> np.ndarray:
 def _upright(mean: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     """Turn the mean by the average rotation towards the shapes as photographed."""
     turns = [align(mean, shape).matrix for shape in shapes]
-    total = sum(turn / np.sqrt(abs(np.linalg.det(turn))) for turn in turns)
+    total = np.sum([turn / np.sqrt(abs(np.linalg.det(turn))) for turn in turns], axis=0)
     angle = np.arctan2(total[1, 0], total[0, 0])
     c, s = np.cos(angle), np.sin(angle)
     return mean @ np.array([[c, -s], [s, c]]).T

@@ -2,12 +2,20 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from liaam.appearance import AppearanceModel, train_appearance_model
 from liaam.errors import TrainingError
-from liaam.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
+from liaam.mesh import (
+    FOLD_TOLERANCE,
+    ReferenceFrame,
+    delaunay,
+    folded_share,
+    signed_areas,
+    triangles_from_edges,
+)
 from liaam.model import AAM, MAX_DIAGONAL, Level
 from liaam.pca import check_variance
 from liaam.photometry import ENCODINGS, THETA_DEFAULT, Response, invariant_row, is_grey
@@ -103,12 +111,16 @@ def train(
     )
 
 
-def _check_options(variance: float | int, appearance_variance: float | int | None, diagonal: float, blurs: tuple[float, ...]) -> None:
+def _check_options(
+    variance: float | int, appearance_variance: float | int | None, diagonal: float, blurs: tuple[float, ...]
+) -> None:
     check_variance(variance)
     if appearance_variance is not None:
         check_variance(appearance_variance)
     if not 16 <= diagonal <= MAX_DIAGONAL:
-        raise TrainingError(f"diagonal {diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels")
+        raise TrainingError(
+            f"diagonal {diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels"
+        )
     if not blurs or list(blurs) != sorted(blurs, reverse=True) or not 0 <= blurs[-1] <= blurs[0] <= 10:
         raise TrainingError(f"blurs {blurs}: give 0 to 10 pixels of the reference frame, from coarse to fine")
 
@@ -127,11 +139,13 @@ def _entries(data: Iterable) -> tuple[list[_Entry], tuple, np.ndarray]:
         entries.append(entry)
         contours = contours or own
     if len(entries) < 3:
-        raise TrainingError(f"{len(entries)} landmarked images are too few to learn from; at least 3 are needed, 5 to 20 better")
+        raise TrainingError(
+            f"{len(entries)} landmarked images are too few to learn from; at least 3 are needed, 5 to 20 better"
+        )
     return entries, contours, _edges(contours)
 
 
-def _entry(item, i: int) -> tuple[_Entry, tuple]:  # noqa: ANN001 (Sample or pair)
+def _entry(item, i: int) -> tuple[_Entry, tuple]:
     if hasattr(item, "landmarks"):
         name, landmarks, read = item.name, item.landmarks, item.read_image
     else:
@@ -157,7 +171,7 @@ def _entry(item, i: int) -> tuple[_Entry, tuple]:  # noqa: ANN001 (Sample or pai
 def _edges(contours: tuple) -> np.ndarray:
     pairs: list[tuple[int, int]] = []
     for indices, closed in contours:
-        pairs += zip(indices, indices[1:], strict=False)
+        pairs += pairwise(indices)
         if closed:
             pairs.append((indices[-1], indices[0]))
     return np.array(pairs, dtype=int).reshape(-1, 2)
@@ -233,7 +247,12 @@ def _sample_all(
 
 
 def _sample(
-    image: np.ndarray, shape: np.ndarray, warp: PiecewiseAffineWarp, encoding: str, response: Response, blur: float
+    image: np.ndarray,
+    shape: np.ndarray,
+    warp: PiecewiseAffineWarp,
+    encoding: str,
+    response: Response,
+    blur: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Texture (n_pixels, 3) of one image under its own landmarks, and which of it is usable (n_pixels,)."""
     scale = align(warp.frame.points, shape).scale
@@ -247,11 +266,11 @@ def _sample(
 
 def _check_inside(entry: _Entry, image: np.ndarray) -> None:
     height, width = image.shape[:2]
-    outside = ((entry.points < -0.5) | (entry.points > [width - 0.5, height - 0.5])).any(axis=1)
+    outside = np.asarray(((entry.points < -0.5) | (entry.points > [width - 0.5, height - 0.5])).any(axis=1))
     if outside.mean() > 0.1:
         raise TrainingError(
-            f"{entry.name}: {outside.sum()} of {len(outside)} landmarks lie outside the image of {width}×{height} pixels; "
-            "do the landmarks belong to this image at this size?"
+            f"{entry.name}: {outside.sum()} of {len(outside)} landmarks lie outside the image of {width}×{height} "
+            "pixels; do the landmarks belong to this image at this size?"
         )
 
 
@@ -275,5 +294,3 @@ def _appearances(textures: _Textures, theta: float, variance: float | int) -> di
         projected = textures.values["log"] @ invariant_row(theta).T.astype(np.float32)
         appearances["invariant"] = train_appearance_model(projected, textures.usable["log"], variance)
     return appearances
-
-

@@ -69,7 +69,7 @@ class PiecewiseAffineWarp:
         return self._interpolation @ np.asarray(vertices, dtype=np.float64)
 
     @cached_property
-    def _interpolation(self):  # noqa: ANN202 (a scipy type)
+    def _interpolation(self):
         from scipy.sparse import csr_array
 
         n = self.frame.n_pixels
@@ -83,7 +83,7 @@ class PiecewiseAffineWarp:
         carried = np.einsum("nv,inva->nai", self.frame.weights, modes[:, self.frame.vertices])
         return np.ascontiguousarray(carried, dtype=np.float32)
 
-    def jacobian(self, p: np.ndarray) -> np.ndarray:  # noqa: ARG002 (constant for this warp)
+    def jacobian(self, p: np.ndarray) -> np.ndarray:
         """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32; the same for every p."""
         return self._jacobian
 

@@ -37,7 +37,17 @@ def test_writes_a_row_per_fit_and_repeats_itself(persons_folder, tmp_path):
     assert text == (tmp_path / "b" / "results.csv").read_text()
     rows = list(csv.DictReader(text.splitlines()))
     assert len(rows) == 2 * 2 * 2
-    assert list(rows[0]) == ["method", "person", "trial", "nme", "bound", "converged", "iterations", "theta_deg", "status"]
+    assert list(rows[0]) == [
+        "method",
+        "person",
+        "trial",
+        "nme",
+        "bound",
+        "converged",
+        "iterations",
+        "theta_deg",
+        "status",
+    ]
     assert all(float(row["nme"]) >= 0.5 * float(row["bound"]) for row in rows)
     medians = {m: np.median([float(r["nme"]) for r in rows if r["method"] == m]) for m in ("rgb", "li")}
     assert medians["li"] == pytest.approx(summary["methods"]["li"]["nme_median"], abs=1e-6)

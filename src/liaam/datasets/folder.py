@@ -123,9 +123,7 @@ class Dataset:
     def _landmark_lines(self) -> list[str]:
         if not self.samples:
             return []
-        suffixes = Counter(
-            sample.landmark_file.suffix.lower() for sample in self.samples if sample.landmark_file
-        )
+        suffixes = Counter(sample.landmark_file.suffix.lower() for sample in self.samples if sample.landmark_file)
         formats = ", ".join(f"{FORMATS[suffix].title} ({suffix}): {n}" for suffix, n in suffixes.items())
         n_missing = sum(int(sample.landmarks.missing.sum()) for sample in self.samples)
         missing = f", {n_missing} of them missing in all" if n_missing else ""
@@ -199,9 +197,7 @@ def _list_files(root: Path, recursive: bool) -> list[Path]:
         paths = root.rglob("*") if recursive else root.iterdir()
         files = [path for path in paths if not _is_hidden(path.relative_to(root)) and path.is_file()]
     except OSError as fault:
-        raise ImageError(
-            f"{root} cannot be read ({fault.strerror}): check the rights on the folder."
-        ) from fault
+        raise ImageError(f"{root} cannot be read ({fault.strerror}): check the rights on the folder.") from fault
     return sorted(files, key=lambda path: natural_key(path.relative_to(root).as_posix()))
 
 
@@ -296,9 +292,7 @@ class _Pairing:
     def _winners(self) -> dict[Path, Path]:
         """Choose among images of the same stem: one that has landmarks, without loss if possible."""
         winners: dict[Path, Path] = {}
-        for image in sorted(
-            self.wanted, key=lambda path: (not self.options[path], _rank(path, IMAGE_SUFFIXES))
-        ):
+        for image in sorted(self.wanted, key=lambda path: (not self.options[path], _rank(path, IMAGE_SUFFIXES))):
             winners.setdefault(image.with_suffix(""), image)
         return winners
 
@@ -319,9 +313,7 @@ class _Pairing:
             elif image in self.options:
                 self.options[image].append(_Option(file, landmarks, own=False))
         if absent:
-            self._leave_out(
-                file, f"it names images that are not there: {_some(absent)} ({len(absent)} in all)"
-            )
+            self._leave_out(file, f"it names images that are not there: {_some(absent)} ({len(absent)} in all)")
 
     def _host(self, file: Path) -> Path | None:
         """Find the image that a file names inside, where none has the file's own name."""

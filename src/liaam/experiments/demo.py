@@ -3,13 +3,19 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from liaam.evaluation import point_error
-from liaam.fitting import Fitter, FitResult
+from liaam.fitting import FitResult, Fitter
+from liaam.io import Contour, Landmarks
 from liaam.plotting import figure_of_fits, save_figure
+from liaam.shape import align
 from liaam.training import train
+
+if TYPE_CHECKING:
+    from liaam.datasets.scenes import Scene
 
 METHODS = ("grey", "rgb", "li")
 
@@ -75,17 +81,13 @@ def run_demo(folder: Path, progress: Callable[[int, int, str], None] | None = No
     return rows, point_error(start, test.landmarks)
 
 
-def scene_landmarks(scene) -> "Landmarks":  # noqa: ANN001, F821
+def scene_landmarks(scene: "Scene") -> Landmarks:
     """Landmarks of a simulated scene with their contours."""
-    from liaam.io import Contour, Landmarks
-
     return Landmarks(scene.landmarks, tuple(Contour(tuple(i), c) for i, c in scene.contours))
 
 
 def disturbed(truth: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Mean shape near the truth: shifted, turned and scaled as a rough click would be."""
-    from liaam.shape import align
-
     rough = align(mean, truth)(mean)
     centre = rough.mean(axis=0)
     angle = np.deg2rad(4.0)

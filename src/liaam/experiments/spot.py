@@ -203,7 +203,15 @@ def as_csv(rows: list[SpotRow]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, [field.name for field in fields(SpotRow)], lineterminator="\n")
     writer.writeheader()
-    writer.writerows({**asdict(row), "nme": f"{row.nme:.6f}", "bound": f"{row.bound:.6f}", "theta_deg": f"{row.theta_deg:.3f}"} for row in rows)
+    writer.writerows(
+        {
+            **asdict(row),
+            "nme": f"{row.nme:.6f}",
+            "bound": f"{row.bound:.6f}",
+            "theta_deg": f"{row.theta_deg:.3f}",
+        }
+        for row in rows
+    )
     return text.getvalue()
 
 

@@ -5,4 +5,14 @@ from liaam.fitting.methods import METHODS, Method, get_method
 from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.solver import SolverOptions
 
-__all__ = ["METHODS", "FitResult", "FitStatus", "Fitter", "Iteration", "Method", "SolverOptions", "fit", "get_method"]
+__all__ = [
+    "METHODS",
+    "FitResult",
+    "FitStatus",
+    "Fitter",
+    "Iteration",
+    "Method",
+    "SolverOptions",
+    "fit",
+    "get_method",
+]

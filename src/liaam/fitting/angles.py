@@ -5,7 +5,6 @@ import numpy as np
 from liaam.fitting.normal_equations import _solve_symmetric, gram
 from liaam.fitting.objective import FitProblem, Objective, State
 
-
 SEARCH = np.deg2rad(60.0)
 """How far from the model's angle the start may lie. Physical cameras lie in 90-135 degrees; far from the
 object the global minimum over the full circle is often an inverted image (measured on the spot protocol:

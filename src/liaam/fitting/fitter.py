@@ -74,7 +74,7 @@ class Fitter:
     def _method(self) -> Method:
         return self._objectives[0].method
 
-    def fit(self, image, init, name: str = "image") -> FitResult:  # noqa: ANN001
+    def fit(self, image, init, name: str = "image") -> FitResult:
         """Fit the model to one image.
 
         Parameters
@@ -201,11 +201,13 @@ def _covariance(solution: Solution) -> np.ndarray:
     hessian, _ = equations.reduced()
     values, vectors = np.linalg.eigh(np.nan_to_num(hessian))
     variance = equations.cost if np.isfinite(equations.cost) else 1.0
-    inverse = np.divide(variance, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
+    inverse = np.divide(
+        variance, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300)
+    )
     return (vectors * inverse) @ vectors.T
 
 
-def _load(image, name: str) -> tuple[np.ndarray, str]:  # noqa: ANN001
+def _load(image, name: str) -> tuple[np.ndarray, str]:
     if not isinstance(image, (str, os.PathLike)):
         return as_colour(image, name), name
     from liaam.io import read_image
@@ -214,7 +216,7 @@ def _load(image, name: str) -> tuple[np.ndarray, str]:  # noqa: ANN001
     return as_colour(read_image(path), path.name), path.name
 
 
-def fit(model: AAM, image, init, method: str | Method = "li", **options) -> FitResult:  # noqa: ANN001
+def fit(model: AAM, image, init, method: str | Method = "li", **options) -> FitResult:
     """Fit a model to one image; for many images make a :class:`Fitter` once.
 
     Parameters

@@ -82,7 +82,7 @@ class Method:
 
     @property
     def angle_directions(self) -> np.ndarray:
-        """d (theta_1, theta_2) / d (free angles), (2, n_free)."""
+        """D (theta_1, theta_2) / d (free angles), (2, n_free)."""
         return FREE_ANGLES[self.free_angles]
 
     def image_metric(self, theta: float) -> np.ndarray:
@@ -103,7 +103,7 @@ class Method:
         return np.zeros((1, 1)) if self.appearance == "invariant" else invariant_row_derivative(theta)
 
 
-def _check(what: str, value: str, known) -> None:  # noqa: ANN001 (any collection of names)
+def _check(what: str, value: str, known) -> None:
     if value not in known:
         raise MethodError(f"{what} {value!r} does not exist; there are {', '.join(known)}")
 
@@ -111,15 +111,50 @@ def _check(what: str, value: str, known) -> None:  # noqa: ANN001 (any collectio
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
-        Method("grey", "luminance; drifts when the light changes", "value", "value", "luminance", gain=True, bias="common"),
-        Method("rgb", "colour values; drifts when the light changes", "value", "value", "rgb", gain=True, bias="common"),
-        Method("li", "light-invariant, image angle estimated (paper section 4)", "log", "log", "invariant", "image"),
         Method(
-            "li-lit", "as li, appearance learnt after the projection", "log", "invariant", "invariant", "image"
+            "grey",
+            "luminance; drifts when the light changes",
+            "value",
+            "value",
+            "luminance",
+            gain=True,
+            bias="common",
+        ),
+        Method(
+            "rgb",
+            "colour values; drifts when the light changes",
+            "value",
+            "value",
+            "rgb",
+            gain=True,
+            bias="common",
+        ),
+        Method(
+            "li",
+            "light-invariant, image angle estimated (paper section 4)",
+            "log",
+            "log",
+            "invariant",
+            "image",
+        ),
+        Method(
+            "li-lit",
+            "as li, appearance learnt after the projection",
+            "log",
+            "invariant",
+            "invariant",
+            "image",
         ),
         Method("li-pc", "light-invariant, both cameras unknown", "log", "log", "invariant", "both"),
         Method("li-pcs", "light-invariant, one unknown camera for both", "log", "log", "invariant", "shared"),
-        Method("chroma", "log-chromaticity: blind to intensity, not to colour of light", "log", "log", "chromaticity", bias="rows"),
+        Method(
+            "chroma",
+            "log-chromaticity: blind to intensity, not to colour of light",
+            "log",
+            "log",
+            "chromaticity",
+            bias="rows",
+        ),
     )
 }
 """The methods by name, in the order of the table."""

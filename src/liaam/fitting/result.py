@@ -34,8 +34,8 @@ class FitStatus(StrEnum):
 _MESSAGES = {
     FitStatus.CONVERGED: "The fit settled.",
     FitStatus.LIGHT_UNOBSERVABLE: (
-        "The fit settled. The light differs too little from training, for what the model leaves unexplained, to tell "
-        "the camera's angle, so the angle was held; the landmarks are not affected."
+        "The fit settled. The light's colour differs too little from training, for what the model leaves "
+        "unexplained, to tell the cameras' angle, so it was held; the landmarks are not affected."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit was still moving when its iterations ran out; start nearer to the object or allow more iterations."
@@ -44,14 +44,18 @@ _MESSAGES = {
         "The fit lost the object (its shape collapsed, folded or blew up); start nearer to it, or use a method that "
         "suits the light."
     ),
-    FitStatus.LEFT_IMAGE: "More than half of the object lies outside the picture; start inside it, or use a wider picture.",
+    FitStatus.LEFT_IMAGE: (
+        "More than half of the object lies outside the picture; start inside it, or use a wider picture."
+    ),
     FitStatus.TOO_DARK: (
         "Most of the object is too dark for its colour to be measured; use a brighter picture, or method 'grey'."
     ),
     FitStatus.SATURATED: (
         "Most of the object is overexposed, so its colour cannot be measured; use a darker picture, or method 'grey'."
     ),
-    FitStatus.NO_TEXTURE: "The picture is flat where the fit started: there is nothing to fit to; check the start and the file.",
+    FitStatus.NO_TEXTURE: (
+        "The picture is flat where the fit started: there is nothing to fit to; check the start and the file."
+    ),
 }
 
 

@@ -7,7 +7,7 @@ from liaam.model import AAM
 from liaam.shape import align, diagonal_of
 
 
-def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "image") -> np.ndarray:  # noqa: ANN001
+def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "image") -> np.ndarray:
     """Turn what a person gives into a start shape.
 
     Parameters
@@ -63,7 +63,7 @@ def _shape(model: AAM, given: np.ndarray, name: str) -> np.ndarray:
 
 
 def _from_shape(model: AAM, shape: np.ndarray, name: str) -> np.ndarray:
-    seen = np.isfinite(shape).all(axis=1)
+    seen = np.asarray(np.isfinite(shape).all(axis=1))
     if seen.all():
         return shape
     if seen.sum() < 3:

@@ -11,7 +11,6 @@ from liaam.io.landmarks import (
     write_collection,
     write_landmarks,
 )
-
 from liaam.io.results import write_fit
 
 __all__ = [

@@ -55,24 +55,18 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
             temp.unlink()
 
 
-def write_bytes_atomically(
-    path: str | os.PathLike[str], data: bytes, error: type[LiaamError] = LiaamError
-) -> None:
+def write_bytes_atomically(path: str | os.PathLike[str], data: bytes, error: type[LiaamError] = LiaamError) -> None:
     """Write `data` to `path`, all or nothing (see :func:`atomic_path`)."""
     with atomic_path(path, error) as temp:
         temp.write_bytes(data)
 
 
-def write_text_atomically(
-    path: str | os.PathLike[str], text: str, error: type[LiaamError] = LiaamError
-) -> None:
+def write_text_atomically(path: str | os.PathLike[str], text: str, error: type[LiaamError] = LiaamError) -> None:
     """Write `text` to `path` as UTF-8 with the line ends it has, all or nothing (see :func:`atomic_path`)."""
     try:
         data = text.encode("utf-8")
     except UnicodeEncodeError as fault:
-        raise error(
-            f"{path} cannot be written ({fault}): rename what has that character in its name."
-        ) from fault
+        raise error(f"{path} cannot be written ({fault}): rename what has that character in its name.") from fault
     write_bytes_atomically(path, data, error)
 
 

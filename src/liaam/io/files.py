@@ -50,9 +50,7 @@ def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: s
         if path.stat().st_size == 0:
             raise error(f"{path} is empty (0 bytes): copy or export it again.")
     except OSError as fault:
-        raise error(
-            f"{path} cannot be read ({fault.strerror or fault}): check the name and the rights."
-        ) from fault
+        raise error(f"{path} cannot be read ({fault.strerror or fault}): check the name and the rights.") from fault
     return path
 
 
@@ -61,14 +59,10 @@ def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:
     try:
         size = path.stat().st_size
         if size > limit:
-            raise error(
-                f"{path} has {size:,} bytes, more than the {limit:,} allowed: split it into smaller files."
-            )
+            raise error(f"{path} has {size:,} bytes, more than the {limit:,} allowed: split it into smaller files.")
         return path.read_bytes()
     except OSError as fault:
-        raise error(
-            f"{path} cannot be read ({fault.strerror or fault}): check the rights on the file."
-        ) from fault
+        raise error(f"{path} cannot be read ({fault.strerror or fault}): check the rights on the file.") from fault
 
 
 def _closest(path: Path) -> str:

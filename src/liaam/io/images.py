@@ -183,9 +183,7 @@ def _read_header(path: Path) -> _Header:
         raise
     except OSError as fault:
         if fault.errno is not None:
-            raise ImageError(
-                f"{path} cannot be read ({fault.strerror}): check the rights on the file."
-            ) from fault
+            raise ImageError(f"{path} cannot be read ({fault.strerror}): check the rights on the file.") from fault
         raise _damaged(path, fault) from fault
     except Exception as fault:  # Pillow's parsers meet bad bytes with errors of any class
         raise _damaged(path, fault) from fault
@@ -196,8 +194,7 @@ def _read_header(path: Path) -> _Header:
 
 def _damaged(path: Path, fault: object) -> ImageError:
     return ImageError(
-        f"{path} is damaged or cut short ({fault}): copy it again, "
-        "or save it again from the program that made it."
+        f"{path} is damaged or cut short ({fault}): copy it again, or save it again from the program that made it."
     )
 
 
@@ -412,23 +409,18 @@ def _check_writable(path: Path, array: np.ndarray) -> str:
         )
     if array.dtype not in (np.uint8, np.uint16, np.float32):
         raise ImageError(
-            f"{path} cannot be written: the values are {array.dtype}. "
-            "Convert them to uint8, uint16 or float32."
+            f"{path} cannot be written: the values are {array.dtype}. Convert them to uint8, uint16 or float32."
         )
     if array.dtype == np.float32 and suffix not in _FLOAT_SUFFIXES:
         raise ImageError(
-            f"{path} cannot be written: {suffix} holds no float32 values. "
-            "Use .tiff, or convert the array to uint8."
+            f"{path} cannot be written: {suffix} holds no float32 values. Use .tiff, or convert the array to uint8."
         )
     if array.dtype == np.uint16 and suffix not in _DEEP_SUFFIXES:
         raise ImageError(
-            f"{path} cannot be written: {suffix} holds no 16-bit values. "
-            "Use .png, or convert the array to uint8."
+            f"{path} cannot be written: {suffix} holds no 16-bit values. Use .png, or convert the array to uint8."
         )
     if suffix == ".pgm" and array.ndim == 3:
-        raise ImageError(
-            f"{path} cannot be written: .pgm holds grey images only. Use .ppm or .png for colour."
-        )
+        raise ImageError(f"{path} cannot be written: .pgm holds grey images only. Use .ppm or .png for colour.")
     return suffix
 
 

@@ -19,7 +19,8 @@ def _linearise(channels, points, warp_jacobian, turn, metric, root_weights, colu
         if inside:
             x, y = min(int(px), width - 2), min(int(py), height - 2)
             weight = min(
-                min(channels[y, x, 3], channels[y, x + 1, 3]), min(channels[y + 1, x, 3], channels[y + 1, x + 1, 3])
+                min(channels[y, x, 3], channels[y, x + 1, 3]),
+                min(channels[y + 1, x, 3], channels[y + 1, x + 1, 3]),
             )
         weights[i] = weight
         if not inside:
@@ -70,4 +71,3 @@ def linearise(
     points, turn, metric = (np.ascontiguousarray(a, dtype=np.float64) for a in (points, turn, metric))
     _linearise(channels, points, warp_jacobian, turn, metric, root_weights, columns, values, projected, weights)
     return values, projected, weights
-

@@ -74,7 +74,7 @@ def is_grey(image: np.ndarray) -> bool:
 
 def too_dark(values: np.ndarray) -> np.ndarray:
     """Mask of pixels with any stored channel (in [0, 1]) below :data:`DARK`."""
-    return (values < DARK).any(axis=-1)
+    return np.asarray((values < DARK).any(axis=-1))
 
 
 def encode(
@@ -113,8 +113,10 @@ def encode(
         usable = _block_mean(usable.astype(np.float32), reduce) > 0.999
         colour = _encode_linear(linear, encoding)
     else:
-        table = _table(image.dtype.str, encoding, response)
-        colour = _encode(stored, encoding, response) if table is None else table[image]
+        is_integer = image.dtype.kind == "u"
+        colour = (
+            _table(image.dtype.str, encoding, response)[image] if is_integer else _encode(stored, encoding, response)
+        )
     if blur > 0.0:
         colour = _blurred(colour, usable, blur)
     return np.concatenate([colour, usable[..., None].astype(np.float32)], axis=2)
@@ -135,12 +137,12 @@ def _stored_and_usable(image: np.ndarray, encoding: str) -> tuple[np.ndarray, np
         if encoding == "value":
             return image, np.ones(image.shape[:2], dtype=bool)
         low, high = int(np.ceil(DARK * top)), int(np.floor(SATURATED * top))
-        return image, ((image >= low) & (image <= high)).all(axis=-1)
-    finite = np.isfinite(image).all(axis=-1)
+        return image, np.asarray(((image >= low) & (image <= high)).all(axis=-1))
+    finite = np.asarray(np.isfinite(image).all(axis=-1))
     stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, 1e6), np.float32(0.0))
     if encoding == "value":
         return stored, finite
-    return stored, finite & ((stored >= DARK) & (stored <= SATURATED)).all(axis=-1)
+    return stored, finite & np.asarray(((stored >= DARK) & (stored <= SATURATED)).all(axis=-1))
 
 
 def _linear(image: np.ndarray, stored: np.ndarray, response: Response) -> np.ndarray:
@@ -163,10 +165,8 @@ def _encode_linear(linear: np.ndarray, encoding: str) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _table(dtype: str, encoding: str, response: Response) -> np.ndarray | None:
-    """Look-up table of an encoding for an integer pixel type; None for floats."""
-    if np.dtype(dtype).kind != "u":
-        return None
+def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
+    """Look-up table of an encoding for an integer pixel type."""
     stored = np.linspace(0.0, 1.0, np.iinfo(dtype).max + 1)
     return _encode(stored, encoding, response)
 

@@ -62,9 +62,7 @@ def neutral_landmarks(t: Traits, profile: Profile) -> np.ndarray:
     mirror = np.array([-1.0, 1.0])
     mouth = np.concatenate([upper, upper[1::-1] * mirror, lower, lower[:1] * mirror])
     n, b = t.nose_width, -t.nose_length
-    side = np.array(
-        [(-0.092, 0.0), (-0.108, -0.17), (-0.93 * n, b + 0.13), (-n, b + 0.045), (-0.56 * n, b + 0.0)]
-    )
+    side = np.array([(-0.092, 0.0), (-0.108, -0.17), (-0.93 * n, b + 0.13), (-n, b + 0.045), (-0.56 * n, b + 0.0)])
     nose = np.concatenate([side, [(0, b - 0.022)], side[::-1] * mirror])
     return np.concatenate([jaw, jaw[-2::-1] * mirror, eye, eye * mirror, brow, brow * mirror, mouth, nose])
 

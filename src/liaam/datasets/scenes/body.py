@@ -54,9 +54,7 @@ def build_body(face: Face, pose: Pose, expression: Expression) -> Body:
         moving.append(_long_hair())
     else:
         moving += _ears(face.profile.at(np.zeros(1))[0][0])
-    placed = [(patch, pose.rotation()) for patch in moving] + [
-        (patch, pose.rotation(BODY_FOLLOWS)) for patch in still
-    ]
+    placed = [(patch, pose.rotation()) for patch in moving] + [(patch, pose.rotation(BODY_FOLLOWS)) for patch in still]
     return _join(placed)
 
 
@@ -102,9 +100,7 @@ def _ears(half_width: float) -> list[_Patch]:
     s, w = np.meshgrid(np.linspace(-np.pi, np.pi, 36), np.linspace(-1, 1, 24))
     ring = np.sqrt(np.clip(1 - w**2, 0, 1))
     hollow = 1 - 0.45 * np.exp(-((np.cos(s) - 1) ** 2 + (w - 0.1) ** 2) / 0.25)
-    local = np.stack(
-        [0.055 * ring * np.sin(s), 0.245 * w * (np.ones_like(s)), 0.135 * ring * np.cos(s) * hollow], -1
-    )
+    local = np.stack([0.055 * ring * np.sin(s), 0.245 * w * (np.ones_like(s)), 0.135 * ring * np.cos(s) * hollow], -1)
     ears = []
     for side in (-1.0, 1.0):
         out = side * 0.62
@@ -167,7 +163,5 @@ def _long_hair() -> _Patch:
     ]
     points, chart = _tube(sections, 110, 150)
     s, y = chart[..., 0], chart[..., 1]
-    locks = (
-        1 + 0.018 * np.sin(17 * s + 2.5 * np.sin(2.2 * y)) + 0.012 * np.sin(41 * s + 3 * np.sin(1.7 * y + 1))
-    )
+    locks = 1 + 0.018 * np.sin(17 * s + 2.5 * np.sin(2.2 * y)) + 0.012 * np.sin(41 * s + 3 * np.sin(1.7 * y + 1))
     return _Patch(points * np.stack([locks, np.ones_like(locks), locks], -1), chart, HAIR)

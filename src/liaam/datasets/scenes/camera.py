@@ -38,9 +38,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         if len(self.peaks_nm) != 3 or not all(380 <= p <= 720 for p in self.peaks_nm):
-            raise LiaamError(
-                f"Camera.peaks_nm is {self.peaks_nm!r}: give three wavelengths from 380 to 720 nm"
-            )
+            raise LiaamError(f"Camera.peaks_nm is {self.peaks_nm!r}: give three wavelengths from 380 to 720 nm")
         if len(self.widths_nm) != 3 or not all(0 <= w <= 100 for w in self.widths_nm):
             raise LiaamError(f"Camera.widths_nm is {self.widths_nm!r}: give three widths from 0 to 100 nm")
         if self.bits not in (8, 16, None):
@@ -52,13 +50,9 @@ class Camera:
             if not 0 <= getattr(self, name) <= 1:
                 raise LiaamError(f"Camera.{name} is {getattr(self, name)!r}: give a number from 0 to 1")
         if self.exposure is not None and not self.exposure > 0:
-            raise LiaamError(
-                f"Camera.exposure is {self.exposure!r}: give a positive gain, or None for automatic"
-            )
+            raise LiaamError(f"Camera.exposure is {self.exposure!r}: give a positive gain, or None for automatic")
         if not COLDEST_K <= self.white_K <= HOTTEST_K:
-            raise LiaamError(
-                f"Camera.white_K is {self.white_K!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin"
-            )
+            raise LiaamError(f"Camera.white_K is {self.white_K!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin")
 
     def matrix(self, mired: np.ndarray | float, radiator: Radiator) -> np.ndarray:
         """Matrices (..., 3, 3) from the coefficients of a reflectance to linear channel values.
@@ -128,8 +122,7 @@ class Camera:
         """Wavelengths (n,) and the sensitivities' weights (3, n) for integrals over the spectrum."""
         offsets = np.linspace(-3, 3, 41)
         nodes = [
-            p + (w * offsets if w > 0 else np.zeros(1))
-            for p, w in zip(self.peaks_nm, self.widths_nm, strict=True)
+            p + (w * offsets if w > 0 else np.zeros(1)) for p, w in zip(self.peaks_nm, self.widths_nm, strict=True)
         ]
         weights = np.zeros((3, sum(map(len, nodes))))
         start = 0

@@ -33,9 +33,7 @@ class Head:
         if not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise LiaamError(f"Head.seed is {self.seed!r}: give a whole number of at least 0")
         if self.hair not in (None, "short", "long"):
-            raise LiaamError(
-                f"Head.hair is {self.hair!r}: give 'short', 'long' or None (drawn from the seed)"
-            )
+            raise LiaamError(f"Head.hair is {self.hair!r}: give 'short', 'long' or None (drawn from the seed)")
         for name in ("skin", "stubble"):
             if getattr(self, name) is not None:
                 _check_range("Head", name, getattr(self, name), 0.0, 1.0)

@@ -29,9 +29,7 @@ DOME_SAMPLES = 28
 
 def _check_source(owner: str, temperature: float, strength: float) -> None:
     if not COLDEST_K <= temperature <= HOTTEST_K:
-        raise LiaamError(
-            f"{owner}.temperature_K is {temperature!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin"
-        )
+        raise LiaamError(f"{owner}.temperature_K is {temperature!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin")
     if not np.isfinite(strength) or strength < 0:
         raise LiaamError(f"{owner}.strength is {strength!r}: give a number of at least 0")
 
@@ -155,9 +153,7 @@ class Geometry:
     """Length of a head unit."""
 
 
-def direct_visibility(
-    geometry: Geometry, at: np.ndarray, normals: np.ndarray, light: PointLight
-) -> np.ndarray:
+def direct_visibility(geometry: Geometry, at: np.ndarray, normals: np.ndarray, light: PointLight) -> np.ndarray:
     """Share (n,) of a lamp that points (n, 3) with normals (n, 3) see past the mesh."""
     seen = np.zeros(len(at), np.float32)
     # Away from the surface by a texel or so, lest it shadow itself.

@@ -135,10 +135,7 @@ def _complexion(c: _Canvas) -> np.ndarray:
     )
     blood += 0.10 * c.bump(t.eye_x, 0.1, 0.13, 0.05) + 0.10 * c.bump(0.0, 0.40, 0.3, 0.12)
     blood = (
-        t.redness * (1 - 0.5 * t.skin) * blood
-        + 0.09 * c.noise(0.10)
-        + 0.05 * c.noise(0.03)
-        + 0.035 * c.noise(0.008)
+        t.redness * (1 - 0.5 * t.skin) * blood + 0.09 * c.noise(0.10) + 0.05 * c.noise(0.03) + 0.035 * c.noise(0.008)
     )
     melanin = 0.10 * c.bump(t.eye_x - 0.03, -0.11, 0.12, 0.045) + 0.08 * c.bump(t.eye_x, 0.10, 0.12, 0.05)
     melanin += 0.06 * c.noise(0.16) + 0.03 * c.noise(0.012) + _freckles(c) + _moles(c)
@@ -166,9 +163,7 @@ def _moles(c: _Canvas) -> np.ndarray:
 
 def _stubble(c: _Canvas, y_mouth: float) -> np.ndarray:
     x = np.abs(c.x)
-    beard = smoothstep((y_mouth + 0.08 + 1.1 * np.maximum(x - 0.20, 0) - c.v) / 0.16) * smoothstep(
-        (0.72 - x) / 0.15
-    )
+    beard = smoothstep((y_mouth + 0.08 + 1.1 * np.maximum(x - 0.20, 0) - c.v) / 0.16) * smoothstep((0.72 - x) / 0.15)
     moustache = c.bump(0.10, y_mouth + 0.105, 0.15, 0.045)
     hairs = 1 + 0.35 * c.noise(0.006, 0.009) + 0.2 * c.noise(0.05)
     return np.maximum(beard, moustache) * np.clip(hairs, 0.2, 2)
@@ -181,11 +176,7 @@ def _paint_lips(c: _Canvas, colour: np.ndarray) -> np.ndarray:
     inside = np.minimum(np.minimum(upper - c.v, c.v - lower), (half - np.abs(c.x)) * 0.5)
     lips = smoothstep(0.5 + inside / 0.026)
     wrinkles = 0.10 * c.noise(0.006, 0.03)
-    depth = (
-        (1.05 if c.traits.hair_style == "long" else 0.62)
-        + 0.20 * (c.v > 0.5 * (upper_in + lower_in))
-        + wrinkles
-    )
+    depth = (1.05 if c.traits.hair_style == "long" else 0.62) + 0.20 * (c.v > 0.5 * (upper_in + lower_in)) + wrinkles
     tone = colour * np.exp(-depth[..., None] * (BLOOD * 1.10 + 0.13))
     colour = colour + lips[..., None] * (tone - colour)
     # The line where the lips meet stays dark also when they close.
@@ -198,13 +189,7 @@ def _paint_nostrils(c: _Canvas, colour: np.ndarray) -> np.ndarray:
     t = c.traits
     x, base = np.abs(c.x), -t.nose_length
     holes = np.exp(
-        -(
-            (
-                ((x - 0.46 * t.nose_width) / 0.034) ** 2
-                + ((c.v - base - 0.004 + 0.1 * (x - 0.08)) / 0.017) ** 2
-            )
-            ** 2
-        )
+        -((((x - 0.46 * t.nose_width) / 0.034) ** 2 + ((c.v - base - 0.004 + 0.1 * (x - 0.08)) / 0.017) ** 2) ** 2)
     )
     crease = np.exp(-(((np.hypot((x - 0.70 * t.nose_width) / 0.95, c.v - base - 0.05) - 0.062) / 0.012) ** 2))
     crease *= smoothstep((x - 0.86 * t.nose_width) / 0.04)
@@ -294,8 +279,7 @@ def _eyes(c: _Canvas) -> np.ndarray:
     dx, dv = c.x - np.sign(c.x) * (t.eye_x - 0.002), c.v - 0.012
     r = np.hypot(dx, dv) * 0.90
     white = (
-        np.array([0.52, 0.475, 0.45])
-        * np.exp(-0.8 * np.clip(np.abs(dx) / t.eye_half_width, 0, 1.2) ** 4)[..., None]
+        np.array([0.52, 0.475, 0.45]) * np.exp(-0.8 * np.clip(np.abs(dx) / t.eye_half_width, 0, 1.2) ** 4)[..., None]
     )
     # The upper lid shades the eyeball even in even light.
     white = white * (1 - 0.35 * smoothstep((dv - 0.005) / 0.05))[..., None]

@@ -13,10 +13,7 @@ def transform(points, frame):
     for i in range(points.shape[0]):
         for k in range(3):
             out[i, k] = (
-                frame[k, 0] * points[i, 0]
-                + frame[k, 1] * points[i, 1]
-                + frame[k, 2] * points[i, 2]
-                + frame[k, 3]
+                frame[k, 0] * points[i, 0] + frame[k, 1] * points[i, 1] + frame[k, 2] * points[i, 2] + frame[k, 3]
             )
     return out
 

@@ -49,9 +49,7 @@ def skin_relief(face: Face, u: np.ndarray, v: np.ndarray, expression: Expression
 def _nose(face: Face, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     t = face.traits
     base, out = -t.nose_length, t.nose_projection
-    knots = np.array(
-        [base - 0.06, base - 0.025, base + 0.015, base + 0.065, base + 0.115, -0.15, 0.0, 0.10, 0.20]
-    )
+    knots = np.array([base - 0.06, base - 0.025, base + 0.015, base + 0.065, base + 0.115, -0.15, 0.0, 0.10, 0.20])
     ridge = PchipInterpolator(knots, out * np.array([0, 0.10, 0.60, 0.97, 0.98, 0.52, 0.20, 0.14, 0.0]))
     half = PchipInterpolator(knots, np.array([0.50, 0.54, 0.60, 0.62, 0.56, 0.46, 0.36, 0.42, 0.60]) * 0.165)
     inside = np.clip(v, knots[0], knots[-1])
@@ -71,18 +69,12 @@ def _lips(face: Face, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     relief -= 0.03 * across * smoothstep((upper_in - v) / 0.03) * smoothstep((v - lower_in) / 0.03)
     relief += 0.045 * bump(x, v, 0.0, t.mouth_y - 0.02, 0.30, 0.19)
     philtrum = 0.5 * (t.mouth_y - t.nose_length)
-    return (
-        relief
-        - 0.007 * bump(x, v, 0.0, philtrum, 0.022, 0.055)
-        + 0.004 * bump(x, v, 0.05, philtrum, 0.02, 0.06)
-    )
+    return relief - 0.007 * bump(x, v, 0.0, philtrum, 0.022, 0.055) + 0.004 * bump(x, v, 0.05, philtrum, 0.02, 0.06)
 
 
 def _roll(v: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     share = (v - low) / np.maximum(high - low, 1e-3)
-    return np.where(
-        (share > -0.4) & (share < 1.4), np.cos(np.pi * (np.clip(share, -0.4, 1.4) - 0.5) / 1.8) ** 2, 0.0
-    )
+    return np.where((share > -0.4) & (share < 1.4), np.cos(np.pi * (np.clip(share, -0.4, 1.4) - 0.5) / 1.8) ** 2, 0.0)
 
 
 def _chin(face: Face, x: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -185,9 +185,7 @@ class _View:
     def of(cls, size: tuple[int, int], pose: Pose) -> _View:
         height, width = size
         framing = min(height / 3.2, width / 2.4)
-        return cls(
-            height, width, framing * pose.scale, (width - 1) / 2 + pose.x, 0.47 * (height - 1) + pose.y
-        )
+        return cls(height, width, framing * pose.scale, (width - 1) / 2 + pose.x, 0.47 * (height - 1) + pose.y)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Pixels (x, y) of points (..., 3)."""
@@ -231,12 +229,10 @@ def _paint_pixels(pixels: np.ndarray, face: Face, textures: Textures, expression
             skin_tone(t.skin) * np.exp(-0.12 + 0.02 * look_up_periodic(textures.weave, u, v))[..., None]
         ),
         figure.CLOTH: lambda: (
-            np.array(t.cloth_colour)
-            * np.exp(0.09 * look_up_periodic(textures.weave, 1.6 * u, 2.2 * v))[..., None]
+            np.array(t.cloth_colour) * np.exp(0.09 * look_up_periodic(textures.weave, 1.6 * u, 2.2 * v))[..., None]
         ),
         figure.HAIR: lambda: (
-            np.array(t.hair_colour)
-            * np.exp(0.17 * look_up_periodic(textures.strands, 0.8 * u, 0.3 * v))[..., None]
+            np.array(t.hair_colour) * np.exp(0.17 * look_up_periodic(textures.strands, 0.8 * u, 0.3 * v))[..., None]
         ),
     }
     for number, paint in others.items():
@@ -248,9 +244,7 @@ def _wall(shape: tuple[int, int], t: Traits, textures: Textures) -> np.ndarray:
     """A plastered wall, brighter behind the head."""
     y, x = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j]
     glow = np.exp(-0.55 * (x**2 + (y + 0.25) ** 2))
-    clouds = cv2.resize(
-        cv2.GaussianBlur(textures.weave, (0, 0), 14), shape[::-1], interpolation=cv2.INTER_CUBIC
-    )
+    clouds = cv2.resize(cv2.GaussianBlur(textures.weave, (0, 0), 14), shape[::-1], interpolation=cv2.INTER_CUBIC)
     return np.array(t.wall_colour) * ((0.55 + 0.75 * glow) * np.exp(0.05 * clouds / clouds.std()))[..., None]
 
 
@@ -293,9 +287,7 @@ def _develop(
     mired = np.array([1e6 / source.temperature_K for source in lights])
     colour = colour.astype(float)
     if mixing == "additive":
-        return np.einsum(
-            "lhw,lkj,hwj->hwk", irradiance, camera.matrix(mired, radiator), colour, optimize=True
-        )
+        return np.einsum("lhw,lkj,hwj->hwk", irradiance, camera.matrix(mired, radiator), colour, optimize=True)
     total = irradiance.sum(axis=0)
     mean = np.tensordot(mired, irradiance, 1) / np.maximum(total, 1e-12)
     matrices = matrices_at(camera, np.where(total > 0, mean, mired[0]), radiator)
@@ -322,14 +314,8 @@ def _shrink(samples: np.ndarray, s: int) -> np.ndarray:
 
 
 def _check_request(lights: Lights, size: tuple[int, int], mixing: str, supersample: int) -> None:
-    if (
-        not isinstance(lights, tuple)
-        or not lights
-        or not all(isinstance(s, PointLight | Ambient) for s in lights)
-    ):
-        raise LiaamError(
-            "the lights are a tuple of at least one PointLight or Ambient, such as DIFFUSE or lateral()"
-        )
+    if not isinstance(lights, tuple) or not lights or not all(isinstance(s, PointLight | Ambient) for s in lights):
+        raise LiaamError("the lights are a tuple of at least one PointLight or Ambient, such as DIFFUSE or lateral()")
     if len(size) != 2 or not all(isinstance(n, int | np.integer) and 32 <= n <= 4096 for n in size):
         raise LiaamError(f"the size is {size!r}: give (height, width), whole numbers from 32 to 4096")
     if mixing not in ("additive", "planckian"):

@@ -127,9 +127,7 @@ def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
     raise LandmarkError(f"{path} holds the landmarks of one image and does not name it: use read_landmarks.")
 
 
-def parse_landmark_file(
-    path: str | os.PathLike[str], image_size: tuple[float, float] | None = None
-) -> Parsed:
+def parse_landmark_file(path: str | os.PathLike[str], image_size: tuple[float, float] | None = None) -> Parsed:
     """Read a landmark file into `Landmarks`, or into a dict of them if the file names its images.
 
     Raises
@@ -193,7 +191,5 @@ def _suffix(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         known = ", ".join(f"{ending} ({form.title})" for ending, form in FORMATS.items())
-        raise LandmarkError(
-            f"{path} has the ending '{path.suffix}', which is no known landmark format: use {known}."
-        )
+        raise LandmarkError(f"{path} has the ending '{path.suffix}', which is no known landmark format: use {known}.")
     return suffix

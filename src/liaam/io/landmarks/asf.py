@@ -35,8 +35,7 @@ def parse(path: Path, text: str, image_size: tuple[float, float] | None) -> Land
     """
     if image_size is None:
         raise LandmarkError(
-            f"{path} gives positions as fractions of the image's size: "
-            "pass image_size=(width, height) in pixels."
+            f"{path} gives positions as fractions of the image's size: pass image_size=(width, height) in pixels."
         )
     lines = [line for line in map(str.strip, text.splitlines()) if line and not line.startswith("#")]
     if not lines:
@@ -65,16 +64,12 @@ def _landmarks(path: Path, rows: list[list[str]], size: tuple[float, float], hos
         )
         edges.append((index, target))
     if None in points:
-        raise LandmarkError(
-            f"{path} has no point number {points.index(None)}: number the points 0 to {len(rows) - 1}."
-        )
+        raise LandmarkError(f"{path} has no point number {points.index(None)}: number the points 0 to {len(rows) - 1}.")
     return make_landmarks(path, points, chain_edges(edges), image_name=host)
 
 
 def _index(path: Path, token: str, n_points: int) -> int:
     index = parse_count(path, token, "a point")
     if index >= n_points:
-        raise LandmarkError(
-            f"{path} names point {index}, but has points 0 to {n_points - 1}: correct its numbers."
-        )
+        raise LandmarkError(f"{path} names point {index}, but has points 0 to {n_points - 1}: correct its numbers.")
     return index

@@ -56,9 +56,7 @@ class Landmarks:
         points = _checked_points(self.points)
         object.__setattr__(self, "points", points)
         if self.names and len(self.names) != len(points):
-            raise LandmarkError(
-                f"there are {len(self.names)} names for {len(points)} landmarks: give one name each."
-            )
+            raise LandmarkError(f"there are {len(self.names)} names for {len(points)} landmarks: give one name each.")
         for contour in self.contours:
             _check_contour(contour, len(points))
 
@@ -79,13 +77,9 @@ def _checked_points(points: Any) -> np.ndarray:
     try:
         points = np.array(points, dtype=np.float64)
     except (TypeError, ValueError) as fault:
-        raise LandmarkError(
-            f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y."
-        ) from fault
+        raise LandmarkError(f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y.") from fault
     if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
-        raise LandmarkError(
-            f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0."
-        )
+        raise LandmarkError(f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0.")
     absent = np.isnan(points)
     half = np.flatnonzero(absent[:, 0] != absent[:, 1])
     if len(half):
@@ -165,8 +159,7 @@ def parse_number(path: Path, token: str, where: str) -> float:
         value = math.inf
     if not math.isfinite(value):
         raise LandmarkError(
-            f"{path}: '{_short(token)}' in {where} is not a number: "
-            "correct it (decimals take a point, as in 12.5)."
+            f"{path}: '{_short(token)}' in {where} is not a number: correct it (decimals take a point, as in 12.5)."
         )
     return value
 
@@ -175,9 +168,7 @@ def parse_pair(path: Path, line: str, where: str) -> tuple[float, float]:
     """Parse a line that holds x and y."""
     tokens = line.split()
     if len(tokens) != 2:
-        raise LandmarkError(
-            f"{path}: {where} holds {len(tokens)} values ('{_short(line)}'), not x and y: correct it."
-        )
+        raise LandmarkError(f"{path}: {where} holds {len(tokens)} values ('{_short(line)}'), not x and y: correct it.")
     return parse_number(path, tokens[0], where), parse_number(path, tokens[1], where)
 
 
@@ -190,9 +181,7 @@ def check_number(path: Path, value: Any, where: str) -> float:
     except OverflowError:
         number = math.inf
     if math.isinf(number):
-        raise LandmarkError(
-            f"{path}: '{_short(str(value))}' in {where} is not a number: correct it, or use null."
-        )
+        raise LandmarkError(f"{path}: '{_short(str(value))}' in {where} is not a number: correct it, or use null.")
     return number
 
 
@@ -260,9 +249,7 @@ def _neighbours(edges: Iterable[tuple[int, int]]) -> dict[int, list[int]]:
     return {node: list(others) for node, others in neighbours.items()}
 
 
-def _walk(
-    start: int, following: int, neighbours: dict[int, list[int]], used: set[frozenset[int]]
-) -> list[int]:
+def _walk(start: int, following: int, neighbours: dict[int, list[int]], used: set[frozenset[int]]) -> list[int]:
     """Follow unused edges from `start` through `following` up to a loose end or a junction."""
     chain = [start]
     node, target = start, following

@@ -31,15 +31,12 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
         categories = {category["id"]: category for category in content.get("categories") or ()}
         chosen = _largest(path, content["annotations"])
         found = {
-            files[image]: _landmarks(
-                path, annotation, categories.get(annotation.get("category_id"), {}), files[image]
-            )
+            files[image]: _landmarks(path, annotation, categories.get(annotation.get("category_id"), {}), files[image])
             for image, annotation in chosen.items()
         }
     except (TypeError, KeyError, ValueError, AttributeError, IndexError) as fault:
         raise LandmarkError(
-            f"{path} lacks the parts of a COCO keypoints file "
-            "(images, annotations, categories): export it again."
+            f"{path} lacks the parts of a COCO keypoints file (images, annotations, categories): export it again."
         ) from fault
     if not found:
         raise LandmarkError(f"{path} is COCO without keypoints: export the annotations with keypoints.")

@@ -61,9 +61,7 @@ def _table(path: Path, text: str) -> tuple[list[str], _Rows]:
     except csv.Error as fault:
         raise LandmarkError(f"{path} is not a CSV table ({fault}): export it again.") from fault
     if "x" not in header or "y" not in header:
-        raise LandmarkError(
-            f"{path} has no columns x and y: its first line must name the columns, such as x,y."
-        )
+        raise LandmarkError(f"{path} has no columns x and y: its first line must name the columns, such as x,y.")
     if not cells:
         raise LandmarkError(f"{path} has no rows under its header; it may be cut short: export it again.")
     for number, row in cells:
@@ -73,9 +71,7 @@ def _table(path: Path, text: str) -> tuple[list[str], _Rows]:
             )
     rows = [(number, dict(zip(header, row, strict=True))) for number, row in cells]
     if delimiter == ";":
-        rows = [
-            (n, {**row, "x": row["x"].replace(",", "."), "y": row["y"].replace(",", ".")}) for n, row in rows
-        ]
+        rows = [(n, {**row, "x": row["x"].replace(",", "."), "y": row["y"].replace(",", ".")}) for n, row in rows]
     return header, rows
 
 
@@ -84,9 +80,7 @@ def _landmarks(path: Path, rows: _Rows, image: str | None, header: list[str]) ->
     for number, row in rows:
         x, y = (parse_number(path, row[axis], f"line {number}") for axis in "xy")
         if math.isnan(x) != math.isnan(y):
-            raise LandmarkError(
-                f"{path}: line {number} has only one of x and y: fill in both, or leave both empty."
-            )
+            raise LandmarkError(f"{path}: line {number} has only one of x and y: fill in both, or leave both empty.")
         points.append((x, y))
     names = [row["name"] for _, row in rows] if "name" in header else []
     return make_landmarks(path, points, names=names if any(names) else (), image_name=image)

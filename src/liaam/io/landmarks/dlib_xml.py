@@ -35,15 +35,11 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
             if parts and area > chosen.get(name, (-math.inf, {}))[0]:
                 chosen[name] = (area, parts)
     if not chosen:
-        raise LandmarkError(
-            f"{path} has no image with landmarks (part elements in a box): check that it is imglab's."
-        )
+        raise LandmarkError(f"{path} has no image with landmarks (part elements in a box): check that it is imglab's.")
     names = sorted({name for _, parts in chosen.values() for name in parts}, key=natural_key)
     absent = (math.nan, math.nan)
     return {
-        image: make_landmarks(
-            path, [parts.get(name, absent) for name in names], names=names, image_name=image
-        )
+        image: make_landmarks(path, [parts.get(name, absent) for name in names], names=names, image_name=image)
         for image, (_, parts) in chosen.items()
     }
 
@@ -60,9 +56,7 @@ def _root(path: Path, text: str) -> Any:
     try:
         return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as fault:
-        raise LandmarkError(
-            f"{path} is not complete XML ({fault}); it may be cut short: export it again."
-        ) from fault
+        raise LandmarkError(f"{path} is not complete XML ({fault}); it may be cut short: export it again.") from fault
 
 
 def _parts(path: Path, image: str, box: Any) -> _Parts:
@@ -79,7 +73,5 @@ def _parts(path: Path, image: str, box: Any) -> _Parts:
 
 
 def _area(path: Path, image: str, box: Any) -> float:
-    sides = [
-        parse_number(path, box.get(side, "0"), f"a box of image '{image}'") for side in ("width", "height")
-    ]
+    sides = [parse_number(path, box.get(side, "0"), f"a box of image '{image}'") for side in ("width", "height")]
     return sides[0] * sides[1]

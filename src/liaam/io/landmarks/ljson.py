@@ -38,8 +38,7 @@ def parse(path: Path, text: str) -> Landmarks:
     if not sound:
         raise _misshapen(path)
     points = [
-        tuple(check_number(path, value, f"point {number}") for value in pair)
-        for number, pair in enumerate(pairs, 1)
+        tuple(check_number(path, value, f"point {number}") for value in pair) for number, pair in enumerate(pairs, 1)
     ]
     return make_landmarks(path, points, chain_edges(edges), _names(masks, len(points)))
 
@@ -67,9 +66,7 @@ def _group(path: Path, content: Any) -> Any:
     if version == 2:
         return content
     if version != 3:
-        raise LandmarkError(
-            f"{path} is not .ljson version 2 or 3 (it says {version}): export it again with menpo."
-        )
+        raise LandmarkError(f"{path} is not .ljson version 2 or 3 (it says {version}): export it again with menpo.")
     groups = content.get("groups")
     if not isinstance(groups, dict) or not groups:
         raise _misshapen(path)

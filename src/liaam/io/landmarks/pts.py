@@ -28,9 +28,7 @@ def parse(path: Path, text: str) -> Landmarks:
     text = "\n".join(_COMMENT.sub("", line) for line in text.splitlines())
     header, brace, rest = text.partition("{")
     if not brace:
-        raise LandmarkError(
-            f"{path} has no '{{' before its points, so it is no 300-W .pts file: export it again."
-        )
+        raise LandmarkError(f"{path} has no '{{' before its points, so it is no 300-W .pts file: export it again.")
     body, brace, _ = rest.partition("}")
     lines = [line for line in body.splitlines() if line.strip()]
     count = _COUNT.search(header)

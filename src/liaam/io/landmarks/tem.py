@@ -48,9 +48,7 @@ def _contours(path: Path, tokens: list[str]) -> list[Contour]:
         contours.append(contour_of(indices, closed))
     left = sum(1 for _ in stream)
     if left:
-        raise LandmarkError(
-            f"{path} goes on for {left} values after its last line template: export it again."
-        )
+        raise LandmarkError(f"{path} goes on for {left} values after its last line template: export it again.")
     return [contour for contour in contours if contour is not None]
 
 
