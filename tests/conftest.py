@@ -1,4 +1,4 @@
-"""Fixtures shared by all tests: seeds from test names, and the real data when it is there."""
+"""Fixtures shared by all tests: seeds from test names, a simulated world with known truth, and real data."""
 
 import os
 import zlib
@@ -6,9 +6,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
+
+from liaam.datasets.scenes import (
+    DIFFUSE,
+    Head,
+    Scene,
+    lateral,
+    make_set,
+    narrow_band_camera,
+    random_expression,
+    random_pose,
+    render,
+)
+from liaam.model import AAM
+from liaam.training import train
+from setups import between
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / "data"))
+SCENE_SIZE = (240, 180)
+
+# The same examples in every run, and no limit on the time of one: numba compiles at the first.
+settings.register_profile("liaam", derandomize=True, deadline=None)
+settings.load_profile("liaam")
 
 
 @pytest.fixture
@@ -23,3 +44,48 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(f"real images are not at {SHARED_DATA} (set LIAAM_SHARED_DATA)")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def scenes() -> list[Scene]:
+    """Give eight pictures of one head under diffuse light by the paper's ideal camera: linear floats, no noise."""
+    return make_set(8, Head(7), DIFFUSE, narrow_band_camera(), seed=1, size=SCENE_SIZE, mixing="planckian")
+
+
+def _held_out(lights) -> Scene:
+    """Take the same head with a pose and an expression half-way between two of the training pictures."""
+    draws = [np.random.default_rng([1, i, 0x5E7]) for i in (1, 4)]
+    poses = [random_pose(draw, SCENE_SIZE) for draw in draws]
+    expressions = [random_expression(draw) for draw in draws]
+    camera = narrow_band_camera()
+    return render(Head(7), between(*poses), between(*expressions), lights, camera, SCENE_SIZE, mixing="planckian")
+
+
+@pytest.fixture(scope="session")
+def lit_scene() -> Scene:
+    """Give a held-out picture of the same head under hard light from the side, of another temperature."""
+    return _held_out(lateral("left"))
+
+
+@pytest.fixture(scope="session")
+def same_light_scene() -> Scene:
+    """Give a held-out picture of the same head under the light of the training pictures."""
+    return _held_out(DIFFUSE)
+
+
+@pytest.fixture(scope="session")
+def model(scenes) -> AAM:
+    """Give a small model (diagonal 80) of the scenes."""
+    return train_on(scenes, diagonal=80.0)
+
+
+@pytest.fixture(scope="session")
+def fine_model(scenes) -> AAM:
+    """Give a model (diagonal 150) of the scenes that keeps all modes."""
+    return train_on(scenes, diagonal=150.0, variance=1.0)
+
+
+def train_on(scenes: list[Scene], **options) -> AAM:
+    """Train on scenes with what is true of their camera."""
+    pairs = [(scene.image, scene.landmarks) for scene in scenes]
+    return train(pairs, theta=scenes[0].theta, response="linear", **options)

@@ -200,6 +200,7 @@ def train_shape_model(shapes: np.ndarray, diagonal: float, variance: float | int
     deviations = (aligned - mean).reshape(len(shapes), -1)
     # Modes live in the space orthogonal to the similarities, so that p and pose do not trade off.
     deviations -= deviations @ rigid.T @ rigid
+    deviations[np.abs(deviations) < 1e-9 * diagonal] = 0.0  # rounding is no mode
     components = principal_components(deviations, variance)
     modes = components.modes - components.modes @ rigid.T @ rigid
     return ShapeModel(mean, np.ascontiguousarray(modes), components.eigenvalues)

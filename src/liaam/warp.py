@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from liaam.mesh import ReferenceFrame
-from liaam.shape import ShapeModel
+from liaam.shape import ShapeModel, Similarity
 
 
 class Warp(Protocol):
@@ -26,8 +26,8 @@ class Warp(Protocol):
         """Size of a step of p: root mean square movement of what the warp carries, model pixels."""
         ...
 
-    def points(self, p: np.ndarray) -> np.ndarray:
-        """W(x; p) of every model pixel, (n_pixels, 2) float64."""
+    def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
+        """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""
         ...
 
     def jacobian(self, p: np.ndarray) -> np.ndarray:
@@ -60,9 +60,11 @@ class PiecewiseAffineWarp:
         # The shape vectors are orthonormal over the 2 n landmark coordinates.
         return float(np.linalg.norm(step) / np.sqrt(self.shape_model.n_points))
 
-    def points(self, p: np.ndarray) -> np.ndarray:
-        """W(x; p) of every model pixel, (n_pixels, 2) float64."""
-        return self.interpolate(self.shape_model.shape(p))
+    def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
+        """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""
+        vertices = self.shape_model.shape(p)
+        # Barycentric weights sum to 1, so carrying the few vertices carries all pixels.
+        return self.interpolate(vertices if pose is None else pose(vertices))
 
     def interpolate(self, vertices: np.ndarray) -> np.ndarray:
         """Carry (n_points, 2) vertex positions to all model pixels, (n_pixels, 2) float64."""

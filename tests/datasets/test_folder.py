@@ -244,9 +244,7 @@ def test_slices_and_selection() -> None:
     assert names(dataset.select("01-*")) == ["01-1", "01-2"]
     assert names(dataset.select(["02-?", "*-2"])) == ["01-2", "02-1"]
     assert names(dataset.select(lambda sample: sample.name.endswith("1"))) == ["01-1", "02-1"]
-    with pytest.raises(
-        LiaamError, match="no sample of here matches '9': the names are like 01-1, 01-2, 02-1"
-    ):
+    with pytest.raises(LiaamError, match="no sample of here matches '9': the names are like 01-1, 01-2, 02-1"):
         dataset.select("9")
     assert repr(dataset) == "Dataset(3 samples, 1 left out, source='here')"
 

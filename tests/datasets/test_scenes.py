@@ -61,9 +61,7 @@ def test_the_invariant_does_not_move_with_the_light(lights):
 
 def test_additive_mixing_leaves_the_invariant_nearly_alone():
     camera = narrow_band_camera()
-    first, second = (
-        render(Head(1), lights=light, camera=camera, size=SMALL) for light in (DIFFUSE, lateral())
-    )
+    first, second = (render(Head(1), lights=light, camera=camera, size=SMALL) for light in (DIFFUSE, lateral()))
     change = np.abs(invariant(first.linear, first.theta) - invariant(second.linear, first.theta))[first.mask]
     assert 1e-5 < change.max() < 0.03
 
@@ -71,8 +69,7 @@ def test_additive_mixing_leaves_the_invariant_nearly_alone():
 def test_lights_of_one_temperature_make_both_mixings_the_same():
     lights = (PointLight((1, 0, 1), 4000, 1), Ambient(4000, 0.3))
     additive, planckian = (
-        render(Head(2), lights=lights, size=SMALL, mixing=mixing).linear
-        for mixing in ("additive", "planckian")
+        render(Head(2), lights=lights, size=SMALL, mixing=mixing).linear for mixing in ("additive", "planckian")
     )
     np.testing.assert_allclose(additive, planckian, rtol=1e-4)
 
@@ -94,9 +91,7 @@ def test_theta_is_orthogonal_to_the_shift_of_temperature(radiator):
 
 def test_wien_and_planck_agree_in_warm_light():
     camera = Camera()
-    np.testing.assert_allclose(
-        camera.matrix(1e6 / 3000, "wien"), camera.matrix(1e6 / 3000, "planck"), rtol=5e-3
-    )
+    np.testing.assert_allclose(camera.matrix(1e6 / 3000, "wien"), camera.matrix(1e6 / 3000, "planck"), rtol=5e-3)
 
 
 def test_the_reflectance_does_not_depend_on_the_light():
@@ -107,9 +102,7 @@ def test_the_reflectance_does_not_depend_on_the_light():
 
 def test_white_light_shows_reflectance_times_shading():
     camera = Camera(exposure=1.0, vignetting=0.0)
-    scene = render(
-        Head(4), lights=(Ambient(camera.white_K, 0.7), PointLight((1, 1, 1), camera.white_K)), camera=camera
-    )
+    scene = render(Head(4), lights=(Ambient(camera.white_K, 0.7), PointLight((1, 1, 1), camera.white_K)), camera=camera)
     np.testing.assert_allclose(scene.linear, scene.reflectance * scene.shading[..., None], rtol=1e-4)
 
 
@@ -186,9 +179,7 @@ def test_landmarks_stay_on_the_same_points_of_the_skin(pose, expression):
 
 def _sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
     x, y = np.round(points).astype(int).T
-    return np.stack(
-        [image[j - 1 : j + 2, i - 1 : i + 2].mean(axis=(0, 1)) for i, j in zip(x, y, strict=True)]
-    )
+    return np.stack([image[j - 1 : j + 2, i - 1 : i + 2].mean(axis=(0, 1)) for i, j in zip(x, y, strict=True)])
 
 
 def test_a_wink_an_open_mouth_and_a_smile_move_the_right_landmarks():
@@ -246,9 +237,7 @@ def test_the_response_is_inverted(response, rng):
     np.testing.assert_allclose(camera.decode(camera.encode(values)), values, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("bits", "dtype", "top"), [(8, np.uint8, 255), (16, np.uint16, 65535), (None, np.float32, 1)]
-)
+@pytest.mark.parametrize(("bits", "dtype", "top"), [(8, np.uint8, 255), (16, np.uint16, 65535), (None, np.float32, 1)])
 def test_bits_set_type_and_range(bits, dtype, top):
     camera = Camera(bits=bits, read_noise=0, shot_noise=0)
     scene = render(Head(1), camera=camera, size=SMALL)
@@ -318,9 +307,7 @@ def test_a_given_trait_overrides_the_drawn_one():
 )
 def test_every_pose_and_expression_gives_a_sound_scene(seed, angles, scale, face, side):
     lights = lateral(side) if side else DIFFUSE
-    scene = render(
-        Head(seed % 7), Pose(*angles, scale=scale), Expression(*face), lights, size=SMALL, seed=seed
-    )
+    scene = render(Head(seed % 7), Pose(*angles, scale=scale), Expression(*face), lights, size=SMALL, seed=seed)
     for name in ("image", "linear", "landmarks", "reflectance", "shading", "shadow"):
         assert np.isfinite(getattr(scene, name)).all(), name
     assert (scene.landmarks >= 0).all()

@@ -399,9 +399,7 @@ def test_flipped_bytes_raise_only_image_errors(tmp_path: Path, seed: int, kind: 
         ("no/a.png", np.zeros((2, 2), np.uint8), "does not exist. Make it first"),
     ],
 )
-def test_what_cannot_be_written_leaves_nothing(
-    tmp_path: Path, name: str, array: np.ndarray, words: str
-) -> None:
+def test_what_cannot_be_written_leaves_nothing(tmp_path: Path, name: str, array: np.ndarray, words: str) -> None:
     with pytest.raises(ImageError) as caught:
         write_image(tmp_path / name, array)
     assert words in str(caught.value)
@@ -463,9 +461,7 @@ def test_real_images_are_as_pillow_decodes_them(shared_data: Path) -> None:
         with Image.open(shared_data / name) as image:
             np.testing.assert_array_equal(back, np.asarray(image))
             assert image_size(shared_data / name) == image.size
-    assert (
-        np.ptp(read_image(shared_data / "imm/02-1m.jpg").astype(int), axis=2).max() == 0
-    )  # grey, per its README
+    assert np.ptp(read_image(shared_data / "imm/02-1m.jpg").astype(int), axis=2).max() == 0  # grey, per its README
 
 
 def test_truncated_real_jpeg(shared_data: Path, tmp_path: Path) -> None:

@@ -384,9 +384,7 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
 
 # A magnitude at which adding 1 and taking it away again loses less than 1e-9 of a pixel.
 coordinates = st.floats(-1e5, 1e5, allow_nan=False)
-point_lists = st.lists(
-    st.one_of(st.tuples(coordinates, coordinates), st.just((NAN, NAN))), min_size=1, max_size=12
-)
+point_lists = st.lists(st.one_of(st.tuples(coordinates, coordinates), st.just((NAN, NAN))), min_size=1, max_size=12)
 texts = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=8)
 
 
@@ -408,9 +406,7 @@ def test_names_come_back(tmp_path: Path, points: list, data: st.DataObject, suff
 
 @given(order=st.permutations(range(9)), cuts=st.sets(st.integers(1, 8)), data=st.data())
 @SOME
-def test_contours_come_back_from_ljson(
-    tmp_path: Path, order: list[int], cuts: set[int], data: st.DataObject
-) -> None:
+def test_contours_come_back_from_ljson(tmp_path: Path, order: list[int], cuts: set[int], data: st.DataObject) -> None:
     bounds = [0, *sorted(cuts), 9]
     parts = [tuple(order[a:b]) for a, b in pairwise(bounds) if b - a > 1]
     contours = tuple(Contour(part, len(part) > 2 and data.draw(st.booleans())) for part in parts)
@@ -450,9 +446,7 @@ def test_damaged_files_raise_only_landmark_errors(tmp_path: Path, suffix: str, d
     text = WHOLE[suffix]
     place = data.draw(st.integers(0, len(text) - 1))
     patch = data.draw(st.text(st.sampled_from("0123456789-.,[]{}<>/'\"\\ \n\txyn&!#"), max_size=3))
-    path = save(
-        tmp_path, f"junk{suffix}", text[:place] + patch + text[place + data.draw(st.integers(0, 5)) :]
-    )
+    path = save(tmp_path, f"junk{suffix}", text[:place] + patch + text[place + data.draw(st.integers(0, 5)) :])
     try:
         marks = read_landmarks(path, (10, 10))
     except LandmarkError as error:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from liaam.fitting.normal_equations import _solve_symmetric, gram
+from liaam.fitting.normal_equations import gram, regular_inverse
 from liaam.fitting.objective import FitProblem, Objective, State
 
 SEARCH = np.deg2rad(60.0)
@@ -39,7 +39,7 @@ def best_image_angle(objective: Objective, problem: FitProblem, state: State) ->
     columns = np.stack([log_r - log_b, log_g - log_b, design.mean[:, 0]], axis=1) * root[:, None]
     modes = design.weighted * seen.weights[:, None]
     cross = gram(modes, columns)
-    inner = gram(columns, columns) - cross.T @ _solve_symmetric(gram(modes, modes), cross)
+    inner = gram(columns, columns) - cross.T @ regular_inverse(gram(modes, modes)) @ cross
     if not np.isfinite(inner).all() or inner[0, 0] + inner[1, 1] <= 0:
         return float(state.angles[1])
     return _minimise_on_arc(inner[:2, :2], inner[:2, 2], float(state.angles[0]), SEARCH)

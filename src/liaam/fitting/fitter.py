@@ -96,7 +96,8 @@ class Fitter:
             For input that makes no sense.
         """
         image, name = _load(image, name)
-        if self._method.needs_colour and is_grey(image):
+        # A picture of one value (black, white) is not refused: its status says more.
+        if self._method.needs_colour and is_grey(image) and image.min() != image.max():
             raise ImageError(
                 f"{name}: the picture is grey (three equal channels), but method {self._method.name} "
                 "compares colours; use method 'grey'"

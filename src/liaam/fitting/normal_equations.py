@@ -9,11 +9,13 @@ complement of A, is never formed: J'QJ = J'J - (A'J)' (A'A)^-1 (A'J).
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-BLOCK = 4096
-"""Rows whose products are summed in float32 before they are added up in float64."""
+BLOCK = 1024
+"""Rows whose products are summed in float32 before they are added up in float64. Two blocks of 26 and 20
+columns then fit the first-level caches: measured a quarter faster than all 10,000 rows at once."""
 
 RIDGE = 1e-8
 """Relative ridge on A'A, far below any mode that can be seen; it keeps unseen modes from exploding."""
@@ -21,14 +23,22 @@ RIDGE = 1e-8
 
 def gram(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Give left' right of two tall float32 matrices, (a, b) float64: BLAS in blocks, summed in float64."""
-    rows = len(left)
-    whole = rows // BLOCK * BLOCK
-    total = left[whole:].T.astype(np.float64) @ right[whole:].astype(np.float64)
-    if whole:
-        blocks = left[:whole].reshape(-1, BLOCK, left.shape[1])
-        others = right[:whole].reshape(-1, BLOCK, right.shape[1])
-        total += np.matmul(blocks.transpose(0, 2, 1), others).sum(axis=0, dtype=np.float64)
+    total = np.zeros((left.shape[1], right.shape[1]))
+    for i in range(0, len(left), BLOCK):
+        # The same array twice goes to BLAS's symmetric product, at half the work.
+        block = left[i : i + BLOCK]
+        total += block.T @ (block if right is left else right[i : i + BLOCK])
     return total
+
+
+def regular_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a positive semi-definite matrix after scaling to a unit diagonal, with a tiny ridge."""
+    diagonal = np.diag(matrix)
+    root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    outer = np.outer(root, root)
+    scaled = matrix / outer
+    scaled[np.diag_indices_from(scaled)] += RIDGE
+    return np.linalg.inv(scaled) / outer
 
 
 @dataclass(frozen=True)
@@ -51,6 +61,8 @@ class NormalEquations:
         r'r.
     weight : float
         Sum of the pixels' weights times the rows of P: what a mean residual divides by.
+    inverse : (m, m) float64, optional
+        :func:`regular_inverse` of A'A, where it is known already.
     """
 
     jj: np.ndarray
@@ -60,6 +72,17 @@ class NormalEquations:
     ar: np.ndarray
     rr: float
     weight: float
+    inverse: np.ndarray | None = None
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        return regular_inverse(self.aa) if self.inverse is None else self.inverse
+
+    @cached_property
+    def _reduced(self) -> tuple[np.ndarray, np.ndarray]:
+        carried = self.aj.T @ self._inverse
+        hessian = self.jj - carried @ self.aj
+        return 0.5 * (hessian + hessian.T), self.jr - carried @ self.ar
 
     @property
     def cost(self) -> float:
@@ -68,7 +91,7 @@ class NormalEquations:
 
     def best_lambda_step(self) -> np.ndarray:
         """Change of lambda that minimises the residual at fixed q, (m,) float64."""
-        return _solve_symmetric(self.aa, self.ar)
+        return self._inverse @ self.ar
 
     def after_lambda_step(self, step: np.ndarray) -> "NormalEquations":
         """Equations after lambda moved by a step, from Gram matrices alone."""
@@ -76,27 +99,14 @@ class NormalEquations:
             self,
             jr=self.jr - self.aj.T @ step,
             ar=self.ar - self.aa @ step,
-            rr=self.rr - 2.0 * step @ self.ar + step @ self.aa @ step,
+            rr=float(self.rr - 2.0 * step @ self.ar + step @ self.aa @ step),
+            inverse=self._inverse,
         )
 
     def reduced(self) -> tuple[np.ndarray, np.ndarray]:
         """Hessian J'QJ (n_q, n_q) and gradient J'Qr (n_q,) with lambda eliminated."""
-        solved = _solve_symmetric(self.aa, np.column_stack([self.aj, self.ar]))
-        hessian = self.jj - self.aj.T @ solved[:, :-1]
-        return 0.5 * (hessian + hessian.T), self.jr - self.aj.T @ solved[:, -1]
+        return self._reduced
 
     def lambda_step(self, step: np.ndarray) -> np.ndarray:
         """Change of lambda that goes with a step of q in the joint system, (m,) float64."""
-        return _solve_symmetric(self.aa, self.ar + self.aj @ step)
-
-
-def _solve_symmetric(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve a positive semi-definite system after scaling to a unit diagonal, with a tiny ridge."""
-    if not len(matrix):
-        return np.zeros_like(right)
-    diagonal = np.diag(matrix)
-    root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    scaled = matrix / np.outer(root, root)
-    scaled[np.diag_indices_from(scaled)] += RIDGE
-    scale = root if right.ndim == 1 else root[:, None]
-    return np.linalg.solve(scaled, right / scale) / scale
+        return self._inverse @ (self.ar + self.aj @ step)

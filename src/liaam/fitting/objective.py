@@ -16,7 +16,7 @@ import numpy as np
 from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
 from liaam.fitting.methods import Method
-from liaam.fitting.normal_equations import NormalEquations, gram
+from liaam.fitting.normal_equations import NormalEquations, gram, regular_inverse
 from liaam.kernels import get_kernel
 from liaam.model import AAM
 from liaam.sampling import Patch
@@ -79,15 +79,19 @@ class _Design:
     Attributes
     ----------
     mean : (n, k) float32, unweighted
-    modes : (n, k, m) float32, unweighted
+    modes : (n * k, m) float32, unweighted
     weighted : (n * k, m) float32
     aa : (m, m) float64
+        Gram matrix of the weighted modes.
+    inverse : (m, m) float64
+        Its inverse.
     """
 
     mean: np.ndarray
     modes: np.ndarray
     weighted: np.ndarray
     aa: np.ndarray
+    inverse: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ class Objective:
     @property
     def n_lambda(self) -> int:
         """Appearance modes plus extra modes."""
-        return self._fixed_design.modes.shape[2]
+        return self._fixed_design.modes.shape[1]
 
     @cached_property
     def _fixed_design(self) -> _Design:
@@ -144,9 +148,10 @@ class Objective:
         mean = self.appearance.mean @ metric.T
         modes = np.einsum("mnc,kc->nkm", self.appearance.modes, metric)
         modes = np.concatenate([modes, *self._extra_modes(mean)], axis=2)
-        weighted = (modes * self.root_weights[:, None, None]).reshape(-1, modes.shape[2])
-        weighted = np.ascontiguousarray(weighted, dtype=np.float32)
-        return _Design(mean, modes, weighted, gram(weighted, weighted))
+        modes = np.ascontiguousarray(modes.reshape(mean.size, -1), dtype=np.float32)
+        weighted = modes * np.repeat(self.root_weights, len(metric))[:, None]
+        aa = gram(weighted, weighted)
+        return _Design(mean, modes, weighted, aa, regular_inverse(aa))
 
     def _extra_modes(self, mean: np.ndarray) -> list[np.ndarray]:
         n, k = mean.shape
@@ -189,7 +194,7 @@ class Objective:
         columns = self.workspace() if workspace is None else workspace
         values, projected, weights = get_kernel(self.kernel).linearise(
             problem.patch.channels,
-            problem.pose(self.warp.points(state.p)),
+            self.warp.points(state.p, problem.pose),
             self.warp.jacobian(state.p),
             problem.pose.matrix,
             metric,
@@ -198,7 +203,7 @@ class Objective:
         )
         lam = state.lam.astype(np.float32)
         residual = projected - design.mean
-        residual -= design.modes @ lam
+        residual -= (design.modes @ lam).reshape(residual.shape)
         root = (self.root_weights * weights)[:, None]
         n_p = self.warp.n_parameters
         if self.n_q > n_p:
@@ -223,15 +228,16 @@ class Objective:
         return columns
 
     def _equations(self, columns: np.ndarray, design: _Design, weights: np.ndarray) -> NormalEquations:
-        own = gram(columns, columns)
-        cross = gram(design.weighted, columns)
-        aa = design.aa
+        own, cross = gram(columns, columns), gram(columns, design.weighted).T
+        aa, inverse = design.aa, design.inverse
         blind = weights == 0
         if blind.any():
             rows = design.weighted[np.repeat(blind, self.method.n_rows)]
-            aa = aa - gram(rows, rows)
-        weight = float((self.appearance.usable * weights).sum(dtype=np.float64)) * self.method.n_rows
-        return NormalEquations(own[:-1, :-1], own[:-1, -1], cross[:, :-1], aa, cross[:, -1], float(own[-1, -1]), weight)
+            aa, inverse = aa - gram(rows, rows), None
+        weight = float(self.appearance.usable @ weights) * self.method.n_rows
+        return NormalEquations(
+            own[:-1, :-1], own[:-1, -1], cross[:, :-1], aa, cross[:, -1], float(own[-1, -1]), weight, inverse
+        )
 
 
 def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[Objective, ...]:

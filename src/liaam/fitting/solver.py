@@ -171,11 +171,13 @@ def _step(
     if not equations.weight > 0 or not np.isfinite(equations.rr):
         return None
     hessian, gradient = equations.reduced()
+    # Neither the prior nor an angle makes up for a picture that is flat under the model.
+    if not np.diag(hessian)[: len(state.p)].max() > 1e-10 * equations.weight:
+        return None
+    gradient = gradient.copy()  # the equations keep theirs
     gradient[: len(state.p)] += precision[: len(state.p)] * state.p
     hessian, gradient = free.T @ (hessian + np.diag(precision)) @ free, free.T @ gradient
     diagonal = np.diag(hessian)
-    if not diagonal.max() > 1e-10 * equations.weight:
-        return None
     floor = 1e-9 * diagonal.max()
     damped = hessian + np.diag(damping * np.maximum(diagonal, floor) + floor)
     try:

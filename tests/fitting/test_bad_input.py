@@ -1,0 +1,148 @@
+"""Bad pictures: what makes no sense raises by name; what cannot be fitted comes back as a status."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conftest import train_on
+from liaam.errors import ImageError, LiaamError, MethodError, StartError
+from liaam.fitting import METHODS, FitStatus, Fitter
+from liaam.training import train
+from setups import disturb, model_pixels
+
+COLOUR = ("li", "li-lit", "li-pc", "li-pcs", "chroma")
+
+
+@pytest.fixture
+def start(lit_scene) -> np.ndarray:
+    return disturb(lit_scene.landmarks)
+
+
+@pytest.mark.parametrize("method", COLOUR)
+def test_a_grey_picture_is_refused_by_methods_that_compare_colours(model, lit_scene, start, method):
+    grey = lit_scene.image.mean(axis=2)
+    for image in (grey, grey[..., None], np.repeat(grey[..., None], 3, axis=2), np.round(grey * 255).astype(np.uint8)):
+        with pytest.raises(ImageError, match=f"portrait: the picture is grey .* method {method} .* use method 'grey'"):
+            Fitter(model, method).fit(image, start, name="portrait")
+
+
+@pytest.mark.parametrize("shape", [(240, 180), (240, 180, 1)])
+def test_a_grey_picture_fits_with_grey(model, same_light_scene, shape):
+    eight = np.round(same_light_scene.image.mean(axis=2) * 255).astype(np.uint8).reshape(shape)
+    result = Fitter(model, "grey").fit(eight, disturb(same_light_scene.landmarks))
+    assert result.status == FitStatus.CONVERGED
+    assert model_pixels(model, result.shape, same_light_scene.landmarks) < 1.0
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("level", [0.0, 1.0], ids=["black", "white"])
+def test_black_and_white_pictures_give_a_status(model, start, method, dtype, level):
+    top = 1.0 if dtype == np.float32 else np.iinfo(dtype).max
+    result = Fitter(model, method).fit(np.full((240, 180, 3), level * top, dtype), start)
+    assert not result.status.ok
+    unusable = FitStatus.TOO_DARK if level == 0 else FitStatus.SATURATED
+    assert result.status == (unusable if method in COLOUR else FitStatus.NO_TEXTURE)
+    assert np.isfinite(result.shape).all()
+
+
+@pytest.mark.parametrize("method", ["li", "rgb"])
+def test_a_picture_of_one_colour_has_no_texture(model, start, method):
+    image = np.broadcast_to(np.array([90, 120, 60], np.uint8), (240, 180, 3))
+    assert Fitter(model, method).fit(image, start).status == FitStatus.NO_TEXTURE
+
+
+def test_an_underexposed_picture_is_too_dark_for_the_log(model, lit_scene, start):
+    result = Fitter(model, "li").fit(lit_scene.image * 0.02, start)
+    assert result.status == FitStatus.TOO_DARK
+
+
+def test_an_overexposed_picture_is_saturated(model, lit_scene, start):
+    result = Fitter(model, "li").fit(np.minimum(lit_scene.image * 50, 1), start)
+    assert result.status == FitStatus.SATURATED
+
+
+@pytest.mark.parametrize("method", ["li", "rgb"])
+def test_a_picture_of_nan_gives_a_status(model, start, method):
+    result = Fitter(model, method).fit(np.full((240, 180, 3), np.nan, np.float32), start)
+    assert not result.status.ok
+
+
+@pytest.mark.parametrize("method", ["li", "rgb"])
+def test_a_few_nan_pixels_do_no_harm(model, same_light_scene, method, rng):
+    image = same_light_scene.image.copy()
+    image[rng.random(image.shape[:2]) < 0.01] = np.nan
+    result = Fitter(model, method).fit(image, disturb(same_light_scene.landmarks))
+    assert result.status.ok
+    assert model_pixels(model, result.shape, same_light_scene.landmarks) < 0.5
+    assert 0.5 < result.usable.mean() < 1.0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_noise_gives_a_result(model, start, method, rng):
+    image = rng.integers(0, 256, (240, 180, 3), dtype=np.uint8)
+    result = Fitter(model, method).fit(image, start)
+    assert isinstance(result.status, FitStatus)
+    assert result.n_iterations <= 100
+
+
+def test_a_start_half_outside_gives_a_status(model, lit_scene):
+    shape = lit_scene.landmarks + np.array([80, 0])
+    assert isinstance(Fitter(model, "li").fit(lit_scene.image, shape).status, FitStatus)
+
+
+def test_a_start_outside_is_refused(model, lit_scene, start):
+    with pytest.raises(StartError, match="portrait: the start lies outside the image"):
+        Fitter(model, "li").fit(lit_scene.image, start + 1000, name="portrait")
+
+
+def test_a_picture_of_one_pixel_is_refused(model, start):
+    with pytest.raises(ImageError, match="1×1 pixels, too small"):
+        Fitter(model, "li").fit(np.zeros((1, 1, 3), np.uint8), start)
+
+
+def test_the_smallest_picture_does_not_raise(model, rng):
+    image = rng.integers(40, 200, (8, 8, 3), dtype=np.uint8)
+    assert isinstance(Fitter(model, "li").fit(image, (0, 0, 7, 7)).status, FitStatus)
+
+
+def test_a_missing_picture_is_refused_by_name(model, start, tmp_path):
+    with pytest.raises(LiaamError, match=r"nobody\.png"):
+        Fitter(model, "li").fit(tmp_path / "nobody.png", start)
+
+
+def test_an_unknown_method_is_refused_before_the_first_picture(model):
+    with pytest.raises(MethodError, match="'magic' does not exist; there are grey"):
+        Fitter(model, "magic")
+
+
+def test_an_unknown_kernel_is_refused_before_the_first_picture(model):
+    with pytest.raises(MethodError, match="'cuda' does not exist; there are fast, reference"):
+        Fitter(model, "li", kernel="cuda")
+
+
+@pytest.mark.parametrize("method", COLOUR)
+def test_a_model_of_grey_pictures_compares_no_colours(scenes, method):
+    pairs = [(scene.image.mean(axis=2), scene.landmarks) for scene in scenes[:3]]
+    model = train(pairs, diagonal=40.0, response="linear")
+    assert not model.is_colour
+    with pytest.raises(MethodError, match="trained on grey pictures; use method 'grey'"):
+        Fitter(model, method)
+
+
+def test_a_grey_model_fits_grey_pictures(scenes, same_light_scene):
+    pairs = [(scene.image.mean(axis=2), scene.landmarks) for scene in scenes]
+    model = train(pairs, diagonal=80.0, response="linear", variance=1.0)
+    truth = same_light_scene.landmarks
+    result = Fitter(model, "grey").fit(same_light_scene.image.mean(axis=2), disturb(truth))
+    assert model_pixels(model, result.shape, truth) < 0.5
+
+
+def test_a_model_of_fixed_shape_still_moves(scenes, same_light_scene):
+    model = train_on(scenes, diagonal=80.0, variance=0)
+    assert len(model.shape_model.modes) == 0
+    truth = same_light_scene.landmarks
+    start = disturb(truth)
+    result = Fitter(replace(model, name="rigid"), "rgb").fit(same_light_scene.image, start)
+    assert model_pixels(model, result.shape, truth) < model_pixels(model, start, truth)

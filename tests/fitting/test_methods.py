@@ -1,0 +1,66 @@
+"""The table of methods, and what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.errors import MethodError
+from liaam.fitting import METHODS, Method, get_method
+from liaam.photometry import invariant_row
+
+
+def test_an_unknown_method_lists_those_that_exist():
+    with pytest.raises(MethodError, match="'sift' does not exist; there are grey, rgb, li, li-lit, li-pc, li-pcs"):
+        get_method("sift")
+
+
+def test_a_method_of_ones_own_passes_through():
+    own = replace(METHODS["li"], name="own", free_angles="none")
+    assert get_method(own) is own
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_row_of_the_table_is_consistent(name):
+    method = METHODS[name]
+    assert method.name == name
+    assert method.image_metric(2.0).shape == (method.n_rows, 3)
+    channels = 1 if method.appearance == "invariant" else 3
+    assert method.model_metric(2.0).shape == (method.n_rows, channels)
+    assert (method.angle_directions.shape[1] > 0) == (method.free_angles != "none")
+
+
+@pytest.mark.parametrize("metric", ["invariant", "chromaticity"])
+def test_a_common_bias_is_refused_where_it_is_a_null_vector(metric):
+    with pytest.raises(MethodError, match=f"a common bias is invisible to metric {metric}"):
+        Method("x", "", "log", "log", metric, bias="common")
+    assert np.abs(Method("x", "", "log", "log", metric).image_metric(2.0).sum(axis=1)).max() < 1e-15
+
+
+@pytest.mark.parametrize("metric", ["luminance", "rgb", "chromaticity"])
+def test_angles_cannot_be_freed_where_there_are_none(metric):
+    with pytest.raises(MethodError, match=f"metric {metric} has no angle to free"):
+        Method("x", "", "log", "log", metric, free_angles="image")
+
+
+@pytest.mark.parametrize("free", ["both", "shared"])
+def test_an_appearance_that_is_already_projected_fixes_theta_1(free):
+    with pytest.raises(MethodError, match="theta_1 is fixed"):
+        Method("x", "", "log", "invariant", "invariant", free_angles=free)
+
+
+@pytest.mark.parametrize("field", ["encoding", "appearance", "metric", "free_angles", "bias"])
+def test_an_unknown_choice_lists_those_that_exist(field):
+    with pytest.raises(MethodError, match=f"{field} 'nonsense' does not exist; there are .*, "):
+        replace(METHODS["li"], **{field: "nonsense"})
+
+
+def test_shared_angles_move_together_and_both_apart():
+    assert METHODS["li-pcs"].angle_directions.tolist() == [[1], [1]]
+    assert METHODS["li-pc"].angle_directions.tolist() == [[1, 0], [0, 1]]
+    assert METHODS["li"].angle_directions.tolist() == [[0], [1]]
+
+
+def test_image_and_model_are_measured_by_their_own_angles():
+    np.testing.assert_array_equal(METHODS["li"].image_metric(1.9), invariant_row(1.9))
+    np.testing.assert_array_equal(METHODS["li-lit"].model_metric(1.9), [[1.0]])

@@ -1,0 +1,102 @@
+"""Normal equations from Gram matrices agree with dense least squares in float64."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from liaam.fitting.normal_equations import BLOCK, NormalEquations, gram
+
+
+@given(rows=st.sampled_from([1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 5]), seed=st.integers(0, 9))
+def test_gram_is_the_float64_product(rows, seed):
+    rng = np.random.default_rng(seed)
+    left, right = (rng.normal(3, 1, (rows, n)).astype(np.float32) for n in (3, 4))
+    exact = left.astype(np.float64).T @ right.astype(np.float64)
+    found = gram(left, right)
+    assert found.dtype == np.float64
+    np.testing.assert_allclose(found, exact, rtol=3e-6)
+
+
+def test_gram_keeps_what_float32_would_lose():
+    column = np.ones((10 * BLOCK + 1, 1), np.float32)
+    column[:BLOCK] = np.sqrt(2**24 / BLOCK)  # reaches 2**24, where a float32 sum stops to feel a one
+    assert gram(column, column)[0, 0] == 2**24 + 9 * BLOCK + 1
+
+
+class Dense:
+    """A random linearisation, dense and as normal equations."""
+
+    def __init__(self, rng: np.random.Generator, n_q: int = 5, m: int = 4, n: int = 300) -> None:
+        self.J = rng.normal(size=(n, n_q)).astype(np.float32)
+        self.A = rng.normal(size=(n, m)).astype(np.float32)
+        self.r = (rng.normal(size=n) + self.J[:, 0] - 2 * self.A[:, :1].sum(axis=1)).astype(np.float32)
+        J, A, r = (a.astype(np.float64) for a in (self.J, self.A, self.r))
+        self.equations = NormalEquations(J.T @ J, J.T @ r, A.T @ J, A.T @ A, A.T @ r, float(r @ r), float(n))
+
+
+@pytest.fixture
+def dense(rng) -> Dense:
+    return Dense(rng)
+
+
+def test_best_lambda_step_is_least_squares(dense):
+    expected = np.linalg.lstsq(dense.A, dense.r, rcond=None)[0]
+    np.testing.assert_allclose(dense.equations.best_lambda_step(), expected, rtol=1e-5)
+
+
+def test_the_joint_step_is_least_squares_over_q_and_lambda(dense):
+    n_q = dense.J.shape[1]
+    expected = np.linalg.lstsq(np.hstack([dense.J, -dense.A]), -dense.r, rcond=None)[0]
+    hessian, gradient = dense.equations.reduced()
+    step = np.linalg.solve(hessian, -gradient)
+    np.testing.assert_allclose(step, expected[:n_q], rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(dense.equations.lambda_step(step), expected[n_q:], rtol=1e-4, atol=1e-6)
+
+
+def test_equations_after_a_lambda_step_are_those_of_the_new_residual(dense, rng):
+    step = rng.normal(size=dense.A.shape[1])
+    r = dense.r - dense.A @ step
+    after = dense.equations.after_lambda_step(step)
+    np.testing.assert_allclose(after.jr, dense.J.T @ r, atol=1e-3)
+    np.testing.assert_allclose(after.ar, dense.A.T @ r, atol=1e-3)
+    assert after.rr == pytest.approx(r @ r, rel=1e-5)
+    assert after.cost == pytest.approx(np.square(r).mean(), rel=1e-5)
+
+
+def test_the_reduced_system_is_that_of_projected_columns(dense):
+    Q = np.eye(len(dense.r)) - dense.A @ np.linalg.pinv(dense.A)
+    hessian, gradient = dense.equations.reduced()
+    np.testing.assert_allclose(hessian, dense.J.T @ Q @ dense.J, rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(gradient, dense.J.T @ Q @ dense.r, rtol=1e-4, atol=1e-3)
+    assert np.array_equal(hessian, hessian.T)
+
+
+def test_lambda_where_it_is_best_leaves_the_reduced_system_alone(dense):
+    after = dense.equations.after_lambda_step(dense.equations.best_lambda_step())
+    for ours, theirs in zip(after.reduced(), dense.equations.reduced(), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-5)
+
+
+def test_a_mode_that_no_pixel_sees_does_not_explode(dense):
+    for matrix in (dense.equations.aa, dense.equations.aa.T):
+        matrix[1] = 0
+    dense.equations.aj[1] = 0
+    dense.equations.ar[1] = 0
+    assert dense.equations.best_lambda_step()[1] == 0
+    assert np.isfinite(dense.equations.reduced()[0]).all()
+
+
+def test_two_equal_modes_do_not_explode(rng):
+    dense = Dense(rng)
+    dense.A[:, 1] = dense.A[:, 0]
+    A = dense.A.astype(np.float64)
+    equations = NormalEquations(np.eye(5), np.zeros(5), A.T @ dense.J, A.T @ A, A.T @ dense.r, 1.0, 1.0)
+    step = equations.best_lambda_step()
+    np.testing.assert_allclose(A @ step, A @ np.linalg.pinv(A) @ dense.r, atol=1e-4)
+    assert np.abs(step).max() < 100
+
+
+def test_without_pixels_the_cost_is_infinite():
+    zero = np.zeros((2, 2))
+    assert NormalEquations(zero, zero[0], zero, zero, zero[0], 0.0, 0.0).cost == np.inf

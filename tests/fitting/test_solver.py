@@ -1,0 +1,117 @@
+"""The solver: it descends, it stops, both eliminations agree, and what cannot be seen is not moved."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from liaam.errors import MethodError
+from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions
+from setups import disturb, model_pixels
+
+EXACT = {"tolerance": 1e-4, "max_iterations": 300, "shape_prior": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"elimination": "magic"}, "'magic' does not exist; there are varpro, joint"),
+        ({"max_iterations": -1}, "may not be negative"),
+        ({"tolerance": -0.1}, "may not be negative"),
+        ({"damping": -1.0}, "may not be negative"),
+        ({"shape_prior": -1.0}, "may not be negative"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options, match):
+    with pytest.raises(MethodError, match=match):
+        SolverOptions(**options)
+
+
+@pytest.mark.parametrize("elimination", ["varpro", "joint"])
+@pytest.mark.parametrize("method", METHODS)
+def test_the_cost_never_rises_within_a_level(model, lit_scene, method, elimination):
+    options = SolverOptions(shape_prior=0.0, elimination=elimination)
+    result = Fitter(model, method, options).fit(lit_scene.image, disturb(lit_scene.landmarks, 1.08, (0.05, 0.03)))
+    steps = [(a.cost, b.cost) for a, b in pairwise(result.history) if a.level == b.level]
+    assert len(steps) > 3
+    assert all(after <= before for before, after in steps)
+
+
+@pytest.mark.parametrize("method", ["li", "rgb", "li-pc"])
+def test_joint_and_varpro_reach_the_same_minimum(fine_model, lit_scene, method):
+    start = disturb(lit_scene.landmarks)
+    varpro, joint = (
+        Fitter(fine_model, method, SolverOptions(elimination=elimination, **EXACT)).fit(lit_scene.image, start)
+        for elimination in ("varpro", "joint")
+    )
+    assert model_pixels(fine_model, joint.shape, varpro.shape) < 1e-2
+    assert joint.cost == pytest.approx(varpro.cost, rel=1e-4)
+
+
+def test_pure_gauss_newton_reaches_the_minimum_too(model, lit_scene):
+    start = disturb(lit_scene.landmarks)
+    damped = Fitter(model, "li").fit(lit_scene.image, start)
+    pure = Fitter(model, "li", SolverOptions(damping=0.0)).fit(lit_scene.image, start)
+    assert model_pixels(model, pure.shape, damped.shape) < 0.05
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3])
+def test_iterations_are_never_exceeded(model, lit_scene, damping):
+    options = SolverOptions(max_iterations=3, tolerance=0.0, damping=damping)
+    result = Fitter(model, "li", options).fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert result.n_iterations <= 3 * len(model.levels)
+    assert result.status == FitStatus.MAX_ITERATIONS
+
+
+def test_without_iterations_the_start_comes_back(model, lit_scene):
+    start = disturb(lit_scene.landmarks)
+    result = Fitter(model, "rgb", SolverOptions(max_iterations=0)).fit(lit_scene.image, start)
+    assert result.n_iterations == 0
+    assert result.status == FitStatus.MAX_ITERATIONS
+    bound = np.abs(model.shape_model.project(start) - start).max()
+    np.testing.assert_allclose(result.shape, start, atol=2 * bound + 1e-9)
+
+
+def test_history_runs_from_the_start_to_the_result(model, lit_scene):
+    result = Fitter(model, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert [h.level for h in result.history] == sorted(h.level for h in result.history)
+    np.testing.assert_array_equal(result.history[-1].shape, result.shape)
+    np.testing.assert_array_equal(result.start, result.history[0].shape)
+    assert result.history[-1].cost == pytest.approx(result.cost, rel=1e-5)
+    assert result.theta == result.history[-1].theta
+
+
+def test_the_result_describes_itself(model, lit_scene):
+    result = Fitter(model, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
+    np.testing.assert_allclose(result.pose(model.shape_model.shape(result.p)), result.shape)
+    usable = result.usable > 0
+    assert not result.residual[~usable].any()
+    weights = model.levels[-1].appearances["log"].usable * result.usable
+    cost = (weights * np.square(result.residual[:, 0])).sum() / weights.sum()
+    assert result.cost == pytest.approx(cost, rel=1e-3)
+    values = np.linalg.eigvalsh(result.covariance)
+    assert (values > 0).all()
+    assert len(result.covariance) == len(result.p) + 1
+
+
+@pytest.mark.parametrize("method", ["li-pc", "li-pcs"])
+def test_without_a_change_of_light_the_angle_is_held(model, same_light_scene, method):
+    result = Fitter(model, method).fit(same_light_scene.image, disturb(same_light_scene.landmarks))
+    assert result.status == FitStatus.LIGHT_UNOBSERVABLE
+    assert result.status.ok
+    assert np.rad2deg(result.theta_model) == pytest.approx(np.rad2deg(model.theta), abs=0.1)
+    assert np.rad2deg(result.theta) == pytest.approx(np.rad2deg(model.theta), abs=0.1)
+    assert model_pixels(model, result.shape, same_light_scene.landmarks) < 0.5
+
+
+@pytest.mark.parametrize("method", ["li-pc", "li-pcs"])
+def test_with_a_change_of_light_the_angle_is_seen(model, lit_scene, method):
+    result = Fitter(model, method).fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert result.status == FitStatus.CONVERGED
+    assert np.rad2deg(result.theta) == pytest.approx(np.rad2deg(lit_scene.theta), abs=1.0)
+
+
+@pytest.mark.parametrize("status", FitStatus)
+def test_every_status_says_what_to_do(status):
+    assert len(status.message) > 15
+    assert status.message.endswith(".")

@@ -1,0 +1,68 @@
+"""Where a fit starts: a shape, a box, or a point and a size."""
+
+import numpy as np
+import pytest
+
+from liaam.errors import StartError
+from liaam.fitting.start import start_shape
+from liaam.shape import diagonal_of
+
+SIZE = (180, 240)
+
+
+@pytest.fixture
+def shape(model) -> np.ndarray:
+    return model.shape_model.mean * 1.3 + [90, 120]
+
+
+def test_a_shape_is_taken_as_it_is(model, shape):
+    np.testing.assert_array_equal(start_shape(model, shape, SIZE), shape)
+
+
+def test_missing_landmarks_are_filled_in_from_the_mean(model, shape):
+    holed = shape.copy()
+    holed[5:40] = np.nan
+    np.testing.assert_allclose(start_shape(model, holed, SIZE), shape, atol=1e-9)
+
+
+def test_a_box_gives_centre_and_diagonal(model):
+    shape = start_shape(model, (40, 60, 120, 160), SIZE)
+    np.testing.assert_allclose(0.5 * (shape.min(axis=0) + shape.max(axis=0)), [80, 110])
+    assert diagonal_of(shape) == pytest.approx(np.hypot(80, 100))
+
+
+def test_a_point_and_a_size(model):
+    shape = start_shape(model, (80, 110, 90), SIZE)
+    np.testing.assert_allclose(0.5 * (shape.min(axis=0) + shape.max(axis=0)), [80, 110])
+    assert diagonal_of(shape) == pytest.approx(90)
+
+
+def few(n_numbers: int) -> np.ndarray:
+    shape = np.full((58, 2), np.nan)
+    shape[:n_numbers] = 50
+    return shape
+
+
+@pytest.mark.parametrize(
+    ("init", "match"),
+    [
+        (np.zeros((57, 2)), "57 landmarks but the model has 58"),
+        (few(2), "only 2 of the start's landmarks are numbers; at least 3"),
+        (few(0), "only 0 of the start's landmarks"),
+        ((10, 10, 10, 50), "the box 10, 10, 10, 50 is empty"),
+        ((50, 50, 10, 10), "is empty"),
+        ((0, 0, np.nan, 10), "is empty"),
+        ((50, 50, 0), "a positive size"),
+        ((50, np.nan, 10), "a positive size"),
+        ((50, 50), r"a start of shape \(2,\) is neither"),
+        (7, "is neither landmarks"),
+        ("middle", "is no shape, box, or point"),
+        (None, "neither|is no shape"),
+        ((5000, 5000, 80), "lies outside the image .*180×240 pixels"),
+        ((-500, 20, -400, 120), "lies outside the image"),
+        (np.full((58, 2), 1e9), "lies outside the image"),
+    ],
+)
+def test_a_start_that_makes_no_sense_is_refused(model, init, match):
+    with pytest.raises(StartError, match=f"portrait.*({match})"):
+        start_shape(model, init, SIZE, "portrait")

@@ -1,0 +1,140 @@
+"""Encodings: every kind of image gets one defined answer."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from liaam.errors import ImageError, MethodError
+from liaam.photometry import ENCODINGS, encode, invariant, is_grey, srgb_to_linear, too_dark
+from liaam.photometry.encoding import as_colour
+
+
+@pytest.fixture
+def picture(rng) -> np.ndarray:
+    return rng.integers(0, 256, (24, 20, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("response", ["srgb", "linear", 2.2])
+def test_depth_does_not_matter(picture, encoding, response):
+    eight = encode(picture, encoding, response)
+    sixteen = encode(picture.astype(np.uint16) * 257, encoding, response)
+    floats = encode(picture.astype(np.float32) / 255, encoding, response)
+    np.testing.assert_allclose(sixteen, eight, atol=1e-6)
+    np.testing.assert_allclose(floats, eight, atol=1e-5)
+    assert np.array_equal(floats[..., 3], eight[..., 3])
+
+
+def test_value_of_srgb_pictures_is_the_stored_value(picture):
+    np.testing.assert_allclose(encode(picture, "value")[..., :3], picture / 255, atol=1e-6)
+
+
+def test_log_is_the_logarithm_of_linear_light(picture):
+    encoded = encode(picture, "log")
+    usable = encoded[..., 3] == 1
+    expected = np.log(srgb_to_linear(picture[usable] / 255))
+    np.testing.assert_allclose(encoded[usable][:, :3], expected, atol=1e-5)
+
+
+@example(7, 0)
+@example(8, 1)
+@example(250, 2)
+@example(251, 0)
+@given(value=st.integers(0, 255), channel=st.integers(0, 2))
+def test_dark_and_saturated_channels_cost_the_log_its_trust(value, channel):
+    image = np.full((8, 8, 3), 128, np.uint8)
+    image[4, 4, channel] = value
+    usable = encode(image, "log")[..., 3]
+    assert usable[4, 4] == (8 <= value <= 250)
+    assert usable.sum() == 63 + (8 <= value <= 250)
+    assert too_dark(image / 255)[4, 4] == (value < 8)
+    assert encode(image, "value")[..., 3].all()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -5.0, 1e30])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("blur", [0.0, 1.0])
+def test_strange_floats_stay_finite(bad, encoding, blur):
+    image = np.full((16, 16, 3), 0.5, np.float32)
+    image[3, 5, 1] = bad
+    encoded = encode(image, encoding, blur=blur)
+    assert np.isfinite(encoded).all()
+    if encoding == "log" or not np.isfinite(bad):
+        assert encoded[3, 5, 3] == 0
+    assert encoded[..., 3].sum() >= 255
+
+
+def test_blurring_the_log_blurs_the_invariant(rng):
+    image = rng.uniform(0.1, 0.9, (30, 30, 3)).astype(np.float32)
+    blurred = invariant(encode(image, "log", "linear", blur=1.5)[..., :3], 2.0)
+    shaded = image * np.linspace(0.5, 1.0, 30, dtype=np.float32)[:, None, None]
+    again = invariant(encode(shaded, "log", "linear", blur=1.5)[..., :3], 2.0)
+    np.testing.assert_allclose(again[5:-5, 5:-5], blurred[5:-5, 5:-5], atol=2e-5)
+
+
+def test_unusable_pixels_hardly_leak_through_a_blur():
+    image = np.full((21, 21, 3), 0.5, np.float32)
+    image[10, 10] = 0.0
+    leaked = encode(image, "log", "linear", blur=1.0)[10, 11, 0]
+    assert leaked == pytest.approx(np.log(0.5), abs=0.01)
+
+
+def test_reduction_averages_linear_light_and_drops_the_rest():
+    image = np.full((17, 19, 3), 0.2, np.float32)
+    image[::2] = 0.6
+    reduced = encode(image, "log", "linear", reduce=2)
+    assert reduced.shape == (8, 9, 4)
+    np.testing.assert_allclose(reduced[..., :3], np.log(0.4), atol=1e-6)
+    assert reduced[..., 3].all()
+
+
+def test_a_block_with_one_unusable_pixel_is_unusable():
+    image = np.full((16, 16, 3), 0.5, np.float32)
+    image[0, 0, 0] = np.nan
+    assert encode(image, "log", "linear", reduce=4)[..., 3].sum() == 15
+
+
+def test_grey_is_told_from_colour_by_one_pixel():
+    image = np.full((200, 300, 3), 90, np.uint8)
+    assert is_grey(image)
+    image[101, 77, 2] = 91
+    assert not is_grey(image)
+
+
+@pytest.mark.parametrize("shape", [(12, 10), (12, 10, 1)])
+def test_a_grey_array_gets_three_equal_channels(rng, shape):
+    grey = rng.integers(0, 256, shape, dtype=np.uint8)
+    colour = as_colour(grey)
+    assert colour.shape == (12, 10, 3)
+    assert np.array_equal(colour[..., 1], grey.reshape(12, 10))
+    assert is_grey(colour)
+
+
+def test_alpha_is_dropped(rng):
+    image = rng.integers(0, 256, (9, 9, 4), dtype=np.uint8)
+    assert np.array_equal(as_colour(image), image[..., :3])
+
+
+@pytest.mark.parametrize(
+    ("array", "match"),
+    [
+        (np.zeros((1, 1, 3), np.uint8), "1×1 pixels, too small"),
+        (np.zeros((7, 300, 3), np.uint8), "300×7 pixels, too small"),
+        (np.zeros((9, 9, 2), np.uint8), r"\(9, 9, 2\) is no image"),
+        (np.zeros(9, np.uint8), "is no image"),
+        (np.zeros((2, 9, 9, 3), np.uint8), "is no image"),
+        (np.zeros((9, 9, 3), np.int64), "int64 are not supported"),
+        (np.zeros((9, 9, 3), np.uint32), "uint32 are not supported"),
+        (np.zeros((9, 9, 3), bool), "bool are not supported"),
+        (np.zeros((9, 9, 3), complex), "complex128 are not supported"),
+    ],
+)
+def test_what_is_no_image_is_refused_by_name(array, match):
+    with pytest.raises(ImageError, match=f"portrait.*{match}"):
+        as_colour(array, "portrait")
+
+
+def test_an_unknown_encoding_lists_those_that_exist():
+    with pytest.raises(MethodError, match="'hsv' does not exist; there are value, log"):
+        encode(np.zeros((9, 9, 3), np.uint8), "hsv")

@@ -1,0 +1,121 @@
+"""The mesh over the mean shape and the pixels of the reference frame."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from liaam.errors import TrainingError
+from liaam.mesh import (
+    ReferenceFrame,
+    barycentric,
+    delaunay,
+    folded_share,
+    signed_areas,
+    triangles_from_edges,
+)
+
+SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+
+
+def cloud(seed: int, n: int = 20) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-40, 40, (n, 2))
+
+
+def edges_of(triangles: np.ndarray) -> np.ndarray:
+    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+
+
+@given(seed=st.integers(0, 99))
+def test_delaunay_turns_one_way_and_fills_the_hull(seed):
+    from scipy.spatial import ConvexHull
+
+    points = cloud(seed)
+    areas = signed_areas(points, delaunay(points))
+    assert (areas > 0).all()
+    assert areas.sum() == pytest.approx(ConvexHull(points).volume, rel=1e-3)
+
+
+@given(seed=st.integers(0, 99))
+def test_edges_give_the_triangulation_back(seed):
+    points = cloud(seed)
+    triangles = delaunay(points)
+    edges = np.random.default_rng(seed).permutation(edges_of(triangles))
+    found = triangles_from_edges(points, edges)
+    assert found is not None
+    assert {tuple(sorted(t)) for t in found.tolist()} == {tuple(sorted(t)) for t in triangles.tolist()}
+    assert (signed_areas(points, found) > 0).all()
+
+
+@pytest.mark.parametrize(
+    "edges",
+    [
+        np.zeros((0, 2), int),
+        [[0, 1], [1, 2], [2, 3], [3, 0]],  # a contour
+        [[0, 1], [1, 2], [2, 0]],  # a mesh of some of the points
+        [[0, 0], [1, 1]],
+    ],
+)
+def test_edges_that_are_no_mesh_give_none(edges):
+    assert triangles_from_edges(SQUARE, np.array(edges)) is None
+
+
+@pytest.mark.parametrize("points", [np.outer(np.arange(5.0), [1, 2]), np.ones((5, 2))], ids=["line", "point"])
+def test_landmarks_that_span_no_mesh_are_refused(points):
+    with pytest.raises(TrainingError, match="lie on one line or in one place"):
+        delaunay(points)
+
+
+@given(seed=st.integers(0, 99))
+def test_barycentric_weights_rebuild_the_points(seed):
+    points = cloud(seed)
+    weights = barycentric(points, points[:3])
+    np.testing.assert_allclose(weights @ points[:3], points, atol=1e-6)
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-9)
+
+
+def test_a_mirrored_shape_is_wholly_folded():
+    triangles = delaunay(SQUARE)
+    assert folded_share(SQUARE, triangles) == 0
+    assert folded_share(SQUARE * [-1, 1], triangles) == 1
+    assert folded_share(SQUARE * 0, triangles) == 1
+
+
+def test_folded_share_is_a_share_of_area():
+    shape = np.array([[0, 0], [4, 0], [0, 4], [1, 1.0]])  # point 3 lies inside: three triangles
+    triangles = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    assert folded_share(shape, triangles) == 0
+    shape[3] = [2, -1]  # across the first triangle's base
+    areas = signed_areas(shape, triangles)
+    assert folded_share(shape, triangles) == pytest.approx(-areas.min() / np.abs(areas).sum())
+    assert 0.1 < folded_share(shape, triangles) < 0.2
+
+
+def test_a_folded_mesh_on_the_mean_is_refused():
+    with pytest.raises(TrainingError, match=r"folded on the mean shape \(triangle of points \[0, 3, 2\]"):
+        ReferenceFrame(SQUARE, np.array([[0, 1, 2], [0, 3, 2]], np.int32))
+
+
+@given(seed=st.integers(0, 30))
+def test_every_pixel_of_the_frame_lies_in_its_triangle(seed):
+    points = cloud(seed)
+    frame = ReferenceFrame(points - points.mean(axis=0), delaunay(points))
+    carried = np.einsum("nv,nva->na", frame.weights, frame.points[frame.vertices])
+    np.testing.assert_allclose(carried, frame.pixels[:, ::-1] + frame.origin, atol=1e-9)
+    assert frame.weights.min() >= -1e-9
+    assert len(np.unique(frame.pixels, axis=0)) == frame.n_pixels
+    assert frame.n_pixels == pytest.approx(signed_areas(points, frame.triangles).sum(), rel=0.05)
+
+
+def test_pixels_on_shared_edges_and_corners_count_once():
+    frame = ReferenceFrame(SQUARE, delaunay(SQUARE))
+    assert frame.n_pixels == 11 * 11
+
+
+def test_a_picture_lays_values_where_their_pixels_are():
+    frame = ReferenceFrame(SQUARE, delaunay(SQUARE))
+    picture = frame.picture(np.arange(frame.n_pixels) + 1.0, fill=-1)
+    assert picture.shape == frame.size[::-1]
+    np.testing.assert_array_equal(picture[frame.pixels[:, 0], frame.pixels[:, 1]], np.arange(frame.n_pixels) + 1)
+    assert (picture == -1).sum() == picture.size - frame.n_pixels
+    assert frame.picture(np.zeros((frame.n_pixels, 3))).shape == (*frame.size[::-1], 3)

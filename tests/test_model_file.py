@@ -1,0 +1,343 @@
+"""Model files: what is written comes back; what is broken is refused by name."""
+
+import json
+import os
+import struct
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from safetensors import safe_open
+from safetensors.numpy import save
+
+from liaam.errors import ModelFileError
+from liaam.fitting import Fitter
+from liaam.model import AAM, load_model
+from liaam.training import train
+from setups import disturb
+
+FILE = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture(scope="session")
+def model_file(model, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("models") / "face.liaam"
+    replace(model, contours=(((0, 1, 2), True), ((3, 4), False)), name="häd 7").save(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def tiny_file(tmp_path_factory) -> Path:
+    """A complete model of a few kilobytes, to be broken in many ways."""
+    rng = np.random.default_rng(0)
+    shapes = np.array([[20, 20], [50, 20], [50, 50], [20, 50.0]]) + rng.normal(0, 1, (4, 4, 2))
+    images = rng.integers(40, 200, (4, 70, 70, 3), dtype=np.uint8)
+    path = tmp_path_factory.mktemp("tiny") / "tiny.liaam"
+    train(zip(images, shapes, strict=True), diagonal=16, blurs=(0.0,), variance=1).save(path)
+    return path
+
+
+def parts(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    with safe_open(path, framework="numpy") as file:
+        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        return json.loads(file.metadata()["liaam"]), tensors
+
+
+def forge(path: Path, header: dict, tensors: dict[str, np.ndarray]) -> Path:
+    path.write_bytes(save(tensors, {"liaam": json.dumps(header)}))
+    return path
+
+
+def assert_refused(path: Path, match: str = "model") -> None:
+    with pytest.raises(ModelFileError, match=match) as caught:
+        load_model(path)
+    assert str(path) in str(caught.value)
+
+
+# What is written comes back
+
+
+def test_a_loaded_model_is_the_saved_one(model, model_file):
+    loaded = load_model(model_file)
+    assert (loaded.theta, loaded.response, loaded.n_images) == (model.theta, model.response, 8)
+    assert loaded.contours == (((0, 1, 2), True), ((3, 4), False))
+    assert loaded.name == "häd 7"
+    assert [level.blur for level in loaded.levels] == [level.blur for level in model.levels]
+    assert loaded.levels[0].appearances.keys() == model.levels[0].appearances.keys()
+    np.testing.assert_array_equal(loaded.shape_model.basis, model.shape_model.basis)
+
+
+@pytest.mark.parametrize("method", ["li", "rgb", "li-lit"])
+def test_a_loaded_model_fits_identically(model, model_file, lit_scene, method):
+    start = disturb(lit_scene.landmarks)
+    ours, theirs = (Fitter(m, method).fit(lit_scene.image, start) for m in (model, load_model(model_file)))
+    np.testing.assert_array_equal(ours.shape, theirs.shape)
+    assert ours.cost == theirs.cost
+
+
+def test_saving_is_deterministic(model_file, tmp_path):
+    again = tmp_path / "again.liaam"
+    load_model(model_file).save(again)
+    assert again.read_bytes() == model_file.read_bytes()
+
+
+# A save that fails leaves the old file
+
+
+def test_a_save_that_fails_leaves_the_old_file(model, tmp_path, monkeypatch):
+    path = tmp_path / "face.liaam"
+    path.write_bytes(b"old")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ModelFileError, match=r"face\.liaam.*No space left"):
+        model.save(path)
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["face.liaam"]
+
+
+def test_saving_into_a_missing_folder_is_refused(model, tmp_path):
+    with pytest.raises(ModelFileError, match=r"gone.*does not exist"):
+        model.save(tmp_path / "gone" / "face.liaam")
+
+
+def test_saving_onto_a_folder_is_refused(model, tmp_path):
+    with pytest.raises(ModelFileError, match="folder"):
+        model.save(tmp_path)
+
+
+# What is broken is refused
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    assert_refused(tmp_path / "none.liaam", "does not exist; make one with 'liaam train")
+
+
+def test_a_folder_is_refused(tmp_path):
+    assert_refused(tmp_path, "is a folder")
+
+
+@FILE
+@given(share=st.floats(0, 1, exclude_max=True))
+def test_a_file_cut_short_is_refused(tiny_file, tmp_path, share):
+    whole = tiny_file.read_bytes()
+    path = tmp_path / "cut.liaam"
+    path.write_bytes(whole[: int(share * len(whole))])
+    assert_refused(path, "cut short")
+
+
+@FILE
+@given(junk=st.binary(max_size=300))
+def test_random_bytes_are_refused(tmp_path, junk):
+    path = tmp_path / "junk.liaam"
+    path.write_bytes(junk)
+    assert_refused(path, "no complete liaam model|is no liaam model")
+
+
+@FILE
+@given(data=st.data())
+def test_a_damaged_file_is_refused_or_whole(tiny_file, tmp_path, data):
+    damaged = bytearray(tiny_file.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, min(len(damaged), 3000) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path / "damaged.liaam"
+    path.write_bytes(bytes(damaged))
+    try:
+        loaded = load_model(path)
+    except ModelFileError as error:
+        assert str(path) in str(error)
+    else:
+        assert isinstance(loaded, AAM)
+
+
+def test_a_safetensors_file_of_another_kind_is_refused(tmp_path):
+    path = tmp_path / "other.safetensors"
+    path.write_bytes(save({"weights": np.zeros(4)}))
+    assert_refused(path, "is no liaam model")
+
+
+@pytest.mark.parametrize("schema", [0, 2, 99, None, "1"])
+def test_another_schema_version_is_refused(tiny_file, tmp_path, schema):
+    header, tensors = parts(tiny_file)
+    path = forge(tmp_path / "old.liaam", header | {"schema": schema}, tensors)
+    assert_refused(path, f"schema version {schema}, this liaam reads version 1")
+
+
+@pytest.mark.parametrize("size", [10**12, 2**62, 2**64 - 1])
+def test_a_forged_size_is_refused_without_asking_for_the_memory(tmp_path, size):
+    header = {
+        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 1})},
+        "shape.mean": {"dtype": "F64", "shape": [size // 16, 2], "data_offsets": [0, size]},
+    }
+    text = json.dumps(header).encode()
+    path = tmp_path / "huge.liaam"
+    path.write_bytes(struct.pack("<Q", len(text)) + text + b"\0" * 64)
+    tracemalloc.start()
+    assert_refused(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10e6
+
+
+def test_a_forged_header_length_is_refused(tmp_path):
+    path = tmp_path / "huge.liaam"
+    path.write_bytes(struct.pack("<Q", 2**63) + b"{}")
+    assert_refused(path)
+
+
+def grown(header, tensors):
+    tensors["shape.mean"] = tensors["shape.mean"] * 1e9 / 16
+
+
+def holed(header, tensors):
+    tensors["level0.log.mean"][3, 1] = np.nan
+
+
+def other_type(header, tensors):
+    tensors["shape.modes"] = tensors["shape.modes"].astype(np.float32)
+
+
+def other_shape(header, tensors):
+    tensors["level0.log.modes"] = tensors["level0.log.modes"][:, :-1]
+
+
+def lost(header, tensors):
+    del tensors["level0.value.usable"]
+
+
+def lost_appearance(header, tensors):
+    del tensors["level0.log.mean"]
+
+
+def beyond(header, tensors):
+    tensors["triangles"][0, 0] = 4
+
+
+def negative(header, tensors):
+    tensors["triangles"][0, 0] = -1
+
+
+def turned_over(header, tensors):
+    tensors["triangles"] = tensors["triangles"][:, ::-1].copy()
+
+
+def contour_beyond(header, tensors):
+    header["contours"] = [[[0, 4], False]]
+
+
+def infinite_contour(header, tensors):
+    header["contours"] = [[[float("inf")], False]]
+
+
+def no_level(header, tensors):
+    header["blurs"] = []
+
+
+def missing_level(header, tensors):
+    header["blurs"] = [3.0, 0.5]
+
+
+def many_levels(header, tensors):
+    header["blurs"] = [1.0] * 100000
+
+
+def endless_blur(header, tensors):
+    header["blurs"] = [float("inf")]
+
+
+def no_theta(header, tensors):
+    header["theta"] = float("nan")
+
+
+def odd_response(header, tensors):
+    header["response"] = "film"
+
+
+def many_images(header, tensors):
+    header["n_images"] = float("inf")
+
+
+def other_pixels(header, tensors):
+    header["n_pixels"] += 1
+
+
+def no_name(header, tensors):
+    del header["name"]
+
+
+def overweight(header, tensors):
+    tensors["level0.log.usable"][:] = -1.0
+
+
+def bad_eigenvalue(header, tensors):
+    tensors["shape.eigenvalues"][:] = -1.0
+
+
+FORGERIES = [
+    (grown, "reference frame of"),
+    (holed, "level0.log.mean has values that are not numbers"),
+    (other_type, "shape.modes has type float32"),
+    (other_shape, "level0.log.modes has type"),
+    (lost, "level0.value.usable"),
+    (lost_appearance, "an appearance is missing"),
+    (beyond, "the mesh does not belong to the landmarks"),
+    (negative, "the mesh does not belong to the landmarks"),
+    (turned_over, "folded"),
+    (contour_beyond, "names a landmark that does not exist"),
+    (infinite_contour, "infinity"),
+    (no_level, "blurs"),
+    (missing_level, "an appearance is missing"),
+    (many_levels, "blurs"),
+    (endless_blur, "not a finite number"),
+    (no_theta, "not a finite number"),
+    (odd_response, "'film' is not known"),
+    (many_images, "infinity"),
+    (other_pixels, "does not match its pixels"),
+    (no_name, "name"),
+    (overweight, "level0.log.usable"),
+    (bad_eigenvalue, "shape.eigenvalues"),
+]
+
+
+@pytest.mark.parametrize(("change", "match"), FORGERIES, ids=[change.__name__ for change, _ in FORGERIES])
+def test_a_forged_model_is_refused(tiny_file, tmp_path, change, match):
+    header, tensors = parts(tiny_file)
+    change(header, tensors)
+    assert_refused(forge(tmp_path / "forged.liaam", header, tensors), match)
+
+
+def test_an_unforged_model_is_not_refused(tiny_file, tmp_path):
+    assert isinstance(load_model(forge(tmp_path / "same.liaam", *parts(tiny_file))), AAM)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "null", "3", '"liaam-aam"', '{"format": "liaam-aam"', ""])
+def test_a_header_that_is_no_header_is_refused(tmp_path, text):
+    path = tmp_path / "forged.liaam"
+    path.write_bytes(save({"shape.mean": np.zeros((3, 2))}, {"liaam": text}))
+    assert_refused(path, "is no liaam model")
+
+
+@pytest.mark.parametrize("dtype", ["BF16", "F8_E4M3"])
+def test_types_that_numpy_lacks_are_refused(tmp_path, dtype):
+    n_bytes = 12 if dtype == "BF16" else 6
+    header = {
+        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 1})},
+        "shape.mean": {"dtype": dtype, "shape": [3, 2], "data_offsets": [0, n_bytes]},
+    }
+    text = json.dumps(header).encode()
+    path = tmp_path / "forged.liaam"
+    path.write_bytes(struct.pack("<Q", len(text)) + text + b"\0" * n_bytes)
+    assert_refused(path)
+
+
+def test_numbers_that_overflow_are_refused(tiny_file, tmp_path):
+    header, tensors = parts(tiny_file)
+    tensors["shape.mean"][0] = 1e308
+    tensors["shape.mean"][1] = -1e308
+    assert_refused(forge(tmp_path / "forged.liaam", header, tensors))

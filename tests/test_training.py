@@ -1,0 +1,219 @@
+"""Training: what comes out, and what is refused by name."""
+
+import numpy as np
+import pytest
+
+from conftest import train_on
+from liaam.datasets import Sample
+from liaam.errors import ImageError, TrainingError
+from liaam.fitting import METHODS
+from liaam.io import Contour, Landmarks
+from liaam.mesh import delaunay, signed_areas
+from liaam.photometry import invariant
+from liaam.training import train
+
+
+@pytest.fixture
+def pairs(scenes) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Three images and landmarks, to be spoilt."""
+    return [(scene.image.copy(), scene.landmarks.copy()) for scene in scenes[:3]]
+
+
+def refused(pairs, match: str, **options) -> None:
+    with pytest.raises(TrainingError, match=match):
+        train(pairs, **({"diagonal": 40.0, "response": "linear", "blurs": (0.0,)} | options))
+
+
+# What comes out
+
+
+def test_the_frame_has_the_size_asked_for(model, fine_model):
+    assert model.diagonal == pytest.approx(80)
+    assert fine_model.diagonal == pytest.approx(150)
+    assert fine_model.n_pixels / model.n_pixels == pytest.approx((150 / 80) ** 2, rel=0.05)
+
+
+def test_all_modes_rebuild_the_training_textures(fine_model):
+    for level in fine_model.levels:
+        for appearance in level.appearances.values():
+            flat = appearance.modes.reshape(appearance.n_modes, -1)
+            np.testing.assert_allclose(flat @ flat.T, np.eye(appearance.n_modes), atol=1e-4)
+            assert appearance.n_modes == 7
+            assert (np.diff(appearance.eigenvalues) <= 0).all()
+
+
+def test_the_invariant_of_the_mean_is_the_mean_of_the_invariant(fine_model):
+    appearances = fine_model.levels[-1].appearances
+    projected = invariant(appearances["log"].mean, fine_model.theta)
+    np.testing.assert_allclose(appearances["invariant"].mean[:, 0], projected, atol=1e-5)
+
+
+def test_blur_takes_detail_away(model):
+    coarse, fine = (model.frame.picture(level.appearances["value"].mean) for level in model.levels)
+    assert np.abs(np.diff(coarse[20:40, 15:40], axis=0)).mean() < np.abs(np.diff(fine[20:40, 15:40], axis=0)).mean()
+
+
+def test_images_of_any_depth_train_the_same_model(scenes):
+    eight = [(np.round(s.image * 255).astype(np.uint8), s.landmarks) for s in scenes[:3]]
+    sixteen = [(image.astype(np.uint16) * 257, landmarks) for image, landmarks in eight]
+    floats = [(image / 255.0, landmarks) for image, landmarks in eight]
+    models = [train(pairs, diagonal=40.0, variance=1.0) for pairs in (eight, sixteen, floats)]
+    for other in models[1:]:
+        for name, appearance in other.levels[0].appearances.items():
+            np.testing.assert_allclose(appearance.mean, models[0].levels[0].appearances[name].mean, atol=1e-4)
+
+
+def test_contours_and_mesh_come_from_the_landmarks(pairs):
+    mesh = delaunay(pairs[0][1])
+    contours = tuple(Contour(tuple(int(i) for i in t), True) for t in mesh)
+    samples = [Sample(f"s{i}", image, Landmarks(points, contours=contours)) for i, (image, points) in enumerate(pairs)]
+    model = train(samples, diagonal=40.0, response="linear")
+    assert model.contours[0] == (contours[0].indices, True)
+    assert {tuple(sorted(t)) for t in model.triangles.tolist()} == {tuple(sorted(t)) for t in mesh.tolist()}
+
+
+def test_triangles_may_turn_either_way(pairs, model):
+    for triangles in (model.triangles, model.triangles[:, ::-1]):
+        trained = train(pairs, diagonal=40.0, response="linear", triangles=triangles)
+        assert (signed_areas(trained.shape_model.mean, trained.triangles) > 0).all()
+
+
+def test_landmarks_just_beyond_the_border_are_no_fault(scenes):
+    edges = [int(np.sort(s.landmarks[:, 0])[3]) + 1 for s in scenes[:4]]  # cuts four landmarks off, or five
+    cut = [(s.image[:, x:], s.landmarks - [x, 0]) for s, x in zip(scenes[:4], edges, strict=True)]
+    assert all(4 <= (points[:, 0] < 0).sum() <= 5 for _, points in cut)
+    model = train(cut, diagonal=40.0, response="linear")
+    assert model.levels[-1].appearances["value"].usable.min() == 0
+
+
+def test_progress_is_told(pairs):
+    seen = []
+    train(pairs, diagonal=40.0, response="linear", progress=lambda *step: seen.append(step))
+    assert seen == [(0, 3, "image 1"), (1, 3, "image 2"), (2, 3, "image 3"), (3, 3, "appearance")]
+
+
+def test_every_method_has_its_appearance(model):
+    for level in model.levels:
+        assert {method.appearance for method in METHODS.values()} <= set(level.appearances)
+
+
+# What is refused
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_fewer_than_three_images_are_refused(pairs, n):
+    refused(pairs[:n], f"{n} landmarked images are too few to learn from; at least 3")
+
+
+def test_counts_that_differ_are_refused(pairs):
+    pairs[1] = (pairs[1][0], pairs[1][1][:-1])
+    refused(pairs, "image 2 has 57 landmarks but image 1 has 58")
+
+
+def test_missing_landmarks_are_refused(pairs):
+    pairs[2][1][[4, 9]] = np.nan
+    refused(pairs, r"image 3: 2 of 58 landmarks are missing \(NaN; point 5, 10")
+
+
+@pytest.mark.parametrize("bad", [np.zeros((58, 3)), np.zeros(58), np.zeros((2, 2))])
+def test_landmarks_that_are_no_points_are_refused(pairs, bad):
+    pairs[0] = (pairs[0][0], bad)
+    refused(pairs, "image 1: landmarks of shape .* are not")
+
+
+def test_landmarks_in_one_place_are_refused(pairs):
+    pairs[0][1][:] = 50
+    refused(pairs, "image 1: all landmarks lie within 2 pixels")
+
+
+def test_landmarks_on_a_line_are_refused(pairs):
+    line = [(image, np.column_stack([points[:, 0], points[:, 0]])) for image, points in pairs]
+    refused(line, "lie on one line or in one place")
+
+
+def test_a_mirrored_sample_is_refused_by_name(scenes):
+    pairs = [(s.image, s.landmarks.copy()) for s in scenes]
+    pairs[4] = (pairs[4][0], pairs[4][1] * [-1, 1] + [179, 0])
+    refused(pairs, r"image 5: its landmarks fold the mesh \(.*not mirrored")
+
+
+def test_a_sample_in_another_order_is_refused_by_name(scenes, rng):
+    pairs = [(s.image, s.landmarks.copy()) for s in scenes]
+    pairs[4] = (pairs[4][0], rng.permutation(pairs[4][1]))
+    refused(pairs, "image 5: its landmarks fold the mesh .*same order")
+
+
+def test_folded_triangles_are_refused(pairs, model):
+    triangles = model.triangles.copy()
+    triangles[3] = triangles[3, ::-1]
+    refused(pairs, "the mesh is folded on the mean shape", triangles=triangles)
+
+
+@pytest.mark.parametrize(
+    "triangles", [[[0, 1, 58]], [[-1, 0, 1]], [[0.0, 1.0, 2.0]], [[0, 1]], np.zeros((0, 3), int), [0, 1, 2]]
+)
+def test_triangles_that_are_none_are_refused(pairs, triangles):
+    refused(pairs, r"triangles must be \(t, 3\) whole numbers from 0 to 57", triangles=triangles)
+
+
+def test_an_unexposed_image_is_refused_by_name(pairs):
+    pairs[1][0][:] = 0.0
+    refused(pairs, "image 2: the object is almost wholly black")
+
+
+def test_an_overexposed_image_is_refused_by_name(pairs):
+    pairs[1][0][:] = 1.0
+    refused(pairs, "image 2: the object is almost wholly saturated")
+
+
+def test_an_image_of_nan_is_refused_by_name(pairs):
+    pairs[1][0][:] = np.nan
+    refused(pairs, "image 2: the object is almost wholly")
+
+
+def test_a_few_nan_pixels_cost_their_pixels_only(pairs, rng):
+    clean = train(pairs, diagonal=40.0, response="linear", variance=1.0)
+    pairs[1][0][rng.random(pairs[1][0].shape[:2]) < 0.01] = np.nan
+    model = train(pairs, diagonal=40.0, response="linear", variance=1.0)
+    a, b = (m.levels[-1].appearances["log"] for m in (model, clean))
+    assert 0.8 < a.usable.mean() / b.usable.mean() < 1.0
+    everywhere = (a.usable == 1) & (b.usable == 1)
+    assert np.abs(a.mean - b.mean)[everywhere].mean() < 0.02
+
+
+@pytest.mark.parametrize("shift", [500, -500])
+def test_landmarks_outside_the_image_are_refused(pairs, shift):
+    pairs[0][1][:] += shift
+    refused(pairs, "image 1: 58 of 58 landmarks lie outside the image of 180×240 pixels")
+
+
+def test_one_grey_image_among_colours_is_refused_by_name(pairs):
+    pairs[1][0][:] = pairs[1][0].mean(axis=2, keepdims=True)
+    refused(pairs, "image 2 is grey .* but others are in colour")
+
+
+def test_an_image_of_one_pixel_is_refused_by_name(pairs):
+    pairs[2] = (np.zeros((1, 1, 3), np.uint8), pairs[2][1])
+    with pytest.raises(ImageError, match="image 3: the image is 1×1 pixels"):
+        train(pairs)
+
+
+@pytest.mark.parametrize("diagonal", [0, 15.9, 2001, np.nan, np.inf, -50])
+def test_a_frame_of_no_sensible_size_is_refused(pairs, diagonal):
+    refused(pairs, "give the size of the reference frame, 16 to 2000", diagonal=diagonal)
+
+
+@pytest.mark.parametrize("blurs", [(), (0.5, 3.0), (-1.0,), (11.0,), (np.nan,), (3.0, np.nan)])
+def test_blurs_that_make_no_sense_are_refused(pairs, blurs):
+    refused(pairs, "from coarse to fine", blurs=blurs)
+
+
+@pytest.mark.parametrize("option", ["variance", "appearance_variance"])
+def test_a_variance_that_makes_no_sense_is_refused(pairs, option):
+    refused(pairs, r"give a fraction in \(0, 1\]", **{option: 98.0})
+
+
+def test_identical_images_leave_no_modes(scenes):
+    model = train_on([scenes[0]] * 3, diagonal=40.0)
+    assert len(model.shape_model.modes) == 0
+    assert model.levels[0].appearances["log"].n_modes == 0
