@@ -190,32 +190,42 @@ def _step(
 def _free_directions(
     objective: Objective, state: State, equations: NormalEquations, observable: float
 ) -> tuple[np.ndarray, bool]:
-    """Directions of q that may move: all of p, and the combinations of angles that the image can tell.
+    """Directions of q that may move: all of p, and the angles that the image can tell.
 
     Where the light has not changed, turning both angles together changes nothing but noise: the energy of
-    dr/dtheta is that of the residual itself, scaled by |L'|^2 / |L|^2. A direction with less than
-    ``observable`` times that is held, so that noise cannot make the angles drift.
+    dr/dtheta is that of the residual itself, scaled by |L'|^2 / |L|^2. With less than ``observable`` times that
+    they are not turned together, so that noise cannot make them drift; ``li-pc`` then keeps theta_1 and moves
+    theta_2 only, as ``li`` does.
 
     Returns
     -------
     free : (n_q, n_free) float64
-        Orthonormal columns.
+        Columns of the identity.
     held : bool
-        Whether any direction of the angles is held.
+        Whether an angle is held.
     """
     n_p, n_q = objective.warp.n_parameters, objective.n_q
-    if n_q == n_p:
-        return np.eye(n_q), False
+    free = np.ones(n_q, dtype=bool)
+    if n_q > n_p:
+        free[n_p:] = _observable_angles(objective, state, equations, observable)
+    return np.eye(n_q)[:, free], not free.all()
+
+
+def _observable_angles(
+    objective: Objective, state: State, equations: NormalEquations, observable: float
+) -> list[bool]:
+    """Whether each free angle of the method can be told."""
+    n_p, metric = objective.warp.n_parameters, objective.method
     hessian = equations.reduced()[0][n_p:, n_p:]
     theta = state.angles[1]
-    derivative = np.square(objective.method.image_metric_derivative(theta)).sum()
-    noise = max(equations.rr, 0.0) * derivative / np.square(objective.method.image_metric(theta)).sum()
-    curvature, directions = np.linalg.eigh(hessian)
-    turns = objective.method.angle_directions @ directions  # (2, n_free): of theta_1 and theta_2
-    together = np.abs(turns.sum(axis=0)) > 0.9 * np.sqrt(2.0) * np.linalg.norm(turns, axis=0)
-    needed = np.where(together, observable, OBSERVABLE_APART) * noise * np.maximum(turns[1] ** 2, 1e-3)
-    seen = curvature > needed + 1e-12 * equations.weight
-    free = np.zeros((n_q, n_p + int(seen.sum())))
-    free[:n_p, :n_p] = np.eye(n_p)
-    free[n_p:, n_p:] = directions[:, seen]
-    return free, not seen.all()
+    slope = np.square(metric.image_metric_derivative(theta)).sum() / np.square(metric.image_metric(theta)).sum()
+    noise = max(equations.rr, 0.0) * slope + 1e-12 * equations.weight
+    if metric.free_angles == "image":
+        return [bool(hessian[0, 0] > OBSERVABLE_APART * noise)]
+    if metric.free_angles == "shared":
+        return [bool(hessian[0, 0] > observable * noise)]
+    # In coordinates (theta_1 = theta_2 turned together, theta_2 alone), with the second eliminated from the first.
+    apart, mixed = hessian[1, 1], hessian[:, 1].sum()
+    image_seen = bool(apart > OBSERVABLE_APART * noise)
+    together = hessian.sum() - (mixed**2 / apart if image_seen else 0.0)
+    return [image_seen and bool(together > observable * noise), image_seen]
