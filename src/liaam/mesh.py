@@ -83,7 +83,7 @@ def folded_share(shape: np.ndarray, triangles: np.ndarray) -> float:
     """Share of a shape's absolute area in turned-over triangles, 0 to 1 (1 if it has no area)."""
     areas = signed_areas(shape, triangles)
     total = np.abs(areas).sum()
-    return float(-areas[areas < 0].sum() / total) if total > 0 else 1.0
+    return float(np.abs(areas[areas < 0]).sum() / total) if total > 0 else 1.0
 
 
 def barycentric(points: np.ndarray, triangle: np.ndarray) -> np.ndarray:

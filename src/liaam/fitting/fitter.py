@@ -33,6 +33,10 @@ FOLD_LIMIT = 0.3
 COARSE = 10.0
 """How much sooner than the finest level the coarser ones may stop."""
 
+SHAPE_LIMIT = 5.0
+"""Standard deviations of a shape mode beyond which a fit has diverged; half a model pixel is granted on top,
+since a few training images understate the variance."""
+
 USABLE_LIMIT = 0.25
 """Share of the object's pixels that must be usable."""
 
@@ -177,13 +181,21 @@ class Fitter:
             return FitStatus.LEFT_IMAGE
         if solution.last.weights[inside].mean() < USABLE_LIMIT:
             return self._why_unusable(image, points[inside])
-        if folded_share(shape, self.model.triangles) > FOLD_LIMIT:
+        if folded_share(shape, self.model.triangles) > FOLD_LIMIT or self._strangeness(shape) > SHAPE_LIMIT:
             return FitStatus.DIVERGED
         if solution.flat:
             return FitStatus.NO_TEXTURE
         if not solution.settled:
             return FitStatus.MAX_ITERATIONS
         return FitStatus.LIGHT_UNOBSERVABLE if solution.angles_held else FitStatus.CONVERGED
+
+    def _strangeness(self, shape: np.ndarray) -> float:
+        """Largest shape mode in standard deviations, under the similarity that suits the shape best."""
+        shape_model = self.model.shape_model
+        upright = align(shape, shape_model.mean)(shape)
+        # A mode is an orthonormal vector over all landmarks: half a pixel each makes sqrt(n) / 2.
+        allowed = np.sqrt(shape_model.eigenvalues) + 0.5 * np.sqrt(shape_model.n_points) / SHAPE_LIMIT
+        return float((np.abs(shape_model.parameters(upright)[:-4]) / allowed).max(initial=0.0))
 
     def _why_unusable(self, image: np.ndarray, points: np.ndarray) -> FitStatus:
         """Tell a wandering fit from a dark or an overexposed object."""

@@ -41,8 +41,8 @@ _MESSAGES = {
         "The fit was still moving when its iterations ran out; start nearer to the object or allow more iterations."
     ),
     FitStatus.DIVERGED: (
-        "The fit lost the object (its shape collapsed, folded or blew up); start nearer to it, or use a method that "
-        "suits the light."
+        "The fit lost the object (its shape collapsed, folded, blew up, or is unlike any in training); start nearer to "
+        "it, or use a method that suits the light."
     ),
     FitStatus.LEFT_IMAGE: (
         "More than half of the object lies outside the picture; start inside it, or use a wider picture."

@@ -1,0 +1,18 @@
+"""A fit's status tells a shape unlike any in training from one that has merely not settled."""
+
+import numpy as np
+import pytest
+
+from liaam.fitting import Fitter, FitStatus, SolverOptions
+from liaam.shape import align
+
+
+@pytest.mark.parametrize(("deviations", "status"), [(1.0, FitStatus.MAX_ITERATIONS), (12.0, FitStatus.DIVERGED)])
+def test_shape_far_outside_training_has_diverged(model, scenes, deviations, status):
+    p = np.zeros(len(model.shape_model.basis))
+    p[0] = deviations * np.sqrt(model.shape_model.eigenvalues[0])
+    pose = align(model.shape_model.mean, scenes[0].landmarks)
+    start = pose(model.shape_model.shape(p))
+    result = Fitter(model, "rgb", SolverOptions(max_iterations=0)).fit(scenes[0].image, start)
+    assert result.status == status
+    assert np.array_equal(result.shape, result.start)
