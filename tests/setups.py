@@ -7,8 +7,7 @@ import numpy as np
 from liaam.fitting import get_method
 from liaam.fitting.objective import FitProblem, Objective, make_objectives
 from liaam.model import AAM
-from liaam.sampling import make_patch
-from liaam.shape import Similarity, align, diagonal_of
+from liaam.shape import align, diagonal_of
 
 
 def between(a, b):
@@ -33,17 +32,8 @@ def make_problem(
 ) -> tuple[FitProblem, np.ndarray]:
     """One image ready for an objective, and the warp parameters of the start."""
     pose = align(model.shape_model.mean, start)
-    patch = make_patch(
-        image,
-        start,
-        pose.scale,
-        encoding=objective.method.encoding,
-        response=model.response,
-        blur=blur,
-        margin=0.6,
-    )
-    to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
-    return FitProblem(patch, to_patch), model.shape_model.parameters(pose.inverse()(start))
+    problem = FitProblem.at(image, start, pose, objective.method, model.response, blur)
+    return problem, model.shape_model.parameters(pose.inverse()(start))
 
 
 def finest_objective(model: AAM, method, kernel: str = "fast") -> Objective:

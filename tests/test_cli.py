@@ -133,6 +133,8 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{portraits}", "-o", "m", "--variance", "lots"), "give a share such as 0.98"),
         (("train", "{portraits}", "-o", "m", "--response", "film"), "'srgb', 'linear' or a gamma"),
         (("train", "{portraits}", "-o", "m", "--diagonal", "3"), "16 to 2000"),
+        (("train", "{portraits}", "-o", "m", "--theta", "nan"), "in degrees"),
+        (("train", "{portraits}", "-o", "m", "--theta", "2.13"), "in degrees"),
         (("train", "{portraits}", "-o", "m", "--images", "face0*"), "too few"),
         (("info", "{missing}"), "does not exist; make one with 'liaam train"),
         (("info", "{image}"), "no complete liaam model"),
@@ -143,7 +145,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("fit", "{model}", "{image}", "--init", "900,900,950,980"), "outside the image"),
         (("fit", "{model}", "{image}", "--init", "50,50,20,90"), "is empty"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "there are grey, rgb, li"),
-        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "cannot be made"),
+        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is a file"),
         (("experiment", "spot", "--data", "{portraits}", "--out", "o"), "named as the IMM"),
         (("experiment", "spot", "--data", "{portraits}", "--out", "o", "--methods", ","), "is empty"),
     ],
@@ -166,6 +168,35 @@ def test_wrong_input_is_one_line_that_says_what_to_do(
     assert message in err
     assert "Traceback" not in err
     assert not (tmp_path / "m").exists()
+
+
+def test_fit_does_not_overwrite_a_persons_landmarks(run, portraits, model_file, tmp_path):
+    write_image(tmp_path / "mine.png", read_image(portraits[1]))
+    write_landmarks(tmp_path / "mine.pts", read_landmarks(portraits[2]).points)
+    before = (tmp_path / "mine.pts").read_bytes()
+    arguments = ("fit", model_file, tmp_path / "mine.png", "--init", tmp_path)
+    code, _, err = run(*arguments, "-o", tmp_path)
+    assert code == 1
+    assert "mine.pts exists and is not from an earlier fit" in err
+    assert (tmp_path / "mine.pts").read_bytes() == before
+    assert run(*arguments, "-o", tmp_path / "out")[0] == 0
+    assert run(*arguments, "-o", tmp_path / "out")[0] == 0  # its own results may be renewed
+
+
+def test_train_does_not_overwrite_a_picture(run, portraits, tmp_path):
+    write_image(tmp_path / "holiday.png", read_image(portraits[1]))
+    code, _, err = run("train", portraits[0], "-o", tmp_path / "holiday.png")
+    assert code == 1
+    assert "is an image or landmark file" in err
+    assert read_image(tmp_path / "holiday.png").shape == (200, 150, 3)
+
+
+def test_names_with_brackets_are_printed_as_they_are(run, portraits, tmp_path):
+    model = tmp_path / "m.liaam"
+    assert run("train", portraits[0], "-o", model, "--diagonal", 60, "--name", "head [/b]")[0] == 0
+    code, out, _ = run("info", model)
+    assert code == 0
+    assert "head [/b]" in out
 
 
 def test_images_of_one_stem_do_not_overwrite_each_other(tmp_path):

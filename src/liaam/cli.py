@@ -1,5 +1,6 @@
 """The command line: thin. Everything it does is a call that Python users have too."""
 
+import io
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from liaam import __version__
@@ -107,9 +109,12 @@ def train(
     import numpy as np
 
     from liaam.datasets import load_folder
+    from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
     from liaam.photometry import parse_response
     from liaam.training import train as train_model
 
+    if not 60 <= theta <= 180:
+        raise LiaamError(f"--theta {theta:g}: give the camera's angle in degrees; cameras lie in 90 to 135")
     options = {
         "variance": parse_variance(variance),
         "appearance_variance": None if appearance_variance is None else parse_variance(appearance_variance),
@@ -118,6 +123,10 @@ def train(
     if not output.parent.is_dir() or output.is_dir():  # before the work, not after it
         what = "is a folder" if output.is_dir() else f"cannot be written: the folder {output.parent} does not exist"
         raise LiaamError(f"{output} {what}; give the name of a file in a folder that exists")
+    if output.exists() and output.suffix.lower() in {*IMAGE_SUFFIXES, *LANDMARK_SUFFIXES}:
+        raise LiaamError(
+            f"{output} is an image or landmark file; name the model otherwise, such as {folder.name}.liaam"
+        )
     data = load_folder(folder, recursive=recursive)
     data = data.select(images) if images else data
     say(data.report())
@@ -136,9 +145,9 @@ def train(
 
 
 def parse_variance(text: str) -> float | int:
-    """Read a share (with a point) or a count (without)."""
+    """Read a share (with a point: 0.98, 1.0) or a count (without: 12)."""
     try:
-        return int(text) if text.strip().isdigit() and int(text) > 1 else float(text)
+        return int(text) if text.strip().isdigit() else float(text)
     except ValueError:
         raise LiaamError(f"variance {text!r}: give a share such as 0.98, or a whole number of modes") from None
 
@@ -158,12 +167,18 @@ def fit(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
     iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
     history: Annotated[bool, typer.Option("--history", help="Also write each iteration's cost and shape.")] = False,
+    response: Annotated[
+        str | None, typer.Option(help="Response of these images' camera, if not the training camera's.")
+    ] = None,
 ) -> None:
     """Fit a model to images; writes landmarks (.pts, .csv, .json) and an overlay picture for each."""
     from liaam.fitting import Fitter, SolverOptions
     from liaam.model import load_model
+    from liaam.photometry import parse_response
 
-    fitter = Fitter(load_model(model_file), method, SolverOptions(max_iterations=iterations))
+    options = SolverOptions(max_iterations=iterations)
+    own_response = None if response is None else parse_response(response)
+    fitter = Fitter(load_model(model_file), method, options, response=own_response)
     make_folder(output)
     table = Table("image", "status", "iterations", "cost", "theta", box=None, header_style="bold")
     advice: dict[str, list[str]] = {}
@@ -178,7 +193,7 @@ def fit(
                 complain(f"error: {error}")
                 continue
             angle = f"{angle_degrees(result):.1f}°" if angle_degrees(result) is not None else "–"
-            table.add_row(image.name, str(result.status), str(result.n_iterations), f"{result.cost:.3g}", angle)
+            table.add_row(escape(image.name), str(result.status), str(result.n_iterations), f"{result.cost:.3g}", angle)
             if not result.status.ok:
                 failed += 1
                 advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
@@ -197,6 +212,7 @@ def fit_one(fitter: "Fitter", image: Path, init: str, output: Path, stem: str, h
     from liaam.plotting import overlay
 
     model = fitter.model
+    refuse_to_overwrite(output, stem)
     pixels = read_image(image)
     result = fitter.fit(pixels, read_init(init, image, pixels.shape[1::-1]), image.name)
     contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
@@ -215,6 +231,17 @@ def fit_one(fitter: "Fitter", image: Path, init: str, output: Path, stem: str, h
     if history:
         write_history(output / f"{stem}_history.csv", result)
     return result
+
+
+def refuse_to_overwrite(output: Path, stem: str) -> None:
+    """Complain if landmarks that no fit has written would be lost (a person's own annotations, say)."""
+    if (output / f"{stem}_fit.png").exists():  # an earlier fit's results may be renewed
+        return
+    for suffix in (".pts", ".csv", ".json"):
+        if (output / f"{stem}{suffix}").exists():
+            raise LiaamError(
+                f"{output / stem}{suffix} exists and is not from an earlier fit; give another folder with -o to keep it"
+            )
 
 
 def angle_degrees(result: "FitResult") -> float | None:
@@ -279,6 +306,8 @@ def unique_stems(images: list[Path]) -> list[str]:
 
 def make_folder(folder: Path) -> None:
     """Make a folder for results, or say why it cannot be."""
+    if folder.is_file():
+        raise LiaamError(f"{folder} is a file, so the folder cannot be made; give another with -o")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -314,7 +343,7 @@ def info(
 
     table = Table.grid(padding=(0, 2))
     for key, value in describe(load_model(model_file), model_file).items():
-        table.add_row(key, value)
+        table.add_row(key, escape(value))
     console.print(table)
 
 
@@ -381,7 +410,6 @@ def spot(
     names = [name.strip() for name in methods.split(",") if name.strip()]
     if not names:
         raise MethodError("--methods is empty; see 'liaam methods' for those that exist")
-    make_folder(output)
     with progress_bar() as tell:
         summary = run_spot(data, output, names, trials, seed, tell)
     table = Table("method", "median NME", "p90", "converged", "iterations", "theta", box=None, header_style="bold")
@@ -400,6 +428,9 @@ def spot(
 
 def main() -> None:
     """Run the command line; errors become one line and an exit status."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal without × or θ gets a ? instead of a traceback
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         app()
     except LiaamError as error:

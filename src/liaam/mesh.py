@@ -73,7 +73,7 @@ def _is_empty(points: np.ndarray, cycle: tuple[int, int, int]) -> bool:
 
 
 def signed_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Twice-signed areas / 2 of triangles, (t,) float64; negative where a triangle is turned over."""
+    """Signed areas of triangles, (t,) float64; negative where a triangle is turned over."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     u, v = b - a, c - a
     return 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
@@ -99,7 +99,7 @@ def barycentric(points: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     return np.column_stack([1.0 - v - w, v, w])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReferenceFrame:
     """Pixels of the mean shape: where the model's appearance lives.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from liaam.appearance import APPEARANCES, AppearanceModel
 from liaam.errors import LiaamError, ModelFileError
-from liaam.mesh import ReferenceFrame
+from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.photometry import Response, parse_response
 from liaam.shape import ShapeModel, diagonal_of
 from liaam.warp import PiecewiseAffineWarp
@@ -24,7 +24,7 @@ MAX_DIAGONAL = 2000.0
 FORMAT = "liaam-aam"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Level:
     """The model's appearance at one sharpness; a fit goes from the blurred levels to the sharp one.
 
@@ -41,7 +41,7 @@ class Level:
     appearances: dict[str, AppearanceModel]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AAM:
     """An active appearance model.
 
@@ -73,6 +73,9 @@ class AAM:
     n_images: int
     contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
     name: str = ""
+
+    def __repr__(self) -> str:
+        return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
 
     @cached_property
     def frame(self) -> ReferenceFrame:
@@ -215,6 +218,9 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     # The mean is centred, so that no coordinate exceeds the diagonal; differences of larger ones might overflow.
     if np.abs(mean).max() > MAX_DIAGONAL or not 8.0 <= diagonal_of(mean) <= MAX_DIAGONAL:
         raise ValueError(f"a reference frame of no sensible size (8 to {MAX_DIAGONAL:.0f} pixels)")
+    area = float(np.abs(signed_areas(mean, triangles)).sum())
+    if len(triangles) > 2 * n or area > 1.001 * float(np.prod(np.ptp(mean, axis=0))):
+        raise ValueError("the mesh overlaps itself")
     frame = ReferenceFrame(mean, triangles)
     if frame.n_pixels != header["n_pixels"]:
         raise ValueError("its reference frame does not match its pixels")

@@ -7,7 +7,7 @@ import numpy as np
 from liaam.errors import TrainingError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Components:
     """Principal components of a set of vectors.
 

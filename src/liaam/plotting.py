@@ -77,6 +77,7 @@ def overlay(
     zoom = max(1, round(700 / max(picture.shape[:2])))
     picture = cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC) if zoom > 1 else picture.copy()
     size = float(np.ptp(shape, axis=0).max()) * zoom if np.isfinite(shape).all() else 100.0
+    size = float(np.clip(size, 1.0, 4 * max(picture.shape[:2])))  # a lost fit may be of any size
     thick = max(1, round(size / 300))
     # OpenCV draws on pixel centres with a fixed-point fraction of 4 bits.
     points = np.clip(np.nan_to_num((shape + 0.5) * zoom - 0.5), -1e6, 1e6)
@@ -180,7 +181,7 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
     axes[1, 1].axis("off")
     if model.is_colour:
         invariant = model.levels[-1].appearances["invariant"].mean[:, 0]
-        axes[1, 1].imshow(np.ma.masked_equal(model.frame.picture(invariant, np.nan), np.nan), cmap="viridis")
+        axes[1, 1].imshow(np.ma.masked_invalid(model.frame.picture(invariant, np.nan)), cmap="viridis")
         axes[1, 1].set_title("mean invariant", fontsize=10)
     for i in range(shown):
         _show_shape_mode(axes[0, 2 + i], model, i)

@@ -9,7 +9,7 @@ from liaam.photometry import Response, encode
 from liaam.shape import Similarity, diagonal_of
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Patch:
     """Encoded region of interest of an image.
 
@@ -55,7 +55,7 @@ def make_patch(
         Surroundings to include, as a share of the shape's diagonal.
     """
     height, width = image.shape[:2]
-    # An eighth of slack: the reduction must not be coarser than the model's pixels.
+    # Never coarser than the model's pixels.
     reduce = max(1, int(scale))
     pad = margin * diagonal_of(shape) + 2 * reduce
     low = np.clip(np.floor(shape.min(axis=0) - pad), 0, [width - 2, height - 2]).astype(int)

@@ -13,7 +13,7 @@ def diagonal_of(shape: np.ndarray) -> float:
     return float(np.hypot(*(shape.max(axis=0) - shape.min(axis=0))))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Similarity:
     """Similarity x -> matrix @ x + offset of the plane (rotation, one scale, translation).
 
@@ -116,7 +116,7 @@ def similarity_modes(mean: np.ndarray) -> np.ndarray:
     return np.array([row.ravel() / np.linalg.norm(row) for row in rows])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ShapeModel:
     """Shapes s(p) = s0 + sum_i p_i s_i (paper eq 1-2).
 

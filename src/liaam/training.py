@@ -1,5 +1,6 @@
 """Training: from landmarked images to an active appearance model."""
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -18,7 +19,7 @@ from liaam.mesh import (
 )
 from liaam.model import AAM, MAX_DIAGONAL, Level
 from liaam.pca import check_variance
-from liaam.photometry import ENCODINGS, THETA_DEFAULT, Response, invariant_row, is_grey
+from liaam.photometry import ENCODINGS, THETA_DEFAULT, Response, exposure_faults, invariant_row, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
 from liaam.sampling import make_patch, sample_texture
 from liaam.shape import align, train_shape_model
@@ -87,6 +88,9 @@ def train(
         The message names the sample.
     """
     _check_options(variance, appearance_variance, diagonal, blurs)
+    response = parse_response(response)
+    if not abs(theta) <= 2 * np.pi:
+        raise TrainingError(f"theta {theta:g}: give the camera's angle in radians (122 degrees are 2.13)")
     entries, contours, edges = _entries(data)
     shapes = np.array([entry.points for entry in entries])
     shape_model = train_shape_model(shapes, diagonal, variance)
@@ -129,6 +133,8 @@ def _entries(data: Iterable) -> tuple[list[_Entry], tuple, np.ndarray]:
     """Checked samples, the contours and the connectivity of the first that has any."""
     entries: list[_Entry] = []
     contours: tuple = ()
+    if isinstance(data, (str, os.PathLike)) or not isinstance(data, Iterable):
+        raise TrainingError(f"{data!r} is not a set of landmarked images; for a folder give liaam.load_folder(folder)")
     for i, item in enumerate(data):
         entry, own = _entry(item, i)
         if entries and len(entry.points) != len(entries[0].points):
@@ -149,7 +155,12 @@ def _entry(item, i: int) -> tuple[_Entry, tuple]:
     if hasattr(item, "landmarks"):
         name, landmarks, read = item.name, item.landmarks, item.read_image
     else:
-        image, landmarks = item
+        try:
+            image, landmarks = item
+        except (TypeError, ValueError):
+            raise TrainingError(
+                f"training item {i + 1} is no (image, landmarks) pair; for a folder give liaam.load_folder(folder)"
+            ) from None
         name = f"image {i + 1}"
         read = lambda: image  # noqa: E731
     points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
@@ -231,7 +242,7 @@ def _sample_all(
             for j, blur in enumerate(blurs):
                 texture = _sample(image, entry.points, warp, encoding, response, blur)
                 values[encoding][j, i], usable[encoding][j, i] = texture
-        _check_light(entry, usable["log"][-1, i], values["value"][-1, i])
+        _check_light(entry, image, warp.interpolate(entry.points), usable["log"][-1, i])
     if progress:
         progress(n, n, "appearance")
     if any(grey) and not all(grey):
@@ -274,13 +285,14 @@ def _check_inside(entry: _Entry, image: np.ndarray) -> None:
         )
 
 
-def _check_light(entry: _Entry, usable: np.ndarray, values: np.ndarray) -> None:
+def _check_light(entry: _Entry, image: np.ndarray, points: np.ndarray, usable: np.ndarray) -> None:
     if usable.mean() >= 0.2:
         return
-    what = "black" if np.median(values) < 0.5 else "saturated"
+    inside = np.clip(np.rint(points).astype(int), 0, np.array(image.shape[1::-1]) - 1)
+    dark, clipped = exposure_faults(image[inside[:, 1], inside[:, 0]])
     raise TrainingError(
-        f"{entry.name}: the object is almost wholly {what} there ({usable.mean():.0%} of its pixels usable); "
-        "leave this image out or expose it otherwise"
+        f"{entry.name}: the object is almost wholly {'black' if dark >= clipped else 'saturated'} there "
+        f"({usable.mean():.0%} of its pixels usable); leave this image out or expose it otherwise"
     )
 
 

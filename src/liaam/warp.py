@@ -39,7 +39,7 @@ class Warp(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PiecewiseAffineWarp:
     """Piecewise-affine warp of a mesh whose vertices follow a shape model (paper eq 3).
 

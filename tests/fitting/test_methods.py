@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import MethodError
-from liaam.fitting import METHODS, Method, get_method
+from liaam.fitting import METHODS, Method, fit, get_method
 from liaam.photometry import invariant_row
 
 
@@ -64,3 +64,24 @@ def test_shared_angles_move_together_and_both_apart():
 def test_image_and_model_are_measured_by_their_own_angles():
     np.testing.assert_array_equal(METHODS["li"].image_metric(1.9), invariant_row(1.9))
     np.testing.assert_array_equal(METHODS["li-lit"].model_metric(1.9), [[1.0]])
+
+
+@pytest.mark.parametrize(
+    ("row", "match"),
+    [
+        (("log", "log", "invariant", "both", True), "gain"),
+        (("log", "value", "rgb"), "do not suit"),
+        (("value", "log", "rgb"), "do not suit"),
+        (("log", "invariant", "rgb"), "needs the invariant metric"),
+    ],
+)
+def test_rows_that_cannot_be_are_refused(row, match):
+    with pytest.raises(MethodError, match=match):
+        Method("mine", "", *row)
+
+
+def test_unknown_options_are_listed(model, scenes):
+    with pytest.raises(MethodError, match="'max_iteration' does not exist; there are max_iterations, tolerance"):
+        fit(model, scenes[0].image, scenes[0].landmarks, max_iteration=3)
+    with pytest.raises(MethodError, match="finite"):
+        fit(model, scenes[0].image, scenes[0].landmarks, tolerance=float("nan"))

@@ -38,10 +38,12 @@ def test_the_cost_never_rises_within_a_level(model, lit_scene, method, eliminati
 
 
 @pytest.mark.parametrize("method", ["li", "rgb", "li-pc"])
-def test_joint_and_varpro_reach_the_same_minimum(fine_model, lit_scene, method):
-    start = disturb(lit_scene.landmarks)
+def test_joint_and_varpro_reach_the_same_minimum(fine_model, lit_scene, same_light_scene, method):
+    # rgb has a minimum worth the name only without a change of light; under one it diverges, each way its own.
+    scene = same_light_scene if method == "rgb" else lit_scene
+    start = disturb(scene.landmarks)
     varpro, joint = (
-        Fitter(fine_model, method, SolverOptions(elimination=elimination, **EXACT)).fit(lit_scene.image, start)
+        Fitter(fine_model, method, SolverOptions(elimination=elimination, **EXACT)).fit(scene.image, start)
         for elimination in ("varpro", "joint")
     )
     assert model_pixels(fine_model, joint.shape, varpro.shape) < 1e-2
@@ -115,3 +117,13 @@ def test_with_a_change_of_light_the_angle_is_seen(model, lit_scene, method):
 def test_every_status_says_what_to_do(status):
     assert len(status.message) > 15
     assert status.message.endswith(".")
+
+
+@pytest.mark.parametrize(("turn", "size"), [(0.0, 1.0), (15.0, 1.0), (0.0, 1.4), (-12.0, 0.8)])
+def test_the_result_does_not_depend_on_the_pose_of_the_start(fine_model, same_light_scene, turn, size):
+    truth = same_light_scene.landmarks
+    centre, angle = truth.mean(axis=0), np.deg2rad(turn)
+    matrix = size * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    fitter = Fitter(fine_model, "li")
+    result = fitter.fit(same_light_scene.image, (truth - centre) @ matrix.T + centre)
+    assert model_pixels(fine_model, result.shape, fitter.fit(same_light_scene.image, truth).shape) < 0.1

@@ -61,6 +61,8 @@ def few(n_numbers: int) -> np.ndarray:
         ((5000, 5000, 80), "lies outside the image .*180×240 pixels"),
         ((-500, 20, -400, 120), "lies outside the image"),
         (np.full((58, 2), 1e9), "lies outside the image"),
+        (np.full((58, 2), 80.0), "only 0.0 pixels large"),
+        ((80, 80, 1e-300), "only 0.0 pixels large"),
     ],
 )
 def test_a_start_that_makes_no_sense_is_refused(model, init, match):

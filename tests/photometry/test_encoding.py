@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from liaam.errors import ImageError, MethodError
-from liaam.photometry import ENCODINGS, encode, invariant, is_grey, srgb_to_linear, too_dark
+from liaam.photometry import ENCODINGS, encode, exposure_faults, invariant, is_grey, srgb_to_linear
 from liaam.photometry.encoding import as_colour
 
 
@@ -48,7 +48,7 @@ def test_dark_and_saturated_channels_cost_the_log_its_trust(value, channel):
     usable = encode(image, "log")[..., 3]
     assert usable[4, 4] == (8 <= value <= 250)
     assert usable.sum() == 63 + (8 <= value <= 250)
-    assert too_dark(image / 255)[4, 4] == (value < 8)
+    assert exposure_faults(image[4:5, 4]) == (value < 8, value > 250)
     assert encode(image, "value")[..., 3].all()
 
 
@@ -138,3 +138,23 @@ def test_what_is_no_image_is_refused_by_name(array, match):
 def test_an_unknown_encoding_lists_those_that_exist():
     with pytest.raises(MethodError, match="'hsv' does not exist; there are value, log"):
         encode(np.zeros((9, 9, 3), np.uint8), "hsv")
+
+
+@pytest.mark.parametrize("response", ["srgb", "linear", 1.8, 2.2, 3.0])
+def test_no_usable_level_lies_on_the_floor_of_the_logarithm(response):
+    levels = np.repeat(np.arange(8, 251, dtype=np.uint8)[:, None, None], 3, axis=2)
+    logs = encode(np.repeat(levels, 8, axis=1), "log", response)[:, 0, 0]
+    assert (np.diff(logs) > 0).all()
+
+
+def test_floats_that_count_to_255_are_refused():
+    with pytest.raises(ImageError, match="cat: its float values reach 200, but float images count from 0 to 1"):
+        as_colour(np.full((16, 16, 3), 200.0), "cat")
+    highlights = np.full((16, 16, 3), 0.5)
+    highlights[0, :5] = 7.0
+    assert as_colour(highlights).dtype == np.float32
+
+
+def test_big_endian_pixels_are_read_as_what_they_are():
+    image = np.full((8, 8, 3), 30_000, np.uint16)
+    assert np.array_equal(as_colour(image.astype(">u2")), image)

@@ -92,11 +92,12 @@ def find_persons(folder: Path) -> tuple[list[Person], list[str]]:
         If no person is complete.
     """
     by_person: dict[str, dict[str, Sample]] = defaultdict(dict)
-    for sample in load_folder(folder):
+    data = load_folder(folder)
+    persons, left_out = [], [f"{item.path.name}: {item.reason}" for item in data.left_out]
+    for sample in data:
         match = re.fullmatch(r"(\d+)-(\d)\w*", Path(sample.name).name)
         if match and len(sample.landmarks.points) == 58:
             by_person[match[1]][match[2]] = sample
-    persons, left_out = [], []
     for name, pictures in sorted(by_person.items()):
         missing = {*TRAINING_CONDITIONS, SPOT_CONDITION} - set(pictures)
         if missing:
@@ -181,12 +182,20 @@ def run_spot(
     if trials < 1:
         raise LiaamError("trials must be at least 1")
     persons, left_out = find_persons(data)
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LiaamError(f"{out}: the folder cannot be made ({error.strerror or error}); give another") from error
     rows: list[SpotRow] = []
     for i, person in enumerate(persons):
         if progress:
             progress(i, len(persons), f"person {person.name}")
-        rows += fit_person(person, methods, trials, seed)
+        try:
+            rows += list(fit_person(person, methods, trials, seed))
+        except LiaamError as error:
+            left_out.append(f"person {person.name}: {error}")
+    if not rows:
+        raise LiaamError(f"{data}: no person could be fitted; {'; '.join(left_out)}")
     if progress:
         progress(len(persons), len(persons), "figure")
     summary = summarise(rows, methods, trials, seed, left_out)

@@ -1,13 +1,13 @@
 """Fitting an image: prepare, start, solve, judge."""
 
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from liaam.errors import ImageError
+from liaam.errors import ImageError, MethodError
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.methods import Method, get_method
 from liaam.fitting.objective import FitProblem, Objective, State, make_objectives
@@ -16,13 +16,9 @@ from liaam.fitting.solver import Solution, SolverOptions, solve
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
 from liaam.model import AAM
-from liaam.photometry import Response, is_grey
+from liaam.photometry import Response, exposure_faults, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
-from liaam.sampling import make_patch
 from liaam.shape import Similarity, align, diagonal_of
-
-MARGIN = 0.6
-"""Surroundings of the start that the fit may visit, as a share of the object's diagonal."""
 
 SCALE_LIMITS = (1 / 3, 3.0)
 """Change of size from the start beyond which a fit has diverged."""
@@ -42,6 +38,14 @@ USABLE_LIMIT = 0.25
 
 
 @dataclass(frozen=True)
+class _Stage:
+    """One level's solution, with the similarity from model pixels to image pixels it was found in."""
+
+    pose: Similarity
+    solution: Solution
+
+
+@dataclass(frozen=True, eq=False)
 class Fitter:
     """A model and a method, ready for many images: what can be worked out once is worked out once.
 
@@ -68,6 +72,8 @@ class Fitter:
     response: Response | None = None
 
     def __post_init__(self) -> None:
+        if self.response is not None:
+            parse_response(self.response)
         self._objectives  # noqa: B018 (complain now, not at the first image)
 
     @cached_property
@@ -107,48 +113,47 @@ class Fitter:
                 "compares colours; use method 'grey'"
             )
         start = start_shape(self.model, init, (image.shape[1], image.shape[0]), name)
-        # The pose puts the shape model upright at the start's scale.
-        pose = align(self.model.shape_model.mean, start)
-        p = self.model.shape_model.parameters(pose.inverse()(start))
-        solutions = self._solve_levels(image, start, pose, self._objectives[0].start(p))
-        return self._result(image, pose, solutions)
+        return self._result(image, self._solve_levels(image, start))
 
-    def _solve_levels(self, image: np.ndarray, start: np.ndarray, pose: Similarity, state: State) -> list[Solution]:
+    def _solve_levels(self, image: np.ndarray, start: np.ndarray) -> list[_Stage]:
         """Solve from the coarsest level to the finest, each from where the one before it stopped."""
-        solutions: list[Solution] = []
+        shape_model, shape = self.model.shape_model, start
+        stages: list[_Stage] = []
         for objective, level in zip(self._objectives, self.model.levels, strict=True):
-            problem = self._problem(image, start, pose, level.blur)
-            angles = state.angles
-            if not solutions and self._method.free_angles == "image":
-                angles = np.array([angles[0], best_image_angle(objective, problem, state)])
-            # Each level has its own appearance modes, so lambda starts afresh.
-            state = State(state.p, angles, np.zeros(objective.n_lambda))
+            # Anew for each level: shape modes turn and grow with the pose, and the patch with its resolution
+            # belongs where the object is now, not where the start was.
+            pose = align(shape_model.mean, shape)
+            problem = FitProblem.at(image, shape, pose, self._method, self._response, level.blur)
+            state = objective.start(shape_model.parameters(pose.inverse()(shape)))
+            angles = stages[-1].solution.state.angles if stages else self._first_angles(objective, problem, state)
             finest = objective is self._objectives[-1]
             options = self.options if finest else replace(self.options, tolerance=COARSE * self.options.tolerance)
-            solutions.append(solve(objective, problem, state, options))
-            state = solutions[-1].state
-        return solutions
+            stages.append(_Stage(pose, solve(objective, problem, replace(state, angles=angles), options)))
+            shape = pose(shape_model.shape(stages[-1].solution.state.p))
+            if not _sane(shape, start):
+                break
+        return stages
 
-    def _problem(self, image: np.ndarray, start: np.ndarray, pose: Similarity, blur: float) -> FitProblem:
-        patch = make_patch(
-            image,
-            start,
-            pose.scale,
-            encoding=self._method.encoding,
-            response=self.model.response if self.response is None else self.response,
-            blur=blur,
-            margin=MARGIN,
-        )
-        to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
-        return FitProblem(patch, to_patch)
+    @property
+    def _response(self) -> Response:
+        return self.model.response if self.response is None else self.response
 
-    def _result(self, image: np.ndarray, pose: Similarity, solutions: list[Solution]) -> FitResult:
-        method, shape_model, solution = self._method, self.model.shape_model, solutions[-1]
-        has_angle = method.metric == "invariant"
+    def _first_angles(self, objective: Objective, problem: FitProblem, state: State) -> np.ndarray:
+        if self._method.free_angles != "image":
+            return state.angles
+        return np.array([state.angles[0], best_image_angle(objective, problem, state)])
+
+    def _result(self, image: np.ndarray, stages: list[_Stage]) -> FitResult:
+        solution, has_angle = stages[-1].solution, self._method.metric == "invariant"
         history = tuple(
-            Iteration(cost, pose(shape_model.shape(state.p)), float(state.angles[1]) if has_angle else np.nan, level)
-            for level, part in enumerate(solutions)
-            for cost, state in part.path[min(level, 1) :]
+            Iteration(
+                cost,
+                stage.pose(self.model.shape_model.shape(state.p)),
+                float(state.angles[1]) if has_angle else np.nan,
+                level,
+            )
+            for level, stage in enumerate(stages)
+            for cost, state in stage.solution.path
         )
         state, last = solution.state, solution.last
         return FitResult(
@@ -157,23 +162,20 @@ class Fitter:
             theta=float(state.angles[1]) if has_angle else np.nan,
             theta_model=float(state.angles[0]) if has_angle else np.nan,
             p=state.p,
-            pose=pose,
+            pose=stages[-1].pose,
             lam=state.lam,
             cost=last.equations.cost,
-            n_iterations=sum(part.n_iterations for part in solutions),
+            n_iterations=sum(stage.solution.n_iterations for stage in stages),
             history=history,
             residual=last.residual * last.weights[:, None],
             usable=last.weights,
             covariance=_covariance(solution),
-            method=method.name,
+            method=self._method.name,
         )
 
     def _status(self, image: np.ndarray, history: tuple[Iteration, ...], solution: Solution) -> FitStatus:
         shape = history[-1].shape
-        if not np.isfinite(shape).all():
-            return FitStatus.DIVERGED
-        growth = diagonal_of(shape) / diagonal_of(history[0].shape)
-        if not SCALE_LIMITS[0] < growth < SCALE_LIMITS[1]:
+        if not _sane(shape, history[0].shape):
             return FitStatus.DIVERGED
         points = self.model.warp.interpolate(shape)
         inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
@@ -198,14 +200,17 @@ class Fitter:
         return float((np.abs(shape_model.parameters(upright)[:-4]) / allowed).max(initial=0.0))
 
     def _why_unusable(self, image: np.ndarray, points: np.ndarray) -> FitStatus:
-        """Tell a wandering fit from a dark or an overexposed object."""
+        """Tell a dark object from an overexposed one."""
         x, y = np.rint(points).astype(int).T
-        pixels = image[y, x].astype(np.float64)
-        top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
-        level = np.nanmedian(pixels) / top if np.isfinite(pixels).any() else 0.0
-        if level < 0.15:
-            return FitStatus.TOO_DARK
-        return FitStatus.SATURATED if level > 0.85 else FitStatus.DIVERGED
+        dark, clipped = exposure_faults(image[y, x])
+        return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED
+
+
+def _sane(shape: np.ndarray, start: np.ndarray) -> bool:
+    """Tell whether a shape is finite and of a size that can still be called that of the start."""
+    return (
+        bool(np.isfinite(shape).all()) and SCALE_LIMITS[0] < diagonal_of(shape) / diagonal_of(start) < SCALE_LIMITS[1]
+    )
 
 
 def _covariance(solution: Solution) -> np.ndarray:
@@ -229,7 +234,9 @@ def _load(image, name: str) -> tuple[np.ndarray, str]:
     return as_colour(read_image(path), path.name), path.name
 
 
-def fit(model: AAM, image, init, method: str | Method = "li", **options) -> FitResult:
+def fit(
+    model: AAM, image, init, method: str | Method = "li", *, response: Response | None = None, **options
+) -> FitResult:
     """Fit a model to one image; for many images make a :class:`Fitter` once.
 
     Parameters
@@ -239,6 +246,8 @@ def fit(model: AAM, image, init, method: str | Method = "li", **options) -> FitR
     init : (n, 2) shape, (x0, y0, x1, y1) box, or (x, y, diagonal)
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
+    response : Response, optional
+        Response of the image's camera; the training camera's if left out.
     **options
         Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
 
@@ -246,4 +255,8 @@ def fit(model: AAM, image, init, method: str | Method = "li", **options) -> FitR
     -------
     FitResult
     """
-    return Fitter(model, method, SolverOptions(**options)).fit(image, init)
+    known = [field.name for field in fields(SolverOptions)]
+    for name in options:
+        if name not in known:
+            raise MethodError(f"option {name!r} does not exist; there are {', '.join(known)}")
+    return Fitter(model, method, SolverOptions(**options), response=response).fit(image, init)

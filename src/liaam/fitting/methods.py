@@ -67,6 +67,12 @@ class Method:
         if self.metric in ("invariant", "chromaticity") and self.bias == "common":
             # L . 1 = 0 (and C . 1 = 0): a grey constant in log space is a null vector.
             raise MethodError(f"method {self.name}: a common bias is invisible to metric {self.metric}")
+        if self.gain and self.metric == "invariant":
+            raise MethodError(f"method {self.name}: a gain scales a logarithm's contrast, which no light does")
+        if (self.appearance == "value") != (self.encoding == "value"):
+            raise MethodError(f"method {self.name}: {self.encoding} images do not suit a {self.appearance} appearance")
+        if self.appearance == "invariant" and self.metric != "invariant":
+            raise MethodError(f"method {self.name}: the invariant appearance needs the invariant metric")
         if self.appearance == "invariant" and self.free_angles in ("both", "shared"):
             raise MethodError(f"method {self.name}: theta_1 is fixed by an appearance projected before the PCA")
 
@@ -149,7 +155,7 @@ METHODS: dict[str, Method] = {
         Method("li-pcs", "light-invariant, one unknown camera for both", "log", "log", "invariant", "shared"),
         Method(
             "chroma",
-            "log-chromaticity: blind to intensity, not to colour of light",
+            "log-chromaticity: blind to intensity; one colour of light all over is assumed",
             "log",
             "log",
             "chromaticity",

@@ -41,7 +41,7 @@ def regular_inverse(matrix: np.ndarray) -> np.ndarray:
     return np.linalg.inv(scaled) / outer
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NormalEquations:
     """Gram matrices of one linearisation.
 

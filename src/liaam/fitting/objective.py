@@ -19,12 +19,13 @@ from liaam.fitting.methods import Method
 from liaam.fitting.normal_equations import NormalEquations, gram, regular_inverse
 from liaam.kernels import get_kernel
 from liaam.model import AAM
-from liaam.sampling import Patch
+from liaam.photometry import Response
+from liaam.sampling import Patch, make_patch
 from liaam.shape import Similarity
 from liaam.warp import Warp
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class State:
     """Where a fit stands.
 
@@ -43,15 +44,52 @@ class State:
     lam: np.ndarray
 
 
-@dataclass(frozen=True)
+MARGIN = 0.6
+"""Surroundings of the start that a fit may visit, as a share of the object's diagonal."""
+
+
+@dataclass(frozen=True, eq=False)
 class FitProblem:
-    """One image to be fitted: its encoded patch and the similarity from model pixels to patch pixels."""
+    """One image to be fitted, as a method sees it.
+
+    Attributes
+    ----------
+    patch : Patch
+        Encoded surroundings of the start.
+    pose : Similarity
+        Model pixels to patch pixels.
+    """
 
     patch: Patch
     pose: Similarity
 
+    @classmethod
+    def at(
+        cls, image: np.ndarray, shape: np.ndarray, pose: Similarity, method: Method, response: Response, blur: float
+    ) -> "FitProblem":
+        """Cut and encode an image around a shape.
 
-@dataclass(frozen=True)
+        Parameters
+        ----------
+        image : (h, w, 3) uint8, uint16 or float32
+        shape : (n, 2) float
+            Start, image pixels.
+        pose : Similarity
+            Model pixels to image pixels.
+        method : Method
+        response : Response
+            Of the image's camera.
+        blur : float
+            Model pixels.
+        """
+        patch = make_patch(
+            image, shape, pose.scale, encoding=method.encoding, response=response, blur=blur, margin=MARGIN
+        )
+        to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
+        return cls(patch, to_patch)
+
+
+@dataclass(frozen=True, eq=False)
 class Linearisation:
     """Normal equations at a state, and what the pixels looked like there.
 
@@ -72,7 +110,7 @@ class Linearisation:
     weights: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Design:
     """Model side of the residual at one theta_1: weighted columns, ready for BLAS.
 
@@ -94,7 +132,7 @@ class _Design:
     inverse: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Objective:
     """A model seen through a method.
 

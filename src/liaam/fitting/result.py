@@ -35,7 +35,7 @@ _MESSAGES = {
     FitStatus.CONVERGED: "The fit settled.",
     FitStatus.LIGHT_UNOBSERVABLE: (
         "The fit settled. The light's colour differs too little from training, for what the model leaves "
-        "unexplained, to tell the cameras' angle, so it was held; the landmarks are not affected."
+        "unexplained, to tell the cameras' angle, so it was held."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit was still moving when its iterations ran out; start nearer to the object or allow more iterations."
@@ -59,7 +59,7 @@ _MESSAGES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Iteration:
     """One accepted state of a fit.
 
@@ -81,7 +81,7 @@ class Iteration:
     level: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitResult:
     """Result of fitting one image.
 
@@ -106,9 +106,10 @@ class FitResult:
     n_iterations : int
         Gauss-Newton steps tried.
     history : tuple of Iteration
-        Start and every accepted step; the last is the result.
+        Each level's start and every accepted step; the last is the result.
     residual : (n_pixels, k) float32
-        Image minus model per model pixel and row of the metric, 0 where not usable.
+        Image minus model per model pixel and row of the metric, 0 where not usable;
+        ``model.frame.picture(result.residual)`` is its image.
     usable : (n_pixels,) float32
         1 where the image could be used, else 0.
     covariance : (n_q, n_q) float64
@@ -131,6 +132,9 @@ class FitResult:
     usable: np.ndarray
     covariance: np.ndarray
     method: str
+
+    def __repr__(self) -> str:
+        return f"FitResult({self.method}: {self.status}, {len(self.shape)} landmarks, {self.n_iterations} iterations)"
 
     @property
     def message(self) -> str:

@@ -52,11 +52,13 @@ class SolverOptions:
         """Refuse options that make no sense."""
         if self.elimination not in ELIMINATIONS:
             raise MethodError(f"elimination {self.elimination!r} does not exist; there are {', '.join(ELIMINATIONS)}")
+        if not np.isfinite([self.tolerance, self.damping, self.shape_prior, self.observable]).all():
+            raise MethodError("tolerance, damping, shape_prior and observable must be finite numbers")
         if self.max_iterations < 0 or self.tolerance < 0 or min(self.damping, self.shape_prior) < 0:
             raise MethodError("max_iterations, tolerance, damping and shape_prior may not be negative")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """Where the solver stopped.
 
@@ -86,6 +88,9 @@ class Solution:
 
 
 DAMPING_RANGE = (1e-7, 1e7)
+
+TRUSTED_DAMPING = 1e-2
+"""Damping up to which the size of a step says that the fit has settled."""
 
 OBSERVABLE_APART = 2.0
 """As ``SolverOptions.observable``, for the image's angle against the model's: the object's own colours show it."""
@@ -123,7 +128,7 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
         path.append((last.equations.cost, state))
         damping = max(damping / 10, DAMPING_RANGE[0]) if options.damping > 0 else 0.0
         free, held = _free_directions(objective, state, last.equations, options.observable)
-        if moved < options.tolerance:
+        if moved < options.tolerance and damping <= TRUSTED_DAMPING:  # small of itself, not by damping
             settled = True
             break
         if not np.isfinite(last.equations.cost):
@@ -211,9 +216,7 @@ def _free_directions(
     return np.eye(n_q)[:, free], not free.all()
 
 
-def _observable_angles(
-    objective: Objective, state: State, equations: NormalEquations, observable: float
-) -> list[bool]:
+def _observable_angles(objective: Objective, state: State, equations: NormalEquations, observable: float) -> list[bool]:
     """Whether each free angle of the method can be told."""
     n_p, metric = objective.warp.n_parameters, objective.method
     hessian = equations.reduced()[0][n_p:, n_p:]

@@ -44,6 +44,10 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
             f"{name}: the start lies outside the image (centre {centre[0]:.0f}, {centre[1]:.0f}; the image is "
             f"{width}×{height} pixels); give a start in pixels of this image"
         )
+    # Of the mean shape once aligned: points on one spot leave no size.
+    size = diagonal_of(model.shape_model.mean) * align(model.shape_model.mean, shape).scale
+    if not size >= 4.0:
+        raise StartError(f"{name}: the start is only {size:.1f} pixels large; give one of the object's size")
     return shape
 
 

@@ -1,6 +1,6 @@
 """Photometry: camera response, the light-invariant projection, and image encodings."""
 
-from liaam.photometry.encoding import ENCODINGS, SATURATED, encode, is_grey, too_dark
+from liaam.photometry.encoding import ENCODINGS, encode, exposure_faults, is_grey
 from liaam.photometry.invariant import (
     CHROMATICITY,
     LUMINANCE,
@@ -17,10 +17,10 @@ __all__ = [
     "CHROMATICITY",
     "ENCODINGS",
     "LUMINANCE",
-    "SATURATED",
     "THETA_DEFAULT",
     "Response",
     "encode",
+    "exposure_faults",
     "invariant",
     "invariant_row",
     "invariant_row_derivative",
@@ -30,6 +30,5 @@ __all__ = [
     "srgb_to_linear",
     "temperature_direction",
     "to_linear",
-    "too_dark",
     "wien_theta",
 ]

@@ -18,9 +18,6 @@ ENCODINGS = ("value", "log")
 DARK = 8 / 255
 """Stored value below which a logarithm says nothing (noise and JPEG rounding), in any channel."""
 
-LINEAR_FLOOR = 1e-3
-"""Linear light below which a logarithm stays constant: it keeps black finite (such pixels weigh 0)."""
-
 SATURATED = 250 / 255
 """Stored value above which a channel is taken as clipped."""
 
@@ -46,6 +43,7 @@ def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
         If the array is no image of at least 8 by 8 pixels.
     """
     image = np.asarray(image)
+    image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.ndim == 2:
         image = image[..., None]
     if image.ndim != 3 or image.shape[2] not in (1, 3, 4):
@@ -58,8 +56,20 @@ def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
     if image.dtype.kind == "u" and image.dtype not in (np.uint8, np.uint16):
         raise ImageError(f"{name}: pixels of type {image.dtype} are not supported; use uint8, uint16 or float")
     if image.dtype.kind == "f":
+        _check_range(image, name)
         image = image.astype(np.float32, copy=False)
     return np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image[..., :3]
+
+
+def _check_range(image: np.ndarray, name: str) -> None:
+    """Refuse floats that count to 255 or the like; a few values above 1 (highlights) are fine."""
+    sparse = image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
+    finite = sparse[np.isfinite(sparse)]
+    if finite.size and np.percentile(finite, 90) > 4.0:
+        raise ImageError(
+            f"{name}: its float values reach {finite.max():g}, but float images count from 0 to 1; divide by the "
+            "largest possible value (255 or 65535)"
+        )
 
 
 def is_grey(image: np.ndarray) -> bool:
@@ -72,9 +82,22 @@ def is_grey(image: np.ndarray) -> bool:
     return True
 
 
-def too_dark(values: np.ndarray) -> np.ndarray:
-    """Mask of pixels with any stored channel (in [0, 1]) below :data:`DARK`."""
-    return np.asarray((values < DARK).any(axis=-1))
+def exposure_faults(pixels: np.ndarray) -> tuple[float, float]:
+    """Shares of pixels whose logarithm says nothing because a channel is dark, or because one is clipped.
+
+    Parameters
+    ----------
+    pixels : (n, 3) uint8, uint16 or float32
+        Stored values.
+
+    Returns
+    -------
+    dark, clipped : float
+        Shares, 0 to 1; a pixel may count in both, and one that is not a number counts as dark.
+    """
+    top = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1.0
+    values = np.nan_to_num(pixels.astype(np.float64) / top)
+    return float((values < DARK).any(axis=1).mean()), float((values > SATURATED).any(axis=1).mean())
 
 
 def encode(
@@ -111,7 +134,7 @@ def encode(
     if reduce > 1:
         linear = _block_mean(_linear(image, stored, response), reduce)
         usable = _block_mean(usable.astype(np.float32), reduce) > 0.999
-        colour = _encode_linear(linear, encoding)
+        colour = _encode_linear(linear, encoding, response)
     else:
         is_integer = image.dtype.kind == "u"
         colour = (
@@ -155,13 +178,15 @@ def _linear(image: np.ndarray, stored: np.ndarray, response: Response) -> np.nda
 def _encode(stored: np.ndarray, encoding: str, response: Response) -> np.ndarray:
     if encoding == "linear":
         return to_linear(stored, response).astype(np.float32)
-    return _encode_linear(to_linear(stored, response), encoding)
+    return _encode_linear(to_linear(stored, response), encoding, response)
 
 
-def _encode_linear(linear: np.ndarray, encoding: str) -> np.ndarray:
+def _encode_linear(linear: np.ndarray, encoding: str, response: Response) -> np.ndarray:
     if encoding == "value":
         return linear_to_srgb(linear).astype(np.float32)
-    return np.log(np.maximum(linear, LINEAR_FLOOR)).astype(np.float32)
+    # The floor keeps black finite and lies below every usable pixel, whatever the response.
+    floor = 0.5 * float(to_linear(np.array(DARK), response))
+    return np.log(np.maximum(linear, floor)).astype(np.float32)
 
 
 @lru_cache(maxsize=16)
