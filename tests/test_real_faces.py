@@ -1,0 +1,27 @@
+"""From landmark files to a fitted picture on real faces, in three formats."""
+
+import numpy as np
+import pytest
+
+import liaam
+
+
+@pytest.mark.parametrize(
+    ("folder", "training", "test", "limit"),
+    [
+        ("imm", "07-[12346]*", "07-5m", 0.025),  # .pts; the test picture is spot-lit
+        ("imm-frontal", "0[1-3]_*", "02_07", 0.012),  # .asf
+        ("london", "0[0-3]*", "020_03", 0.02),  # .tem
+    ],
+)
+def test_a_box_leads_to_the_landmarks(shared_data, folder, training, test, limit):
+    data = liaam.load_folder(shared_data / folder)
+    held_out = next(sample for sample in data if sample.name == test)
+    model = liaam.train(data.select(training).select(lambda sample: sample.name != test))
+    truth = held_out.landmarks.points
+    size = np.hypot(*np.ptp(truth, axis=0))
+    box = (*(truth.min(axis=0) - 0.02 * size), *(truth.max(axis=0) + 0.03 * size))
+    result = liaam.fit(model, held_out.read_image(), box)
+    assert result.status.ok
+    errors = [np.linalg.norm(shape - truth, axis=1).mean() / size for shape in (result.start, result.shape)]
+    assert errors[1] < min(limit, 0.8 * errors[0])
