@@ -173,6 +173,7 @@ def fit(
 ) -> None:
     """Fit a model to images; writes landmarks (.pts, .csv, .json) and an overlay picture for each."""
     from liaam.fitting import Fitter, SolverOptions
+    from liaam.io import make_folder
     from liaam.model import load_model
     from liaam.photometry import parse_response
 
@@ -304,18 +305,6 @@ def unique_stems(images: list[Path]) -> list[str]:
     return names
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder for results, or say why it cannot be."""
-    if folder.is_file():
-        raise LiaamError(f"{folder} is a file, so the folder cannot be made; give another with -o")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LiaamError(
-            f"{folder}: the folder cannot be made ({error.strerror or error}); give another with -o"
-        ) from error
-
-
 @app.command()
 def show(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
@@ -384,7 +373,6 @@ def demo(
     """Train on simulated portraits under one light, fit under another: grey and RGB drift, LI holds."""
     from liaam.experiments.demo import run_demo
 
-    make_folder(output)
     with progress_bar() as tell:
         rows, start_error = run_demo(output, tell)
     table = Table("method", "error (px)", "status", "theta", box=None, header_style="bold")

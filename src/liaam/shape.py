@@ -13,6 +13,12 @@ def diagonal_of(shape: np.ndarray) -> float:
     return float(np.hypot(*(shape.max(axis=0) - shape.min(axis=0))))
 
 
+def rotation(angle: float) -> np.ndarray:
+    """Matrix that turns (x, y) by an angle in radians, from x towards y, (2, 2) float64."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
 @dataclass(frozen=True, eq=False)
 class Similarity:
     """Similarity x -> matrix @ x + offset of the plane (rotation, one scale, translation).
@@ -96,9 +102,7 @@ def _upright(mean: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     """Turn the mean by the average rotation towards the shapes as photographed."""
     turns = [align(mean, shape).matrix for shape in shapes]
     total = np.sum([turn / np.sqrt(abs(np.linalg.det(turn))) for turn in turns], axis=0)
-    angle = np.arctan2(total[1, 0], total[0, 0])
-    c, s = np.cos(angle), np.sin(angle)
-    return mean @ np.array([[c, -s], [s, c]]).T
+    return mean @ rotation(np.arctan2(total[1, 0], total[0, 0])).T
 
 
 def similarity_modes(mean: np.ndarray) -> np.ndarray:

@@ -87,10 +87,8 @@ def train(
         Fewer than 3 shapes, counts that differ, missing (NaN) or folded landmarks, black images ...
         The message names the sample.
     """
-    _check_options(variance, appearance_variance, diagonal, blurs)
+    _check_options(variance, appearance_variance, diagonal, blurs, theta)
     response = parse_response(response)
-    if not abs(theta) <= 2 * np.pi:
-        raise TrainingError(f"theta {theta:g}: give the camera's angle in radians (122 degrees are 2.13)")
     entries, contours, edges = _entries(data)
     shapes = np.array([entry.points for entry in entries])
     shape_model = train_shape_model(shapes, diagonal, variance)
@@ -116,7 +114,11 @@ def train(
 
 
 def _check_options(
-    variance: float | int, appearance_variance: float | int | None, diagonal: float, blurs: tuple[float, ...]
+    variance: float | int,
+    appearance_variance: float | int | None,
+    diagonal: float,
+    blurs: tuple[float, ...],
+    theta: float,
 ) -> None:
     check_variance(variance)
     if appearance_variance is not None:
@@ -127,6 +129,8 @@ def _check_options(
         )
     if not blurs or list(blurs) != sorted(blurs, reverse=True) or not 0 <= blurs[-1] <= blurs[0] <= 10:
         raise TrainingError(f"blurs {blurs}: give 0 to 10 pixels of the reference frame, from coarse to fine")
+    if not abs(theta) <= 2 * np.pi:
+        raise TrainingError(f"theta {theta:g}: give the camera's angle in radians (122 degrees are 2.13)")
 
 
 def _entries(data: Iterable) -> tuple[list[_Entry], tuple, np.ndarray]:

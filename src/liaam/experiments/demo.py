@@ -9,9 +9,9 @@ import numpy as np
 
 from liaam.evaluation import point_error
 from liaam.fitting import FitResult, Fitter
-from liaam.io import Contour, Landmarks
+from liaam.io import Contour, Landmarks, make_folder
 from liaam.plotting import figure_of_fits, save_figure
-from liaam.shape import align
+from liaam.shape import align, rotation
 from liaam.training import train
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def run_demo(folder: Path, progress: Callable[[int, int, str], None] | None = No
     """
     from liaam.datasets.scenes import Expression, Head, Pose, lateral, make_set, render
 
+    make_folder(folder)  # before the work, not after it
     tell = progress or (lambda done, total, what: None)
     total = N_TRAINING + 3
     head = Head(5)
@@ -74,7 +75,6 @@ def run_demo(folder: Path, progress: Callable[[int, int, str], None] | None = No
         result = Fitter(model, method).fit(test.image, start)
         rows.append(DemoRow(method, point_error(result.shape, test.landmarks), result))
     fits = {row.method: (row.result.shape, row.error) for row in rows}
-    folder.mkdir(parents=True, exist_ok=True)
     figure = figure_of_fits(training[0].image, test.image, start, test.landmarks, fits, model)
     save_figure(figure, folder / "figure.png")
     tell(total, total, "done")
@@ -90,6 +90,4 @@ def disturbed(truth: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Mean shape near the truth: shifted, turned and scaled as a rough click would be."""
     rough = align(mean, truth)(mean)
     centre = rough.mean(axis=0)
-    angle = np.deg2rad(4.0)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return 1.06 * (rough - centre) @ turn.T + centre + [5.0, -4.0]
+    return 1.06 * (rough - centre) @ rotation(np.deg2rad(4.0)).T + centre + [5.0, -4.0]

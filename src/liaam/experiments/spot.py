@@ -20,10 +20,11 @@ from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
 from liaam.evaluation import inter_ocular_distance, nme
 from liaam.fitting import Fitter, get_method
-from liaam.io import write_text_atomically
+from liaam.io import make_folder, write_text_atomically
 from liaam.model import AAM
 from liaam.photometry import is_grey
 from liaam.plotting import figure_of_errors, save_figure
+from liaam.shape import rotation
 from liaam.training import train
 
 TRAINING_CONDITIONS = ("1", "2", "3", "4", "6")
@@ -125,8 +126,7 @@ def disturbed_start(mean: np.ndarray, truth: np.ndarray, iod: float, rng: np.ran
     angle = np.deg2rad(rng.normal(0.0, 4.0))
     size *= rng.normal(1.0, 0.05)
     shift = rng.normal(0.0, 0.08 * iod, 2)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return size * centred @ turn.T + centre + shift
+    return size * centred @ rotation(angle).T + centre + shift
 
 
 def fit_person(person: Person, methods: list[str], trials: int, seed: int) -> Iterator[SpotRow]:
@@ -182,10 +182,7 @@ def run_spot(
     if trials < 1:
         raise LiaamError("trials must be at least 1")
     persons, left_out = find_persons(data)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LiaamError(f"{out}: the folder cannot be made ({error.strerror or error}); give another") from error
+    make_folder(out)
     rows: list[SpotRow] = []
     for i, person in enumerate(persons):
         if progress:

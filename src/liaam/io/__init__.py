@@ -1,6 +1,7 @@
 """Reading and writing: images, landmark files, and files in general that are either complete or not there."""
 
 from liaam.io.atomic import atomic_path, write_bytes_atomically, write_text_atomically
+from liaam.io.files import make_folder
 from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image, write_image
 from liaam.io.landmarks import (
     LANDMARK_SUFFIXES,
@@ -20,6 +21,7 @@ __all__ = [
     "Landmarks",
     "atomic_path",
     "image_size",
+    "make_folder",
     "read_collection",
     "read_image",
     "read_landmarks",

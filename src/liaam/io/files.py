@@ -74,3 +74,15 @@ def _closest(path: Path) -> str:
     if not close:
         return f"Nothing in {path.parent} has a similar name: check the path."
     return f"Did you mean {' or '.join(close)}?"
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, or say why it cannot be."""
+    if folder.is_file():
+        raise LiaamError(f"{folder} is a file, so the folder cannot be made; give another with -o")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LiaamError(
+            f"{folder}: the folder cannot be made ({error.strerror or error}); give another with -o"
+        ) from error
