@@ -99,7 +99,7 @@ def make_problem(model: AAM, rng: np.random.Generator) -> FitProblem:
     image = np.rint(255 * picture.clip(0.1, 0.9)).astype(np.uint8)
     pose = Similarity(1.6 * np.eye(2), np.array([width / 2 + 0.3, height / 2 - 0.2]))
     start = pose(model.shape_model.mean)
-    patch = make_patch(image, start, pose.scale, encoding="log", response="srgb", blur=model.levels[0].blur, margin=0.6)
+    patch = make_patch(image, start, pose, encoding="log", response="srgb", blur=model.levels[0].blur, margin=0.6)
     offset = patch.from_image(pose.offset[None])[0]
     return FitProblem(patch, Similarity(patch.from_image.matrix @ pose.matrix, offset))
 

@@ -74,9 +74,21 @@ def same_light_scene() -> Scene:
 
 
 @pytest.fixture(scope="session")
-def model(scenes) -> AAM:
-    """Give a small model (diagonal 80) of the scenes."""
-    return train_on(scenes, diagonal=80.0)
+def varied_scenes() -> list[Scene]:
+    """Give six pictures of the same head under three lamps, for the methods that learn what light does."""
+    camera, options = narrow_band_camera(), {"size": SCENE_SIZE, "mixing": "planckian"}
+    lamps = (lateral("left"), lateral("right"), lateral("left", azimuth=0.5, elevation=0.7))
+    return [
+        scene
+        for i, lights in enumerate(lamps)
+        for scene in make_set(2, Head(7), lights, camera, seed=20 + i, **options)
+    ]
+
+
+@pytest.fixture(scope="session")
+def model(scenes, varied_scenes) -> AAM:
+    """Give a small model (diagonal 80) of the scenes, with all appearances that there are."""
+    return train_on(scenes, diagonal=80.0, lit=[(scene.image, scene.landmarks) for scene in varied_scenes])
 
 
 @pytest.fixture(scope="session")

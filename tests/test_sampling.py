@@ -6,8 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from liaam.sampling import make_patch, sample_texture
+from liaam.shape import Similarity
 
 BOX = np.array([[60.0, 50.0], [110.0, 50.0], [110.0, 100.0], [60.0, 100.0]])
+
+
+def at_scale(scale: float) -> Similarity:
+    return Similarity(scale * np.eye(2), np.zeros(2))
 
 
 def ramp(height: int = 160, width: int = 200) -> np.ndarray:
@@ -19,7 +24,7 @@ def ramp(height: int = 160, width: int = 200) -> np.ndarray:
 @given(scale=st.floats(0.3, 6.0), seed=st.integers(0, 9))
 def test_coordinates_survive_the_cut_and_the_reduction(scale, seed):
     points = np.random.default_rng(seed).uniform(70, 90, (20, 2))
-    patch = make_patch(ramp(), BOX, scale, encoding="log", response="linear", blur=0.0, margin=0.5)
+    patch = make_patch(ramp(), BOX, at_scale(scale), encoding="log", response="linear", blur=0.0, margin=0.5)
     values, usable = sample_texture(patch, points)
     expected = np.column_stack([points[:, 0] / 200, points[:, 1] / 160, points.sum(axis=1) / 400])
     assert usable.all()
@@ -29,20 +34,20 @@ def test_coordinates_survive_the_cut_and_the_reduction(scale, seed):
 
 @pytest.mark.parametrize(("scale", "size"), [(0.5, 1), (1.9, 1), (2.0, 2), (3.99, 3)])
 def test_reduction_is_never_coarser_than_the_model(scale, size):
-    patch = make_patch(ramp(), BOX, scale, encoding="value", response="srgb", blur=0.0, margin=0.5)
+    patch = make_patch(ramp(), BOX, at_scale(scale), encoding="value", response="srgb", blur=0.0, margin=0.5)
     assert 1 / patch.from_image.scale == pytest.approx(size)
 
 
 @pytest.mark.parametrize("shift", [(-500, 0), (500, 0), (0, -500), (0, 500), (1e6, 1e6), (-60, -50)])
 @pytest.mark.parametrize("scale", [0.5, 3.0, 1000.0])
 def test_a_shape_outside_the_image_still_gives_a_patch(shift, scale):
-    patch = make_patch(ramp(), BOX + shift, scale, encoding="log", response="srgb", blur=1.0, margin=0.5)
+    patch = make_patch(ramp(), BOX + shift, at_scale(scale), encoding="log", response="srgb", blur=1.0, margin=0.5)
     assert min(patch.channels.shape[:2]) >= 2
     assert np.isfinite(patch.channels).all()
 
 
 def test_outside_the_patch_nothing_is_usable():
-    patch = make_patch(ramp(), BOX, 1.0, encoding="log", response="srgb", blur=0.0, margin=0.1)
+    patch = make_patch(ramp(), BOX, at_scale(1.0), encoding="log", response="srgb", blur=0.0, margin=0.1)
     values, usable = sample_texture(patch, np.array([[-1.0, 5.0], [199.5, 80.0], [80.0, 80.0]]))
     assert usable.tolist() == [0, 0, 1]
     assert not values[:2].any()

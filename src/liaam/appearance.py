@@ -4,11 +4,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from liaam.pca import Components, principal_components
+from liaam.pca import Components, count_modes, principal_components
 
-APPEARANCES = ("value", "log", "invariant")
-"""``value`` and ``log``: RGB in the encoding of that name; ``invariant``: L(theta) . log RGB, projected
-before the PCA (the paper's LIT)."""
+CHANNELS = {"value": 3, "log": 3, "orientation": 2, "invariant": 1, "varied": 3, "illumination": 3}
+"""Appearances a model may hold, and their channels.
+
+``value``, ``log`` and ``orientation``: in the encoding of that name. ``invariant``: L(theta) . log RGB, projected
+before the PCA (the paper's LIT). ``varied``: values under the training light and the lights of further pictures
+in one PCA (training with lighting variation, the paper's [11]). ``illumination``: what those further pictures
+show that ``value`` cannot explain, as modes to be added to it (the illumination basis of AIA, the paper's [6]).
+"""
+
+APPEARANCES = tuple(name for name in CHANNELS if name != "illumination")
+"""Those that a method can be compared with on their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,12 +33,16 @@ class AppearanceModel:
         Variance along each mode.
     usable : (n_pixels,) float32
         Share of training images in which the pixel was usable, 0 to 1: its weight in a fit.
+    unexplained : (n_pixels, c, c) float32, optional
+        Covariance of what the modes of the other training images leave of each image (leave one out): how
+        far the model errs at each pixel on a picture it has not seen.
     """
 
     mean: np.ndarray
     modes: np.ndarray
     eigenvalues: np.ndarray
     usable: np.ndarray
+    unexplained: np.ndarray | None = None
 
     @property
     def n_modes(self) -> int:
@@ -46,14 +58,14 @@ FILLING_PASSES = 5
 """Passes of PCA and filling in; the filled values hardly move after the third."""
 
 
-def _components_of_seen(vectors: np.ndarray, seen: np.ndarray, variance: float | int) -> Components:
-    """Principal components of vectors some of whose entries say nothing.
+def _fill(vectors: np.ndarray, seen: np.ndarray, variance: float | int) -> tuple[np.ndarray, Components]:
+    """Vectors some of whose entries say nothing, filled in, and their principal components.
 
     Unseen entries start at the mean of those seen and are then filled in by the components of all (iterated
     PCA), so that a dark speckle or a border in one image is no mode of the model.
     """
     if seen.all():
-        return principal_components(vectors, variance)
+        return vectors, principal_components(vectors, variance)
     counts = seen.sum(axis=0)
     means = np.where(seen, vectors, 0).sum(axis=0, dtype=np.float64) / np.maximum(counts, 1)
     # What no image shows keeps its mean value as it is; its weight in a fit is 0.
@@ -65,7 +77,7 @@ def _components_of_seen(vectors: np.ndarray, seen: np.ndarray, variance: float |
         explained = (components.mean + coordinates @ components.modes).astype(np.float32)
         filled = np.where(seen, vectors, explained)
         components = principal_components(filled, variance)
-    return components
+    return filled, components
 
 
 def train_appearance_model(textures: np.ndarray, usable: np.ndarray, variance: float | int) -> AppearanceModel:
@@ -80,9 +92,86 @@ def train_appearance_model(textures: np.ndarray, usable: np.ndarray, variance: f
     """
     n, n_pixels, c = textures.shape
     seen = np.repeat(usable > 0, c, axis=1).reshape(n, -1)
-    components = _components_of_seen(textures.reshape(n, -1), seen, variance)
+    filled, components = _fill(textures.reshape(n, -1), seen, variance)
     return AppearanceModel(
         mean=components.mean.reshape(n_pixels, c).astype(np.float32),
+        modes=components.modes.reshape(-1, n_pixels, c).astype(np.float32),
+        eigenvalues=components.eigenvalues,
+        usable=usable.mean(axis=0).astype(np.float32),
+        unexplained=_covariance(unexplained_by_others(filled, variance).reshape(textures.shape), usable),
+    )
+
+
+FOLDS = 10
+"""Folds of the leave-out residuals, at most; with fewer images each is left out alone."""
+
+
+def unexplained_by_others(vectors: np.ndarray, variance: float | int) -> np.ndarray:
+    """What the principal components of the other vectors leave of each vector, (n, d) float32.
+
+    Worked out on the vectors' Gram matrix: the components of a fold are combinations of vectors, so the
+    long vectors are touched twice in all.
+    """
+    n = len(vectors)
+    if n < 2:
+        return np.zeros_like(vectors, dtype=np.float32)
+    centred = vectors - vectors.mean(axis=0, dtype=np.float64).astype(vectors.dtype)
+    products = np.asarray(centred @ centred.T, dtype=np.float64)
+    explained = np.zeros((n, n))  # row: the combination of vectors that stands for each
+    for fold in np.array_split(np.arange(n), min(n, FOLDS)):
+        others = np.setdiff1d(np.arange(n), fold)
+        explained[np.ix_(fold, others)] = _combinations(products, others, fold, variance)
+    return (centred - explained.astype(vectors.dtype) @ centred).astype(np.float32)
+
+
+def _combinations(products: np.ndarray, others: np.ndarray, fold: np.ndarray, variance: float | int) -> np.ndarray:
+    """Combinations of the others that are nearest to the fold's vectors in the others' components."""
+    within = products[np.ix_(others, others)]
+    centring = np.eye(len(others)) - 1.0 / len(others)
+    squares, axes = np.linalg.eigh(centring @ within @ centring)
+    squares, axes = squares[::-1], axes[:, ::-1]
+    kept = count_modes(squares, variance)
+    axes = centring @ axes[:, :kept] / np.sqrt(squares[:kept])
+    from_mean = products[np.ix_(fold, others)] - within.mean(axis=0)
+    return 1.0 / len(others) + from_mean @ axes @ axes.T
+
+
+def _covariance(residuals: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Second moments (n_pixels, c, c) of residuals (n, n_pixels, c) over the images in which a pixel was usable."""
+    moments = np.einsum("in,inc,ind->ncd", usable, residuals, residuals, optimize=True)
+    return (moments / np.maximum(usable.sum(axis=0), 1)[:, None, None]).astype(np.float32)
+
+
+def train_illumination(
+    values: AppearanceModel, lit: np.ndarray, usable: np.ndarray, variance: float | int
+) -> AppearanceModel:
+    """Learn an illumination basis: what pictures under other lights show beyond an appearance model.
+
+    Parameters
+    ----------
+    values : AppearanceModel
+        The identity's appearance, learnt under one light.
+    lit : (n_images, n_pixels, c) float32
+        Textures under other lights.
+    usable : (n_images, n_pixels) float32 in {0, 1}
+    variance : float or int
+        Fraction of variance or number of modes to keep.
+
+    Returns
+    -------
+    AppearanceModel
+        Mean zero; modes orthogonal to those of ``values`` and to its mean, so that identity, gain and
+        illumination do not trade off (Kahraman et al., CVPR 2007, orthogonalise likewise).
+    """
+    n, n_pixels, c = lit.shape
+    identity = np.concatenate([values.mean[None], values.modes]).reshape(-1, n_pixels * c).astype(np.float64)
+    identity = np.linalg.qr(identity.T)[0]
+    filled, _ = _fill(lit.reshape(n, -1), np.repeat(usable > 0, c, axis=1).reshape(n, -1), variance)
+    beyond = filled - (filled @ identity) @ identity.T
+    # Around zero, not around their mean: the mean change of light is a mode like any other.
+    components = principal_components(np.concatenate([beyond, -beyond]), variance)
+    return AppearanceModel(
+        mean=np.zeros((n_pixels, c), np.float32),
         modes=components.modes.reshape(-1, n_pixels, c).astype(np.float32),
         eigenvalues=components.eigenvalues,
         usable=usable.mean(axis=0).astype(np.float32),

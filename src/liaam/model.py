@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from liaam.appearance import APPEARANCES, AppearanceModel
+from liaam.appearance import CHANNELS, AppearanceModel
 from liaam.errors import LiaamError, ModelFileError
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.photometry import Response, parse_response
@@ -33,8 +33,8 @@ class Level:
     blur : float
         Standard deviation of the Gaussian blur of the encoded images, pixels of the reference frame.
     appearances : dict of str to AppearanceModel
-        One per name of :data:`liaam.appearance.APPEARANCES`, all on the same pixels. ``invariant`` is
-        absent from a model trained on grey pictures.
+        By name of :data:`liaam.appearance.CHANNELS`, all on the same pixels. ``invariant`` is absent from
+        a model trained on grey pictures; ``varied`` and ``illumination`` from one trained under one light.
     """
 
     blur: float
@@ -146,8 +146,9 @@ def _tensors(model: AAM) -> dict[str, np.ndarray]:
     }
     for i, level in enumerate(model.levels):
         for name, appearance in level.appearances.items():
-            for field in ("mean", "modes", "eigenvalues", "usable"):
-                tensors[f"level{i}.{name}.{field}"] = getattr(appearance, field)
+            for field in ("mean", "modes", "eigenvalues", "usable", "unexplained"):
+                if getattr(appearance, field) is not None:
+                    tensors[f"level{i}.{name}.{field}"] = getattr(appearance, field)
     return {key: np.ascontiguousarray(value) for key, value in tensors.items()}
 
 
@@ -244,20 +245,24 @@ def _blurs(blurs: list) -> list[float]:
 
 
 def _level(tensors: dict[str, np.ndarray], i: int, blur: float, n_pixels: int) -> Level:
-    names = [name for name in APPEARANCES if f"level{i}.{name}.mean" in tensors]
+    names = [name for name in CHANNELS if f"level{i}.{name}.mean" in tensors]
     if "value" not in names or "log" not in names:
         raise ValueError("an appearance is missing")
     return Level(blur, {name: _appearance(tensors, f"level{i}.{name}", name, n_pixels) for name in names})
 
 
 def _appearance(tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int) -> AppearanceModel:
-    channels = 1 if name == "invariant" else 3
+    channels = CHANNELS[name]
     modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
     return AppearanceModel(
         mean=_tensor(tensors, f"{prefix}.mean", np.float32, (n_pixels, channels)),
         modes=modes,
         eigenvalues=_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
         usable=_tensor(tensors, f"{prefix}.usable", np.float32, (n_pixels,)),
+        # Absent from an illumination basis and from the files of earlier versions.
+        unexplained=_tensor(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels))
+        if f"{prefix}.unexplained" in tensors
+        else None,
     )
 
 

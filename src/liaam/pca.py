@@ -52,7 +52,7 @@ def principal_components(vectors: np.ndarray, variance: float | int) -> Componen
     deviations = vectors - mean
     squares, combinations = np.linalg.eigh(deviations @ deviations.T)
     squares, combinations = squares[::-1], combinations[:, ::-1]
-    kept = _count(squares, variance)
+    kept = count_modes(squares, variance)
     modes = combinations[:, :kept].T @ deviations
     # Orthonormalise once more: the Gram matrix squares the condition number.
     modes = np.ascontiguousarray(np.linalg.qr(modes.T)[0].T) if kept else modes
@@ -61,8 +61,8 @@ def principal_components(vectors: np.ndarray, variance: float | int) -> Componen
     return Components(mean, modes, squares[:kept] / max(n - 1, 1), float(squares.clip(0).sum()) / max(n - 1, 1))
 
 
-def _count(squares: np.ndarray, variance: float | int) -> int:
-    """Give the number of modes to keep; numerically empty directions never count."""
+def count_modes(squares: np.ndarray, variance: float | int) -> int:
+    """Give the number of modes to keep of descending squares; numerically empty directions never count."""
     rank = int((squares > 1e-10 * max(squares[0], 1e-300)).sum()) if squares[0] > 0 else 0
     if not isinstance(variance, float):
         return min(int(variance), rank)

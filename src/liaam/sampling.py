@@ -28,7 +28,7 @@ class Patch:
 def make_patch(
     image: np.ndarray,
     shape: np.ndarray,
-    scale: float,
+    pose: Similarity,
     *,
     encoding: str,
     response: Response,
@@ -45,8 +45,8 @@ def make_patch(
     image : (h, w, 3) uint8, uint16 or float32
     shape : (n, 2) float
         Points to surround, image pixels.
-    scale : float
-        Image pixels per model pixel.
+    pose : Similarity
+        Model pixels to image pixels: its scale sets the resolution, its rotation the axes of directions.
     encoding, response
         See :func:`liaam.photometry.encode`.
     blur : float
@@ -55,6 +55,7 @@ def make_patch(
         Surroundings to include, as a share of the shape's diagonal.
     """
     height, width = image.shape[:2]
+    scale = pose.scale
     # Never coarser than the model's pixels.
     reduce = max(1, int(scale))
     pad = margin * diagonal_of(shape) + 2 * reduce
@@ -62,7 +63,7 @@ def make_patch(
     high = np.clip(np.ceil(shape.max(axis=0) + pad) + 1, low + 2, [width, height]).astype(int)
     reduce = max(1, min(reduce, int((high - low).min()) // 2))
     crop = image[low[1] : high[1], low[0] : high[0]]
-    channels = encode(crop, encoding, response, blur * scale / reduce, reduce)
+    channels = encode(crop, encoding, response, blur * scale / reduce, reduce, pose.matrix.T / scale)
     # The centre of the first block of pixels is at low + (reduce - 1) / 2.
     matrix = np.eye(2) / reduce
     offset = -(low + (reduce - 1) / 2.0) / reduce

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from liaam.appearance import AppearanceModel, train_appearance_model
+from liaam.appearance import CHANNELS, AppearanceModel, train_appearance_model, train_illumination
 from liaam.errors import TrainingError
 from liaam.mesh import (
     FOLD_TOLERANCE,
@@ -48,6 +48,7 @@ def train(
     response: Response = "srgb",
     blurs: tuple[float, ...] = BLURS_DEFAULT,
     triangles: np.ndarray | None = None,
+    lit: Iterable | None = None,
     name: str = "",
     progress: Callable[[int, int, str], None] | None = None,
 ) -> AAM:
@@ -72,6 +73,9 @@ def train(
         Blur of the levels a fit goes through, from coarse to fine, pixels of the reference frame.
     triangles : (t, 3) int, optional
         The mesh. If left out: the files' connectivity where it is a mesh, else Delaunay of the mean shape.
+    lit : Dataset or iterable, optional
+        Further pictures of the same kind of object under other lights, for the methods that learn what light
+        does (``varied``, ``aia``). Shapes and all other appearances are learnt from ``data`` alone.
     name : str
         What the model shows, for people.
     progress : callable, optional
@@ -98,12 +102,14 @@ def train(
         _check_fold(entry, frame)
     warp = PiecewiseAffineWarp(frame, shape_model)
     textures = _sample_all(entries, warp, response, blurs, progress)
+    lit_textures = [None] * len(blurs) if lit is None else _sample_lit(lit, entries, warp, response, blurs, progress)
     kept = variance if appearance_variance is None else appearance_variance
     return AAM(
         shape_model=shape_model,
         triangles=triangles,
         levels=tuple(
-            Level(float(blur), _appearances(part, theta, kept)) for blur, part in zip(blurs, textures, strict=True)
+            Level(float(blur), _appearances(part, other, theta, kept))
+            for blur, part, other in zip(blurs, textures, lit_textures, strict=True)
         ),
         theta=float(theta),
         response=response,
@@ -133,7 +139,7 @@ def _check_options(
         raise TrainingError(f"theta {theta:g}: give the camera's angle in radians (122 degrees are 2.13)")
 
 
-def _entries(data: Iterable) -> tuple[list[_Entry], tuple, np.ndarray]:
+def _entries(data: Iterable, at_least: int = 3) -> tuple[list[_Entry], tuple, np.ndarray]:
     """Checked samples, the contours and the connectivity of the first that has any."""
     entries: list[_Entry] = []
     contours: tuple = ()
@@ -148,9 +154,10 @@ def _entries(data: Iterable) -> tuple[list[_Entry], tuple, np.ndarray]:
             )
         entries.append(entry)
         contours = contours or own
-    if len(entries) < 3:
+    if len(entries) < at_least:
         raise TrainingError(
-            f"{len(entries)} landmarked images are too few to learn from; at least 3 are needed, 5 to 20 better"
+            f"{len(entries)} landmarked images are too few to learn from; at least {at_least} are needed, "
+            "5 to 20 better"
         )
     return entries, contours, _edges(contours)
 
@@ -261,6 +268,26 @@ def _sample_all(
     ]
 
 
+def _sample_lit(
+    lit: Iterable,
+    entries: list[_Entry],
+    warp: PiecewiseAffineWarp,
+    response: Response,
+    blurs: tuple[float, ...],
+    progress: Callable | None,
+) -> list[_Textures]:
+    """Sample the pictures under other lights, which have to have the landmarks of the rest."""
+    others, *_ = _entries(lit, at_least=1)
+    for entry in others:
+        if len(entry.points) != len(entries[0].points):
+            raise TrainingError(
+                f"{entry.name} (another light) has {len(entry.points)} landmarks but {entries[0].name} has "
+                f"{len(entries[0].points)}; every image needs the same points in the same order"
+            )
+        _check_fold(entry, warp.frame)
+    return _sample_all(others, warp, response, blurs, progress)
+
+
 def _sample(
     image: np.ndarray,
     shape: np.ndarray,
@@ -270,8 +297,8 @@ def _sample(
     blur: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Texture (n_pixels, 3) of one image under its own landmarks, and which of it is usable (n_pixels,)."""
-    scale = align(warp.frame.points, shape).scale
-    patch = make_patch(image, shape, scale, encoding=encoding, response=response, blur=blur, margin=0.1)
+    pose = align(warp.frame.points, shape)
+    patch = make_patch(image, shape, pose, encoding=encoding, response=response, blur=blur, margin=0.1)
     points = warp.interpolate(shape)
     # Beyond the border the nearest pixel stands in, with weight 0.
     border = np.clip(points, 0, np.array(image.shape[1::-1]) - 1.0)
@@ -300,13 +327,25 @@ def _check_light(entry: _Entry, image: np.ndarray, points: np.ndarray, usable: n
     )
 
 
-def _appearances(textures: _Textures, theta: float, variance: float | int) -> dict[str, AppearanceModel]:
+def _appearances(
+    textures: _Textures, lit: _Textures | None, theta: float, variance: float | int
+) -> dict[str, AppearanceModel]:
     appearances = {
-        encoding: train_appearance_model(textures.values[encoding], textures.usable[encoding], variance)
+        encoding: train_appearance_model(
+            textures.values[encoding][..., : CHANNELS[encoding]], textures.usable[encoding], variance
+        )
         for encoding in ENCODINGS
     }
     if not textures.grey:
         # LIT: project first, then learn (paper section 4).
         projected = textures.values["log"] @ invariant_row(theta).T.astype(np.float32)
         appearances["invariant"] = train_appearance_model(projected, textures.usable["log"], variance)
+    if lit is not None:
+        values, usable = lit.values["value"], lit.usable["value"]
+        appearances["varied"] = train_appearance_model(
+            np.concatenate([textures.values["value"], values]),
+            np.concatenate([textures.usable["value"], usable]),
+            variance,
+        )
+        appearances["illumination"] = train_illumination(appearances["value"], values, usable, variance)
     return appearances

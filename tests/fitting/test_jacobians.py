@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from finite_differences import assert_jacobian
-from liaam.fitting import METHODS
+from liaam.fitting import METHODS, get_method
 from liaam.kernels import KERNELS
 from setups import disturb, finest_objective, make_problem
 
-ANGLED = ("li", "li-lit", "li-pc", "li-pcs")
+ANGLED = ("li", "li-lit", "li-pc", "li-pcs", "li+noise", "li-pc+noise+huber", "li-pcs+cauchy")
+WEIGHED = ("grey+tukey", "rgb+learnt", "chroma+noise", "li+noise", "li-pc+noise+huber", "igo+geman-mcclure")
+ALL = (*METHODS, *WEIGHED)
 
 
 @pytest.fixture(params=KERNELS)
@@ -27,22 +29,30 @@ class Setting:
         state = self.objective.start(p)
         lam = rng.normal(size=self.objective.n_lambda) * 0.5
         self.state = replace(state, angles=state.angles + np.array([0.1, -0.2]), lam=lam)
+        self.trust = None
+        for _ in range(2):  # weights as they are while a fit runs
+            seen = self.objective.linearise(self.problem, self.state, trust=self.trust)
+            self.trust = self.objective.trust(self.problem, self.state, seen)
+        assert (self.trust is not None) == get_method(method).reweighs
+
+    def root(self, theta: float) -> np.ndarray:
+        return self.objective._root_weights(theta, self.trust)[0]
 
     def weighted_residual(self, state) -> np.ndarray:
         workspace = self.objective.workspace()
-        self.objective.linearise(self.problem, state, workspace)
+        self.objective.linearise(self.problem, state, workspace, self.trust)
         return workspace[:, -1].astype(np.float64)
 
     def columns(self) -> np.ndarray:
         workspace = self.objective.workspace()
-        self.objective.linearise(self.problem, self.state, workspace)
+        self.objective.linearise(self.problem, self.state, workspace, self.trust)
         return workspace
 
     def cells(self, p: np.ndarray) -> np.ndarray:
         return np.floor(self.problem.pose(self.objective.warp.points(p)))
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALL)
 def test_columns_of_the_warp_parameters(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
     n_p = setting.objective.warp.n_parameters
@@ -63,7 +73,7 @@ def test_columns_of_the_warp_parameters(model, lit_scene, method, kernel, rng):
 @pytest.mark.parametrize("method", ANGLED)
 def test_columns_of_the_angles(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
-    n_p, directions = setting.objective.warp.n_parameters, METHODS[method].angle_directions
+    n_p, directions = setting.objective.warp.n_parameters, get_method(method).angle_directions
     at = np.zeros(directions.shape[1])
     assert_jacobian(
         lambda free: setting.weighted_residual(replace(setting.state, angles=setting.state.angles + directions @ free)),
@@ -74,35 +84,35 @@ def test_columns_of_the_angles(model, lit_scene, method, kernel, rng):
     )
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALL)
 def test_columns_of_lambda(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
     objective = setting.objective
-    weights = objective.linearise(setting.problem, setting.state).weights
-    modes = objective.design(float(setting.state.angles[0])).weighted
+    root = setting.root(setting.state.angles[1]) * objective.linearise(setting.problem, setting.state).weights
+    modes = objective.design(float(setting.state.angles[0])).modes
     assert_jacobian(
         lambda lam: setting.weighted_residual(replace(setting.state, lam=lam)),
-        -modes * np.repeat(weights, objective.method.n_rows)[:, None],
+        -modes * np.repeat(root, objective.method.n_rows)[:, None],
         setting.state.lam,
         steps=1.0,
         tolerance=1e-3,
     )
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALL)
 def test_columns_carry_the_root_of_the_weights(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
     objective = setting.objective
     workspace = objective.workspace()
-    seen = objective.linearise(setting.problem, setting.state, workspace)
-    root = np.sqrt(objective.appearance.usable) * seen.weights
+    seen = objective.linearise(setting.problem, setting.state, workspace, setting.trust)
+    root = setting.root(setting.state.angles[1]) * seen.weights
     np.testing.assert_allclose(workspace[:, -1], (root[:, None] * seen.residual).ravel(), rtol=1e-6)
     assert not workspace[np.repeat(seen.weights == 0, objective.method.n_rows)].any()
     rr = np.square(workspace[:, -1].astype(np.float64)).sum()
     assert seen.equations.rr == pytest.approx(rr, rel=1e-5)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALL)
 def test_gram_matrices_leave_out_pixels_without_weight(model, lit_scene, method, rng):
     setting = Setting(model, lit_scene, method, "fast", rng)
     objective = setting.objective
@@ -110,10 +120,11 @@ def test_gram_matrices_leave_out_pixels_without_weight(model, lit_scene, method,
     channels[: len(channels) // 2, :, 3] = 0
     problem = replace(setting.problem, patch=replace(setting.problem.patch, channels=channels))
     workspace = objective.workspace()
-    seen = objective.linearise(problem, setting.state, workspace)
+    seen = objective.linearise(problem, setting.state, workspace, setting.trust)
     assert 0.05 < (seen.weights == 0).mean() < 0.95
     weights = np.repeat(seen.weights, objective.method.n_rows)[:, None].astype(np.float64)
-    A = objective.design(float(setting.state.angles[0])).weighted * weights
+    root = np.repeat(setting.root(setting.state.angles[1]), objective.method.n_rows)[:, None]
+    A = objective.design(float(setting.state.angles[0])).modes * root * weights
     J = workspace[:, :-1].astype(np.float64)
     scale = np.abs(A.T @ A).max()
     np.testing.assert_allclose(seen.equations.aa, A.T @ A, rtol=1e-5, atol=1e-5 * scale)
@@ -124,12 +135,13 @@ def test_gram_matrices_leave_out_pixels_without_weight(model, lit_scene, method,
 @pytest.mark.parametrize("method", ANGLED)
 def test_the_reduced_gradient_is_that_of_the_cost_with_lambda_at_its_best(model, lit_scene, method, rng):
     setting = Setting(model, lit_scene, method, "fast", rng)
-    directions, n_p = METHODS[method].angle_directions, setting.objective.warp.n_parameters
+    directions, n_p = get_method(method).angle_directions, setting.objective.warp.n_parameters
 
     def reduced_cost(free):
         state = replace(setting.state, angles=setting.state.angles + directions @ free)
-        equations = setting.objective.linearise(setting.problem, state).equations
+        equations = setting.objective.linearise(setting.problem, state, trust=setting.trust).equations
         return np.array([equations.after_lambda_step(equations.best_lambda_step()).rr])
 
-    gradient = setting.objective.linearise(setting.problem, setting.state).equations.reduced()[1][n_p:]
+    at = setting.objective.linearise(setting.problem, setting.state, trust=setting.trust)
+    gradient = at.equations.reduced()[1][n_p:]
     assert_jacobian(reduced_cost, 2 * gradient[None], np.zeros(directions.shape[1]), steps=1e-2, tolerance=2e-2)

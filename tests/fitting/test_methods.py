@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from liaam.appearance import CHANNELS
 from liaam.errors import MethodError
-from liaam.fitting import METHODS, Method, fit, get_method
+from liaam.fitting import METHODS, Fitter, Method, fit, get_method
 from liaam.photometry import invariant_row
 
 
@@ -25,8 +26,7 @@ def test_every_row_of_the_table_is_consistent(name):
     method = METHODS[name]
     assert method.name == name
     assert method.image_metric(2.0).shape == (method.n_rows, 3)
-    channels = 1 if method.appearance == "invariant" else 3
-    assert method.model_metric(2.0).shape == (method.n_rows, channels)
+    assert method.model_metric(2.0).shape == (method.n_rows, CHANNELS[method.appearance])
     assert (method.angle_directions.shape[1] > 0) == (method.free_angles != "none")
 
 
@@ -73,11 +73,56 @@ def test_image_and_model_are_measured_by_their_own_angles():
         (("log", "value", "rgb"), "do not suit"),
         (("value", "log", "rgb"), "do not suit"),
         (("log", "invariant", "rgb"), "needs the invariant metric"),
+        (("value", "orientation", "orientation"), "do not suit"),
+        (("value", "value", "orientation"), "does not suit"),
+        (("orientation", "orientation", "rgb"), "does not suit"),
     ],
 )
 def test_rows_that_cannot_be_are_refused(row, match):
     with pytest.raises(MethodError, match=match):
         Method("mine", "", *row)
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"illumination": True}, "need encoding value"),
+        ({"normalise": True}, "need encoding value"),
+        ({"loss": "nonsense"}, "loss 'nonsense' does not exist; there are squares, huber, l1"),
+    ],
+)
+def test_terms_that_do_not_suit_are_refused(changes, match):
+    with pytest.raises(MethodError, match=match):
+        replace(METHODS["li"], **changes)
+
+
+def test_suffixes_change_a_method():
+    method = get_method("li+noise+huber")
+    assert (method.name, method.noise_weights, method.loss, method.metric) == (
+        "li+noise+huber",
+        True,
+        "huber",
+        "invariant",
+    )
+    assert method.reweighs
+    assert not get_method("li").reweighs
+
+
+@pytest.mark.parametrize("name", ["li+nonsense", "li+noise+noise", "li+huber+tukey", "li+", "li+squares"])
+def test_suffixes_that_do_not_exist_are_listed(name):
+    with pytest.raises(MethodError, match=r"does not exist or comes twice; a method takes \+noise and one of \+huber"):
+        get_method(name)
+
+
+def test_gradient_orientations_have_no_noise_weights():
+    with pytest.raises(MethodError, match="noise weights are not known"):
+        get_method("igo+noise")
+
+
+def test_methods_that_learn_light_need_a_model_that_has(fine_model):
+    for name in ("aia", "varied"):
+        with pytest.raises(MethodError, match="--lit"):
+            Fitter(fine_model, name)
 
 
 def test_unknown_options_are_listed(model, scenes):

@@ -1,14 +1,22 @@
 """The table of methods (DESIGN section 1): every fitting method is one row of one objective."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from liaam.appearance import APPEARANCES
 from liaam.errors import MethodError
+from liaam.fitting.losses import LOSSES
 from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE, invariant_row, invariant_row_derivative
 
-METRICS = ("luminance", "rgb", "chromaticity", "invariant")
+METRICS = {
+    "luminance": LUMINANCE,
+    "rgb": np.eye(3),
+    "chromaticity": CHROMATICITY,
+    "orientation": np.eye(3)[:2],
+    "invariant": np.zeros((1, 3)),
+}
+"""Rows of P by name, (k, 3); those of ``invariant`` are L(theta)."""
 
 FREE_ANGLES = {
     "none": np.zeros((2, 0)),
@@ -17,6 +25,15 @@ FREE_ANGLES = {
     "shared": np.array([[1.0], [1.0]]),
 }
 """d (theta_1, theta_2) / d (free angles) of each choice of free angles, (2, n_free)."""
+
+ENCODING_OF = {
+    "value": "value",
+    "varied": "value",
+    "log": "log",
+    "invariant": "log",
+    "orientation": "orientation",
+}
+"""The encoding each appearance is learnt in."""
 
 BIASES = ("none", "common", "rows")
 
@@ -33,11 +50,11 @@ class Method:
     name : str
     summary : str
         One line for people.
-    encoding : {"value", "log"}
+    encoding : {"value", "log", "orientation"}
         What is measured in the image.
-    appearance : {"value", "log", "invariant"}
+    appearance : {"value", "log", "orientation", "invariant", "varied"}
         Which of the model's appearances it is compared with.
-    metric : {"luminance", "rgb", "chromaticity", "invariant"}
+    metric : {"luminance", "rgb", "chromaticity", "orientation", "invariant"}
         Rows of P; only ``invariant`` depends on the angles.
     free_angles : {"none", "image", "both", "shared"}
         Which of theta_1 (model) and theta_2 (image) are estimated.
@@ -45,6 +62,15 @@ class Method:
         Add the mean appearance as a mode (a global gain).
     bias : {"none", "common", "rows"}
         Add a constant, common to all channels or one per row of P.
+    illumination : bool
+        Add the model's illumination basis (AIA, the paper's [6]).
+    normalise : bool
+        Bring the image's samples to the mean and deviation of the model's mean before they are compared
+        (photometric normalisation, the paper's [1]).
+    noise_weights : bool
+        Weigh each pixel by the inverse variance that the image's noise gives its residual.
+    loss : str
+        "squares", or a robust loss of :data:`liaam.fitting.losses.LOSSES`.
     """
 
     name: str
@@ -55,6 +81,10 @@ class Method:
     free_angles: str = "none"
     gain: bool = False
     bias: str = "none"
+    illumination: bool = False
+    normalise: bool = False
+    noise_weights: bool = False
+    loss: str = "squares"
 
     def __post_init__(self) -> None:
         _check("encoding", self.encoding, ENCODINGS)
@@ -69,8 +99,15 @@ class Method:
             raise MethodError(f"method {self.name}: a common bias is invisible to metric {self.metric}")
         if self.gain and self.metric == "invariant":
             raise MethodError(f"method {self.name}: a gain scales a logarithm's contrast, which no light does")
-        if (self.appearance == "value") != (self.encoding == "value"):
+        _check("loss", self.loss, ("squares", *LOSSES))
+        if ENCODING_OF[self.appearance] != self.encoding:
             raise MethodError(f"method {self.name}: {self.encoding} images do not suit a {self.appearance} appearance")
+        if (self.metric == "orientation") != (self.encoding == "orientation"):
+            raise MethodError(f"method {self.name}: metric {self.metric} does not suit encoding {self.encoding}")
+        if self.noise_weights and self.encoding == "orientation":
+            raise MethodError(f"method {self.name}: noise weights are not known for gradient orientations")
+        if (self.illumination or self.normalise) and self.encoding != "value":
+            raise MethodError(f"method {self.name}: an illumination basis and normalisation need encoding value")
         if self.appearance == "invariant" and self.metric != "invariant":
             raise MethodError(f"method {self.name}: the invariant appearance needs the invariant metric")
         if self.appearance == "invariant" and self.free_angles in ("both", "shared"):
@@ -84,7 +121,12 @@ class Method:
     @property
     def n_rows(self) -> int:
         """Rows of P, k."""
-        return {"luminance": 1, "rgb": 3, "chromaticity": 2, "invariant": 1}[self.metric]
+        return len(METRICS[self.metric])
+
+    @property
+    def reweighs(self) -> bool:
+        """Whether something is worked out anew between iterations (see :class:`objective.Trust`)."""
+        return self.noise_weights or self.normalise or self.loss != "squares"
 
     @property
     def angle_directions(self) -> np.ndarray:
@@ -93,12 +135,13 @@ class Method:
 
     def image_metric(self, theta: float) -> np.ndarray:
         """Rows of P for the image (angle theta_2), (k, 3)."""
-        fixed = {"luminance": LUMINANCE, "rgb": np.eye(3), "chromaticity": CHROMATICITY}
-        return invariant_row(theta) if self.metric == "invariant" else fixed[self.metric]
+        return invariant_row(theta) if self.metric == "invariant" else METRICS[self.metric]
 
     def model_metric(self, theta: float) -> np.ndarray:
         """Rows of P for the model (angle theta_1), (k, channels of the appearance)."""
-        return np.eye(1) if self.appearance == "invariant" else self.image_metric(theta)
+        # These two were projected before they were learnt.
+        projected = self.appearance in ("invariant", "orientation")
+        return np.eye(self.n_rows) if projected else self.image_metric(theta)
 
     def image_metric_derivative(self, theta: float) -> np.ndarray:
         """dP/dtheta for the image, (k, 3)."""
@@ -161,13 +204,56 @@ METHODS: dict[str, Method] = {
             "chromaticity",
             bias="rows",
         ),
+        Method(
+            "grey-plain", "luminance as it is: even a change of exposure is an error", "value", "value", "luminance"
+        ),
+        Method(
+            "grey-norm",
+            "luminance normalised to the model's mean and deviation (affine photometric normalisation)",
+            "value",
+            "value",
+            "luminance",
+            normalise=True,
+        ),
+        Method(
+            "varied",
+            "as grey, learnt from pictures under varied light (train with --lit)",
+            "value",
+            "varied",
+            "luminance",
+            gain=True,
+            bias="common",
+        ),
+        Method(
+            "aia",
+            "active illumination: as grey, plus an illumination basis (train with --lit)",
+            "value",
+            "value",
+            "luminance",
+            gain=True,
+            bias="common",
+            illumination=True,
+        ),
+        Method(
+            "igo",
+            "orientation of luminance's gradient: blind to its strength",
+            "orientation",
+            "orientation",
+            "orientation",
+        ),
     )
 }
 """The methods by name, in the order of the table."""
 
 
+NOISE_SUFFIX = "noise"
+
+
 def get_method(method: str | Method) -> Method:
     """Look a method up by name; a :class:`Method` of your own passes through.
+
+    A name may carry suffixes: ``+noise`` weighs pixels by the image's noise, and the name of a loss makes the
+    method robust, as in ``li+noise``, ``grey+tukey`` or ``li+noise+huber``.
 
     Raises
     ------
@@ -176,6 +262,16 @@ def get_method(method: str | Method) -> Method:
     """
     if isinstance(method, Method):
         return method
-    if method not in METHODS:
+    base, *suffixes = method.split("+")
+    if base not in METHODS:
         raise MethodError(f"method {method!r} does not exist; there are {', '.join(METHODS)}")
-    return METHODS[method]
+    changes: dict = {}
+    for suffix in suffixes:
+        field, value = ("noise_weights", True) if suffix == NOISE_SUFFIX else ("loss", suffix)
+        if field in changes or (field == "loss" and suffix not in LOSSES):
+            raise MethodError(
+                f"method {method!r}: the suffix +{suffix} does not exist or comes twice; a method takes "
+                f"+{NOISE_SUFFIX} and one of {', '.join(f'+{name}' for name in LOSSES)}"
+            )
+        changes[field] = value
+    return replace(METHODS[base], name=method, **changes) if changes else METHODS[base]

@@ -5,21 +5,23 @@ coordinates lambda (paper eq 9, generalised):
 
     r(x) = w(x) [ P(theta_2) E(I(W(x; p))) - P(theta_1) A0(x) - sum_i lambda_i P(theta_1) A_i(x) ]
 
-Extra modes (gain, bias) stand behind the appearance's own in lambda.
+Extra modes (gain, bias, illumination) stand behind the appearance's own in lambda. The weights w(x) are the
+model's own, or those of a :class:`Trust` worked out between iterations.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
+from liaam.fitting.losses import LOSSES, robust_scale
 from liaam.fitting.methods import Method
 from liaam.fitting.normal_equations import NormalEquations, gram, regular_inverse
 from liaam.kernels import get_kernel
 from liaam.model import AAM
-from liaam.photometry import Response
+from liaam.photometry import Response, from_linear, log_slope, noise_deviation
 from liaam.sampling import Patch, make_patch
 from liaam.shape import Similarity
 from liaam.warp import Warp
@@ -58,10 +60,19 @@ class FitProblem:
         Encoded surroundings of the start.
     pose : Similarity
         Model pixels to patch pixels.
+    response : Response
+        Of the image's camera.
+    noise : float
+        Standard deviation of the image's noise, in stored values of [0, 1].
+    noise_left : float
+        Share of it that the patch's averaging and blur leave.
     """
 
     patch: Patch
     pose: Similarity
+    response: Response = "srgb"
+    noise: float = 0.0
+    noise_left: float = 1.0
 
     @classmethod
     def at(
@@ -82,11 +93,53 @@ class FitProblem:
         blur : float
             Model pixels.
         """
-        patch = make_patch(
-            image, shape, pose.scale, encoding=method.encoding, response=response, blur=blur, margin=MARGIN
-        )
+        patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=MARGIN)
         to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
-        return cls(patch, to_patch)
+        if not method.noise_weights:
+            return cls(patch, to_patch, response)
+        return cls(patch, to_patch, response, *_noise(image, shape, patch, pose.scale * blur))
+
+
+def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, blur: float) -> tuple[float, float]:
+    """Noise of an image around a shape, and the share that a patch's averaging and blur (image pixels) leave."""
+    reduce = 1.0 / patch.from_image.scale
+    # A Gaussian blur keeps 1 / (4 pi sigma^2) of white noise's variance.
+    left = 1.0 / (reduce * max(1.0, 2.0 * np.sqrt(np.pi) * blur / reduce))
+    low = np.maximum(shape.min(axis=0).astype(int), 0)
+    high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
+    return noise_deviation(image[low[1] : high[1], low[0] : high[0]]), left
+
+
+@dataclass(frozen=True, eq=False)
+class Trust:
+    """How far each pixel is trusted: worked out between iterations, frozen within one.
+
+    Attributes
+    ----------
+    weights : (n_pixels,) float32
+        By the robust loss; 1 without one.
+    noise : (n_pixels, 3) float64, optional
+        Variance of the encoded channels by the image's noise.
+    model : (n_pixels,) float64, optional
+        Variance of the residual by the model's errors; goes with ``noise``.
+    unit : float
+        Variance that weighs 1.
+    gain, offset : float
+        Normalisation of the image's samples: they are compared as gain * E(I) + offset.
+    """
+
+    weights: np.ndarray
+    noise: np.ndarray | None = None
+    model: np.ndarray | None = None
+    unit: float = 1.0
+    gain: float = 1.0
+    offset: float = 0.0
+
+    def variance(self, metric: np.ndarray) -> np.ndarray | None:
+        """Variance of the residual in rows of P on average, (n_pixels,) float64; None where it is not modelled."""
+        if self.noise is None or self.model is None:
+            return None
+        return self.noise @ np.square(metric).mean(axis=0) + self.model
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +200,8 @@ class Objective:
         Precision of a Gaussian prior on p relative to the variance of a residual: what a unit of squared p
         weighs against a unit of squared residual of unit variance. 0 where there is no prior.
     kernel : {"fast", "reference"}
+    illumination : AppearanceModel, optional
+        Illumination basis, for methods that add one.
     """
 
     method: Method
@@ -155,6 +210,7 @@ class Objective:
     theta_model: float
     prior: np.ndarray
     kernel: str = "fast"
+    illumination: AppearanceModel | None = None
 
     @cached_property
     def root_weights(self) -> np.ndarray:
@@ -185,15 +241,17 @@ class Objective:
         metric = self.method.model_metric(theta).astype(np.float32)
         mean = self.appearance.mean @ metric.T
         modes = np.einsum("mnc,kc->nkm", self.appearance.modes, metric)
-        modes = np.concatenate([modes, *self._extra_modes(mean)], axis=2)
+        modes = np.concatenate([modes, *self._extra_modes(mean, metric)], axis=2)
         modes = np.ascontiguousarray(modes.reshape(mean.size, -1), dtype=np.float32)
         weighted = modes * np.repeat(self.root_weights, len(metric))[:, None]
         aa = gram(weighted, weighted)
         return _Design(mean, modes, weighted, aa, regular_inverse(aa))
 
-    def _extra_modes(self, mean: np.ndarray) -> list[np.ndarray]:
+    def _extra_modes(self, mean: np.ndarray, metric: np.ndarray) -> list[np.ndarray]:
         n, k = mean.shape
         extra = []
+        if self.method.illumination and self.illumination is not None:
+            extra.append(np.einsum("mnc,kc->nkm", self.illumination.modes, metric))
         if self.method.gain:
             extra.append(mean[:, :, None])
         if self.method.bias == "common":
@@ -215,7 +273,13 @@ class Objective:
             state.lam + lambda_step,
         )
 
-    def linearise(self, problem: FitProblem, state: State, workspace: np.ndarray | None = None) -> Linearisation:
+    def linearise(
+        self,
+        problem: FitProblem,
+        state: State,
+        workspace: np.ndarray | None = None,
+        trust: Trust | None = None,
+    ) -> Linearisation:
         """Residual and normal equations at a state.
 
         Parameters
@@ -225,29 +289,126 @@ class Objective:
         workspace : (n_pixels * k, n_q + 1) float32, optional
             Overwritten with the weighted columns [J | r]; pass the same array every time to allocate
             nothing large in the loop.
+        trust : Trust, optional
+            Of :meth:`trust` at an earlier state, for methods that re-weigh.
         """
         theta_model, theta_image = state.angles
         design = self.design(theta_model)
         metric = self.method.image_metric(theta_image)
         columns = self.workspace() if workspace is None else workspace
+        gain, offset = (1.0, 0.0) if trust is None else (trust.gain, trust.offset)
+        own_root, root_slope = self._root_weights(theta_image, trust)
         values, projected, weights = get_kernel(self.kernel).linearise(
             problem.patch.channels,
             self.warp.points(state.p, problem.pose),
             self.warp.jacobian(state.p),
-            problem.pose.matrix,
+            gain * problem.pose.matrix,
             metric,
-            self.root_weights,
+            own_root,
             columns,
         )
         lam = state.lam.astype(np.float32)
-        residual = projected - design.mean
+        residual = gain * projected - design.mean
+        if offset:
+            residual += np.float32(offset) * metric.sum(axis=1).astype(np.float32)
         residual -= (design.modes @ lam).reshape(residual.shape)
-        root = (self.root_weights * weights)[:, None]
+        root = (own_root * weights)[:, None]
         n_p = self.warp.n_parameters
         if self.n_q > n_p:
             columns[:, n_p : self.n_q] = self._angle_columns(state, values, lam, root)
+            if root_slope is not None:
+                columns[:, n_p : self.n_q] += (root_slope[:, None] * weights[:, None] * residual).reshape(
+                    -1, 1
+                ) * self.method.angle_directions[1].astype(np.float32)
         columns[:, -1] = (root * residual).ravel()
-        return Linearisation(self._equations(columns, design, weights), residual, values, weights)
+        equations = self._equations(columns, design, weights, None if trust is None else own_root)
+        return Linearisation(equations, residual, values, weights)
+
+    def _root_weights(self, theta: float, trust: Trust | None) -> tuple[np.ndarray, np.ndarray | None]:
+        """Root of each pixel's weight (n,), and its derivative by theta_2 where noise makes it depend on that.
+
+        Whitening by the noise is differentiated along with the residual: var L(theta) depends on the angle, and
+        a weight frozen at the old angle leaves the plain sum of squares' pull towards angles of little noise.
+        """
+        if trust is None:
+            return self.root_weights, None
+        root = self.root_weights * np.sqrt(trust.weights)
+        metric = self.method.image_metric(theta)
+        variance = trust.variance(metric)
+        if variance is None or trust.noise is None:
+            return root, None
+        root = (root * np.sqrt(trust.unit / variance)).astype(np.float32)
+        if not self.method.angle_directions[1].any():
+            return root, None
+        growth = trust.noise @ (2.0 * metric * self.method.image_metric_derivative(theta)).mean(axis=0)
+        return root, (-0.5 * root * growth / variance).astype(np.float32)
+
+    def trust(self, problem: FitProblem, state: State, seen: Linearisation) -> Trust | None:
+        """Work out what the next iteration freezes, from what the pixels look like at a state.
+
+        Returns
+        -------
+        Trust or None
+            None for methods that weigh all pixels as the model does, and where no pixel counts.
+        """
+        method, usable = self.method, seen.weights * self.appearance.usable > 0
+        if not method.reweighs or not usable.any():
+            return None
+        metric = method.image_metric(state.angles[1])
+        gain, offset = self._normalisation(seen.values @ metric.T, usable) if method.normalise else (1.0, 0.0)
+        trust = Trust(np.ones(len(usable), np.float32), gain=gain, offset=offset)
+        if method.noise_weights and method.encoding == "log":
+            trust = replace(trust, **self._variances(problem, state, seen, usable))
+        if method.loss == "squares":
+            return trust
+        return replace(trust, weights=self._robust_weights(seen.residual, trust.variance(metric), usable))
+
+    def _normalisation(self, samples: np.ndarray, usable: np.ndarray) -> tuple[float, float]:
+        """Gain and offset that bring samples to the mean and deviation of the model's mean."""
+        own, seen = self._fixed_design.mean[usable], samples[usable]
+        spread = float(seen.std(dtype=np.float64))
+        gain = float(own.std(dtype=np.float64)) / spread if spread > 1e-6 else 1.0
+        return gain, float(own.mean(dtype=np.float64) - gain * seen.mean(dtype=np.float64))
+
+    def _variances(self, problem: FitProblem, state: State, seen: Linearisation, usable: np.ndarray) -> dict:
+        """Variance by noise and by the model's errors, and the one that weighs 1.
+
+        The model's errors are those of leaving one training image out, times a factor that makes the residuals
+        at hand most likely: nought where noise alone explains them.
+        """
+        stored = from_linear(np.exp(seen.values.astype(np.float64)), problem.response)
+        relative = problem.noise * log_slope(np.maximum(stored, 1e-3), problem.response)
+        # A blur averages noise away, but not what the logarithm's curvature makes of it: log(rho + n) is low by
+        # half its relative variance on average.
+        noise = np.square(problem.noise_left * relative) + np.square(0.5 * np.square(relative))
+        metric = self.method.image_metric(state.angles[1])
+        by_noise = noise @ np.square(metric).mean(axis=0)
+        by_model = self._unexplained(state.angles[0])
+        squares = np.square(seen.residual, dtype=np.float64).mean(axis=1)[usable]
+        factor = _likeliest_factor(squares, by_noise[usable], by_model[usable])
+        model = factor * by_model
+        return {"noise": noise, "model": model, "unit": float(np.median((by_noise + model)[usable]))}
+
+    def _unexplained(self, theta: float) -> np.ndarray:
+        """Variance of the model's errors in rows of P on average, (n_pixels,) float64; 0 where it is not known."""
+        unexplained = self.appearance.unexplained
+        if unexplained is None:
+            return np.zeros(len(self.appearance.mean))
+        metric = self.method.model_metric(theta)
+        return np.einsum("kc,ncd,kd->n", metric, unexplained, metric, optimize=True) / len(metric)
+
+    def _robust_weights(self, residual: np.ndarray, variance: np.ndarray | None, usable: np.ndarray) -> np.ndarray:
+        """Weights by the method's loss, (n_pixels,) float32."""
+        loss = LOSSES[self.method.loss]
+        sizes = np.sqrt(np.square(residual, dtype=np.float64).mean(axis=1))
+        if self.method.loss == "learnt":
+            # A picture under another light leaves more everywhere: the median pixel still counts.
+            deviation = np.sqrt(self._unexplained(self.theta_model) + 1e-12)
+            u = sizes / deviation
+            weights = loss(u / max(robust_scale(u[usable]), 1.0)) / deviation
+            return (weights / weights[usable].max()).astype(np.float32)
+        u = sizes if variance is None else sizes / np.sqrt(variance)
+        return loss(u / max(robust_scale(u[usable]), 1e-9)).astype(np.float32)
 
     def workspace(self) -> np.ndarray:
         """Give an array for the columns [J | r] of one linearisation."""
@@ -265,17 +426,34 @@ class Objective:
             columns -= (root * by_model).reshape(-1, 1) * directions[0]
         return columns
 
-    def _equations(self, columns: np.ndarray, design: _Design, weights: np.ndarray) -> NormalEquations:
-        own, cross = gram(columns, columns), gram(columns, design.weighted).T
-        aa, inverse = design.aa, design.inverse
+    def _equations(
+        self, columns: np.ndarray, design: _Design, weights: np.ndarray, root: np.ndarray | None
+    ) -> NormalEquations:
+        """Normal equations of the weighted columns; ``root`` gives the pixels' own weights where they vary."""
+        rows = self.method.n_rows
+        weighted, aa, inverse, own_weights = design.weighted, design.aa, design.inverse, self.appearance.usable
+        if root is not None:
+            weighted = design.modes * np.repeat(root, rows)[:, None]
+            aa, inverse, own_weights = gram(weighted, weighted), None, np.square(root)
+        own, cross = gram(columns, columns), gram(columns, weighted).T
         blind = weights == 0
         if blind.any():
-            rows = design.weighted[np.repeat(blind, self.method.n_rows)]
-            aa, inverse = aa - gram(rows, rows), None
-        weight = float(self.appearance.usable @ weights) * self.method.n_rows
+            unseen = weighted[np.repeat(blind, rows)]
+            aa, inverse = aa - gram(unseen, unseen), None
+        weight = float(own_weights @ weights) * rows
         return NormalEquations(
             own[:-1, :-1], own[:-1, -1], cross[:, :-1], aa, cross[:, -1], float(own[-1, -1]), weight, inverse
         )
+
+
+FACTORS = np.concatenate([[0.0], np.geomspace(1e-3, 30.0, 19)])
+
+
+def _likeliest_factor(squares: np.ndarray, by_noise: np.ndarray, by_model: np.ndarray) -> float:
+    """Factor f for which squared residuals are most likely under variances by_noise + f * by_model."""
+    variances = by_noise + FACTORS[:, None] * by_model + 1e-300
+    cost = (np.log(variances) + squares / variances).mean(axis=1)
+    return float(FACTORS[cost.argmin()])
 
 
 def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[Objective, ...]:
@@ -290,6 +468,7 @@ def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[O
         raise MethodError(
             f"method {method.name} compares colours, but the model was trained on grey pictures; use method 'grey'"
         )
+    _check_holds(model, method)
     get_kernel(kernel)
     return tuple(
         Objective(
@@ -299,9 +478,29 @@ def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[O
             model.theta,
             _shape_prior(model, level.blur),
             kernel,
+            level.appearances.get("illumination"),
         )
         for level in model.levels
     )
+
+
+def _check_holds(model: AAM, method: Method) -> None:
+    """Complain about what a method needs and a model lacks."""
+    for level in model.levels:
+        if method.illumination and "illumination" not in level.appearances:
+            raise MethodError(
+                f"method {method.name} needs a model that has learnt what light does; train it with pictures under "
+                "other lights ('liaam train --lit FOLDER', or train(..., lit=...))"
+            )
+        if method.appearance not in level.appearances:
+            lit = (
+                " with pictures under other lights ('liaam train --lit FOLDER')"
+                if method.appearance == "varied"
+                else ""
+            )
+            raise MethodError(f"method {method.name}: the model has no such appearance; train it again{lit}")
+        if method.loss == "learnt" and level.appearances[method.appearance].unexplained is None:
+            raise MethodError(f"method {method.name}: the model has not learnt how far it errs; train it again")
 
 
 def _shape_prior(model: AAM, blur: float) -> np.ndarray:

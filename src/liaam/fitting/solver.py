@@ -13,7 +13,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting.normal_equations import NormalEquations
-from liaam.fitting.objective import FitProblem, Linearisation, Objective, State
+from liaam.fitting.objective import FitProblem, Linearisation, Objective, State, Trust
 
 ELIMINATIONS = ("varpro", "joint")
 
@@ -102,7 +102,10 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
     Never raises for a fit that goes wrong and never loops beyond ``max_iterations``.
     """
     workspace = objective.workspace()
-    state, last = _evaluate(objective, problem, start, options, workspace, start_up=True)
+    state, last = _evaluate(objective, problem, start, options, workspace, None, start_up=True)
+    # Twice: what the weights are worked out from depends on the weights.
+    state, last, trust = _weigh_anew(objective, problem, state, last, options, workspace)
+    state, last, trust = _weigh_anew(objective, problem, state, last, options, workspace)
     path = [(last.equations.cost, state)]
     damping, settled, flat, iteration = options.damping, False, False, 0
     free, held = _free_directions(objective, state, last.equations, options.observable)
@@ -114,9 +117,8 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
             break
         step, lambda_step = steps
         moved = objective.warp.movement(step[: objective.warp.n_parameters])
-        new, there = _evaluate(
-            objective, problem, objective.update(state, step, lambda_step), options, workspace, start_up=False
-        )
+        moved_to = objective.update(state, step, lambda_step)
+        new, there = _evaluate(objective, problem, moved_to, options, workspace, trust, start_up=False)
         worse = not _merit(there.equations, new, precision) <= _merit(last.equations, state, precision)
         if options.damping > 0 and worse:
             if moved < options.tolerance or damping >= DAMPING_RANGE[1]:
@@ -124,7 +126,7 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
                 break
             damping = min(max(damping, 1e-4) * 10, DAMPING_RANGE[1])
             continue
-        state, last = new, there
+        state, last, trust = _weigh_anew(objective, problem, new, there, options, workspace, trust)
         path.append((last.equations.cost, state))
         damping = max(damping / 10, DAMPING_RANGE[0]) if options.damping > 0 else 0.0
         free, held = _free_directions(objective, state, last.equations, options.observable)
@@ -136,16 +138,36 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
     return Solution(state, last, tuple(path), iteration, settled, held, flat)
 
 
+def _weigh_anew(
+    objective: Objective,
+    problem: FitProblem,
+    state: State,
+    seen: Linearisation,
+    options: SolverOptions,
+    workspace: np.ndarray,
+    trust: Trust | None = None,
+) -> tuple[State, Linearisation, Trust | None]:
+    """Weigh the pixels by what they look like now; lambda is solved again under the new weights.
+
+    Steps are judged under the weights they were made with, so a robust loss cannot rise either.
+    """
+    new = objective.trust(problem, state, seen)
+    if new is None:
+        return state, seen, trust
+    return *_evaluate(objective, problem, state, options, workspace, new, start_up=trust is None), new
+
+
 def _evaluate(
     objective: Objective,
     problem: FitProblem,
     state: State,
     options: SolverOptions,
     workspace: np.ndarray,
+    trust: Trust | None,
     start_up: bool,
 ) -> tuple[State, Linearisation]:
     """Linearise at a state; variable projection (and any start) also solves lambda there."""
-    seen = objective.linearise(problem, state, workspace)
+    seen = objective.linearise(problem, state, workspace, trust)
     if options.elimination == "joint" and not start_up:
         return state, seen
     if not seen.equations.weight > 0:

@@ -11,7 +11,16 @@ from liaam.photometry.invariant import (
     temperature_direction,
     wien_theta,
 )
-from liaam.photometry.response import Response, linear_to_srgb, parse_response, srgb_to_linear, to_linear
+from liaam.photometry.noise import noise_deviation
+from liaam.photometry.response import (
+    Response,
+    from_linear,
+    linear_to_srgb,
+    log_slope,
+    parse_response,
+    srgb_to_linear,
+    to_linear,
+)
 
 __all__ = [
     "CHROMATICITY",
@@ -21,11 +30,14 @@ __all__ = [
     "Response",
     "encode",
     "exposure_faults",
+    "from_linear",
     "invariant",
     "invariant_row",
     "invariant_row_derivative",
     "is_grey",
     "linear_to_srgb",
+    "log_slope",
+    "noise_deviation",
     "parse_response",
     "srgb_to_linear",
     "temperature_direction",

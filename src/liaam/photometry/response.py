@@ -42,3 +42,23 @@ def to_linear(values: np.ndarray, response: Response = "srgb") -> np.ndarray:
     if response == "linear":
         return np.asarray(values)
     return np.maximum(values, 0.0) ** float(response)
+
+
+def from_linear(linear: np.ndarray, response: Response = "srgb") -> np.ndarray:
+    """Encode linear light in [0, 1] (any shape) as stored values under a response; inverse of :func:`to_linear`."""
+    if response == "srgb":
+        return linear_to_srgb(linear)
+    if response == "linear":
+        return np.asarray(linear)
+    return np.maximum(linear, 0.0) ** (1.0 / float(response))
+
+
+def log_slope(stored: np.ndarray, response: Response = "srgb") -> np.ndarray:
+    """Derivative of the logarithm of linear light by the stored value, d log rho / d v, at positive values.
+
+    It turns a standard deviation of stored values into one of logarithms.
+    """
+    v = np.asarray(stored)
+    if response == "srgb":
+        return np.where(v <= 0.04045, 1.0 / np.minimum(v, 0.04045), 2.4 / (np.maximum(v, 0.04045) + 0.055))
+    return (1.0 if response == "linear" else float(response)) / v
