@@ -1,11 +1,14 @@
-"""Helpers shared by tests: scenes between scenes, disturbed starts, errors in model pixels, fit problems."""
+"""Helpers shared by tests: scenes between scenes, disturbed starts, model pixels, fit problems, a person's pictures."""
 
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 
+from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.fitting import get_method
 from liaam.fitting.objective import FitProblem, Objective, make_objectives
+from liaam.io import write_image, write_landmarks
 from liaam.model import AAM
 from liaam.shape import align, diagonal_of
 
@@ -39,3 +42,13 @@ def make_problem(
 def finest_objective(model: AAM, method, kernel: str = "fast") -> Objective:
     """Objective of a method at the model's sharpest level."""
     return make_objectives(model, get_method(method), kernel)[-1]
+
+
+def write_person(folder: Path, person: int, conditions: str = "123456") -> None:
+    """Write pictures of one person as the spot protocol names them; 5 has light from the side."""
+    rng = np.random.default_rng(person)
+    for condition in conditions:
+        lights = lateral("left") if condition == "5" else DIFFUSE
+        scene = render(Head(person), random_pose(rng, (200, 150)), random_expression(rng), lights, size=(200, 150))
+        write_image(folder / f"{person:02d}-{condition}m.png", scene.image)
+        write_landmarks(folder / f"{person:02d}-{condition}m.pts", scene.landmarks)

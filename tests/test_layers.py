@@ -12,7 +12,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 
 LAYERS = (
     ("__main__",),
-    ("cli", "studio"),
+    ("cli", "cli_experiments", "terminal", "studio"),
     ("experiments", "batch", "tracking"),
     ("plotting",),
     ("registration", "relighting"),

@@ -119,3 +119,23 @@ def test_a_picture_lays_values_where_their_pixels_are():
     np.testing.assert_array_equal(picture[frame.pixels[:, 0], frame.pixels[:, 1]], np.arange(frame.n_pixels) + 1)
     assert (picture == -1).sum() == picture.size - frame.n_pixels
     assert frame.picture(np.zeros((frame.n_pixels, 3))).shape == (*frame.size[::-1], 3)
+
+
+def test_the_gradient_is_that_of_smooth_values(model):
+    """A cubic is differentiated exactly away from the border, a wave of six pixels nearly."""
+    frame = model.frame
+    x, y = (frame.pixels[:, ::-1] + frame.origin).T / 10
+    gradient = frame.gradient(np.stack([x**3 - x * y, np.sin(2 * np.pi * 10 * y / 6)], axis=1))
+    inside = frame.picture(np.ones(frame.n_pixels)) > 0
+    deep = inside.copy()
+    for _ in range(6):  # a spline forgets its ends within a few pixels
+        padded = np.pad(deep, 1)
+        deep = padded[1:-1, 1:-1] & padded[2:, 1:-1] & padded[:-2, 1:-1] & padded[1:-1, 2:] & padded[1:-1, :-2]
+    deep = deep[frame.pixels[:, 0], frame.pixels[:, 1]]
+    assert deep.sum() > 100
+    np.testing.assert_allclose(gradient[deep, 0, 0], (3 * x**2 - y)[deep] / 10, atol=1e-3)
+    np.testing.assert_allclose(gradient[deep, 1, 0], -x[deep] / 10, atol=1e-3)
+    wave = 2 * np.pi / 6 * np.cos(2 * np.pi * 10 * y / 6)
+    np.testing.assert_allclose(gradient[deep, 1, 1], wave[deep], atol=0.03)
+    assert np.isfinite(gradient).all()
+    assert gradient.shape == (frame.n_pixels, 2, 2)

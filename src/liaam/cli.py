@@ -2,18 +2,17 @@
 
 import io
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from liaam import __version__
-from liaam.errors import LiaamError, MethodError, StartError
+from liaam.cli_experiments import experiments
+from liaam.errors import LiaamError, StartError
+from liaam.terminal import complain, console, progress_bar, say, table_of
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
@@ -26,44 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-experiments = typer.Typer(help="Run an experiment; writes a table, a summary and a figure.", no_args_is_help=True)
 app.add_typer(experiments, name="experiment")
-
-console = Console()
-complaints = Console(stderr=True)
-
-Progress = Callable[[int, int, str], None]
-
-
-@contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """Show a bar; it appears on terminals only and leaves nothing behind."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}", markup=False),
-    )
-    with Bar(*columns, console=complaints, transient=True, disable=not complaints.is_terminal) as bar:
-        task = bar.add_task("")
-
-        def tell(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
-        yield tell
-
-
-def say(text: str) -> None:
-    """Print plain text (no markup: file names hold brackets)."""
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
-
-
-def complain(text: str) -> None:
-    """Print to standard error."""
-    complaints.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def version(show: bool) -> None:
@@ -181,7 +143,7 @@ def fit(
     own_response = None if response is None else parse_response(response)
     fitter = Fitter(load_model(model_file), method, options, response=own_response)
     make_folder(output)
-    table = Table("image", "status", "iterations", "cost", "theta", box=None, header_style="bold")
+    table = table_of("image", "status", "iterations", "cost", "theta")
     advice: dict[str, list[str]] = {}
     failed = 0
     with progress_bar() as tell:
@@ -360,7 +322,7 @@ def methods() -> None:
     """List the fitting methods."""
     from liaam.fitting import METHODS
 
-    table = Table("method", "compares", "what it is", box=None, header_style="bold")
+    table = table_of("method", "compares", "what it is")
     for method in METHODS.values():
         table.add_row(method.name, f"{method.encoding}, {method.metric}", method.summary)
     console.print(table)
@@ -375,43 +337,13 @@ def demo(
 
     with progress_bar() as tell:
         rows, start_error = run_demo(output, tell)
-    table = Table("method", "error (px)", "status", "theta", box=None, header_style="bold")
+    table = table_of("method", "error (px)", "status", "theta")
     table.add_row("start", f"{start_error:.2f}", "", "")
     for row in rows:
         angle = angle_degrees(row.result)
         table.add_row(row.method, f"{row.error:.2f}", str(row.result.status), f"{angle:.1f}°" if angle else "–")
     console.print(table)
     say(f"written to {output / 'figure.png'}")
-
-
-@experiments.command()
-def spot(
-    data: Annotated[Path, typer.Option(help="Folder with pictures NN-1 … NN-6 of each person and their landmarks.")],
-    output: Annotated[Path, typer.Option("--out", "-o", help="Folder for results.csv, summary.json and figure.png.")],
-    methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = "rgb,grey,li,li-lit,li-pc,li-pcs",
-    trials: Annotated[int, typer.Option(help="Starts per person.", min=1)] = 3,
-    seed: Annotated[int, typer.Option(help="Seed of the starts.", min=0)] = 0,
-) -> None:
-    """Person-specific models from diffuse light, fitted to a spot-lit picture (paper section 7.2)."""
-    from liaam.experiments.spot import run_spot
-
-    names = [name.strip() for name in methods.split(",") if name.strip()]
-    if not names:
-        raise MethodError("--methods is empty; see 'liaam methods' for those that exist")
-    with progress_bar() as tell:
-        summary = run_spot(data, output, names, trials, seed, tell)
-    table = Table("method", "median NME", "p90", "converged", "iterations", "theta", box=None, header_style="bold")
-    for name, row in summary["methods"].items():
-        theta = "–" if row["theta_deg_median"] is None else f"{row['theta_deg_median']:.1f}°"
-        table.add_row(
-            name, f"{row['nme_median']:.2%}", f"{row['nme_p90']:.2%}", f"{row['converged']:.0%}",
-            f"{row['iterations_median']:.0f}", theta,
-        )  # fmt: skip
-    table.add_row("bound", f"{summary['bound_median']:.2%}")
-    console.print(table)
-    for text in summary["left_out"]:
-        say(f"left out: {text}")
-    say(f"written to {output}")
 
 
 def main() -> None:

@@ -4,8 +4,15 @@ import numpy as np
 
 
 def point_error(shape: np.ndarray, truth: np.ndarray) -> float:
-    """Mean distance of corresponding (n, 2) landmarks, pixels; missing (NaN) ones are left out."""
-    return float(np.nanmean(np.linalg.norm(np.asarray(shape) - np.asarray(truth), axis=1)))
+    """Mean distance of corresponding (n, 2) landmarks, pixels.
+
+    Landmarks that the truth does not have (NaN) are left out; a shape that is not finite is infinitely wrong.
+    """
+    known = np.isfinite(truth).all(axis=1)
+    found = np.asarray(shape)[known]
+    if not np.isfinite(found).all():
+        return float("inf")
+    return float(np.mean(np.linalg.norm(found - np.asarray(truth)[known], axis=1)))
 
 
 def inter_ocular_distance(shape: np.ndarray, left_eye: slice, right_eye: slice) -> float:
@@ -22,3 +29,21 @@ def cumulative_errors(errors: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """Cumulative error distribution (CED): share of errors at or below each limit; NaN counts as failure."""
     errors = np.sort(np.where(np.isfinite(errors), errors, np.inf))
     return np.searchsorted(errors, limits, side="right") / max(len(errors), 1)
+
+
+def error_statistics(errors: np.ndarray) -> dict[str, float | None]:
+    """Median, 90th percentile and root mean square; NaN counts as failure, what is not finite becomes None."""
+    errors = np.asarray(errors, dtype=np.float64)
+    errors = np.where(np.isfinite(errors), errors, np.inf)
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = {
+            "median": np.median(errors),
+            "p90": np.percentile(errors, 90),
+            "rms": np.sqrt(np.mean(np.square(errors))),
+        }
+    return {name: float(value) if np.isfinite(value) else None for name, value in found.items()}
+
+
+def angle_difference(angle: float, truth: float) -> float:
+    """Angle minus truth, brought to (-pi, pi], radians."""
+    return float(np.pi - (np.pi - (angle - truth)) % (2 * np.pi))

@@ -1,8 +1,9 @@
 """Pictures: overlays of fits, models to look at, and the figures of experiments."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,15 +24,78 @@ COLOURS = {
     "li-pc": "#5899da",
     "li-pcs": "#1d4e89",
     "chroma": "#b565a7",
+    "grey-plain": "#5c5c5c",
+    "grey-norm": "#8a7f5c",
+    "varied": "#9c5b3b",
+    "aia": "#d4a017",
+    "igo": "#c2185b",
 }
 """One colour per method, the same in every figure."""
 
+MARKERS = {
+    "grey": "s",
+    "rgb": "o",
+    "li": "o",
+    "li-lit": "s",
+    "li-pc": "^",
+    "li-pcs": "v",
+    "chroma": "D",
+    "grey-plain": "P",
+    "grey-norm": "X",
+    "varied": "<",
+    "aia": ">",
+    "igo": "*",
+}
+"""One marker per method."""
+
+ON_TOP = {"li": (4.0, 4.0), "li-lit": (1.2, 8.0), "li-pc": (1.8, 6.0), "li-pcs": (1.0, 6.0)}
+"""Width of line and size of marker of methods that may coincide: a thin line with a large hollow marker lies
+visibly on a wide line with a small one."""
+
 LINE_WIDTH = 1.8
+
+DASHES = ((0, (1, 1.5)), (0, (5, 2)), (0, (6, 2, 1, 2)))
+"""Dashes of lines to compare with, such as a bound."""
+
+FLOOR = 1e-3
+"""What a logarithmic axis of errors shows at least; smaller errors are drawn there."""
+
+
+def base_of(method: str) -> str:
+    """Name of a method without its suffixes (``li`` of ``li+noise``)."""
+    return method.partition("+")[0]
 
 
 def colour_of(method: str) -> str:
-    """Colour of a method in figures; black for methods of your own."""
-    return COLOURS.get(method, "#222222")
+    """Colour of a method in figures, suffixes or not; black for methods of your own."""
+    return COLOURS.get(base_of(method), "#222222")
+
+
+def style_of(method: str, n_points: int) -> dict[str, Any]:
+    """How to draw a method's curve of so many points.
+
+    One colour and marker per method, dashed with a suffix, dotted with two. Of many points some are marked, of
+    each method others, so that no curve hides another's marks.
+    """
+    base = base_of(method)
+    step = max(1, n_points // 8)
+    place = list(MARKERS).index(base) if base in MARKERS else 0
+    offset = place * max(1, step // 6) % step
+    width, size = ON_TOP.get(base, (LINE_WIDTH, 5.0))
+    hollow = base in ON_TOP and base != "li"
+    n_suffixes = method.count("+")
+    return {
+        "color": colour_of(method),
+        "lw": LINE_WIDTH if n_suffixes else width,
+        "ls": ("-", "--", ":")[min(n_suffixes, 2)],
+        "alpha": 0.55 if base == "li" and not n_suffixes else 1.0,
+        "marker": MARKERS.get(base, "."),
+        "markevery": (offset, step),
+        "ms": size,
+        "mfc": "none" if hollow or n_suffixes else colour_of(method),
+        "mew": 1.2,
+        "zorder": 3.0 + list(ON_TOP).index(base) if base in ON_TOP else 2.5,
+    }
 
 
 def as_picture(image: np.ndarray) -> np.ndarray:
@@ -96,12 +160,19 @@ def overlay(
     return picture
 
 
-def save_figure(figure: "Figure", path: Path, dpi: int = 120) -> None:
-    """Write a figure atomically and close it."""
+def save_figure(figure: "Figure", *paths: Path, dpi: int = 120) -> None:
+    """Write a figure atomically, in the format of each path's suffix, and close it.
+
+    The same figure gives the same bytes: files bear no date, and an SVG's names are not drawn by chance.
+    """
+    import matplotlib
     import matplotlib.pyplot as plt
 
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=dpi, format=path.suffix.lstrip(".") or "png", bbox_inches="tight")
+    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    for path in paths:
+        form = path.suffix.lstrip(".").lower() or "png"
+        with atomic_path(path) as temporary, matplotlib.rc_context({"svg.hashsalt": "liaam"}):
+            figure.savefig(temporary, dpi=dpi, format=form, bbox_inches="tight", metadata=undated.get(form))
     plt.close(figure)
 
 
@@ -246,15 +317,129 @@ def figure_of_errors(errors: Mapping[str, Sequence[float]], bound: Iterable[floa
     )
     for method, values in errors.items():
         label = f"{method}: median {100 * np.median(values):.2f} %"
-        axis.plot(
-            100 * grid,
-            100 * cumulative_errors(np.array(values), grid),
-            color=colour_of(method),
-            lw=LINE_WIDTH,
-            label=label,
-        )
+        shares = cumulative_errors(np.array(values), grid)
+        axis.plot(100 * grid, 100 * shares, label=label, **style_of(method, len(grid)))
     axis.axvline(100 * limit, color="#dddddd", lw=1, zorder=0)
     axis.set(xlabel="error, % of inter-ocular distance", ylabel="fits at or below, %", xlim=(0, 12), ylim=(0, 101))
     axis.legend(loc="lower right", fontsize=8, frameon=False)
     axis.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Curves in one pair of axes.
+
+    Attributes
+    ----------
+    x_label, y_label : str
+        With units.
+    curves : mapping of method to points (x, y)
+        NaN or None leaves a gap.
+    references : mapping of name to points (x, y)
+        Lines to compare with, such as a bound; drawn in black dashes.
+    title : str
+    log : bool
+        Whether the y axis is logarithmic where the values span more than a decade.
+    """
+
+    x_label: str
+    y_label: str
+    curves: Mapping[str, Sequence[tuple[float, float | None]]]
+    references: Mapping[str, Sequence[tuple[float, float | None]]] = field(default_factory=dict)
+    title: str = ""
+    log: bool = False
+
+
+def figure_of_curves(panels: Sequence[Panel]) -> "Figure":
+    """Curves of methods, a panel beside the other, with one legend."""
+    figure, axes = _subplots(1, len(panels), (5.0 * len(panels) + 1.5, 4.2))
+    references = list(dict.fromkeys(name for panel in panels for name in panel.references))
+    dashes = {name: DASHES[i % len(DASHES)] for i, name in enumerate(references)}
+    for axis, panel in zip(axes[0], panels, strict=True):
+        _draw_panel(axis, panel, dashes)
+    handles: dict[str, Any] = {}
+    for axis in axes[0]:
+        handles |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    figure.legend(
+        handles.values(), handles.keys(), loc="outside right center", fontsize=9, frameon=False, handlelength=3.2
+    )
+    return figure
+
+
+def _draw_panel(axis: "Axes", panel: Panel, dashes: Mapping[str, Any]) -> None:
+    log = panel.log and _spans_a_decade([*panel.curves.values(), *panel.references.values()])
+    for method, points in panel.curves.items():
+        axis.plot(*_columns(points, log), label=method, **style_of(method, len(points)))
+    for name, points in panel.references.items():
+        x, y = _columns(points, log)
+        y[log & (y <= FLOOR)] = np.nan  # a bound of 0 (no noise, say) is no reason for a longer axis
+        axis.plot(x, y, color="black", lw=1.2, ls=dashes[name], label=name, zorder=8)
+    if log:
+        axis.set_yscale("log")
+        axis.yaxis.set_major_formatter(lambda value, _: f"≤ {value:g}" if np.isclose(value, FLOOR) else f"{value:g}")
+    else:
+        axis.set_ylim(bottom=0)
+    values = sorted({x for points in panel.curves.values() for x, _ in points})
+    if len(values) <= 10:  # a sweep: its own values are what was measured
+        axis.set_xticks(values)
+    axis.set(xlabel=panel.x_label, ylabel=panel.y_label, title=panel.title)
+    axis.grid(axis="y", color="#e6e6e6", lw=0.8)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def _spans_a_decade(lines: Sequence[Sequence[tuple[float, float | None]]]) -> bool:
+    values = np.concatenate([_columns(points, log=True)[1] for points in lines])
+    values = values[np.isfinite(values)]
+    return len(values) > 0 and bool(values.max() > 10 * values.min())
+
+
+def _columns(points: Sequence[tuple[float, float | None]], log: bool) -> np.ndarray:
+    """Points as (2, n) float64; what is too small for a logarithmic axis lies on its floor."""
+    x, y = np.array(list(points), dtype=np.float64).reshape(-1, 2).T
+    return np.stack([x, np.maximum(y, FLOOR) if log else y])
+
+
+def figure_of_bars(groups: Mapping[str, Mapping[str, float | None]], label: str) -> "Figure":
+    """Horizontal bars of methods, a panel for each group; None (no finite value) has no bar.
+
+    Parameters
+    ----------
+    groups : mapping of title to (mapping of method to value)
+    label : str
+        What the values are, with their unit.
+    """
+    longest = max(len(values) for values in groups.values())
+    figure, axes = _subplots(1, len(groups), (4.6 * len(groups), 0.36 * longest + 1.3))
+    for axis, (title, values) in zip(axes[0], groups.items(), strict=True):
+        sizes = [np.nan if value is None else value for value in values.values()]
+        bars = axis.barh(list(values), sizes, color=[colour_of(method) for method in values], height=0.7)
+        axis.bar_label(bars, [_short(size) for size in sizes], padding=3, fontsize=8)
+        axis.invert_yaxis()
+        axis.margins(x=0.15)
+        axis.set_xlabel(label, fontsize=9)
+        axis.set_title(title, fontsize=10)
+        axis.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _short(value: float) -> str:
+    if np.isnan(value):
+        return "–"
+    return f"{value:.2f}" if value >= 0.01 else "< 0.01"
+
+
+def figure_of_pictures(rows: Sequence[Mapping[str, np.ndarray | None]]) -> "Figure":
+    """Pictures with titles, a row for each mapping; None leaves a gap, and a column without any picture is left out."""
+    shown = [i for i in range(len(rows[0])) if any(list(row.values())[i] is not None for row in rows)]
+    first = next(image for image in rows[0].values() if image is not None)
+    height = 2.6 * first.shape[0] / first.shape[1] + 0.3
+    figure, axes = _subplots(len(rows), len(shown), (2.6 * len(shown), height * len(rows)))
+    for line, row in zip(axes, rows, strict=True):
+        titles, images = list(row), list(row.values())
+        for axis, i in zip(line, shown, strict=True):
+            axis.axis("off")
+            if images[i] is not None:
+                _show(axis, images[i], titles[i])
     return figure

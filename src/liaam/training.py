@@ -251,7 +251,7 @@ def _sample_all(
         grey.append(is_grey(image))
         for encoding in ENCODINGS:
             for j, blur in enumerate(blurs):
-                texture = _sample(image, entry.points, warp, encoding, response, blur)
+                texture = sample_appearance(image, entry.points, warp, encoding, response, blur)
                 values[encoding][j, i], usable[encoding][j, i] = texture
         _check_light(entry, image, warp.interpolate(entry.points), usable["log"][-1, i])
     if progress:
@@ -288,7 +288,7 @@ def _sample_lit(
     return _sample_all(others, warp, response, blurs, progress)
 
 
-def _sample(
+def sample_appearance(
     image: np.ndarray,
     shape: np.ndarray,
     warp: PiecewiseAffineWarp,
@@ -296,7 +296,25 @@ def _sample(
     response: Response,
     blur: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Texture (n_pixels, 3) of one image under its own landmarks, and which of it is usable (n_pixels,)."""
+    """Sample one image under its own landmarks on the reference frame.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, uint16 or float32
+    shape : (n, 2) float
+        Landmarks, image pixels.
+    warp : PiecewiseAffineWarp
+        Of the model.
+    encoding, response
+        See :func:`liaam.photometry.encode`.
+    blur : float
+        Pixels of the reference frame.
+
+    Returns
+    -------
+    values : (n_pixels, 3) float32
+    usable : (n_pixels,) float32 in {0, 1}
+    """
     pose = align(warp.frame.points, shape)
     patch = make_patch(image, shape, pose, encoding=encoding, response=response, blur=blur, margin=0.1)
     points = warp.interpolate(shape)

@@ -38,6 +38,10 @@ class Warp(Protocol):
         """Parameters after a Gauss-Newton step."""
         ...
 
+    def pulled_gradient(self, values: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Gradient at W(x; p) of what has the given values (n_pixels, k) at x, (n_pixels, 2, k), model pixels."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class PiecewiseAffineWarp:
@@ -92,3 +96,24 @@ class PiecewiseAffineWarp:
     def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Forward-additive update p + step."""
         return p + step
+
+    def pulled_gradient(self, values: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Gradient at W(x; p) of what has the given values (n_pixels, k) at x, (n_pixels, 2, k) float32.
+
+        If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Triangles of next to no area give 0.
+        """
+        inverse = _inverse_affinities(self.frame.points, self.shape_model.shape(p), self.frame.triangles)
+        return np.einsum("nba,nbk->nak", inverse[self.frame.owners], self.frame.gradient(values)).astype(np.float32)
+
+
+def _inverse_affinities(points: np.ndarray, shape: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Linear parts (t, 2, 2) of the maps from each triangle on a shape back to the one on the points."""
+
+    def edges(vertices: np.ndarray) -> np.ndarray:
+        a, b, c = (vertices[triangles[:, i]] for i in range(3))
+        return np.stack([b - a, c - a], axis=2)
+
+    there, here = edges(shape), edges(points)
+    flat = np.abs(np.linalg.det(there)) < 0.05 * np.abs(np.linalg.det(here))
+    there[flat] = np.eye(2)
+    return np.where(flat[:, None, None], 0.0, here @ np.linalg.inv(there))

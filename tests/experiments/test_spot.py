@@ -6,19 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.errors import LiaamError, MethodError
 from liaam.experiments.spot import EYES, disturbed_start, find_persons, run_spot
-from liaam.io import write_image, write_landmarks
-
-
-def write_person(folder, person, conditions="123456"):
-    rng = np.random.default_rng(person)
-    for condition in conditions:
-        lights = lateral("left") if condition == "5" else DIFFUSE
-        scene = render(Head(person), random_pose(rng, (200, 150)), random_expression(rng), lights, size=(200, 150))
-        write_image(folder / f"{person:02d}-{condition}m.png", scene.image)
-        write_landmarks(folder / f"{person:02d}-{condition}m.pts", scene.landmarks)
+from setups import write_person
 
 
 @pytest.fixture(scope="module")

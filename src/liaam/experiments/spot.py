@@ -5,27 +5,33 @@ database does. Models are trained on J = 1, 2, 3, 4, 6 and fitted to J = 5 (spot
 shape at the true centroid and size, then disturbed.
 """
 
-import csv
-import io
-import json
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
-from liaam.evaluation import inter_ocular_distance, nme
-from liaam.fitting import Fitter, get_method
-from liaam.io import make_folder, write_text_atomically
+from liaam.evaluation import error_statistics, inter_ocular_distance, nme
+from liaam.experiments.runner import Experiment, Progress, Row, markdown_table, run_experiment
+from liaam.experiments.solvers import check_request, get_solver, make_fitters
+from liaam.experiments.subjects import data_facts
+from liaam.fitting import Fitter
 from liaam.model import AAM
 from liaam.photometry import is_grey
-from liaam.plotting import figure_of_errors, save_figure
+from liaam.plotting import figure_of_errors
 from liaam.shape import rotation
 from liaam.training import train
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+METHODS = ("rgb", "grey", "li", "li-lit", "li-pc", "li-pcs")
 
 TRAINING_CONDITIONS = ("1", "2", "3", "4", "6")
 SPOT_CONDITION = "5"
@@ -35,56 +41,80 @@ EYES = (slice(13, 21), slice(21, 29))
 CONVERGED = 0.08
 """NME below which a fit counts as converged."""
 
+COLUMNS = {
+    "method": "",
+    "person": "",
+    "trial": "",
+    "nme": ".6f",
+    "bound": ".6f",
+    "converged": "",
+    "iterations": "",
+    "theta_deg": ".3f",
+    "status": "",
+}
+"""Columns of results.csv. ``nme``: mean point-to-point distance as a share of the inter-ocular distance; ``bound``:
+the same for the true shape projected on the shape model, what a perfect fit could reach; ``theta_deg``: estimated
+angle of the image, NaN for methods without one."""
 
-@dataclass(frozen=True)
-class SpotRow:
-    """One fit, one row of results.csv.
-
-    Attributes
-    ----------
-    method, person : str
-    trial : int
-        Counts from 0.
-    nme : float
-        Mean point-to-point distance as a share of the inter-ocular distance.
-    bound : float
-        The same for the true shape projected on the shape model: what a perfect fit could reach.
-    converged : bool
-        NME below 0.08.
-    iterations : int
-    theta_deg : float
-        Estimated image angle, degrees; NaN for methods without one.
-    status : str
-    """
-
-    method: str
-    person: str
-    trial: int
-    nme: float
-    bound: float
-    converged: bool
-    iterations: int
-    theta_deg: float
-    status: str
+CHOICES = (
+    "Starts: the mean shape at the true centroid and size, then turned by N(0, 4°), scaled by N(1, 0.05) and moved by "
+    "N(0, 0.08 IOD) per axis (IOD: inter-ocular distance).",
+    "Models keep 98 % of the variance of shape and of appearance, and are trained with θ = 122°.",
+)
+"""What was chosen where the paper leaves it open."""
 
 
 @dataclass(frozen=True)
 class Person:
-    """Pictures of one person."""
+    """Pictures of one person: one task."""
 
     name: str
     training: tuple[Sample, ...]
     spot: Sample
 
+    @property
+    def key(self) -> str:
+        """Name for the journal."""
+        return f"person {self.name}"
 
-def find_persons(folder: Path) -> tuple[list[Person], list[str]]:
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """One person's model and spot-lit picture.
+
+    Attributes
+    ----------
+    person : Person
+    model : AAM
+    fitters : dict of str to Fitter
+        By method.
+    image : (h, w, 3) uint8
+    truth : (n, 2) float64
+    iod : float
+        Inter-ocular distance, pixels.
+    """
+
+    person: Person
+    model: AAM
+    fitters: dict[str, Fitter]
+    image: np.ndarray
+    truth: np.ndarray
+    iod: float
+
+    def start(self, seed: int, trial: int) -> np.ndarray:
+        """Draw a start; it depends on seed, person and trial only, so methods share it."""
+        rng = np.random.default_rng([seed, int(self.person.name), trial])
+        return disturbed_start(self.model.shape_model.mean, self.truth, self.iod, rng)
+
+
+def find_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
     """Group a folder by person.
 
     Returns
     -------
-    persons : list of Person
+    persons : tuple of Person
         Those with all six conditions, in colour.
-    left_out : list of str
+    left_out : tuple of str
         Who was left out, and why.
 
     Raises
@@ -92,6 +122,17 @@ def find_persons(folder: Path) -> tuple[list[Person], list[str]]:
     LiaamError
         If no person is complete.
     """
+    persons, left_out = group_persons(folder)
+    if not persons:
+        raise LiaamError(
+            f"{folder}: no person has pictures NN-1, -2, -3, -4, -6 (training) and NN-5 (spot light) with 58 landmarks "
+            "each; the spot experiment needs a folder named as the IMM face database is"
+        )
+    return persons, left_out
+
+
+def group_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
+    """As :func:`find_persons`, but a folder without any complete person is no error."""
     by_person: dict[str, dict[str, Sample]] = defaultdict(dict)
     data = load_folder(folder)
     persons, left_out = [], [f"{item.path.name}: {item.reason}" for item in data.left_out]
@@ -107,12 +148,17 @@ def find_persons(folder: Path) -> tuple[list[Person], list[str]]:
             left_out.append(f"person {name}: the pictures are grey")
         else:
             persons.append(Person(name, tuple(pictures[j] for j in TRAINING_CONDITIONS), pictures[SPOT_CONDITION]))
-    if not persons:
-        raise LiaamError(
-            f"{folder}: no person has pictures NN-1, -2, -3, -4, -6 (training) and NN-5 (spot light) with 58 landmarks "
-            "each; the spot experiment needs a folder named as the IMM face database is"
-        )
-    return persons, left_out
+    return tuple(persons), tuple(left_out)
+
+
+def facts_of(folder: Path, persons: Sequence[Person]) -> dict[str, Any]:
+    """What the pictures are, for an experiment's settings."""
+    samples = [sample for person in persons for sample in (*person.training, person.spot)]
+    return {
+        "data": folder.resolve().name,
+        "persons": [person.name for person in persons],
+        "digest": data_facts(samples)["digest"],
+    }
 
 
 def disturbed_start(mean: np.ndarray, truth: np.ndarray, iod: float, rng: np.random.Generator) -> np.ndarray:
@@ -129,118 +175,151 @@ def disturbed_start(mean: np.ndarray, truth: np.ndarray, iod: float, rng: np.ran
     return size * centred @ rotation(angle).T + centre + shift
 
 
-def fit_person(person: Person, methods: list[str], trials: int, seed: int) -> Iterator[SpotRow]:
-    """Train one person's model and fit the spot picture with every method from the same starts."""
-    model: AAM = train(person.training, name=f"person {person.name}")
-    image, truth = person.spot.read_image(), person.spot.landmarks.points
+def study_of(person: Person, methods: Sequence[str], solver: str) -> Study:
+    """Train one person's model and read the spot-lit picture."""
+    model = train(person.training, blurs=get_solver(solver).blurs, name=person.key)
+    truth = person.spot.landmarks.points
     iod = inter_ocular_distance(truth, *EYES)
-    bound = nme(model.shape_model.project(truth), truth, iod)
-    fitters = {method: Fitter(model, method) for method in methods}
+    return Study(person, model, make_fitters(model, methods, solver), person.spot.read_image(), truth, iod)
+
+
+def fit_person(methods: Sequence[str], trials: int, seed: int, solver: str, person: Person) -> list[Row]:
+    """Fit one person's spot picture with every method from the same starts."""
+    study = study_of(person, methods, solver)
+    bound = nme(study.model.shape_model.project(study.truth), study.truth, study.iod)
+    rows = []
     for trial in range(trials):
-        rng = np.random.default_rng([seed, int(person.name), trial])
-        start = disturbed_start(model.shape_model.mean, truth, iod, rng)
-        for method, fitter in fitters.items():
-            result = fitter.fit(image, start, person.spot.name)
-            error = nme(result.shape, truth, iod)
-            yield SpotRow(
-                method, person.name, trial, error, bound, error < CONVERGED, result.n_iterations,
-                float(np.rad2deg(result.theta)), str(result.status),
-            )  # fmt: skip
+        start = study.start(seed, trial)
+        for method, fitter in study.fitters.items():
+            result = fitter.fit(study.image, start, person.spot.name)
+            error = nme(result.shape, study.truth, study.iod)
+            rows.append(
+                {
+                    "method": method,
+                    "person": person.name,
+                    "trial": trial,
+                    "nme": error,
+                    "bound": bound,
+                    "converged": error < CONVERGED,
+                    "iterations": result.n_iterations,
+                    "theta_deg": float(np.rad2deg(result.theta)),
+                    "status": str(result.status),
+                }
+            )
+    return rows
 
 
-def run_spot(
-    data: Path,
-    out: Path,
-    methods: list[str],
-    trials: int = 3,
-    seed: int = 0,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> dict:
-    """Run the protocol and write results.csv, summary.json and figure.png.
+def spot_experiment(
+    data: Path, methods: Sequence[str] = METHODS, trials: int = 3, seed: int = 0, solver: str = "liaam"
+) -> Experiment:
+    """Make the experiment.
 
     Parameters
     ----------
     data : Path
         Folder of pictures ``NN-Js.*`` with landmarks.
-    out : Path
-        Folder for the results; made if it does not exist.
-    methods : list of str
+    methods : sequence of str
     trials : int
         Starts per person.
     seed : int
-        Starts depend on seed, person and trial only, so methods share them.
-    progress : callable, optional
-        Called with (done, total, person).
+    solver : {"liaam", "paper"}
+    """
+    check_request(methods, solver, trials)
+    persons, left_out = find_persons(data)
+    return Experiment(
+        name="spot",
+        title="Spot protocol: models from diffuse light, fitted under a spot light",
+        settings={
+            **facts_of(data, persons),
+            "methods": list(methods),
+            "trials": trials,
+            "seed": seed,
+            "solver": f"{solver}: {get_solver(solver).summary}",
+        },
+        tasks=persons,
+        work=partial(fit_person, tuple(methods), trials, seed, solver),
+        columns=COLUMNS,
+        summarise=partial(summarise, tuple(methods), trials, seed),
+        draw=draw,
+        report=report,
+        choices=CHOICES,
+        left_out=left_out,
+        skips_faults=True,
+    )
+
+
+def run_spot(
+    data: Path,
+    out: Path,
+    methods: Sequence[str] = METHODS,
+    trials: int = 3,
+    seed: int = 0,
+    progress: Progress | None = None,
+    jobs: int | None = 1,
+) -> dict[str, Any]:
+    """Make the experiment and run it; see :func:`spot_experiment` and :func:`liaam.experiments.runner.run_experiment`.
 
     Returns
     -------
     dict
         The summary, as written.
     """
-    for method in methods:
-        get_method(method)
-    if trials < 1:
-        raise LiaamError("trials must be at least 1")
-    persons, left_out = find_persons(data)
-    make_folder(out)
-    rows: list[SpotRow] = []
-    for i, person in enumerate(persons):
-        if progress:
-            progress(i, len(persons), f"person {person.name}")
-        try:
-            rows += list(fit_person(person, methods, trials, seed))
-        except LiaamError as error:
-            left_out.append(f"person {person.name}: {error}")
-    if not rows:
-        raise LiaamError(f"{data}: no person could be fitted; {'; '.join(left_out)}")
-    if progress:
-        progress(len(persons), len(persons), "figure")
-    summary = summarise(rows, methods, trials, seed, left_out)
-    write_text_atomically(out / "results.csv", as_csv(rows))
-    errors = {method: [row.nme for row in rows if row.method == method] for method in methods}
-    bounds = {row.person: row.bound for row in rows}
-    save_figure(figure_of_errors(errors, bounds.values(), CONVERGED), out / "figure.png")
-    write_text_atomically(out / "summary.json", json.dumps(summary, indent=2) + "\n")
-    return summary
+    return run_experiment(spot_experiment(data, methods, trials, seed), out, jobs, progress)
 
 
-def as_csv(rows: list[SpotRow]) -> str:
-    """Rows as CSV text with a header."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(SpotRow)], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(
-        {
-            **asdict(row),
-            "nme": f"{row.nme:.6f}",
-            "bound": f"{row.bound:.6f}",
-            "theta_deg": f"{row.theta_deg:.3f}",
-        }
-        for row in rows
-    )
-    return text.getvalue()
-
-
-def summarise(rows: list[SpotRow], methods: list[str], trials: int, seed: int, left_out: list[str]) -> dict:
+def summarise(methods: Sequence[str], trials: int, seed: int, rows: list[Row]) -> dict[str, Any]:
     """Medians and rates by method."""
     return {
-        "experiment": "spot",
         "trials": trials,
         "seed": seed,
-        "persons": sorted({row.person for row in rows}),
-        "left_out": left_out,
-        "bound_median": float(np.median([row.bound for row in rows])),
-        "methods": {method: _summary_of([row for row in rows if row.method == method]) for method in methods},
+        "persons": sorted({row["person"] for row in rows}),
+        "bound_median": float(np.median([row["bound"] for row in rows])),
+        "methods": {method: _summary_of([row for row in rows if row["method"] == method]) for method in methods},
     }
 
 
-def _summary_of(rows: list[SpotRow]) -> dict:
-    errors = np.array([row.nme for row in rows])
-    angles = np.array([row.theta_deg for row in rows])
+def _summary_of(rows: list[Row]) -> dict[str, Any]:
+    errors = error_statistics(np.array([row["nme"] for row in rows]))
+    angles = np.array([row["theta_deg"] for row in rows])
     return {
-        "nme_median": float(np.median(errors)),
-        "nme_p90": float(np.percentile(errors, 90)),
-        "converged": float((errors < CONVERGED).mean()),
-        "iterations_median": float(np.median([row.iterations for row in rows])),
+        "nme_median": errors["median"],
+        "nme_p90": errors["p90"],
+        "converged": float(np.mean([row["converged"] for row in rows])),
+        "iterations_median": float(np.median([row["iterations"] for row in rows])),
         "theta_deg_median": float(np.nanmedian(angles)) if np.isfinite(angles).any() else None,
     }
+
+
+def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
+    """Cumulative distributions of the errors, and of the bound."""
+    errors = {method: [row["nme"] for row in rows if row["method"] == method] for method in summary["methods"]}
+    bounds = {row["person"]: row["bound"] for row in rows}
+    return figure_of_errors(errors, bounds.values(), CONVERGED)
+
+
+def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+    """What was asked, and the medians."""
+    header = ["method", "median NME, %", "90th percentile, %", "converged, %", "iterations"]
+    table = [
+        [
+            method,
+            percent(cell["nme_median"]),
+            percent(cell["nme_p90"]),
+            percent(cell["converged"], 0),
+            f"{cell['iterations_median']:.0f}",
+        ]
+        for method, cell in summary["methods"].items()
+    ]
+    table.append(["bound", percent(summary["bound_median"]), "–", "–", "–"])
+    question = (
+        f"Does light invariance pay on real faces? For each of {len(summary['persons'])} persons a model of that "
+        "person is trained on five pictures under diffuse light and fitted to the one under a spot light (paper "
+        "section 7.2). NME: mean distance to the landmarks by inter-ocular distance; converged: below 8 %; bound: the "
+        "error of the true shape projected on the shape model."
+    )
+    return f"{question}\n\n{markdown_table(header, table)}"
+
+
+def percent(share: float | None, digits: int = 2) -> str:
+    """A share in per cent, or a dash."""
+    return "–" if share is None else f"{100 * share:.{digits}f}"

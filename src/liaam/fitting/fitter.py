@@ -10,9 +10,10 @@ import numpy as np
 from liaam.errors import ImageError, MethodError
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.methods import Method, get_method
+from liaam.fitting.normal_equations import NormalEquations
 from liaam.fitting.objective import FitProblem, Objective, State, make_objectives
 from liaam.fitting.result import FitResult, FitStatus, Iteration
-from liaam.fitting.solver import Solution, SolverOptions, solve
+from liaam.fitting.solver import Solution, SolverOptions, settle_lambda, solve
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
 from liaam.model import AAM
@@ -74,15 +75,16 @@ class Fitter:
     def __post_init__(self) -> None:
         if self.response is not None:
             parse_response(self.response)
-        self._objectives  # noqa: B018 (complain now, not at the first image)
+        self.objectives  # noqa: B018 (complain now, not at the first image)
 
     @cached_property
-    def _objectives(self) -> tuple[Objective, ...]:
+    def objectives(self) -> tuple[Objective, ...]:
+        """The model seen through the method, one objective per level, coarse to fine."""
         return make_objectives(self.model, get_method(self.method), self.kernel)
 
     @property
     def _method(self) -> Method:
-        return self._objectives[0].method
+        return self.objectives[0].method
 
     def fit(self, image, init, name: str = "image") -> FitResult:
         """Fit the model to one image.
@@ -115,18 +117,44 @@ class Fitter:
         start = start_shape(self.model, init, (image.shape[1], image.shape[0]), name)
         return self._result(image, self._solve_levels(image, start))
 
+    def equations_at(self, image, result: FitResult) -> tuple[Objective, NormalEquations, np.ndarray]:
+        """Normal equations of the sharpest level at a result, with the appearance's coordinates solved there.
+
+        Parameters
+        ----------
+        image : (h, w, 3) array or path
+            The picture that was fitted.
+        result : FitResult
+
+        Returns
+        -------
+        objective : Objective
+        equations : NormalEquations
+        lam : (m,) float64
+        """
+        image, _ = _load(image, "image")
+        objective = self.objectives[-1]
+        problem = FitProblem.at(
+            image, result.shape, result.pose, self._method, self._response, self.model.levels[-1].blur
+        )
+        state = objective.start(result.p)
+        if self._method.metric == "invariant":
+            state = replace(state, angles=np.array([result.theta_model, result.theta]))
+        state, seen = settle_lambda(objective, problem, state, self.options)
+        return objective, seen.equations, state.lam
+
     def _solve_levels(self, image: np.ndarray, start: np.ndarray) -> list[_Stage]:
         """Solve from the coarsest level to the finest, each from where the one before it stopped."""
         shape_model, shape = self.model.shape_model, start
         stages: list[_Stage] = []
-        for objective, level in zip(self._objectives, self.model.levels, strict=True):
+        for objective, level in zip(self.objectives, self.model.levels, strict=True):
             # Anew for each level: shape modes turn and grow with the pose, and the patch with its resolution
             # belongs where the object is now, not where the start was.
             pose = align(shape_model.mean, shape)
             problem = FitProblem.at(image, shape, pose, self._method, self._response, level.blur)
             state = objective.start(shape_model.parameters(pose.inverse()(shape)))
             angles = stages[-1].solution.state.angles if stages else self._first_angles(objective, problem, state)
-            finest = objective is self._objectives[-1]
+            finest = objective is self.objectives[-1]
             options = self.options if finest else replace(self.options, tolerance=COARSE * self.options.tolerance)
             stages.append(_Stage(pose, solve(objective, problem, replace(state, angles=angles), options)))
             shape = pose(shape_model.shape(stages[-1].solution.state.p))

@@ -279,6 +279,7 @@ class Objective:
         state: State,
         workspace: np.ndarray | None = None,
         trust: Trust | None = None,
+        own_gradient: bool = False,
     ) -> Linearisation:
         """Residual and normal equations at a state.
 
@@ -291,6 +292,9 @@ class Objective:
             nothing large in the loop.
         trust : Trust, optional
             Of :meth:`trust` at an earlier state, for methods that re-weigh.
+        own_gradient : bool
+            Take the gradient of the model's appearance instead of the image's: the same where they agree,
+            and free of the image's noise.
         """
         theta_model, theta_image = state.angles
         design = self.design(theta_model)
@@ -308,14 +312,17 @@ class Objective:
             columns,
         )
         lam = state.lam.astype(np.float32)
-        residual = gain * projected - design.mean
+        predicted = design.mean + (design.modes @ lam).reshape(design.mean.shape)
+        residual = gain * projected - predicted
         if offset:
             residual += np.float32(offset) * metric.sum(axis=1).astype(np.float32)
-        residual -= (design.modes @ lam).reshape(residual.shape)
         root = (own_root * weights)[:, None]
         n_p = self.warp.n_parameters
+        if own_gradient:
+            slope = root[:, :, None] * self.warp.pulled_gradient(predicted, state.p)
+            columns[:, :n_p] = np.einsum("nak,naj->nkj", slope, self.warp.jacobian(state.p)).reshape(-1, n_p)
         if self.n_q > n_p:
-            columns[:, n_p : self.n_q] = self._angle_columns(state, values, lam, root)
+            columns[:, n_p : self.n_q] = self.angle_columns(state, values, lam, root)
             if root_slope is not None:
                 columns[:, n_p : self.n_q] += (root_slope[:, None] * weights[:, None] * residual).reshape(
                     -1, 1
@@ -379,7 +386,7 @@ class Objective:
         stored = from_linear(np.exp(seen.values.astype(np.float64)), problem.response)
         relative = problem.noise * log_slope(np.maximum(stored, 1e-3), problem.response)
         # A blur averages noise away, but not what the logarithm's curvature makes of it: log(rho + n) is low by
-        # half its relative variance on average.
+        # up to half its relative variance on average.
         noise = np.square(problem.noise_left * relative) + np.square(0.5 * np.square(relative))
         metric = self.method.image_metric(state.angles[1])
         by_noise = noise @ np.square(metric).mean(axis=0)
@@ -415,7 +422,7 @@ class Objective:
         n = len(self.appearance.mean) * self.method.n_rows
         return np.empty((n, self.n_q + 1), dtype=np.float32)
 
-    def _angle_columns(self, state: State, values: np.ndarray, lam: np.ndarray, root: np.ndarray) -> np.ndarray:
+    def angle_columns(self, state: State, values: np.ndarray, lam: np.ndarray, root: np.ndarray) -> np.ndarray:
         """Weighted dr/d(free angles), (n * k, n_free): the angle terms of paper eq 10."""
         directions = self.method.angle_directions.astype(np.float32)
         by_image = values @ self.method.image_metric_derivative(state.angles[1]).T.astype(np.float32)

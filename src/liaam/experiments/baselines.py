@@ -1,0 +1,269 @@
+"""Do the paper's references do what they are for? (Its [1], [6], [11] and [12].)
+
+Each situation breaks the plain comparison of luminance in the one way that some references are made for: another
+light of which training has seen the like, a patch that hides a fifth of the face, a change of gain and offset.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.evaluation import error_statistics, point_error
+from liaam.experiments.runner import Experiment, Row, markdown_table
+from liaam.experiments.simulated import displaced
+from liaam.experiments.solvers import check_request, get_solver, make_fitters
+from liaam.experiments.subjects import (
+    PAPER_THETA,
+    TILT,
+    Subject,
+    get_subject,
+    random_side,
+    simulated_shadow,
+    subject_facts,
+)
+from liaam.fitting import Fitter
+from liaam.plotting import figure_of_bars
+from liaam.training import train
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+GAMMA = 4.0
+"""Displacement of the start, pixels (standard deviation of each coordinate)."""
+
+COVERED = 0.2
+"""Share of the face's bounding box under the patch."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """One way to break the plain comparison.
+
+    Attributes
+    ----------
+    name, title : str
+    baseline : str
+        The method to be beaten.
+    methods : tuple of str
+        Those whose papers say that they do, and others to look at.
+    claimed : tuple of str
+        Those whose papers say that they do.
+    """
+
+    name: str
+    title: str
+    baseline: str
+    methods: tuple[str, ...]
+    claimed: tuple[str, ...]
+
+
+ROBUST = ("grey+huber", "grey+l1", "grey+cauchy", "grey+geman-mcclure", "grey+tukey", "grey+learnt")
+
+SITUATIONS = (
+    Situation(
+        "light",
+        "a shadow whose like was in the training set",
+        "grey",
+        ("grey", "grey+tukey", "varied", "aia", "igo", "li"),
+        ("varied", "aia"),
+    ),
+    Situation(
+        "occlusion",
+        "a patch over a fifth of the face",
+        "grey",
+        ("grey", *ROBUST, "igo", "igo+tukey"),
+        ROBUST,
+    ),
+    Situation(
+        "gain",
+        "another gain and offset of the stored values",
+        "grey-plain",
+        ("grey-plain", "grey-norm", "grey", "igo"),
+        ("grey-norm", "grey"),
+    ),
+)
+
+CHOICES = (
+    f"Starts are displaced by γ = {GAMMA:g} px; all modes are kept; pictures fitted are those trained on, changed.",
+    "Light: training adds three of the six pictures under simulated shadows from the left and from the right, whose "
+    "edges tilt by 10° either way; the tilt of those fitted is drawn from ±20°. `varied` and `aia` agree where all "
+    "modes are kept, because both then span the same pictures.",
+    f"Occlusion: a rectangle of {COVERED:.0%} of the face's bounding box, of a random colour, anywhere in its middle.",
+    "Gain: stored values become 0.5 to 0.8 of themselves plus 0 to 0.15. `grey` holds gain and offset among its modes, "
+    "so the plain comparison is `grey-plain` here.",
+)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One task."""
+
+    situation: str
+    number: int
+
+    @property
+    def key(self) -> str:
+        """Name for the journal."""
+        return f"{self.situation}, trial {self.number}"
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all trials share."""
+
+    data: Path | None
+    solver: str
+    seed: int
+
+
+@lru_cache(maxsize=1)
+def get_fitters(data: Path | None, solver: str) -> dict[str, Fitter]:
+    """Train on the subject, with some of its pictures in shadow besides; once per process."""
+    subject = get_subject(data)
+    half = TILT / 2
+    lit = [
+        (simulated_shadow(image, shape, side + tilt)[0], shape)
+        for image, shape in subject.pairs[::2]
+        for side in (0.0, np.pi)
+        for tilt in (-half, half)
+    ]
+    blurs = get_solver(solver).blurs
+    model = train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=blurs, lit=lit, name=subject.name)
+    return make_fitters(model, sorted({method for situation in SITUATIONS for method in situation.methods}), solver)
+
+
+def changed_picture(subject: Subject, situation: str, picture: int, rng: np.random.Generator) -> np.ndarray:
+    """Change one of a subject's pictures, (h, w, 3) float32 stored values in [0, 1]."""
+    image, shape = subject.pairs[picture]
+    if situation == "light":
+        return simulated_shadow(image, shape, random_side(rng))[0]
+    if situation == "occlusion":
+        return covered(image, shape, rng)
+    return np.clip(image * rng.uniform(0.5, 0.8) + rng.uniform(0.0, 0.15), 0, 1).astype(np.float32)
+
+
+def covered(image: np.ndarray, shape: np.ndarray, rng: np.random.Generator, share: float = COVERED) -> np.ndarray:
+    """Lay a rectangle of a random colour over a share of a face's bounding box."""
+    low, high = shape.min(axis=0), shape.max(axis=0)
+    size = (high - low) * np.sqrt(share)
+    corner = low + (high - low) * rng.uniform(0.25, 0.75, 2) - size / 2
+    (x0, y0), (x1, y1) = (
+        np.clip(np.rint(point).astype(int), 0, image.shape[1::-1]) for point in (corner, corner + size)
+    )
+    image = image.copy()
+    image[y0:y1, x0:x1] = rng.uniform(0, 1, 3)
+    return image
+
+
+def run_trial(setup: Setup, trial: Trial) -> list[Row]:
+    """Fit one changed picture with the situation's methods."""
+    fitters, subject = get_fitters(setup.data, setup.solver), get_subject(setup.data)
+    situation = next(s for s in SITUATIONS if s.name == trial.situation)
+    picture = trial.number % len(subject.images)
+    rng = np.random.default_rng([setup.seed, trial.number, 3])
+    image, truth = changed_picture(subject, situation.name, picture, rng), subject.shapes[picture]
+    start = displaced(truth, GAMMA, setup.seed, trial.number)
+    rows = []
+    for method in situation.methods:
+        result = fitters[method].fit(image, start)
+        rows.append(
+            {
+                "situation": situation.name,
+                "method": method,
+                "trial": trial.number,
+                "image": picture,
+                "error_px": point_error(result.shape, truth),
+                "iterations": result.n_iterations,
+                "status": str(result.status),
+            }
+        )
+    return rows
+
+
+def baselines_experiment(
+    data: Path | None = None, trials: int = 24, seed: int = 0, solver: str = "liaam"
+) -> Experiment:
+    """Make the experiment.
+
+    Parameters
+    ----------
+    data : Path, optional
+        Folder of one person's pictures; generated ones if left out.
+    trials : int
+        Draws per situation.
+    seed : int
+    solver : {"liaam", "paper"}
+    """
+    check_request([method for situation in SITUATIONS[1:2] for method in situation.methods], solver, trials)
+    return Experiment(
+        name="baselines",
+        title="The paper's references, each where it should help",
+        settings={
+            **subject_facts(data),
+            "trials": trials,
+            "seed": seed,
+            "solver": f"{solver}: {get_solver(solver).summary}",
+            "gamma": GAMMA,
+        },
+        tasks=tuple(Trial(situation.name, number) for situation in SITUATIONS for number in range(trials)),
+        work=partial(run_trial, Setup(data, solver, seed)),
+        columns={
+            "situation": "",
+            "method": "",
+            "trial": "",
+            "image": "",
+            "error_px": ".6f",
+            "iterations": "",
+            "status": "",
+        },
+        summarise=summarise,
+        draw=draw,
+        report=report,
+        choices=CHOICES,
+    )
+
+
+def summarise(rows: list[Row]) -> dict[str, Any]:
+    """Statistics by situation and method, and whether each beats the plain comparison."""
+    found: dict[str, Any] = {}
+    for situation in SITUATIONS:
+        cells = {
+            method: error_statistics(
+                np.array([r["error_px"] for r in rows if (r["situation"], r["method"]) == (situation.name, method)])
+            )
+            for method in situation.methods
+        }
+        plain = cells[situation.baseline]["median"]
+        for method in situation.claimed:
+            cells[method]["beats_plain"] = bool(cells[method]["median"] < plain)
+        found[situation.name] = {"baseline": situation.baseline, "methods": cells}
+    return {"situations": found}
+
+
+def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
+    """Median errors as bars, a panel for each situation."""
+    groups = {
+        situation.title: {m: c["median"] for m, c in summary["situations"][situation.name]["methods"].items()}
+        for situation in SITUATIONS
+    }
+    return figure_of_bars(groups, "median error of the landmarks, px")
+
+
+def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+    """One table for each situation."""
+    parts = ["Do the paper's references help where their papers say so, against the plain comparison of luminance?"]
+    for situation in SITUATIONS:
+        cells = summary["situations"][situation.name]["methods"]
+        rows = [
+            [method, f"{cell['median']:.3f}", f"{cell['p90']:.3f}", _verdict(cell)] for method, cell in cells.items()
+        ]
+        header = ["method", "median error, px", "90th percentile", f"better than {situation.baseline}"]
+        parts += [f"**{situation.title[0].upper()}{situation.title[1:]}**", markdown_table(header, rows)]
+    return "\n\n".join(parts)
+
+
+def _verdict(cell: dict[str, Any]) -> str:
+    return {True: "yes", False: "no", None: "–"}[cell.get("beats_plain")]

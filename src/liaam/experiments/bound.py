@@ -1,0 +1,223 @@
+"""What could any estimator reach? The Cramer-Rao bound for each way to measure, and how near fits come to it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.experiments.runner import Experiment, Row, markdown_table
+from liaam.experiments.simulated import References, make_case
+from liaam.experiments.solvers import check_request
+from liaam.experiments.subjects import PAPER_THETA, get_subject, subject_facts
+from liaam.fitting import Method
+from liaam.fitting.bound import cramer_rao_bound
+from liaam.model import AAM
+from liaam.plotting import Panel, figure_of_curves
+from liaam.training import train
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SIGMAS = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0)
+
+MEASURES = {
+    "grey": "grey",
+    "rgb": "rgb",
+    "log-rgb": Method("log-rgb", "log-RGB, light known", "log", "log", "rgb"),
+    "chroma": "chroma",
+    "li": "li",
+}
+"""Ways to measure, from the most that a pixel tells to the least that light cannot change."""
+
+UNDER = {"same light": tuple(MEASURES), "shadow": ("li",)}
+"""Which of them describe the pictures under which light: under a shadow of another colour, only the invariant."""
+
+CHOICES = (
+    "Noise is white, of the stored values (sRGB), before they are cut to [0, 255]; the bound takes every pixel inside "
+    "the mesh once, all modes of shape and appearance as unknown, and no prior.",
+    "It is the root mean square over landmarks, pictures and draws. Pixels too dark or too bright for a logarithm do "
+    "not count for log-rgb, chroma and li.",
+    "Under the shadow only the invariant describes the pictures exactly, so only its bound is given there.",
+)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One task."""
+
+    number: int
+
+    @property
+    def key(self) -> str:
+        """Name for the journal."""
+        return f"trial {self.number}"
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all trials share."""
+
+    data: Path | None
+    seed: int
+    sigmas: tuple[float, ...]
+
+
+@lru_cache(maxsize=2)
+def sharp_model(data: Path | None) -> AAM:
+    """Train on the subject without blur, all modes kept: the model the bound takes for true."""
+    subject = get_subject(data)
+    return train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=(0.0,), name=subject.name)
+
+
+def run_trial(setup: Setup, trial: Trial) -> list[Row]:
+    """Work out all bounds for one picture, with and without its shadow."""
+    model, subject = sharp_model(setup.data), get_subject(setup.data)
+    case = make_case(subject, setup.seed, trial.number, gamma=0.0, sigma_n=0.0)
+    images = {"same light": subject.images[case.picture], "shadow": case.image}
+    rows = []
+    for light, measures in UNDER.items():
+        for measure in measures:
+            # It grows in proportion to the noise.
+            unit = cramer_rao_bound(model, images[light], case.truth, MEASURES[measure], 1 / 255)
+            rows += [
+                {
+                    "light": light,
+                    "measure": measure,
+                    "sigma_n": sigma,
+                    "trial": trial.number,
+                    "image": case.picture,
+                    "bound_px": sigma * unit.rms,
+                    "theta_bound_deg": float(np.rad2deg(sigma * unit.theta)),
+                }
+                for sigma in setup.sigmas
+            ]
+    return rows
+
+
+def bound_experiment(
+    data: Path | None = None, trials: int = 24, seed: int = 0, sigmas: Sequence[float] = SIGMAS
+) -> Experiment:
+    """Make the experiment.
+
+    Parameters
+    ----------
+    data : Path, optional
+        Folder of one person's pictures; generated ones if left out.
+    trials : int
+        Draws of picture and shadow: those of the other simulated experiments with the same seed.
+    seed : int
+    sigmas : sequence of float
+        Noise, 8-bit units.
+    """
+    check_request(("li",), "liaam", trials)
+    return Experiment(
+        name="bound",
+        title="The bound that noise sets",
+        settings={
+            **subject_facts(data),
+            "measures": list(MEASURES),
+            "trials": trials,
+            "seed": seed,
+            "sigma_n": list(map(float, sigmas)),
+        },
+        tasks=tuple(Trial(number) for number in range(trials)),
+        work=partial(run_trial, Setup(data, seed, tuple(map(float, sigmas)))),
+        columns={
+            "light": "",
+            "measure": "",
+            "sigma_n": "g",
+            "trial": "",
+            "image": "",
+            "bound_px": ".6f",
+            "theta_bound_deg": ".5f",
+        },
+        summarise=summarise,
+        draw=draw,
+        report=report,
+        choices=CHOICES,
+    )
+
+
+def summarise(rows: list[Row]) -> dict[str, Any]:
+    """Root mean square of the bounds by light, measure and noise."""
+    found: dict[str, Any] = {}
+    for light, measures in UNDER.items():
+        found[light] = {
+            measure: [
+                {"sigma_n": sigma, **_rms([r for r in rows if _is(r, light, measure, sigma)])}
+                for sigma in sorted({row["sigma_n"] for row in rows})
+            ]
+            for measure in measures
+        }
+    return {"bounds": found}
+
+
+def _is(row: Row, light: str, measure: str, sigma: float) -> bool:
+    return (row["light"], row["measure"], row["sigma_n"]) == (light, measure, sigma)
+
+
+def _rms(rows: list[Row]) -> dict[str, float | None]:
+    def of(column: str) -> float | None:
+        value = float(np.sqrt(np.mean(np.square([row[column] for row in rows]))))
+        return value if np.isfinite(value) else None
+
+    return {"bound_px": of("bound_px"), "theta_bound_deg": of("theta_bound_deg")}
+
+
+def curves(summary: dict[str, Any], light: str, quantity: str) -> dict[str, list[tuple[float, float | None]]]:
+    """A bound against the noise, by measure; measures without the quantity are left out."""
+    lines = {
+        measure: [(cell["sigma_n"], cell[quantity]) for cell in cells]
+        for measure, cells in summary["bounds"][light].items()
+    }
+    return {measure: line for measure, line in lines.items() if any(y is not None for _, y in line)}
+
+
+def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
+    """Bounds of the landmarks under the same light, and of the invariant's under the shadow."""
+    shadow: References = {
+        quantity: {"li, under the shadow": curves(summary, "shadow", quantity)["li"]}
+        for quantity in ("bound_px", "theta_bound_deg")
+    }
+    noise = "noise σn, of 255"
+    return figure_of_curves(
+        [
+            Panel(
+                noise,
+                "bound of the landmarks, px",
+                curves(summary, "same light", "bound_px"),
+                shadow["bound_px"],
+                log=True,
+            ),
+            Panel(
+                noise,
+                "bound of the image's θ, degrees",
+                curves(summary, "same light", "theta_bound_deg"),
+                shadow["theta_bound_deg"],
+                log=True,
+            ),
+        ]
+    )
+
+
+def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+    """One table for each light."""
+    parts = ["What is the least error that noise leaves to an unbiased estimator that measures a picture in each way?"]
+    for light in UNDER:
+        lines = curves(summary, light, "bound_px")
+        sigmas = [x for x, _ in next(iter(lines.values()))]
+        rows = [[m, *("–" if y is None else f"{y:.3f}" for _, y in line)] for m, line in lines.items()]
+        parts += [
+            f"**{light[0].upper()}{light[1:]}**: bound of the landmarks (RMS), px, by σn of 255:",
+            markdown_table(["measure", *(f"{sigma:g}" for sigma in sigmas)], rows),
+        ]
+    price = summary["bounds"]["same light"]
+    ratio = price["li"][0]["bound_px"] / price["rgb"][0]["bound_px"]
+    parts.append(
+        f"Invariance has its price: under the same light, at the same noise, `li` is at best {ratio:.1f} times as far "
+        "from the truth as `rgb`."
+    )
+    return "\n\n".join(parts)

@@ -1,0 +1,218 @@
+"""How fast do fits converge under light from the side? (Paper Fig 5.)
+
+Three kinds of data: pictures of many persons as the spot protocol has them (:mod:`liaam.experiments.spot`), one
+person's pictures, over which a shadow is laid (:mod:`liaam.experiments.simulated`), or nothing: generated scenes,
+trained under diffuse and fitted under lateral light.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.evaluation import error_statistics, point_error
+from liaam.experiments import simulated, spot
+from liaam.experiments.runner import Experiment, Row
+from liaam.experiments.solvers import MAX_ITERATIONS, check_request, get_solver
+from liaam.experiments.subjects import get_subject, head_scenes, subject_facts
+from liaam.fitting import FitResult, Fitter
+from liaam.photometry import THETA_DEFAULT
+from liaam.plotting import Panel, figure_of_curves
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+GAMMA = 8.0
+"""Displacement of the start, pixels, where persons' pictures do not bring the spot protocol's."""
+
+COLUMNS = {"method": "", "picture": "", "trial": "", "iteration": "", "error_px": ".6f"}
+SHOWN = (0, 1, 2, 3, 5, 10, 20, MAX_ITERATIONS)
+"""Iterations in the report's table."""
+
+CHOICES = (
+    "An iteration is an accepted step. The steps at all levels of blur count, one after the other, and a fit that has "
+    "ended keeps its last error. Iteration 0 is what the shape model makes of the start.",
+)
+SHADOW_CHOICES = (
+    f"Starts are the true landmarks displaced by γ = {GAMMA:g} px (standard deviation of each coordinate).",
+)
+SCENE_CHOICES = (
+    *SHADOW_CHOICES,
+    "Generated pictures, since no folder was given: those fitted have the poses and expressions of those trained on, "
+    "under hard light from the left instead of diffuse light; all modes are kept.",
+)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all fits share."""
+
+    data: Path | None
+    methods: tuple[str, ...]
+    solver: str
+    trials: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One task: the number of a draw."""
+
+    number: int
+
+    @property
+    def key(self) -> str:
+        """Name for the journal."""
+        return f"trial {self.number}"
+
+
+def trace_person(setup: Setup, person: spot.Person) -> list[Row]:
+    """Follow the fits to one person's spot-lit picture."""
+    study = spot.study_of(person, setup.methods, setup.solver)
+    return [
+        row
+        for trial in range(setup.trials)
+        for row in trace(study.fitters, study.image, study.start(setup.seed, trial), study.truth, person.name, trial)
+    ]
+
+
+def trace_shadow(setup: Setup, trial: Trial) -> list[Row]:
+    """Follow the fits to one of a person's pictures under a simulated shadow."""
+    fitters = simulated.get_fitters(setup.data, setup.methods, setup.solver)
+    case = simulated.make_case(get_subject(setup.data), setup.seed, trial.number, GAMMA, sigma_n=0.0)
+    return trace(fitters, case.image, case.start, case.truth, case.picture, trial.number)
+
+
+def trace_scene(setup: Setup, trial: Trial) -> list[Row]:
+    """Follow the fits to a generated picture under lateral light."""
+    fitters = simulated.get_fitters(None, setup.methods, setup.solver, THETA_DEFAULT)
+    scenes = _lateral_scenes()
+    picture = trial.number % len(scenes)
+    truth = scenes[picture].landmarks
+    start = simulated.displaced(truth, GAMMA, setup.seed, trial.number)
+    return trace(fitters, scenes[picture].image, start, truth, picture, trial.number)
+
+
+@lru_cache(maxsize=1)
+def _lateral_scenes() -> list:
+    from liaam.datasets.scenes import lateral
+
+    return head_scenes(lateral("left"))
+
+
+def trace(
+    fitters: Mapping[str, Fitter],
+    image: np.ndarray,
+    start: np.ndarray,
+    truth: np.ndarray,
+    picture: object,
+    trial: int,
+) -> list[Row]:
+    """Rows of every method's fit to one picture: a row per iteration."""
+    return [
+        {"method": method, "picture": picture, "trial": trial, "iteration": iteration, "error_px": error}
+        for method, fitter in fitters.items()
+        for iteration, error in enumerate(errors_by_iteration(fitter.fit(image, start), truth))
+    ]
+
+
+def errors_by_iteration(result: FitResult, truth: np.ndarray) -> list[float]:
+    """Mean landmark error at the start and after each of 50 accepted steps; the last value is carried on."""
+    history = result.history
+    # A level starts where the one before it stopped: that is no step.
+    states = [state for i, state in enumerate(history) if i == 0 or state.level == history[i - 1].level]
+    errors = [point_error(state.shape, truth) for state in states[: MAX_ITERATIONS + 1]]
+    return errors + errors[-1:] * (MAX_ITERATIONS + 1 - len(errors))
+
+
+def convergence_experiment(
+    data: Path | None = None,
+    methods: Sequence[str] = simulated.METHODS,
+    trials: int = 24,
+    seed: int = 0,
+    solver: str = "liaam",
+) -> Experiment:
+    """Make the experiment.
+
+    Parameters
+    ----------
+    data : Path, optional
+        Folder of the spot protocol, or of one person's pictures; generated scenes if left out.
+    methods : sequence of str
+    trials : int
+        Draws of the start; in the spot protocol for each person.
+    seed : int
+    solver : {"liaam", "paper"}
+    """
+    check_request(tuple(methods), solver, trials)
+    setup = Setup(data, tuple(methods), solver, trials, seed)
+    light, facts, tasks, work, choices, left_out = _plan(setup)
+    return Experiment(
+        name="convergence",
+        title="Error against iterations under lateral light",
+        settings={
+            **facts,
+            "light": light,
+            "methods": list(methods),
+            "trials": trials,
+            "seed": seed,
+            "solver": f"{solver}: {get_solver(solver).summary}",
+        },
+        tasks=tasks,
+        work=partial(work, setup),
+        columns=COLUMNS,
+        summarise=partial(summarise, setup.methods),
+        draw=draw,
+        report=partial(report, light),
+        choices=(*CHOICES, *choices),
+        left_out=left_out,
+    )
+
+
+def _plan(setup: Setup) -> tuple:
+    """Light, facts of the data, tasks, work, choices and what was left out, as the kind of data has it."""
+    numbered = tuple(Trial(number) for number in range(setup.trials))
+    if setup.data is None:
+        facts = {**subject_facts(None), "gamma": GAMMA}
+        return "generated, hard, from the left", facts, numbered, trace_scene, SCENE_CHOICES, ()
+    persons, left_out = spot.group_persons(setup.data)
+    if persons:
+        return "a spot light", spot.facts_of(setup.data, persons), persons, trace_person, spot.CHOICES, left_out
+    facts = {**subject_facts(setup.data), "gamma": GAMMA}
+    return "a simulated shadow", facts, numbered, trace_shadow, (*SHADOW_CHOICES, *simulated.CHOICES), ()
+
+
+def summarise(methods: Sequence[str], rows: list[Row]) -> dict[str, Any]:
+    """Median and 90th percentile of the error by method and iteration."""
+    found: dict[str, Any] = {}
+    for method in methods:
+        errors = np.array([row["error_px"] for row in rows if row["method"] == method]).reshape(-1, MAX_ITERATIONS + 1)
+        statistics = [error_statistics(column) for column in errors.T]
+        found[method] = {
+            "fits": len(errors),
+            **{name: [cell[name] for cell in statistics] for name in ("median", "p90")},
+        }
+    return {"methods": found}
+
+
+def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
+    """Median error against iterations."""
+    curves = {method: list(enumerate(found["median"])) for method, found in summary["methods"].items()}
+    panel = Panel("iteration", "median error of the landmarks, px", curves, log=True)
+    return figure_of_curves([panel])
+
+
+def shown(summary: dict[str, Any]) -> dict[str, list[tuple[float, float | None]]]:
+    """Median error at some iterations, by method."""
+    return {method: [(float(i), found["median"][i]) for i in SHOWN] for method, found in summary["methods"].items()}
+
+
+def report(light: str, _rows: list[Row], summary: dict[str, Any]) -> str:
+    """What was asked, and the medians at some iterations."""
+    return (
+        f"How fast do fits converge when the light has changed between training and fitting (here: {light})? (Paper "
+        f"Fig 5.)\n\nMedian error of the landmarks, px, by iteration:\n\n{simulated.table_of_curves(shown(summary))}"
+    )

@@ -1,0 +1,33 @@
+"""How far from the object may a fit start? (Paper section 7.1, Fig 3a.)"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from liaam.experiments.runner import Experiment
+from liaam.experiments.simulated import METHODS, References, Sweep, simulated_experiment
+
+GAMMAS = (0.0, 2.0, 4.0, 8.0, 12.0, 16.0)
+
+SWEEP = Sweep(
+    name="displacement",
+    title="Error against the displacement of the start",
+    question=(
+        "How far from the object may a fit start, when a shadow lies on it that was not there in training? Pictures "
+        "have no noise (paper Fig 3a)."
+    ),
+    column="gamma",
+    label="displacement of the start γ, px",
+)
+
+
+def displacement_experiment(
+    data: Path | None = None,
+    methods: Sequence[str] = METHODS,
+    trials: int = 24,
+    seed: int = 0,
+    solver: str = "liaam",
+    gammas: Sequence[float] = GAMMAS,
+    references: References | None = None,
+) -> Experiment:
+    """Make the experiment; see :func:`liaam.experiments.simulated.simulated_experiment`."""
+    return simulated_experiment(SWEEP, gammas, data, methods, trials, seed, solver, references)

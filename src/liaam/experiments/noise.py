@@ -1,0 +1,36 @@
+"""What does noise do to the landmarks, and to the angle? (Paper section 7.1, Fig 3b and 3c.)"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from liaam.experiments.runner import Experiment
+from liaam.experiments.simulated import METHODS, References, Sweep, simulated_experiment
+
+SIGMAS = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0)
+NOISE_METHODS = (*METHODS, "li+noise")
+
+SWEEP = Sweep(
+    name="noise",
+    title="Errors against the noise of the picture",
+    question=(
+        "How do landmarks and angle suffer from noise, when a shadow lies on the object that was not there in "
+        "training? Starts are displaced by γ = 4 px (paper Fig 3b and 3c)."
+    ),
+    column="sigma_n",
+    label="noise σn, of 255",
+    gamma=4.0,
+    shows_angle=True,
+)
+
+
+def noise_experiment(
+    data: Path | None = None,
+    methods: Sequence[str] = NOISE_METHODS,
+    trials: int = 24,
+    seed: int = 0,
+    solver: str = "liaam",
+    sigmas: Sequence[float] = SIGMAS,
+    references: References | None = None,
+) -> Experiment:
+    """Make the experiment; see :func:`liaam.experiments.simulated.simulated_experiment`."""
+    return simulated_experiment(SWEEP, sigmas, data, methods, trials, seed, solver, references)

@@ -1,0 +1,201 @@
+"""One person in a few pictures under homogeneous light, and a shadow to lay over them (paper section 7.1)."""
+
+import hashlib
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from liaam.datasets import Dataset, Sample, load_folder
+from liaam.errors import LiaamError
+from liaam.photometry import encode, is_grey, linear_to_srgb, srgb_to_linear, temperature_direction
+from liaam.photometry.encoding import as_colour
+
+N_IMAGES = 6
+"""Pictures in the paper's simulations."""
+
+PAPER_THETA = float(np.deg2rad(146.0))
+"""Camera of the simulated shadow (paper Fig 2), radians; a real camera lies in 90 to 135 degrees."""
+
+STRENGTH, TEMPERATURE, PENUMBRA = -1.8, 0.5, 4.0
+"""Shadow's depth in log light, its shift along the direction of colour temperature, and its edge's width (px)."""
+
+TILT = float(np.deg2rad(20.0))
+"""Largest tilt of the shadow's edge from upright, radians."""
+
+SCENE_HEAD = 5
+"""Head of the generated pictures, that of ``liaam demo``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """Pictures of one person.
+
+    Attributes
+    ----------
+    name : str
+    images : tuple of (h, w, 3) float32
+        Stored sRGB values in [0, 1].
+    shapes : tuple of (n, 2) float64
+        Landmarks, pixels of these images.
+    """
+
+    name: str
+    images: tuple[np.ndarray, ...]
+    shapes: tuple[np.ndarray, ...]
+
+    @property
+    def pairs(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Images with their landmarks, as :func:`liaam.train` takes them."""
+        return list(zip(self.images, self.shapes, strict=True))
+
+
+@lru_cache(maxsize=4)
+def get_subject(folder: Path | None, n_images: int = N_IMAGES) -> Subject:
+    """Give the subject of a folder, or the generated one without a folder; once per process."""
+    return scene_subject(n_images) if folder is None else folder_subject(folder, n_images)
+
+
+def folder_subject(folder: Path, n_images: int = N_IMAGES, halve: bool = True) -> Subject:
+    """Take pictures of one person from a folder, evenly spread over it.
+
+    Parameters
+    ----------
+    folder : Path
+        Colour pictures of one person with landmarks beside them.
+    n_images : int
+    halve : bool
+        Average blocks of 2 by 2 pixels, in linear light.
+
+    Raises
+    ------
+    LiaamError
+        If there are too few pictures, or grey ones.
+    """
+    chosen = _spread(folder, n_images)
+    reduce = 2 if halve else 1
+    images = tuple(_stored_values(sample, reduce) for sample in chosen)
+    shapes = tuple(reduced_points(sample.landmarks.points, reduce) for sample in chosen)
+    return Subject(folder.name, images, shapes)
+
+
+def _spread(folder: Path, n_images: int) -> list[Sample]:
+    """Samples evenly spread over a folder."""
+    data = load_folder(folder)
+    if len(data) < n_images:
+        raise LiaamError(
+            f"{folder} holds {len(data)} landmarked pictures, but {n_images} of one person are needed; add some"
+        )
+    return [data[i] for i in np.linspace(0, len(data) - 1, n_images).round().astype(int)]
+
+
+def subject_facts(folder: Path | None, n_images: int = N_IMAGES) -> dict[str, Any]:
+    """What a subject's pictures are, for an experiment's settings; decodes and generates nothing.
+
+    Raises
+    ------
+    LiaamError
+        If there are too few pictures.
+    """
+    if folder is None:
+        return {"data": f"generated scenes of head {SCENE_HEAD}", "pictures": n_images}
+    return {"data": folder.resolve().name, **data_facts(_spread(folder, n_images))}
+
+
+def data_facts(samples: "Dataset | list[Sample]") -> dict[str, Any]:
+    """Names and a digest of pictures and landmarks, by which a changed file is noticed."""
+    digest = hashlib.sha256()
+    for sample in samples:
+        image = sample.image
+        digest.update(image.read_bytes() if isinstance(image, Path) else image.tobytes())
+        digest.update(sample.landmarks.points.tobytes())
+    return {"pictures": [sample.name for sample in samples], "digest": digest.hexdigest()[:12]}
+
+
+def reduced_points(points: np.ndarray, reduce: int) -> np.ndarray:
+    """Landmarks (n, 2) after blocks of pixels became one: (0, 0) stays the centre of the top-left pixel."""
+    return (np.asarray(points, dtype=np.float64) + 0.5) / reduce - 0.5
+
+
+def _stored_values(sample: Sample, reduce: int) -> np.ndarray:
+    image = as_colour(sample.read_image(), sample.name)
+    if is_grey(image):
+        raise LiaamError(f"{sample.name} is grey (three equal channels); light invariance needs pictures in colour")
+    return np.ascontiguousarray(encode(image, "value", reduce=reduce)[..., :3])
+
+
+def scene_subject(n_images: int = N_IMAGES) -> Subject:
+    """Generate pictures of one head under diffuse light by a camera without noise; needs no data."""
+    from liaam.datasets.scenes import DIFFUSE
+
+    scenes = head_scenes(DIFFUSE, n_images)
+    return Subject("generated head", tuple(scene.image for scene in scenes), tuple(scene.landmarks for scene in scenes))
+
+
+def head_scenes(lights, n_images: int = N_IMAGES) -> list:
+    """Scenes of the generated head under given lights; other lights change neither poses nor expressions."""
+    from liaam.datasets.scenes import Camera, Head, make_set
+
+    return make_set(n_images, Head(SCENE_HEAD), lights, Camera().noiseless("srgb"))
+
+
+def random_side(rng: np.random.Generator) -> float:
+    """Draw where a shadow lies: left or right of the face, its edge tilted by up to 20 degrees.
+
+    Returns
+    -------
+    float
+        Direction from the light into the shadow, radians from the image's x axis towards its y axis.
+    """
+    side = np.pi * rng.integers(2)
+    return float(side + rng.uniform(-TILT, TILT))
+
+
+def simulated_shadow(
+    image: np.ndarray,
+    shape: np.ndarray,
+    side: float = 0.0,
+    *,
+    strength: float = STRENGTH,
+    temperature: float = TEMPERATURE,
+    penumbra: float = PENUMBRA,
+    theta: float = PAPER_THETA,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lay a shadow of another colour over half of a face (paper Fig 2a).
+
+    In linear light, log rho += mask (strength 1 + temperature d(theta)): what the paper's model says that a
+    change of light does, so the invariant of a camera of angle theta does not move.
+
+    Parameters
+    ----------
+    image : (h, w, 3) float
+        Stored sRGB values in [0, 1].
+    shape : (n, 2) float
+        Landmarks of the face; the shadow's edge goes through the middle of their bounding box.
+    side : float
+        Direction into the shadow, radians; see :func:`random_side`.
+    strength : float
+        Change of log light in full shadow.
+    temperature : float
+        Change along the unit direction d(theta) of colour temperature.
+    penumbra : float
+        Width of the soft edge, pixels: the shadow goes from 12 to 88 % over it.
+    theta : float
+        Angle of the camera, radians.
+
+    Returns
+    -------
+    shadowed : (h, w, 3) float32
+        Stored sRGB values in [0, 1].
+    mask : (h, w) float64
+        Share of the full shadow at each pixel.
+    """
+    height, width = image.shape[:2]
+    middle = 0.5 * (shape.min(axis=0) + shape.max(axis=0))
+    along = (np.arange(width) - middle[0]) * np.cos(side) + (np.arange(height)[:, None] - middle[1]) * np.sin(side)
+    mask = 0.5 * (1.0 + np.tanh(2.0 * along / penumbra))
+    change = strength * np.ones(3) + temperature * temperature_direction(theta)
+    linear = srgb_to_linear(image.astype(np.float64)) * np.exp(mask[..., None] * change)
+    return np.clip(linear_to_srgb(linear), 0.0, 1.0).astype(np.float32), mask

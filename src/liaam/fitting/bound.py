@@ -1,0 +1,157 @@
+"""The Cramer-Rao bound of a fit: what noise leaves to any unbiased estimator that measures an image this way.
+
+The image is data, one noisy value per pixel and channel; the model's shape, appearance and angles are unknown.
+The Fisher information is that of the Gauss-Newton Hessian with each pixel whitened by its own noise,
+taken at the truth of a picture without noise.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from liaam.fitting.methods import Method, get_method
+from liaam.fitting.normal_equations import NormalEquations, gram
+from liaam.fitting.objective import FitProblem, Objective, make_objectives
+from liaam.kernels import get_kernel
+from liaam.mesh import signed_areas
+from liaam.model import AAM
+from liaam.photometry import Response, from_linear, log_slope, srgb_to_linear
+from liaam.photometry.encoding import as_colour
+from liaam.shape import align
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """Smallest covariance of an unbiased estimate.
+
+    Attributes
+    ----------
+    landmarks : (n, 2, 2) float64
+        Covariance of each landmark, square pixels of the image.
+    rms : float
+        Root mean square distance of the landmarks from the truth, pixels of the image.
+    theta : float
+        Standard deviation of the image's angle theta_2, radians; NaN for methods without one, infinite where the
+        light does not show it.
+    """
+
+    landmarks: np.ndarray
+    rms: float
+    theta: float
+
+
+UNSEEN = 1e-9
+"""Information about an angle, relative to that of its column before nuisances are taken out, that is rounding."""
+
+
+def cramer_rao_bound(
+    model: AAM,
+    image: np.ndarray,
+    shape: np.ndarray,
+    method: str | Method,
+    sigma: float,
+    *,
+    theta: float | None = None,
+    response: Response | None = None,
+) -> Bound:
+    """Bound for one picture under white noise of its stored values.
+
+    Parameters
+    ----------
+    model : AAM
+        All of whose modes are taken to be free; shape and appearance have no prior.
+    image : (h, w, 3) uint8, uint16 or float array
+        Without noise.
+    shape : (n, 2) float
+        True landmarks, image pixels.
+    method : str or Method
+        What is measured: its encoding, metric, free angles and extra modes count, its weights and loss do not.
+    sigma : float
+        Standard deviation of the noise, in stored values of [0, 1].
+    theta : float, optional
+        True angle of the image's camera, radians; the model's own if left out.
+    response : Response, optional
+        Of the image's camera; the training camera's if left out.
+
+    Returns
+    -------
+    Bound
+    """
+    method, response = get_method(method), model.response if response is None else response
+    objective = make_objectives(model, method)[-1]
+    pose = align(model.shape_model.mean, shape)
+    problem = FitProblem.at(as_colour(image), shape, pose, method, response, blur=0.0)
+    p = model.shape_model.parameters(pose.inverse()(shape))
+    angles = np.array([model.theta, model.theta if theta is None else theta])
+    covariance, n_p = _covariance(objective, problem, p, angles, _pixels_per_sample(model, shape), sigma), len(p)
+    modes = model.shape_model.basis.reshape(n_p, -1, 2) @ pose.matrix.T
+    # What is infinite is an angle's: landmarks do not depend on it where no light shows it.
+    landmarks = np.einsum("inx,ij,jny->nxy", modes, covariance[:n_p, :n_p], modes, optimize=True)
+    # Where one angle stands for both cameras, or both are free, the last is the image's.
+    deviation = float(np.sqrt(covariance[-1, -1])) if len(covariance) > n_p else np.nan
+    return Bound(landmarks, float(np.sqrt(np.trace(landmarks, axis1=1, axis2=2).mean())), deviation)
+
+
+def _pixels_per_sample(model: AAM, shape: np.ndarray) -> np.ndarray:
+    """Image pixels that each of the model's pixels stands for, (n_pixels,) float64."""
+    areas = signed_areas(shape, model.triangles) / signed_areas(model.shape_model.mean, model.triangles)
+    return np.maximum(areas, 0.0)[model.frame.owners]
+
+
+def _covariance(
+    objective: Objective, problem: FitProblem, p: np.ndarray, angles: np.ndarray, density: np.ndarray, sigma: float
+) -> np.ndarray:
+    """Inverse Fisher information of (p, free angles) with the appearance's coordinates marginalised."""
+    method, warp = objective.method, objective.warp
+    n, n_p = len(density), warp.n_parameters
+    columns = np.empty((3 * n, n_p), np.float32)
+    values, _, usable = get_kernel(objective.kernel).linearise(
+        problem.patch.channels, warp.points(p, problem.pose), warp.jacobian(p), problem.pose.matrix, np.eye(3),
+        np.ones(n, np.float32), columns,
+    )  # fmt: skip
+    metric = method.image_metric(angles[1])
+    whitening = _whitening(_channel_noise(values, method.encoding, problem.response, sigma), metric)
+    whitening *= np.sqrt(density * usable * (objective.appearance.usable > 0))[:, None, None]
+    state = replace(objective.start(p), angles=angles)
+    lam = objective.linearise(problem, state).equations.best_lambda_step()
+    by_angle = objective.angle_columns(state, values, lam.astype(np.float32), np.ones((n, 1), np.float32))
+    by_warp = np.einsum("rc,ncj->nrj", metric, columns.reshape(n, 3, n_p), optimize=True)
+    modes = objective.design(float(angles[0])).modes
+
+    def whitened(rows: np.ndarray) -> np.ndarray:
+        return np.einsum("nkr,nrj->nkj", whitening, rows, optimize=True).reshape(n * method.n_rows, -1)
+
+    J = whitened(np.concatenate([by_warp, by_angle.reshape(n, method.n_rows, -1)], axis=2))
+    A = whitened(modes.reshape(n, method.n_rows, -1))
+    nothing = np.zeros(J.shape[1])
+    equations = NormalEquations(gram(J, J), nothing, gram(A, J), gram(A, A), np.zeros(A.shape[1]), 0.0, 1.0)
+    return _inverse(equations.reduced()[0], np.diag(equations.jj))
+
+
+def _inverse(information: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Inverse of an information matrix; infinite for parameters with a share in what is not seen at all."""
+    root = np.sqrt(np.maximum(scale, 1e-300))
+    seen, axes = np.linalg.eigh(information / np.outer(root, root))
+    blind = seen < UNSEEN
+    kept = axes[:, ~blind]
+    covariance = (kept / seen[~blind]) @ kept.T / np.outer(root, root)
+    unknown = np.asarray((np.abs(axes[:, blind]) > 1e-3).any(axis=1))
+    covariance[unknown, unknown] = np.inf
+    return covariance
+
+
+def _channel_noise(values: np.ndarray, encoding: str, response: Response, sigma: float) -> np.ndarray:
+    """Standard deviation of encoded channels, (n, 3) float64, under white noise of the stored values."""
+    values = values.astype(np.float64)
+    if encoding == "log":
+        return sigma * log_slope(np.maximum(from_linear(np.exp(values), response), 1e-4), response)
+    if response == "srgb":
+        return np.full(values.shape, sigma)
+    stored = np.maximum(from_linear(srgb_to_linear(values), response), 1e-4)
+    return sigma * log_slope(stored, response) / log_slope(np.maximum(values, 1e-4), "srgb")
+
+
+def _whitening(deviation: np.ndarray, metric: np.ndarray) -> np.ndarray:
+    """Matrices W (n, k, k) with W P Sigma P' W' = I for channels of independent noise."""
+    covariance = np.einsum("kc,nc,lc->nkl", metric, np.square(deviation), metric)
+    return np.linalg.inv(np.linalg.cholesky(covariance))

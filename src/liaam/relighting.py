@@ -1,0 +1,153 @@
+"""Shadow-free appearance: what the fitted object looks like under the light of training (paper eq 11)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.errors import MethodError
+from liaam.fitting import FitResult, Fitter
+from liaam.mesh import ReferenceFrame, signed_areas
+from liaam.model import AAM
+from liaam.photometry import Response, from_linear, to_linear
+from liaam.photometry.encoding import as_colour
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowFree:
+    """Appearance of a fitted object under the light of the training pictures.
+
+    Attributes
+    ----------
+    log_rgb : (n_pixels, 3) float32
+        Logarithm of linear light at each pixel of the reference frame, A~0 + sum_i lambda_i A~_i.
+    lam : (m,) float64
+        Its coordinates.
+    deviations : (m,) float64
+        Standard deviation of each coordinate that the residual leaves, where the prior alone would leave the
+        root of the mode's eigenvalue: how well the picture shows the mode.
+    """
+
+    log_rgb: np.ndarray
+    lam: np.ndarray
+    deviations: np.ndarray
+
+
+def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: float = 1.0) -> ShadowFree:
+    """Appearance under the training light, from a fit to a picture under another (paper eq 11).
+
+    The coordinates are the most likely ones under the fit's residual and the Gaussian prior N(0, eigenvalue) of
+    training: modes that the metric cannot see (shading, for a light-invariant one) stay at the mean instead of
+    taking whatever noise gives them.
+
+    Parameters
+    ----------
+    fitter : Fitter
+        The one that made the fit; its method has to compare logarithms with the model's ``log`` appearance.
+    image : (h, w, 3) array
+        The picture fitted.
+    result : FitResult
+    prior : float
+        Strength of the prior: 1 as learnt, 0 none (the paper).
+
+    Returns
+    -------
+    ShadowFree
+
+    Raises
+    ------
+    MethodError
+        For a method without the log appearance.
+    """
+    if fitter.objectives[-1].method.appearance != "log":
+        raise MethodError(
+            f"method {result.method} does not fit the appearance of log-RGB, so nothing can be rebuilt from it; "
+            "fit with 'li', 'li-pc', 'li-pcs' or 'chroma'"
+        )
+    objective, equations, lam = fitter.equations_at(image, result)
+    n = objective.appearance.n_modes
+    # In units of the residual's variance; one residual in 4 pi s^2 is independent, as for the shape's prior.
+    correlated = max(1.0, 4.0 * np.pi * fitter.model.levels[-1].blur ** 2)
+    precision = np.zeros(len(lam))
+    precision[:n] = prior * correlated * equations.cost / np.maximum(objective.appearance.eigenvalues, 1e-12)
+    hessian = equations.aa + np.diag(precision + 1e-9 * np.diag(equations.aa).max())
+    best = np.linalg.solve(hessian, equations.aa @ lam + equations.ar)
+    spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * correlated * equations.cost)
+    return ShadowFree(objective.appearance.texture(best[:n]), best[:n], spread[:n])
+
+
+def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Carry values of the reference frame to where a shape lies in an image.
+
+    Parameters
+    ----------
+    image : (h, w, ...) array
+        Gives the size.
+    shape : (n, 2) float
+        Landmarks, image pixels.
+    model : AAM
+    values : (n_pixels, c) float32
+
+    Returns
+    -------
+    picture : (h, w, c) float32
+        Zero outside the mesh; triangles that are turned over stay empty.
+    inside : (h, w) bool
+    """
+    import cv2
+
+    height, width = image.shape[:2]
+    picture, inside = np.zeros((height, width, values.shape[1]), np.float32), np.zeros((height, width), bool)
+    triangles = model.triangles[signed_areas(shape, model.triangles) > 1e-3]
+    if not len(triangles):
+        return picture, inside
+    there = ReferenceFrame(shape, triangles)
+    x, y = (there.pixels[:, ::-1] + there.origin).astype(int).T
+    seen = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    own = np.einsum("nv,nva->na", there.weights[seen], model.shape_model.mean[there.vertices[seen]])
+    own = (own - model.frame.origin).astype(np.float32)
+    source, known = model.frame.picture(values), model.frame.picture(np.ones(len(values), np.float32))
+    carried, share = (
+        cv2.remap(a, own[:, :1], own[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for a in (source, known)
+    )
+    # At the mesh's border the pixels outside it do not count.
+    carried = carried.reshape(len(own), -1) / np.maximum(share.reshape(-1, 1), 1e-3)
+    kept = share.ravel() > 1e-3
+    picture[y[seen][kept], x[seen][kept]] = carried[kept]
+    inside[y[seen][kept], x[seen][kept]] = True
+    return picture, inside
+
+
+def without_shading(
+    image: np.ndarray, shape: np.ndarray, model: AAM, appearance: ShadowFree, response: Response = "srgb"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Picture with the object under the training light, and the shading that was taken off.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, uint16 or float array
+        Stored values.
+    shape : (n, 2) float
+        Fitted landmarks.
+    model : AAM
+    appearance : ShadowFree
+    response : Response
+        Of the image's camera.
+
+    Returns
+    -------
+    picture : (h, w, 3) float32
+        Stored values in [0, 1]; as the image outside the mesh.
+    shading : (h, w, 3) float32
+        Logarithm of image / appearance, 0 outside the mesh.
+    """
+    image = as_colour(image)
+    top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
+    stored = np.nan_to_num(image.astype(np.float32) / np.float32(top))
+    log_rgb, inside = paint(image, shape, model, appearance.log_rgb)
+    fresh = np.clip(from_linear(np.exp(log_rgb), response), 0, 1)
+    floor = 0.5 * float(to_linear(np.array(1 / 255), response))
+    shading = np.log(np.maximum(to_linear(stored, response), floor)) - log_rgb
+    return (
+        np.where(inside[..., None], fresh, stored).astype(np.float32),
+        np.where(inside[..., None], shading, 0.0).astype(np.float32),
+    )

@@ -1,0 +1,48 @@
+"""What commands print with: plain lines, complaints, tables and a progress bar."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.table import Table
+
+console = Console()
+complaints = Console(stderr=True)
+
+Progress = Callable[[int, int, str], None]
+
+
+def say(text: str) -> None:
+    """Print plain text (no markup: file names hold brackets)."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def complain(text: str) -> None:
+    """Print to standard error."""
+    complaints.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def table_of(*header: str) -> Table:
+    """Give an empty table in the style of all commands."""
+    return Table(*header, box=None, header_style="bold")
+
+
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """Show a bar; it appears on terminals only and leaves nothing behind."""
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False),
+    )
+    with Bar(*columns, console=complaints, transient=True, disable=not complaints.is_terminal) as bar:
+        task = bar.add_task("")
+
+        def tell(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        yield tell

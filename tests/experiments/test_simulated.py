@@ -1,0 +1,113 @@
+"""The experiments under a simulated shadow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.errors import LiaamError, MethodError
+from liaam.experiments import simulated
+from liaam.experiments.displacement import SWEEP, displacement_experiment
+from liaam.experiments.noise import noise_experiment
+from liaam.experiments.runner import run_experiment
+from liaam.experiments.simulated import angle_error, get_fitters, make_case, run_trial
+from liaam.experiments.subjects import get_subject
+
+LIGHT_INVARIANT = ("li", "li-lit", "li-pc", "li-pcs")
+
+
+def medians(summary, method):
+    column = summary["swept"]
+    return {cell[column]: cell["error_px"]["median"] for cell in summary["methods"][method]}
+
+
+def test_li_holds_where_grey_and_rgb_drift_whatever_the_number_of_workers(tmp_path):
+    experiment = displacement_experiment(None, ("grey", "rgb", "li"), trials=2, seed=3, gammas=(0, 8))
+    summary = run_experiment(experiment, tmp_path / "two", jobs=2)
+    run_experiment(experiment, tmp_path / "one", jobs=1)
+    for name in ("results.csv", "summary.json", "report.md", "figure.svg"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    for gamma in (0, 8):
+        assert medians(summary, "li")[gamma] < 0.3
+        assert min(medians(summary, method)[gamma] for method in ("grey", "rgb")) > 1.0
+    header = (tmp_path / "one" / "results.csv").read_text().splitlines()[0]
+    assert header == "method,gamma,trial,image,start_px,error_px,theta_error_deg,iterations,status"
+    report = (tmp_path / "one" / "report.md").read_text()
+    assert "strength of the simulated shadow is not given" in report
+    assert "| grey |" in report
+    assert summary["start_px_median"][0] == [0, pytest.approx(0, abs=1e-6)]
+    assert summary["start_px_median"][1][1] > 1.0
+
+
+def test_noise_sweeps_noise_and_draws_a_bound(tmp_path):
+    experiment = noise_experiment(
+        None, ("grey", "li"), 1, sigmas=(0, 10), references={"error_px": {"bound": [(0, 0.001), (10, 0.1)]}}
+    )
+    summary = run_experiment(experiment, tmp_path)
+    assert summary["swept"] == "sigma_n"
+    assert summary["settings"]["gamma"] == 4.0
+    clean, noisy = summary["methods"]["li"]
+    assert clean["error_px"]["median"] < noisy["error_px"]["median"] < 3.0
+    assert clean["theta_error_deg"]["median"] < 0.1
+    assert clean["statuses"] == {"converged": 1.0}
+    assert summary["methods"]["grey"][0]["theta_error_deg"]["median"] is None
+    assert "bound" in (tmp_path / "figure.svg").read_text()
+    assert "|error of θ|" in (tmp_path / "report.md").read_text()
+
+
+def test_what_is_drawn_depends_on_seed_and_trial_only():
+    subject = get_subject(None)
+    near, far, noisy = (make_case(subject, 1, 7, *at) for at in ((2.0, 0.0), (6.0, 0.0), (2.0, 5.0)))
+    assert near.picture == 1
+    assert np.allclose(3 * (near.start - near.truth), far.start - far.truth)
+    assert np.array_equal(near.image, far.image)
+    assert np.array_equal(near.start, noisy.start)
+    assert np.std(noisy.image - near.image) == pytest.approx(5 / 255, rel=0.05)
+    assert not np.allclose(make_case(subject, 2, 7, 2.0, 0.0).start, near.start)
+
+
+def test_both_angles_turned_by_half_a_turn_are_the_same_camera():
+    case = make_case(get_subject(None), 0, 0, 0.0, 0.0)
+    result = get_fitters(None, ("li",), "liaam")["li"].fit(case.image, case.start)
+    theta = simulated.PAPER_THETA
+    for turn in (0.0, np.pi, -np.pi):
+        turned = replace(result, theta=theta + 0.1 + turn, theta_model=theta + turn)
+        assert angle_error(turned, theta) == pytest.approx(0.1)
+    assert abs(angle_error(replace(result, theta=theta + np.pi, theta_model=theta), theta)) == pytest.approx(np.pi)
+    assert np.isnan(angle_error(replace(result, theta=np.nan, theta_model=np.nan), theta))
+
+
+def test_papers_solver_reaches_the_same_shape():
+    setups = [simulated.Setup(SWEEP, None, ("li",), solver, 0) for solver in ("liaam", "paper")]
+    rows = [run_trial(setup, simulated.Trial(4.0, 0)) for setup in setups]
+    assert all(row[0]["error_px"] < 0.3 for row in rows)
+
+
+@pytest.mark.parametrize("make", [displacement_experiment, noise_experiment])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"methods": ("li", "magic")}, "'magic' does not exist"),
+        ({"methods": ("li", "li")}, "given twice"),
+        ({"methods": ()}, "no method is given"),
+        ({"solver": "oracle"}, "'oracle' does not exist; there are liaam, paper"),
+        ({"trials": 0}, "at least 1"),
+    ],
+)
+def test_refuses_before_the_work_starts(make, options, message):
+    with pytest.raises(MethodError, match=message):
+        make(**{"methods": ("li",), **options})
+
+
+def test_a_value_given_twice_is_refused():
+    with pytest.raises(LiaamError, match="given twice"):
+        displacement_experiment(gammas=(4, 4))
+
+
+def test_light_invariance_holds_on_a_real_person(shared_data, tmp_path):
+    methods = ("grey", "rgb", *LIGHT_INVARIANT)
+    experiment = displacement_experiment(shared_data / "one-person", methods, trials=6, gammas=(4, 16))
+    summary = run_experiment(experiment, tmp_path, jobs=2)
+    for gamma in (4, 16):
+        assert max(medians(summary, method)[gamma] for method in LIGHT_INVARIANT) < 0.3
+        assert min(medians(summary, method)[gamma] for method in ("grey", "rgb")) > 2.5
