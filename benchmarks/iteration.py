@@ -109,7 +109,7 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
     options = SolverOptions(tolerance=0.0)
     workspace = objective.workspace()
     start = objective.start(np.zeros(objective.warp.n_parameters))
-    state, last = solver._evaluate(objective, problem, start, options, workspace, start_up=True)
+    state, last = solver._evaluate(objective, problem, start, options, workspace, None, start_up=True)
     precision = solver._prior_precision(objective, last.equations, options.shape_prior)
     free, _ = solver._free_directions(objective, state, last.equations, options.observable)
     kernel, n_p = get_kernel(objective.kernel), objective.warp.n_parameters
@@ -128,7 +128,7 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
         step, lambda_step = steps
         objective.warp.movement(step[:n_p])
         moved = objective.update(state, step, lambda_step)
-        new, there = solver._evaluate(objective, problem, moved, options, workspace, start_up=False)
+        new, there = solver._evaluate(objective, problem, moved, options, workspace, None, start_up=False)
         solver._merit(there.equations, new, prior)
         solver._merit(last.equations, state, prior)
         solver._free_directions(objective, new, there.equations, options.observable)
@@ -144,11 +144,11 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
     def angle_and_residual() -> None:
         residual = projected - design.mean
         residual -= (design.modes @ lam).reshape(residual.shape)
-        scratch[:, n_p : objective.n_q] = objective._angle_columns(state, last.values, lam, root)
+        scratch[:, n_p : objective.n_q] = objective.angle_columns(state, last.values, lam, root)
         scratch[:, objective.n_q] = (root * residual).ravel()
 
     def products() -> None:
-        objective._equations(workspace, design, last.weights)
+        objective._equations(workspace, design, last.weights, None)
 
     def solves() -> None:
         fresh = replace(last.equations)  # without what it has worked out already

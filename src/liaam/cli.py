@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from liaam import __version__
-from liaam.cli_experiments import experiments
+from liaam.cli_experiments import experiments, reproduce
 from liaam.errors import LiaamError, StartError
 from liaam.terminal import complain, console, progress_bar, say, table_of
 
@@ -26,6 +26,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(experiments, name="experiment")
+app.command()(reproduce)
 
 
 def version(show: bool) -> None:
@@ -62,6 +63,10 @@ def train(
     diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
     theta: Annotated[float, typer.Option(help="Angle of the training camera, degrees.")] = 122.0,
     response: Annotated[str, typer.Option(help="Camera response: srgb, linear, or a gamma.")] = "srgb",
+    lit: Annotated[
+        Path | None,
+        typer.Option(help="Folder of further landmarked images under other lights, for methods 'varied' and 'aia'."),
+    ] = None,
     name: Annotated[str | None, typer.Option(help="What the model shows, for 'liaam info'.")] = None,
 ) -> None:
     """Train a model on a folder of landmarked images.
@@ -92,11 +97,15 @@ def train(
     data = load_folder(folder, recursive=recursive)
     data = data.select(images) if images else data
     say(data.report())
+    others = None if lit is None else load_folder(lit, recursive=recursive)
+    if others is not None:
+        say(f"other lights: {others.report()}")
     with progress_bar() as tell:
         model = train_model(
             data,
             diagonal=diagonal,
             theta=float(np.deg2rad(theta)),
+            lit=others,
             name=name or folder.name,
             progress=tell,
             **options,

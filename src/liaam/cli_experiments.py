@@ -1,13 +1,14 @@
 """The commands below ``liaam experiment``: they read options, run, and print what came out."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from liaam.errors import MethodError
-from liaam.terminal import complain, console, progress_bar, say, table_of
+from liaam.terminal import Progress, complain, console, progress_bar, say, table_of
 
 if TYPE_CHECKING:
     from liaam.experiments.runner import Experiment
@@ -44,12 +45,19 @@ def names_in(text: str, option: str = "--methods") -> tuple[str, ...]:
 
 
 def execute(experiment: "Experiment", out: Path, jobs: int | None) -> dict[str, Any]:
-    """Run an experiment behind a progress bar; a Ctrl-C becomes one line and exit status 130."""
+    """Run an experiment behind a progress bar."""
     from liaam.experiments.runner import run_experiment
 
+    with stoppable_progress() as tell:
+        return run_experiment(experiment, out, jobs, tell)
+
+
+@contextmanager
+def stoppable_progress() -> Iterator[Progress]:
+    """Show a progress bar; a Ctrl-C becomes one line and exit status 130."""
     try:
         with progress_bar() as tell:
-            return run_experiment(experiment, out, jobs, tell)
+            yield tell
     except KeyboardInterrupt as stop:
         complain(str(stop) or "stopped")
         raise typer.Exit(130) from None
@@ -174,3 +182,106 @@ def spot_rows(summary: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
             "–" if theta is None else f"{theta:.1f}°",
         )
     yield "bound", f"{summary['bound_median']:.2%}"
+
+
+@experiments.command()
+def bound(
+    out: Out,
+    data: OneSubject = None,
+    trials: Trials = 24,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+) -> None:
+    """What is the least error that noise leaves, for each way to measure a picture? (Cramér-Rao.)"""
+    from liaam.experiments import bound as module
+
+    summary = execute(module.bound_experiment(data, trials, seed), out, jobs)
+    for light in module.UNDER:
+        print_lines(module.curves(summary, light, "bound_px"), f"bound, px, by noise of 255: {light}")
+    conclude(summary, out)
+
+
+@experiments.command()
+def baselines(
+    out: Out,
+    data: OneSubject = None,
+    trials: Trials = 24,
+    seed: Seed = 0,
+    solver: Solver = "liaam",
+    jobs: Jobs = None,
+) -> None:
+    """Do AIA, robust losses and normalisation help where their papers say so?"""
+    from liaam.experiments.baselines import SITUATIONS, baselines_experiment
+
+    summary = execute(baselines_experiment(data, trials, seed, solver), out, jobs)
+    for situation in SITUATIONS:
+        table = table_of("method", "median error, px", f"better than {situation.baseline}")
+        for method, cell in summary["situations"][situation.name]["methods"].items():
+            verdict = {True: "yes", False: "no"}.get(cell.get("beats_plain"), "–")
+            table.add_row(method, "–" if cell["median"] is None else f"{cell['median']:.3f}", verdict)
+        say(situation.title)
+        console.print(table)
+    conclude(summary, out)
+
+
+@experiments.command()
+def reconstruct(
+    out: Out,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the spot protocol, or of one person's pictures (a shadow is simulated); generated pictures "
+            "under lateral light if left out."
+        ),
+    ] = None,
+    methods: Methods = "li,li+noise",
+    trials: Annotated[int, typer.Option(help="Pictures of each kind.", min=1)] = 8,
+    seed: Seed = 0,
+    solver: Solver = "liaam",
+    jobs: Jobs = None,
+) -> None:
+    """What would the object look like without the shadow? (Paper section 6 and Fig 4.)"""
+    from liaam.experiments import reconstruct as module
+
+    summary = execute(module.reconstruct_experiment(data, names_in(methods), trials, seed, solver), out, jobs)
+    table = table_of("pictures", "method", "landmarks, px", "input", "rebuilt", "model")
+    for kind, found in summary["kinds"].items():
+        for method, cell in found.items():
+            medians = (cell[quantity]["median"] for quantity in module.QUANTITIES)
+            table.add_row(kind, method, *("–" if value is None else f"{value:.3f}" for value in medians))
+    say("median error of log light: of the input, of what was rebuilt, of the best the model can do")
+    console.print(table)
+    conclude(summary, out)
+
+
+def reproduce(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and a folder for each experiment.")],
+    person: Annotated[
+        Path | None, typer.Option(help="Folder of one person's landmarked pictures under homogeneous light.")
+    ] = None,
+    persons: Annotated[Path | None, typer.Option(help="Folder of many persons, as 'experiment spot' takes it.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few trials: minutes instead of an hour or so.")] = False,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+) -> None:
+    """Run the paper's experiments and write one report with a table of its claims.
+
+    Generated pictures are always used; real ones beside them if folders are given.
+    """
+    from liaam.experiments.reproduce import reproduce as run
+
+    with stoppable_progress() as tell:
+        verdicts = run(out, person, persons, "quick" if quick else "full", seed, jobs, tell)
+    print_verdicts(verdicts)
+    say(f"written to {out / 'report.html'}")
+
+
+def print_verdicts(verdicts: Mapping[str, Mapping[str, Any]]) -> None:
+    """Say for each kind of data and choice which of the paper's claims hold."""
+    from liaam.experiments.claims import CLAIMS
+
+    for column, found in verdicts.items():
+        failed = [claim for claim in CLAIMS if claim.name in found and not found[claim.name].holds]
+        say(f"{column}: {len(found) - len(failed)} of {len(found)} claims hold")
+        for claim in failed:
+            say(f"  not: {claim.text} ({found[claim.name].evidence})")

@@ -8,11 +8,20 @@ def point_error(shape: np.ndarray, truth: np.ndarray) -> float:
 
     Landmarks that the truth does not have (NaN) are left out; a shape that is not finite is infinitely wrong.
     """
+    return float(np.mean(_distances(shape, truth)))
+
+
+def _distances(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
     known = np.isfinite(truth).all(axis=1)
     found = np.asarray(shape)[known]
     if not np.isfinite(found).all():
-        return float("inf")
-    return float(np.mean(np.linalg.norm(found - np.asarray(truth)[known], axis=1)))
+        return np.full(len(found), np.inf)
+    return np.linalg.norm(found - np.asarray(truth)[known], axis=1)
+
+
+def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:
+    """Root mean square distance of corresponding (n, 2) landmarks, pixels: what a covariance speaks of."""
+    return float(np.sqrt(np.mean(np.square(_distances(shape, truth)))))
 
 
 def inter_ocular_distance(shape: np.ndarray, left_eye: slice, right_eye: slice) -> float:

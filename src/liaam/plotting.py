@@ -440,6 +440,7 @@ def figure_of_pictures(rows: Sequence[Mapping[str, np.ndarray | None]]) -> "Figu
         titles, images = list(row), list(row.values())
         for axis, i in zip(line, shown, strict=True):
             axis.axis("off")
-            if images[i] is not None:
-                _show(axis, images[i], titles[i])
+            image = images[i]
+            if image is not None:
+                _show(axis, image, titles[i])
     return figure

@@ -11,6 +11,10 @@ from liaam.model import AAM
 from liaam.photometry import Response, from_linear, to_linear
 from liaam.photometry.encoding import as_colour
 
+LEAST_VARIANCE = (1 / 255) ** 2 / 12
+"""Of a residual: what rounding to 8 bits leaves. A fit of a picture without noise leaves less, down to rounding of
+float32, against which no prior would hold modes that are not seen."""
+
 
 @dataclass(frozen=True, eq=False)
 class ShadowFree:
@@ -67,11 +71,14 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     n = objective.appearance.n_modes
     # In units of the residual's variance; one residual in 4 pi s^2 is independent, as for the shape's prior.
     correlated = max(1.0, 4.0 * np.pi * fitter.model.levels[-1].blur ** 2)
+    variance = correlated * max(equations.cost, LEAST_VARIANCE)
     precision = np.zeros(len(lam))
-    precision[:n] = prior * correlated * equations.cost / np.maximum(objective.appearance.eigenvalues, 1e-12)
-    hessian = equations.aa + np.diag(precision + 1e-9 * np.diag(equations.aa).max())
+    precision[:n] = prior * variance / np.maximum(objective.appearance.eigenvalues, 1e-12)
+    # Modes that are not seen may have lost their sign to rounding.
+    ridge = max(1e-9 * float(np.diag(equations.aa).max()), -2.0 * float(np.linalg.eigvalsh(equations.aa)[0]))
+    hessian = equations.aa + np.diag(precision + ridge)
     best = np.linalg.solve(hessian, equations.aa @ lam + equations.ar)
-    spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * correlated * equations.cost)
+    spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
     return ShadowFree(objective.appearance.texture(best[:n]), best[:n], spread[:n])
 
 
@@ -93,7 +100,7 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
         Zero outside the mesh; triangles that are turned over stay empty.
     inside : (h, w) bool
     """
-    import cv2
+    from scipy.ndimage import map_coordinates
 
     height, width = image.shape[:2]
     picture, inside = np.zeros((height, width, values.shape[1]), np.float32), np.zeros((height, width), bool)
@@ -103,16 +110,16 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     there = ReferenceFrame(shape, triangles)
     x, y = (there.pixels[:, ::-1] + there.origin).astype(int).T
     seen = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    if not seen.any():
+        return picture, inside
     own = np.einsum("nv,nva->na", there.weights[seen], model.shape_model.mean[there.vertices[seen]])
-    own = (own - model.frame.origin).astype(np.float32)
-    source, known = model.frame.picture(values), model.frame.picture(np.ones(len(values), np.float32))
-    carried, share = (
-        cv2.remap(a, own[:, :1], own[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for a in (source, known)
-    )
+    own = (own - model.frame.origin)[:, ::-1].T
+    known = np.ones((len(values), 1), np.float32)
+    layers = np.moveaxis(model.frame.picture(np.concatenate([values, known], axis=1)), 2, 0)
+    *carried, share = (map_coordinates(layer, own, order=1, mode="nearest") for layer in layers)
     # At the mesh's border the pixels outside it do not count.
-    carried = carried.reshape(len(own), -1) / np.maximum(share.reshape(-1, 1), 1e-3)
-    kept = share.ravel() > 1e-3
-    picture[y[seen][kept], x[seen][kept]] = carried[kept]
+    kept = share > 1e-3
+    picture[y[seen][kept], x[seen][kept]] = np.stack([layer[kept] / share[kept] for layer in carried], axis=1)
     inside[y[seen][kept], x[seen][kept]] = True
     return picture, inside
 

@@ -31,7 +31,7 @@ def test_li_holds_where_grey_and_rgb_drift_whatever_the_number_of_workers(tmp_pa
         assert medians(summary, "li")[gamma] < 0.3
         assert min(medians(summary, method)[gamma] for method in ("grey", "rgb")) > 1.0
     header = (tmp_path / "one" / "results.csv").read_text().splitlines()[0]
-    assert header == "method,gamma,trial,image,start_px,error_px,theta_error_deg,iterations,status"
+    assert header == "method,gamma,trial,image,start_px,error_px,rms_px,theta_error_deg,iterations,status"
     report = (tmp_path / "one" / "report.md").read_text()
     assert "strength of the simulated shadow is not given" in report
     assert "| grey |" in report
@@ -40,9 +40,7 @@ def test_li_holds_where_grey_and_rgb_drift_whatever_the_number_of_workers(tmp_pa
 
 
 def test_noise_sweeps_noise_and_draws_a_bound(tmp_path):
-    experiment = noise_experiment(
-        None, ("grey", "li"), 1, sigmas=(0, 10), references={"error_px": {"bound": [(0, 0.001), (10, 0.1)]}}
-    )
+    experiment = noise_experiment(None, ("grey", "li"), 1, sigmas=(0, 10))
     summary = run_experiment(experiment, tmp_path)
     assert summary["swept"] == "sigma_n"
     assert summary["settings"]["gamma"] == 4.0
@@ -51,8 +49,13 @@ def test_noise_sweeps_noise_and_draws_a_bound(tmp_path):
     assert clean["theta_error_deg"]["median"] < 0.1
     assert clean["statuses"] == {"converged": 1.0}
     assert summary["methods"]["grey"][0]["theta_error_deg"]["median"] is None
-    assert "bound" in (tmp_path / "figure.svg").read_text()
-    assert "|error of θ|" in (tmp_path / "report.md").read_text()
+    assert [cell["sigma_n"] for cell in summary["bound"]] == [10]
+    assert 0.05 < summary["bound"][0]["error_px"] < summary["bound"][0]["rms_px"] < noisy["rms_px"]
+    assert noisy["efficiency"] == pytest.approx(summary["bound"][0]["rms_px"] / noisy["rms_px"])
+    assert clean["efficiency"] is None
+    assert summary["methods"]["grey"][1]["efficiency"] is None
+    assert "bound (li)" in (tmp_path / "figure.svg").read_text()
+    assert "Median error of the image's θ" in (tmp_path / "report.md").read_text()
 
 
 def test_what_is_drawn_depends_on_seed_and_trial_only():

@@ -26,7 +26,6 @@ from liaam.experiments.subjects import (
 )
 from liaam.fitting import Fitter
 from liaam.plotting import figure_of_bars
-from liaam.training import train
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,8 +129,7 @@ def get_fitters(data: Path | None, solver: str) -> dict[str, Fitter]:
         for side in (0.0, np.pi)
         for tilt in (-half, half)
     ]
-    blurs = get_solver(solver).blurs
-    model = train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=blurs, lit=lit, name=subject.name)
+    model = get_solver(solver).train(subject.pairs, theta=PAPER_THETA, lit=lit, name=subject.name)
     return make_fitters(model, sorted({method for situation in SITUATIONS for method in situation.methods}), solver)
 
 
@@ -230,7 +228,7 @@ def summarise(rows: list[Row]) -> dict[str, Any]:
     """Statistics by situation and method, and whether each beats the plain comparison."""
     found: dict[str, Any] = {}
     for situation in SITUATIONS:
-        cells = {
+        cells: dict[str, dict[str, Any]] = {
             method: error_statistics(
                 np.array([r["error_px"] for r in rows if (r["situation"], r["method"]) == (situation.name, method)])
             )
@@ -238,7 +236,8 @@ def summarise(rows: list[Row]) -> dict[str, Any]:
         }
         plain = cells[situation.baseline]["median"]
         for method in situation.claimed:
-            cells[method]["beats_plain"] = bool(cells[method]["median"] < plain)
+            median = cells[method]["median"]
+            cells[method]["beats_plain"] = median is not None and (plain is None or median < plain)
         found[situation.name] = {"baseline": situation.baseline, "methods": cells}
     return {"situations": found}
 
@@ -258,7 +257,7 @@ def report(_rows: list[Row], summary: dict[str, Any]) -> str:
     for situation in SITUATIONS:
         cells = summary["situations"][situation.name]["methods"]
         rows = [
-            [method, f"{cell['median']:.3f}", f"{cell['p90']:.3f}", _verdict(cell)] for method, cell in cells.items()
+            [method, _number(cell["median"]), _number(cell["p90"]), _verdict(cell)] for method, cell in cells.items()
         ]
         header = ["method", "median error, px", "90th percentile", f"better than {situation.baseline}"]
         parts += [f"**{situation.title[0].upper()}{situation.title[1:]}**", markdown_table(header, rows)]
@@ -267,3 +266,7 @@ def report(_rows: list[Row], summary: dict[str, Any]) -> str:
 
 def _verdict(cell: dict[str, Any]) -> str:
     return {True: "yes", False: "no", None: "–"}[cell.get("beats_plain")]
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3f}"

@@ -2,21 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from liaam.experiments.runner import Experiment, Row, markdown_table
-from liaam.experiments.simulated import References, make_case
+from liaam.experiments.simulated import Curves, make_case, sharp_model
 from liaam.experiments.solvers import check_request
-from liaam.experiments.subjects import PAPER_THETA, get_subject, subject_facts
+from liaam.experiments.subjects import get_subject, subject_facts
 from liaam.fitting import Method
 from liaam.fitting.bound import cramer_rao_bound
-from liaam.model import AAM
 from liaam.plotting import Panel, figure_of_curves
-from liaam.training import train
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,13 +61,6 @@ class Setup:
     data: Path | None
     seed: int
     sigmas: tuple[float, ...]
-
-
-@lru_cache(maxsize=2)
-def sharp_model(data: Path | None) -> AAM:
-    """Train on the subject without blur, all modes kept: the model the bound takes for true."""
-    subject = get_subject(data)
-    return train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=(0.0,), name=subject.name)
 
 
 def run_trial(setup: Setup, trial: Trial) -> list[Row]:
@@ -167,7 +158,7 @@ def _rms(rows: list[Row]) -> dict[str, float | None]:
     return {"bound_px": of("bound_px"), "theta_bound_deg": of("theta_bound_deg")}
 
 
-def curves(summary: dict[str, Any], light: str, quantity: str) -> dict[str, list[tuple[float, float | None]]]:
+def curves(summary: dict[str, Any], light: str, quantity: str) -> Curves:
     """A bound against the noise, by measure; measures without the quantity are left out."""
     lines = {
         measure: [(cell["sigma_n"], cell[quantity]) for cell in cells]
@@ -178,7 +169,7 @@ def curves(summary: dict[str, Any], light: str, quantity: str) -> dict[str, list
 
 def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
     """Bounds of the landmarks under the same light, and of the invariant's under the shadow."""
-    shadow: References = {
+    shadow: dict[str, Curves] = {
         quantity: {"li, under the shadow": curves(summary, "shadow", quantity)["li"]}
         for quantity in ("bound_px", "theta_bound_deg")
     }

@@ -133,7 +133,7 @@ def convergence_experiment(
     methods: Sequence[str] = simulated.METHODS,
     trials: int = 24,
     seed: int = 0,
-    solver: str = "liaam",
+    solver: str = "paper",
 ) -> Experiment:
     """Make the experiment.
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from liaam.experiments.runner import Experiment
-from liaam.experiments.simulated import METHODS, References, Sweep, simulated_experiment
+from liaam.experiments.simulated import METHODS, Sweep, simulated_experiment
 
 GAMMAS = (0.0, 2.0, 4.0, 8.0, 12.0, 16.0)
 
@@ -25,9 +25,8 @@ def displacement_experiment(
     methods: Sequence[str] = METHODS,
     trials: int = 24,
     seed: int = 0,
-    solver: str = "liaam",
+    solver: str = "paper",
     gammas: Sequence[float] = GAMMAS,
-    references: References | None = None,
 ) -> Experiment:
     """Make the experiment; see :func:`liaam.experiments.simulated.simulated_experiment`."""
-    return simulated_experiment(SWEEP, gammas, data, methods, trials, seed, solver, references)
+    return simulated_experiment(SWEEP, gammas, data, methods, trials, seed, solver)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from liaam.experiments.runner import Experiment
-from liaam.experiments.simulated import METHODS, References, Sweep, simulated_experiment
+from liaam.experiments.simulated import METHODS, Sweep, simulated_experiment
 
 SIGMAS = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0)
 NOISE_METHODS = (*METHODS, "li+noise")
@@ -28,9 +28,8 @@ def noise_experiment(
     methods: Sequence[str] = NOISE_METHODS,
     trials: int = 24,
     seed: int = 0,
-    solver: str = "liaam",
+    solver: str = "paper",
     sigmas: Sequence[float] = SIGMAS,
-    references: References | None = None,
 ) -> Experiment:
     """Make the experiment; see :func:`liaam.experiments.simulated.simulated_experiment`."""
-    return simulated_experiment(SWEEP, sigmas, data, methods, trials, seed, solver, references)
+    return simulated_experiment(SWEEP, sigmas, data, methods, trials, seed, solver)

@@ -23,7 +23,7 @@ from liaam.fitting import FitResult, Fitter, get_method
 from liaam.model import AAM
 from liaam.plotting import figure_of_pictures
 from liaam.relighting import shadow_free, without_shading
-from liaam.training import sample_appearance, train
+from liaam.training import sample_appearance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,8 +53,8 @@ CHOICES = (
     "are of the natural logarithm of linear light, root mean square over the pixels inside the mesh and the "
     "channels, in the model's reference frame: fitted against true shape.",
     "Scenes: expressions and poses that training has not seen, hard light from either side with cast shadows; the "
-    "truth is the same head rendered under the training light. `model` is the error of the truth projected on the model: no fit "
-    "can do better.",
+    "truth is the same head rendered under the training light. `model` is the error of the truth projected on the "
+    "model: no fit can do better.",
 )
 
 
@@ -131,7 +131,7 @@ def _scene_fitters(kind: str, methods: tuple[str, ...], solver: str) -> dict[str
     camera, mixing = _camera(kind)
     scenes = make_set(N_TRAINING, Head(SCENE_HEAD), camera=camera, mixing=mixing)
     pairs = [(scene.image, scene.landmarks) for scene in scenes]
-    model = train(pairs, variance=1.0, theta=scenes[0].theta, blurs=get_solver(solver).blurs, name="generated head")
+    model = get_solver(solver).train(pairs, theta=scenes[0].theta, name="generated head")
     return make_fitters(model, methods, solver)
 
 

@@ -174,6 +174,19 @@ def run_experiment(
     return summary
 
 
+def finished(experiment: Experiment, out: Path) -> dict[str, Any] | None:
+    """Give the summary that an earlier run of the same experiment has left in a folder; None where there is none."""
+    path = out / "summary.json"
+    if not path.is_file():
+        return None
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return None
+    same = isinstance(summary, dict) and summary.get("fingerprint") == experiment.fingerprint
+    return summary if same else None
+
+
 def all_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -359,6 +372,7 @@ def _write_results(experiment: Experiment, outcomes: list[Outcome], out: Path) -
         raise LiaamError(f"experiment {experiment.name} has no result; {'; '.join(left_out)}")
     summary = {
         "experiment": experiment.name,
+        "fingerprint": experiment.fingerprint,
         "settings": experiment.settings,
         "left_out": left_out,
         **experiment.summarise(rows),

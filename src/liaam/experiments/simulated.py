@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.evaluation import angle_difference, error_statistics, point_error
+from liaam.evaluation import angle_difference, error_statistics, point_error, rms_error
 from liaam.experiments.runner import Experiment, Row, markdown_table
 from liaam.experiments.solvers import check_request, get_solver, make_fitters
 from liaam.experiments.subjects import (
@@ -27,7 +27,9 @@ from liaam.experiments.subjects import (
     simulated_shadow,
     subject_facts,
 )
-from liaam.fitting import FitResult, Fitter
+from liaam.fitting import FitResult, Fitter, get_method
+from liaam.fitting.bound import cramer_rao_bound
+from liaam.model import AAM
 from liaam.plotting import Panel, figure_of_curves
 from liaam.training import train
 
@@ -54,8 +56,14 @@ CHOICES = (
 START = "start"
 """What the shape model makes of a displaced start: a fit that ends above it did harm."""
 
-References = Mapping[str, Mapping[str, Sequence[tuple[float, float | None]]]]
-"""Lines to draw in, by column (``error_px`` or ``theta_error_deg``) and name."""
+BOUND = "bound (li)"
+"""Name of the invariant's Cramer-Rao bound where rows and curves have that of a method."""
+
+MEDIAN_OF_GAUSSIAN = 0.6745
+"""Median size of a Gaussian error in standard deviations."""
+
+Curves = dict[str, list[tuple[float, float | None]]]
+"""Points (swept value, quantity) by method."""
 
 
 @dataclass(frozen=True)
@@ -166,8 +174,15 @@ def get_fitters(
 ) -> dict[str, Fitter]:
     """Train on the subject, all modes kept; once per process."""
     subject = get_subject(data)
-    model = train(subject.pairs, variance=1.0, theta=theta, blurs=get_solver(solver).blurs, name=subject.name)
+    model = get_solver(solver).train(subject.pairs, theta=theta, name=subject.name)
     return make_fitters(model, methods, solver)
+
+
+@lru_cache(maxsize=2)
+def sharp_model(data: Path | None) -> AAM:
+    """Train on the subject without blur, all modes kept: the model that a bound takes for true."""
+    subject = get_subject(data)
+    return train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=(0.0,), name=subject.name)
 
 
 def run_trial(setup: Setup, trial: Trial) -> list[Row]:
@@ -185,12 +200,35 @@ def run_trial(setup: Setup, trial: Trial) -> list[Row]:
                 "image": case.picture,
                 "start_px": point_error(result.start, case.truth),
                 "error_px": point_error(result.shape, case.truth),
+                "rms_px": rms_error(result.shape, case.truth),
                 "theta_error_deg": float(np.rad2deg(angle_error(result, PAPER_THETA))),
                 "iterations": result.n_iterations,
                 "status": str(result.status),
             }
         )
-    return rows
+    return rows + _bound_rows(setup, trial)
+
+
+def _bound_rows(setup: Setup, trial: Trial) -> list[Row]:
+    """Bound of the invariant for the same picture without its noise, in a row like that of a fit."""
+    conditions = setup.sweep.conditions(trial.value)
+    if not conditions["sigma_n"] > 0:
+        return []
+    case = make_case(get_subject(setup.data), setup.seed, trial.number, gamma=0.0, sigma_n=0.0)
+    bound = cramer_rao_bound(sharp_model(setup.data), case.image, case.truth, "li", conditions["sigma_n"] / 255)
+    row: Row = {
+        "method": BOUND,
+        setup.sweep.column: trial.value,
+        "trial": trial.number,
+        "image": case.picture,
+        "start_px": np.nan,
+        "error_px": bound.mean_distance,
+        "rms_px": bound.rms,
+        "theta_error_deg": float(np.rad2deg(bound.theta)),
+        "iterations": 0,
+        "status": "",
+    }
+    return [row]
 
 
 def angle_error(result: FitResult, truth: float) -> float:
@@ -209,8 +247,7 @@ def simulated_experiment(
     methods: Sequence[str] = METHODS,
     trials: int = 24,
     seed: int = 0,
-    solver: str = "liaam",
-    references: References | None = None,
+    solver: str = "paper",
 ) -> Experiment:
     """Make the experiment of a sweep.
 
@@ -226,8 +263,6 @@ def simulated_experiment(
         Draws of shadow, start and noise; trial i takes picture i modulo 6.
     seed : int
     solver : {"liaam", "paper"}
-    references : mapping, optional
-        Lines to draw in, such as a bound: ``{"error_px": {"bound": [(0, 0.01), (4, 0.02)]}}``.
     """
     check_request(tuple(methods), solver, trials)
     setup = Setup(sweep, data, tuple(methods), solver, seed)
@@ -253,28 +288,37 @@ def simulated_experiment(
             "image": "",
             "start_px": ".6f",
             "error_px": ".6f",
+            "rms_px": ".6f",
             "theta_error_deg": ".5f",
             "iterations": "",
             "status": "",
         },
         summarise=partial(summarise, sweep.column, setup.methods),
-        draw=partial(draw, sweep, references or {}),
+        draw=partial(draw, sweep),
         report=partial(report, sweep),
         choices=CHOICES,
     )
 
 
 def summarise(column: str, methods: Sequence[str], rows: list[Row]) -> dict[str, Any]:
-    """Statistics by method and swept value."""
+    """Statistics by method and swept value, and how near each light-invariant one comes to the bound."""
     values = sorted({row[column] for row in rows})
+
+    def at(method: str, value: float) -> list[Row]:
+        return [row for row in rows if row["method"] == method and row[column] == value]
+
+    bounds = [{column: value, **bound_statistics(at(BOUND, value))} for value in values if at(BOUND, value)]
+    least = {cell[column]: cell["rms_px"] for cell in bounds}
     return {
         "swept": column,
         "start_px_median": [
-            [value, float(np.median([row["start_px"] for row in rows if row[column] == value]))] for value in values
+            [value, float(np.median([r["start_px"] for r in at(methods[0], value)]))] for value in values
         ],
+        "bound": bounds,
+        "li_and_lit_px": _difference(rows),
         "methods": {
             method: [
-                {column: value, **statistics([r for r in rows if r["method"] == method and r[column] == value])}
+                {column: value, **statistics(at(method, value), least.get(value) if _is_invariant(method) else None)}
                 for value in values
             ]
             for method in methods
@@ -282,65 +326,96 @@ def summarise(column: str, methods: Sequence[str], rows: list[Row]) -> dict[str,
     }
 
 
-def statistics(rows: list[Row]) -> dict[str, Any]:
-    """Statistics of one method at one value."""
+def _difference(rows: list[Row]) -> dict[str, float | None] | None:
+    """How far the errors of ``li`` and ``li-lit`` differ, fit by fit; None where one of them is missing."""
+    li, lit = (np.array([row["error_px"] for row in rows if row["method"] == method]) for method in ("li", "li-lit"))
+    return error_statistics(np.abs(li - lit)) if len(li) and len(lit) else None
+
+
+def _is_invariant(method: str) -> bool:
+    return get_method(method).metric == "invariant"
+
+
+def bound_statistics(rows: list[Row]) -> dict[str, Any]:
+    """Bound at one value: as a mean distance, a root mean square, and the median error of an efficient angle."""
+    return {
+        "error_px": float(np.mean([row["error_px"] for row in rows])),
+        "rms_px": _rms([row["rms_px"] for row in rows]),
+        "theta_error_deg": MEDIAN_OF_GAUSSIAN * _rms([row["theta_error_deg"] for row in rows]),
+    }
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def statistics(rows: list[Row], least: float | None) -> dict[str, Any]:
+    """Statistics of one method at one value, where ``least`` is the bound of its root mean square."""
     angles = np.abs([row["theta_error_deg"] for row in rows])
     statuses = [row["status"] for row in rows]
+    spread = _rms([row["rms_px"] for row in rows])
     return {
         "error_px": error_statistics(np.array([row["error_px"] for row in rows])),
+        "rms_px": spread if np.isfinite(spread) else None,
+        "efficiency": None if least is None else least / spread,
         "theta_error_deg": error_statistics(angles),
         "iterations_median": float(np.median([row["iterations"] for row in rows])),
         "statuses": {status: statuses.count(status) / len(rows) for status in sorted(set(statuses))},
     }
 
 
-def curves(summary: dict[str, Any], quantity: str, statistic: str) -> dict[str, list[tuple[float, float | None]]]:
-    """A statistic against the swept value, by method; methods without the quantity are left out."""
+def curves(summary: dict[str, Any], quantity: str, statistic: str | None = None) -> Curves:
+    """A quantity, or its statistic, against the swept value, by method; methods without it are left out."""
     lines = {
-        method: [(cell[summary["swept"]], cell[quantity][statistic]) for cell in cells]
+        method: [(cell[summary["swept"]], cell[quantity][statistic] if statistic else cell[quantity]) for cell in cells]
         for method, cells in summary["methods"].items()
     }
     return {method: line for method, line in lines.items() if any(y is not None for _, y in line)}
 
 
-def draw(sweep: Sweep, references: References, _rows: list[Row], summary: dict[str, Any]) -> "Figure":
+def references(summary: dict[str, Any], quantity: str) -> Curves:
+    """Lines to compare a quantity's medians with: the start, and the bound where there is noise."""
+    lines: Curves = {START: summary["start_px_median"]} if quantity == "error_px" else {}
+    if summary["bound"]:
+        lines[BOUND] = [(cell[summary["swept"]], cell[quantity]) for cell in summary["bound"]]
+    return lines
+
+
+QUANTITIES = {
+    "error_px": "median error of the landmarks, px",
+    "theta_error_deg": "median error of the image's θ, degrees",
+}
+
+
+def draw(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> "Figure":
     """Median error against the swept value, with that of the start, and the angle's where it is asked for."""
-    lines = {START: summary["start_px_median"], **references.get("error_px", {})}
-    panels = [
-        Panel(
-            sweep.label,
-            "median error of the landmarks, px",
-            curves(summary, "error_px", "median"),
-            lines,
-            log=True,
-        )
-    ]
-    if sweep.shows_angle:
-        angle = Panel(
-            sweep.label,
-            "median error of the image's θ, degrees",
-            curves(summary, "theta_error_deg", "median"),
-            references.get("theta_error_deg", {}),
-            log=True,
-        )
-        panels.append(angle)
-    return figure_of_curves(panels)
+    shown = list(QUANTITIES.items())[: 2 if sweep.shows_angle else 1]
+    return figure_of_curves(
+        [
+            Panel(sweep.label, label, curves(summary, quantity, "median"), references(summary, quantity), log=True)
+            for quantity, label in shown
+        ]
+    )
 
 
 def report(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, and the medians."""
+    """What was asked, the medians, and the efficiencies."""
     parts = [sweep.question]
-    more = {"error_px": {START: summary["start_px_median"]}}
-    for quantity, what in (("error_px", "error of the landmarks, px"), ("theta_error_deg", "|error of θ|, degrees")):
+    for quantity, what in QUANTITIES.items():
         lines = curves(summary, quantity, "median")
         if lines:
-            lines |= more.get(quantity, {})
-            parts += [f"Median {what}, by {sweep.label}:", table_of_curves(lines)]
+            what = f"{what[0].upper()}{what[1:]}"
+            parts += [f"{what}, by {sweep.label}:", table_of_curves({**lines, **references(summary, quantity)})]
+    efficiencies = curves(summary, "efficiency")
+    if efficiencies:
+        parts += [f"Efficiency (bound / RMS error of the landmarks), by {sweep.label}:", table_of_curves(efficiencies)]
     return "\n\n".join(parts)
 
 
 def table_of_curves(lines: Mapping[str, Sequence[tuple[float, float | None]]]) -> str:
-    """Curves as a table in markdown, a row per method."""
-    header = ["method", *(f"{x:g}" for x, _ in next(iter(lines.values())))]
-    rows = [[method, *("–" if y is None else f"{y:.3f}" for _, y in line)] for method, line in lines.items()]
+    """Curves as a table in markdown, a row per method; the first curve has all swept values."""
+    values = [x for x, _ in next(iter(lines.values()))]
+    header = ["method", *(f"{x:g}" for x in values)]
+    cells = {method: {x: y for x, y in line if y is not None} for method, line in lines.items()}
+    rows = [[method, *(f"{line[x]:.3f}" if x in line else "–" for x in values)] for method, line in cells.items()]
     return markdown_table(header, rows)

@@ -1,12 +1,13 @@
 """The two ways of solving that experiments compare: liaam's own, and the paper's to the letter."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 from liaam.errors import MethodError
 from liaam.fitting import Fitter, SolverOptions, get_method
 from liaam.model import AAM
-from liaam.training import BLURS_DEFAULT
+from liaam.training import BLURS_DEFAULT, train
 
 MAX_ITERATIONS = 50
 
@@ -22,12 +23,28 @@ class Solver:
     options : SolverOptions
     blurs : tuple of float
         Levels of the model.
+    variance : float
+        Share of the variance kept in person-specific models of the simulated experiments.
+    diagonal : float
+        Of the reference frame, pixels.
     """
 
     summary: str
     options: SolverOptions
     blurs: tuple[float, ...]
+    variance: float = 1.0
+    diagonal: float = 150.0
 
+    def train(self, data: Iterable, **options: Any) -> AAM:
+        """Train a model as this solver wants it; ``options`` are those of :func:`liaam.train`."""
+        return train(data, **{"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal, **options})
+
+
+PAPER = Solver(
+    "pure Gauss-Newton on shape, appearance and angle together, one level",
+    SolverOptions(max_iterations=MAX_ITERATIONS, damping=0.0, shape_prior=0.0, elimination="joint", observable=0.0),
+    BLURS_DEFAULT[-1:],
+)
 
 SOLVERS = {
     "liaam": Solver(
@@ -35,13 +52,16 @@ SOLVERS = {
         SolverOptions(max_iterations=MAX_ITERATIONS),
         BLURS_DEFAULT,
     ),
-    "paper": Solver(
-        "pure Gauss-Newton on shape, appearance and angle together, one level",
-        SolverOptions(max_iterations=MAX_ITERATIONS, damping=0.0, shape_prior=0.0, elimination="joint"),
-        BLURS_DEFAULT[-1:],
+    "paper": PAPER,
+    "paper-90": replace(PAPER, summary=f"{PAPER.summary}; modes of 90 % of the variance", variance=0.9),
+    "paper-100px": replace(PAPER, summary=f"{PAPER.summary}; reference frame of 100 px", diagonal=100.0),
+    "paper-theta1": replace(
+        PAPER,
+        summary=f"{PAPER.summary}; the image's angle starts at the trained one",
+        options=replace(PAPER.options, angle_start="model"),
     ),
 }
-"""Solvers by name."""
+"""Solvers by name. Those that start with ``paper-`` change one choice that the paper leaves open."""
 
 
 def get_solver(name: str) -> Solver:

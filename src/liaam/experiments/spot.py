@@ -26,7 +26,6 @@ from liaam.model import AAM
 from liaam.photometry import is_grey
 from liaam.plotting import figure_of_errors
 from liaam.shape import rotation
-from liaam.training import train
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -177,7 +176,7 @@ def disturbed_start(mean: np.ndarray, truth: np.ndarray, iod: float, rng: np.ran
 
 def study_of(person: Person, methods: Sequence[str], solver: str) -> Study:
     """Train one person's model and read the spot-lit picture."""
-    model = train(person.training, blurs=get_solver(solver).blurs, name=person.key)
+    model = get_solver(solver).train(person.training, variance=0.98, name=person.key)
     truth = person.spot.landmarks.points
     iod = inter_ocular_distance(truth, *EYES)
     return Study(person, model, make_fitters(model, methods, solver), person.spot.read_image(), truth, iod)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from liaam.errors import MethodError
 from liaam.fitting.methods import Method, get_method
 from liaam.fitting.normal_equations import NormalEquations, gram
 from liaam.fitting.objective import FitProblem, Objective, make_objectives
@@ -27,7 +28,8 @@ class Bound:
     Attributes
     ----------
     landmarks : (n, 2, 2) float64
-        Covariance of each landmark, square pixels of the image.
+        Covariance of each landmark, square pixels of the image; infinite variances where too little is seen to
+        tell the shape.
     rms : float
         Root mean square distance of the landmarks from the truth, pixels of the image.
     theta : float
@@ -39,9 +41,21 @@ class Bound:
     rms: float
     theta: float
 
+    @property
+    def mean_distance(self) -> float:
+        """Expected distance of a landmark from the truth if errors are Gaussian, mean over landmarks, pixels."""
+        from scipy.special import ellipe
+
+        if not np.isfinite(self.rms):
+            return np.inf
+        low, high = np.linalg.eigvalsh(self.landmarks).T
+        flatness = 1.0 - np.divide(low, high, out=np.ones_like(low), where=high > 0)
+        return float((np.sqrt(2.0 * high / np.pi) * ellipe(flatness)).mean())
+
 
 UNSEEN = 1e-9
-"""Information about an angle, relative to that of its column before nuisances are taken out, that is rounding."""
+"""Information about an angle, relative to that of the image's part before nuisances are taken out, that is
+rounding."""
 
 
 def cramer_rao_bound(
@@ -76,8 +90,15 @@ def cramer_rao_bound(
     Returns
     -------
     Bound
+
+    Raises
+    ------
+    MethodError
+        For a method on orientations of gradients: their noise depends on the gradient, and is not Gaussian.
     """
     method, response = get_method(method), model.response if response is None else response
+    if method.encoding == "orientation":
+        raise MethodError(f"method {method.name}: the noise of gradient orientations is not known, so no bound is")
     objective = make_objectives(model, method)[-1]
     pose = align(model.shape_model.mean, shape)
     problem = FitProblem.at(as_colour(image), shape, pose, method, response, blur=0.0)
@@ -85,8 +106,11 @@ def cramer_rao_bound(
     angles = np.array([model.theta, model.theta if theta is None else theta])
     covariance, n_p = _covariance(objective, problem, p, angles, _pixels_per_sample(model, shape), sigma), len(p)
     modes = model.shape_model.basis.reshape(n_p, -1, 2) @ pose.matrix.T
-    # What is infinite is an angle's: landmarks do not depend on it where no light shows it.
-    landmarks = np.einsum("inx,ij,jny->nxy", modes, covariance[:n_p, :n_p], modes, optimize=True)
+    if np.isfinite(covariance[:n_p, :n_p]).all():
+        # Whatever is infinite is an angle's: landmarks do not depend on it where no light shows it.
+        landmarks = np.einsum("inx,ij,jny->nxy", modes, covariance[:n_p, :n_p], modes, optimize=True)
+    else:
+        landmarks = np.tile(np.diag([np.inf, np.inf]), (model.n_points, 1, 1))
     # Where one angle stands for both cameras, or both are free, the last is the image's.
     deviation = float(np.sqrt(covariance[-1, -1])) if len(covariance) > n_p else np.nan
     return Bound(landmarks, float(np.sqrt(np.trace(landmarks, axis1=1, axis2=2).mean())), deviation)
@@ -125,7 +149,12 @@ def _covariance(
     A = whitened(modes.reshape(n, method.n_rows, -1))
     nothing = np.zeros(J.shape[1])
     equations = NormalEquations(gram(J, J), nothing, gram(A, J), gram(A, A), np.zeros(A.shape[1]), 0.0, 1.0)
-    return _inverse(equations.reduced()[0], np.diag(equations.jj))
+    scale = np.diag(equations.jj).copy()
+    if scale[n_p:].size:
+        # One angle for both cameras: its column is what the light's change shows, which may be rounding only.
+        by_image = whitened((values @ method.image_metric_derivative(angles[1]).T)[:, :, None])
+        scale[n_p:] = np.maximum(scale[n_p:], np.square(method.angle_directions[1]) * gram(by_image, by_image)[0, 0])
+    return _inverse(equations.reduced()[0], scale)
 
 
 def _inverse(information: np.ndarray, scale: np.ndarray) -> np.ndarray:

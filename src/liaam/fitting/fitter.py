@@ -167,7 +167,7 @@ class Fitter:
         return self.model.response if self.response is None else self.response
 
     def _first_angles(self, objective: Objective, problem: FitProblem, state: State) -> np.ndarray:
-        if self._method.free_angles != "image":
+        if self._method.free_angles != "image" or self.options.angle_start == "model":
             return state.angles
         return np.array([state.angles[0], best_image_angle(objective, problem, state)])
 

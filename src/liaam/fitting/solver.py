@@ -16,6 +16,7 @@ from liaam.fitting.normal_equations import NormalEquations
 from liaam.fitting.objective import FitProblem, Linearisation, Objective, State, Trust
 
 ELIMINATIONS = ("varpro", "joint")
+ANGLE_STARTS = ("best", "model")
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ class SolverOptions:
         A turn of both angles together is estimated only where its curvature exceeds this multiple of what
         noise alone would give. Measured: 1-16 without a change of light (the model's own errors are not
         quite noise), 100 and more under a lateral light in scenes.
+    angle_start : {"best", "model"}
+        Where theta_2 starts: at its closed-form optimum for the start's shape, or at the model's angle.
     """
 
     max_iterations: int = 50
@@ -47,11 +50,14 @@ class SolverOptions:
     damping: float = 1e-3
     shape_prior: float = 1.0
     observable: float = 25.0
+    angle_start: str = "best"
 
     def __post_init__(self) -> None:
         """Refuse options that make no sense."""
         if self.elimination not in ELIMINATIONS:
             raise MethodError(f"elimination {self.elimination!r} does not exist; there are {', '.join(ELIMINATIONS)}")
+        if self.angle_start not in ANGLE_STARTS:
+            raise MethodError(f"angle_start {self.angle_start!r} does not exist; there are {', '.join(ANGLE_STARTS)}")
         if not np.isfinite([self.tolerance, self.damping, self.shape_prior, self.observable]).all():
             raise MethodError("tolerance, damping, shape_prior and observable must be finite numbers")
         if self.max_iterations < 0 or self.tolerance < 0 or min(self.damping, self.shape_prior) < 0:
@@ -132,7 +138,7 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
             break
         if not np.isfinite(last.equations.cost):
             break
-    if settled and objective.method.noise_weights:
+    if objective.method.noise_weights and not flat:
         state, last = _score(objective, problem, state, last, options, workspace, trust, free)
         path.append((last.equations.cost, state))
     return Solution(state, last, tuple(path), iteration, settled, held, flat)
@@ -152,11 +158,12 @@ def _score(
     trust: Trust | None,
     free: np.ndarray,
 ) -> tuple[State, Linearisation]:
-    """Step on from a minimum by Fisher scoring: with the gradient of the model, which has no noise.
+    """Step on by Fisher scoring: with the gradient of the model, which has no noise.
 
-    The minimum is that of a noisy image sampled between its pixels: its gradient's noise goes with the residual's
-    and the cost has small dents. From there a step or two with the expected gradient is as good an
-    estimate as the noise allows (Le Cam's one-step estimator). The cost may rise by the depth of a dent.
+    A noisy image's own gradient makes Gauss-Newton steps short, and the minimum they creep to is one of a cost
+    with small dents, since noise sampled between pixels is smoother. From there a step or two with the expected
+    gradient is as good an estimate as the noise allows (Le Cam's one-step estimator). The cost may rise by the
+    depth of a dent.
     """
     for _ in range(SCORING_STEPS):
         seen = objective.linearise(problem, state, workspace, trust, own_gradient=True)
