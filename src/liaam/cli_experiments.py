@@ -30,7 +30,11 @@ Trials = Annotated[int, typer.Option(help="Draws for each value, such as of star
 Seed = Annotated[int, typer.Option(help="Seed of everything that is drawn.", min=0)]
 Jobs = Annotated[int | None, typer.Option(help="Worker processes; one per core if left out.", min=1)]
 Solver = Annotated[
-    str, typer.Option(help="liaam: as 'liaam fit' does; paper: pure Gauss-Newton, one level, as the paper writes it.")
+    str,
+    typer.Option(
+        help="liaam: as 'liaam fit' does; paper: pure Gauss-Newton, one level, as the paper writes it; paper-90, "
+        "paper-100px, paper-theta1: as paper, but for one choice that it leaves open."
+    ),
 ]
 
 SIMULATED = "grey,rgb,li,li-lit,li-pc,li-pcs"
@@ -98,7 +102,7 @@ def displacement(
     methods: Methods = SIMULATED,
     trials: Trials = 24,
     seed: Seed = 0,
-    solver: Solver = "liaam",
+    solver: Solver = "paper",
     jobs: Jobs = None,
 ) -> None:
     """How far from the object may a fit start, under a simulated shadow? (Paper Fig 3a.)"""
@@ -114,7 +118,7 @@ def noise(
     methods: Methods = f"{SIMULATED},li+noise",
     trials: Trials = 24,
     seed: Seed = 0,
-    solver: Solver = "liaam",
+    solver: Solver = "paper",
     jobs: Jobs = None,
 ) -> None:
     """What does noise do to landmarks and angle, under a simulated shadow? (Paper Fig 3b and 3c.)"""
@@ -136,7 +140,7 @@ def convergence(
     methods: Methods = SIMULATED,
     trials: Trials = 24,
     seed: Seed = 0,
-    solver: Solver = "liaam",
+    solver: Solver = "paper",
     jobs: Jobs = None,
 ) -> None:
     """How fast do fits converge under lateral light? (Paper Fig 5.)"""

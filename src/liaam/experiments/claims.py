@@ -72,9 +72,11 @@ def _li_is_lit(summary: Mapping[str, Any]) -> Verdict:
     return Verdict(holds, f"median {_px(median)}, 90th percentile {_px(p90)}")
 
 
-def _li_stands_noise_best(summary: Mapping[str, Any]) -> Verdict:
+def _li_stands_noise_best(summary: Mapping[str, Any]) -> Verdict | None:
     found = {method: medians(summary, method) for method in LI_METHODS}
     noisy = [value for value in found["li"] if value > 0]
+    if not noisy:
+        return None
     worst = max(noisy, key=lambda v: found["li"][v] / min(found[m][v] for m in ("li-pc", "li-pcs")))
     holds = all(found["li"][v] <= 1.05 * min(found[m][v] for m in ("li-pc", "li-pcs")) for v in noisy)
     at = ", ".join(f"{method} {found[method][worst]:.2f}" for method in ("li", "li-pc", "li-pcs"))
@@ -107,9 +109,11 @@ def _values_diverge(summary: Mapping[str, Any]) -> Verdict:
     return Verdict(holds, "; ".join(f"{method} {a:.2f} → {b:.2f} px" for method, (a, b) in ends.items()))
 
 
-def _angle_suffers_from_noise(summary: Mapping[str, Any]) -> Verdict:
+def _angle_suffers_from_noise(summary: Mapping[str, Any]) -> Verdict | None:
     found = medians(summary, "li", "theta_error_deg")
     values = sorted(found)
+    if len(values) < 3:  # no trend to speak of
+        return None
     errors = [found[value] for value in values]
     rises = all(later >= 0.9 * earlier for earlier, later in pairwise(errors))
     holds = rises and errors[-1] > 3 * errors[0]
