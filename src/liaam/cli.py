@@ -330,11 +330,17 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
 def methods() -> None:
     """List the fitting methods."""
     from liaam.fitting import METHODS
+    from liaam.fitting.losses import LOSSES
+    from liaam.fitting.methods import NOISE_SUFFIX
 
     table = table_of("method", "compares", "what it is")
     for method in METHODS.values():
         table.add_row(method.name, f"{method.encoding}, {method.metric}", method.summary)
     console.print(table)
+    say(
+        f"Any of them with +{NOISE_SUFFIX} weighs pixels by the picture's noise, and with one of "
+        f"{', '.join(f'+{name}' for name in LOSSES)} stands occlusion: li+{NOISE_SUFFIX}, grey+tukey."
+    )
 
 
 @app.command()

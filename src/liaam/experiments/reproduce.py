@@ -16,7 +16,7 @@ from liaam.experiments.convergence import convergence_experiment
 from liaam.experiments.displacement import displacement_experiment
 from liaam.experiments.noise import noise_experiment
 from liaam.experiments.reconstruct import reconstruct_experiment
-from liaam.experiments.runner import Experiment, Progress, finished, run_experiment
+from liaam.experiments.runner import PICTURES, Experiment, Progress, finished, run_experiment
 from liaam.experiments.simulated import METHODS
 from liaam.experiments.solvers import get_solver
 from liaam.experiments.spot import spot_experiment
@@ -282,8 +282,10 @@ def _section(out: Path, part: Part) -> str:
 
     folder = out / part.folder
     text = (folder / "report.md").read_text(encoding="utf-8")
-    figure = base64.b64encode((folder / "figure.png").read_bytes()).decode()
     page = MarkdownIt("commonmark").enable("table").render(text.partition("\n")[2])
-    page = page.replace('src="figure.png"', f'src="data:image/png;base64,{figure}"')
+    for name in ("figure.png", PICTURES):
+        if f'src="{name}"' in page:
+            data = base64.b64encode((folder / name).read_bytes()).decode()
+            page = page.replace(f'src="{name}"', f'src="data:image/png;base64,{data}"')
     page = page.replace("<h2>", "<h4>").replace("</h2>", "</h4>")
     return f"<section id='{_anchor(part)}'><h3>{html.escape(part.heading)}</h3>{page}</section>"

@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 Progress = Callable[[int, int, str], None]
 
+PICTURES = "pictures.png"
+"""File in the results' folder that shows what was fitted, where an experiment has such pictures."""
+
 JOURNAL = "trials.jsonl"
 """File in the results' folder that keeps finished tasks until all are done."""
 
@@ -79,6 +82,8 @@ class Experiment:
         From (rows, summary) to a figure.
     report : callable
         From (rows, summary) to the report's body in markdown: what was asked, and a table of what came out.
+    pictures : callable, optional
+        Gives a figure of what is fitted, for the report.
     choices : tuple of str
         What was chosen where the paper leaves it open, a sentence each.
     left_out : tuple of str
@@ -96,6 +101,7 @@ class Experiment:
     summarise: Callable[[list[Row]], dict[str, Any]]
     draw: Callable[[list[Row], dict[str, Any]], "Figure"]
     report: Callable[[list[Row], dict[str, Any]], str]
+    pictures: Callable[[], "Figure"] | None = None
     choices: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     skips_faults: bool = False
@@ -379,6 +385,8 @@ def _write_results(experiment: Experiment, outcomes: list[Outcome], out: Path) -
     }
     write_text_atomically(out / "results.csv", as_csv(rows, experiment.columns))
     save_figure(experiment.draw(rows, summary), out / "figure.png", out / "figure.svg")
+    if experiment.pictures:
+        save_figure(experiment.pictures(), out / PICTURES)
     write_text_atomically(out / "report.md", _report(experiment, rows, summary))
     write_text_atomically(out / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return summary
@@ -406,6 +414,7 @@ def _report(experiment: Experiment, rows: list[Row], summary: dict[str, Any]) ->
         f"# {experiment.title}",
         experiment.report(rows, summary).strip(),
         f"![{experiment.title}](figure.png)",
+        *(["## What was fitted", f"![What was fitted]({PICTURES})"] if experiment.pictures else []),
         *_bullets("Choices where the paper leaves it open", experiment.choices),
         *_bullets("Left out", summary["left_out"]),
         "## Settings",

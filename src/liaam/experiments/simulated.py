@@ -30,7 +30,8 @@ from liaam.experiments.subjects import (
 from liaam.fitting import FitResult, Fitter, get_method
 from liaam.fitting.bound import cramer_rao_bound
 from liaam.model import AAM
-from liaam.plotting import Panel, figure_of_curves
+from liaam.photometry import encode, invariant, temperature_direction
+from liaam.plotting import Panel, figure_of_curves, figure_of_pictures
 from liaam.training import train
 
 if TYPE_CHECKING:
@@ -38,18 +39,28 @@ if TYPE_CHECKING:
 
 METHODS = ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs")
 
+
+def shadow_colour() -> str:
+    """Share of the light that is left in full shadow, by channel."""
+    left = np.exp(STRENGTH + TEMPERATURE * temperature_direction(PAPER_THETA))
+    return ", ".join(f"{share:.2f}" for share in left)
+
+
 CHOICES = (
     "The strength of the simulated shadow is not given: log light changes by "
     f"{STRENGTH:g} (1, 1, 1) + {TEMPERATURE:g} d(θ) in full shadow, whose edge goes through the middle of the face and "
-    f"is {PENUMBRA:g} px wide; side (left or right) and tilt (up to 20°) are drawn for each trial.",
+    f"is {PENUMBRA:g} px wide; side (left or right) and tilt (up to 20°) are drawn for each trial. Full shadow leaves "
+    f"{shadow_colour()} of the red, green and blue light.",
     "θ = 146° is the camera of the simulated shadow, so models are trained with θ = 146°.",
     "γ and σn are taken as standard deviations: of each coordinate of each landmark, and of each channel of the "
     "stored values, which are cut to [0, 255] but not rounded.",
     "The angle of `li` and `li-lit` starts at its closed-form optimum for the start's shape; those of `li-pc` and "
-    "`li-pcs` start at the trained one, and are held there, so that their error is 0, where noise hides the change of "
-    "light.",
-    "All modes of shape and appearance are kept: the pictures fitted are those trained on, under another light.",
-    "Pictures of a folder are halved (means of 2 by 2 pixels); the reference frame is 150 px across.",
+    "`li-pcs` start at the trained one. Under the solver `liaam` these two are held, so that their error is 0, where "
+    "noise hides the change of light; under `paper` they stay free.",
+    "All modes of shape and appearance are kept, but under `paper-90`: the pictures fitted are those trained on, under "
+    "another light.",
+    "Pictures of a folder are halved (means of 2 by 2 pixels in linear light); the reference frame is 150 px across, "
+    "but under `paper-100px`.",
 )
 """What was chosen where the paper leaves it open."""
 
@@ -296,6 +307,7 @@ def simulated_experiment(
         summarise=partial(summarise, sweep.column, setup.methods),
         draw=partial(draw, sweep),
         report=partial(report, sweep),
+        pictures=partial(draw_pictures, data, seed),
         choices=CHOICES,
     )
 
@@ -396,6 +408,18 @@ def draw(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> "Figure":
             for quantity, label in shown
         ]
     )
+
+
+def draw_pictures(data: Path | None, seed: int) -> "Figure":
+    """A picture without and with its simulated shadow, and their invariants (paper Fig 2)."""
+    case = make_case(get_subject(data), seed, 0, gamma=0.0, sigma_n=0.0)
+    pair = {"in training": get_subject(data).images[case.picture], "under the shadow": case.image}
+    invariants = {name: invariant(encode(image, "log")[..., :3], PAPER_THETA) for name, image in pair.items()}
+    low, high = np.percentile(invariants["in training"], (1, 99))
+    scaled = {
+        f"invariant, {name}": np.clip((values - low) / (high - low + 1e-9), 0, 1) for name, values in invariants.items()
+    }
+    return figure_of_pictures([{**pair, **scaled}])
 
 
 def report(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> str:

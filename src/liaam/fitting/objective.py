@@ -313,23 +313,26 @@ class Objective:
         )
         lam = state.lam.astype(np.float32)
         predicted = design.mean + (design.modes @ lam).reshape(design.mean.shape)
-        residual = gain * projected - predicted
-        if offset:
-            residual += np.float32(offset) * metric.sum(axis=1).astype(np.float32)
+        # Rows of P that see a common offset see it by their sum.
+        residual = gain * projected + (offset * metric.sum(axis=1)).astype(np.float32) - predicted
         root = (own_root * weights)[:, None]
         n_p = self.warp.n_parameters
         if own_gradient:
-            slope = root[:, :, None] * self.warp.pulled_gradient(predicted, state.p)
-            columns[:, :n_p] = np.einsum("nak,naj->nkj", slope, self.warp.jacobian(state.p)).reshape(-1, n_p)
+            columns[:, :n_p] = self._model_columns(state, predicted, root)
         if self.n_q > n_p:
             columns[:, n_p : self.n_q] = self.angle_columns(state, values, lam, root)
-            if root_slope is not None:
-                columns[:, n_p : self.n_q] += (root_slope[:, None] * weights[:, None] * residual).reshape(
-                    -1, 1
-                ) * self.method.angle_directions[1].astype(np.float32)
+        if root_slope is not None:
+            by_weight = (root_slope * weights)[:, None] * residual
+            columns[:, n_p : self.n_q] += by_weight.reshape(-1, 1) * self.method.angle_directions[1].astype(np.float32)
         columns[:, -1] = (root * residual).ravel()
         equations = self._equations(columns, design, weights, None if trust is None else own_root)
         return Linearisation(equations, residual, values, weights)
+
+    def _model_columns(self, state: State, predicted: np.ndarray, root: np.ndarray) -> np.ndarray:
+        """Weighted dr/dp by the gradient of the predicted appearance (n, k) instead of the image's, (n * k, n_p)."""
+        slope = root[:, :, None] * self.warp.pulled_gradient(predicted, state.p)
+        columns = np.einsum("nak,naj->nkj", slope, self.warp.jacobian(state.p), optimize=True)
+        return columns.reshape(predicted.size, -1)
 
     def _root_weights(self, theta: float, trust: Trust | None) -> tuple[np.ndarray, np.ndarray | None]:
         """Root of each pixel's weight (n,), and its derivative by theta_2 where noise makes it depend on that.
