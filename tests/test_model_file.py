@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from liaam.errors import ModelFileError
+from liaam.errors import MethodError, ModelFileError
 from liaam.fitting import Fitter
 from liaam.model import AAM, load_model
 from liaam.training import train
@@ -77,6 +77,32 @@ def test_a_loaded_model_fits_identically(model, model_file, lit_scene, method):
     ours, theirs = (Fitter(m, method).fit(lit_scene.image, start) for m in (model, load_model(model_file)))
     np.testing.assert_array_equal(ours.shape, theirs.shape)
     assert ours.cost == theirs.cost
+
+
+def test_how_far_the_model_errs_is_kept(model, model_file):
+    for ours, theirs in zip(model.levels, load_model(model_file).levels, strict=True):
+        for name, appearance in ours.appearances.items():
+            loaded = theirs.appearances[name].unexplained
+            if name == "illumination":
+                assert appearance.unexplained is None
+                assert loaded is None
+            else:
+                assert np.array_equal(loaded, appearance.unexplained)
+                assert loaded.any()
+
+
+def test_a_file_that_does_not_know_how_far_the_model_errs_is_read(model, model_file, tmp_path, lit_scene):
+    header, tensors = parts(model_file)
+    older = {key: value for key, value in tensors.items() if not key.endswith("unexplained")}
+    assert len(older) < len(tensors)
+    loaded = load_model(forge(tmp_path / "older.liaam", header, older))
+    start = disturb(lit_scene.landmarks)
+    for method in ("li", "grey+huber"):
+        ours, theirs = (Fitter(m, method).fit(lit_scene.image, start) for m in (model, loaded))
+        assert np.array_equal(ours.shape, theirs.shape)
+    assert Fitter(loaded, "li+noise").fit(lit_scene.image, start).lam.size  # the model's errors then count as none
+    with pytest.raises(MethodError, match=r"grey\+learnt: the model has not learnt how far it errs; train it again"):
+        Fitter(loaded, "grey+learnt")
 
 
 def test_saving_is_deterministic(model_file, tmp_path):
@@ -279,11 +305,16 @@ def bad_eigenvalue(header, tensors):
     tensors["shape.eigenvalues"][:] = -1.0
 
 
+def other_covariance(header, tensors):
+    tensors["level0.log.unexplained"] = tensors["level0.log.unexplained"][:, :2]
+
+
 FORGERIES = [
     (grown, "reference frame of"),
     (holed, "level0.log.mean has values that are not numbers"),
     (other_type, "shape.modes has type float32"),
     (other_shape, "level0.log.modes has type"),
+    (other_covariance, "level0.log.unexplained has type"),
     (lost, "level0.value.usable"),
     (lost_appearance, "an appearance is missing"),
     (beyond, "the mesh does not belong to the landmarks"),

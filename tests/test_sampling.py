@@ -46,6 +46,22 @@ def test_a_shape_outside_the_image_still_gives_a_patch(shift, scale):
     assert np.isfinite(patch.channels).all()
 
 
+@pytest.mark.parametrize("scale", [2.0, 3.3])
+def test_blocks_are_those_of_the_image_whatever_the_margin(scale, rng):
+    """Else training (small margin) and fitting (large margin) average other pixels into one."""
+    image = rng.uniform(0.1, 0.9, (160, 200, 3)).astype(np.float32)
+    points = rng.uniform(70, 90, (20, 2))
+    textures = [
+        sample_texture(
+            make_patch(image, BOX, at_scale(scale), encoding="value", response="linear", blur=0.0, margin=margin),
+            points,
+        )[0]
+        for margin in (0.1, 0.13, 0.17, 0.6)
+    ]
+    for texture in textures[1:]:
+        np.testing.assert_allclose(texture, textures[0], atol=1e-5)
+
+
 def test_outside_the_patch_nothing_is_usable():
     patch = make_patch(ramp(), BOX, at_scale(1.0), encoding="log", response="srgb", blur=0.0, margin=0.1)
     values, usable = sample_texture(patch, np.array([[-1.0, 5.0], [199.5, 80.0], [80.0, 80.0]]))

@@ -1,16 +1,19 @@
 """Training: what comes out, and what is refused by name."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from conftest import train_on
 from liaam.datasets import Sample
 from liaam.errors import ImageError, TrainingError
-from liaam.fitting import METHODS
+from liaam.fitting import METHODS, Fitter, SolverOptions
 from liaam.io import Contour, Landmarks
 from liaam.mesh import delaunay, signed_areas
 from liaam.photometry import invariant
 from liaam.training import train
+from setups import disturb, model_pixels
 
 
 @pytest.fixture
@@ -95,6 +98,67 @@ def test_progress_is_told(pairs):
 def test_every_method_has_its_appearance(model):
     for level in model.levels:
         assert {method.appearance for method in METHODS.values()} <= set(level.appearances)
+
+
+# Pictures under other lights
+
+
+@pytest.fixture
+def lit_pairs(varied_scenes) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [(scene.image, scene.landmarks) for scene in varied_scenes]
+
+
+def test_illumination_is_orthogonal_to_the_identity(model):
+    for level in model.levels:
+        value, light = level.appearances["value"], level.appearances["illumination"]
+        flat = light.modes.reshape(light.n_modes, -1)
+        assert light.n_modes >= 2
+        np.testing.assert_allclose(flat @ flat.T, np.eye(light.n_modes), atol=1e-4)
+        np.testing.assert_allclose(flat @ value.modes.reshape(value.n_modes, -1).T, 0, atol=1e-4)
+        np.testing.assert_allclose(flat @ value.mean.ravel() / np.linalg.norm(value.mean), 0, atol=1e-4)
+
+
+def test_other_lights_change_neither_shapes_nor_other_appearances(model, scenes):
+    plain = train_on(scenes, diagonal=80.0)
+    for name in ("mean", "modes", "eigenvalues"):
+        assert np.array_equal(getattr(plain.shape_model, name), getattr(model.shape_model, name))
+    for without, level in zip(plain.levels, model.levels, strict=True):
+        assert set(level.appearances) - set(without.appearances) == {"varied", "illumination"}
+        for name, appearance in without.appearances.items():
+            for part in fields(appearance):
+                ours, theirs = (getattr(a, part.name) for a in (appearance, level.appearances[name]))
+                assert np.array_equal(ours, theirs), (name, part.name)
+
+
+@pytest.mark.parametrize(("variance", "agree"), [(1.0, True), (0.8, False)])
+def test_aia_and_varied_are_one_where_all_modes_are_kept(scenes, lit_pairs, lit_scene, variance, agree):
+    # Both then compare with the span of all pictures: gain makes the mean a mode like any other.
+    model = train_on(scenes, diagonal=80.0, blurs=(0.5,), variance=1.0, appearance_variance=variance, lit=lit_pairs)
+    start = disturb(lit_scene.landmarks, 1.01, (0.01, -0.01))
+    options = SolverOptions(max_iterations=100, tolerance=1e-4)
+    aia, varied = (Fitter(model, name, options).fit(lit_scene.image, start) for name in ("aia", "varied"))
+    apart = model_pixels(model, aia.shape, varied.shape)
+    if agree:
+        assert apart < 0.01
+        assert aia.cost == pytest.approx(varied.cost, rel=1e-3)
+    else:
+        assert apart > 0.05
+        assert aia.cost != pytest.approx(varied.cost, rel=0.01)
+
+
+def test_lit_pictures_with_other_landmarks_are_refused_by_name(pairs, lit_pairs):
+    image, points = lit_pairs[1]
+    lit = [Sample("sunny.png", *lit_pairs[0]), Sample("lamp.png", image, Landmarks(points[:-1]))]
+    refused(pairs, "lamp.png has 57 landmarks but sunny.png has 58", lit=lit)
+    refused(pairs, r"lamp.png \(another light\) has 57 landmarks but image 1 has 58", lit=lit[1:])
+
+
+def test_lit_pictures_are_checked_as_the_others_are(pairs, lit_pairs):
+    image, points = lit_pairs[0]
+    refused(pairs, "0 landmarked images are too few to learn from; at least 1", lit=[])
+    refused(pairs, "image 1: its landmarks fold the mesh", lit=[(image, points * [-1, 1] + [179, 0])])
+    refused(pairs, "image 1: the object is almost wholly black", lit=[(0 * image, points)])
+    refused(pairs, "for a folder give liaam.load_folder", lit="faces")
 
 
 # What is refused

@@ -62,6 +62,8 @@ def make_patch(
     low = np.clip(np.floor(shape.min(axis=0) - pad), 0, [width - 2, height - 2]).astype(int)
     high = np.clip(np.ceil(shape.max(axis=0) + pad) + 1, low + 2, [width, height]).astype(int)
     reduce = max(1, min(reduce, int((high - low).min()) // 2))
+    # Blocks are those of the whole image, whatever the margin: training and fitting see the same ones.
+    low = low // reduce * reduce
     crop = image[low[1] : high[1], low[0] : high[0]]
     channels = encode(crop, encoding, response, blur * scale / reduce, reduce, pose.matrix.T / scale)
     # The centre of the first block of pixels is at low + (reduce - 1) / 2.

@@ -32,7 +32,7 @@ def test_the_page_holds_claims_figures_and_choices(report):
     assert all(claim.text in page for claim in CLAIMS)
     assert list(verdicts) == ["generated scenes", VARIANTS["paper-90"], module.VARIANCE_READING]
     assert {claim.name for claim in CLAIMS} - {"angle"} == set(verdicts["generated scenes"])  # two values, no trend
-    assert page.count("data:image/png;base64,") == 6
+    assert page.count("data:image/png;base64,") == 6 + 2
     assert "figure.png" not in page
     assert not re.search(r'(src|href)="(?!#|data:)', page), "the page has to stand alone"
     words = re.findall(r"class='(yes|no)'", page)

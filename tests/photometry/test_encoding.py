@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from liaam.errors import ImageError, MethodError
 from liaam.photometry import ENCODINGS, encode, exposure_faults, invariant, is_grey, srgb_to_linear
 from liaam.photometry.encoding import as_colour
+from liaam.training import sample_appearance
 
 
 @pytest.fixture
@@ -158,3 +159,100 @@ def test_floats_that_count_to_255_are_refused():
 def test_big_endian_pixels_are_read_as_what_they_are():
     image = np.full((8, 8, 3), 30_000, np.uint16)
     assert np.array_equal(as_colour(image.astype(">u2")), image)
+
+
+# Orientation of gradients
+
+
+def hills(size: tuple[int, int] = (40, 50)) -> np.ndarray:
+    """A smooth grey picture whose slopes point everywhere."""
+    y, x = np.indices(size)
+    values = 0.45 + 0.2 * np.sin(x / 6.0) * np.cos(y / 7.0 + 0.5) + 0.002 * x
+    return np.repeat(values.astype(np.float32)[..., None], 3, axis=2)
+
+
+def directions(image: np.ndarray, **options) -> np.ndarray:
+    return encode(image, "orientation", **options)[..., :2]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.0, -2.5, np.pi / 2])
+def test_a_slope_has_the_direction_in_which_it_rises(angle):
+    y, x = np.indices((20, 30))
+    slope = 0.5 + 0.01 * ((x - 15) * np.cos(angle) + (y - 10) * np.sin(angle))
+    encoded = encode(np.repeat(slope[..., None], 3, axis=2).astype(np.float32), "orientation")
+    np.testing.assert_allclose(encoded[..., 0], np.cos(angle), atol=1e-3)
+    np.testing.assert_allclose(encoded[..., 1], np.sin(angle), atol=1e-3)
+    assert (encoded[..., 2] == 0).all()
+    assert (encoded[..., 3] == 1).all()
+
+
+def test_orientations_are_unit_vectors_where_there_is_a_gradient(picture):
+    lengths = np.linalg.norm(directions(picture, blur=1.0), axis=2)
+    assert np.median(lengths) == pytest.approx(1, abs=1e-3)
+    assert lengths.max() <= 1 + 1e-6
+    assert (encode(picture, "orientation")[..., 2] == 0).all()
+
+
+@pytest.mark.parametrize("value", [0, 1, 128, 255])
+@pytest.mark.parametrize("blur", [0.0, 1.5])
+def test_flat_areas_have_no_orientation(value, blur):
+    image = np.full((20, 20, 3), value, np.uint8)
+    np.testing.assert_allclose(directions(image, blur=blur), 0, atol=1e-3)
+    image[:, 14:] = 255 - value
+    assert (np.abs(directions(image, blur=blur)[:, :6]) < 1e-2).all()
+    assert directions(image, blur=blur)[10, 13, 0] == pytest.approx(1 if value < 128 else -1, abs=1e-2)
+
+
+def test_orientations_fade_where_a_gradient_does():
+    ramps = [directions(np.full((9, 9, 3), 0.5) + np.arange(9)[None, :, None] * slope) for slope in (1e-6, 1e-4, 1e-2)]
+    assert [ramp[4, 4, 0] for ramp in ramps] == pytest.approx([0.01, np.sqrt(0.5), 1.0], abs=5e-3)
+
+
+@pytest.mark.parametrize("fault", [0.0, 1.0, np.nan, np.inf])
+@pytest.mark.parametrize("blur", [0.0, 1.0])
+def test_orientations_are_numbers_whatever_the_picture_holds(rng, fault, blur):
+    image = rng.random((24, 24, 3)).astype(np.float32)
+    image[8:16, 8:16] = fault
+    encoded = encode(image, "orientation", blur=blur)
+    assert np.isfinite(encoded).all()
+    assert (np.linalg.norm(encoded[..., :2], axis=2) <= 1 + 1e-6).all()
+    assert encoded[12, 12, 3] == np.isfinite(fault)
+
+
+@given(gain=st.floats(0.2, 1.5), offset=st.floats(0, 0.2))
+def test_orientations_do_not_see_gain_and_offset(gain, offset):
+    image = hills()
+    steep = np.hypot(*np.gradient(image[..., 0])) > 5e-3
+    assert steep.mean() > 0.8
+    changed = directions(image * np.float32(gain) + np.float32(offset))
+    np.testing.assert_allclose(changed[steep], directions(image)[steep], atol=1e-2)
+
+
+@pytest.mark.parametrize("gamma", [0.5, 1.5, 2.2])
+def test_orientations_hardly_see_the_gamma_of_a_grey_picture(gamma):
+    ours, theirs = directions(hills()), directions(hills() ** np.float32(gamma))
+    cosines = (ours * theirs).sum(axis=2)
+    # Differences of neighbours are no derivatives; on a summit the direction is anyone's.
+    assert np.quantile(cosines, 0.05) > 0.99
+    assert np.median(cosines) > 0.999
+    assert (ours * directions(1 - hills())).sum(axis=2).max() < 0.01  # but a negative turns them round
+
+
+def test_directions_are_given_in_turned_axes(picture):
+    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    np.testing.assert_allclose(directions(picture, turn=turn), directions(picture) @ turn.T, atol=1e-5)
+    assert np.array_equal(encode(picture, "value", turn=turn), encode(picture, "value"))
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_turned_picture_has_the_same_orientations_on_the_object(fine_model, scenes, quarters):
+    image, shape, blur = scenes[3].image, scenes[3].landmarks, 0.5
+    upright = sample_appearance(image, shape, fine_model.warp, "orientation", "linear", blur)
+    for _ in range(quarters):
+        image, shape = np.rot90(image), np.column_stack([shape[:, 1], image.shape[1] - 1 - shape[:, 0]])
+    turned = sample_appearance(np.ascontiguousarray(image), shape, fine_model.warp, "orientation", "linear", blur)
+    np.testing.assert_allclose(turned[0], upright[0], atol=1e-2)
+    assert np.abs(turned[0] - upright[0]).mean() < 1e-4
+    assert np.array_equal(turned[1], upright[1])
+    # The axes of the picture did turn.
+    assert np.abs(upright[0][:, 0]).mean() > 0.2

@@ -312,7 +312,8 @@ class Objective:
             columns,
         )
         lam = state.lam.astype(np.float32)
-        predicted = design.mean + (design.modes @ lam).reshape(design.mean.shape)
+        with np.errstate(over="ignore", invalid="ignore"):  # a fit that blows up; its cost says so
+            predicted = design.mean + (design.modes @ lam).reshape(design.mean.shape)
         # Rows of P that see a common offset see it by their sum.
         residual = gain * projected + (offset * metric.sum(axis=1)).astype(np.float32) - predicted
         root = (own_root * weights)[:, None]
