@@ -338,8 +338,8 @@ def methods() -> None:
         table.add_row(method.name, f"{method.encoding}, {method.metric}", method.summary)
     console.print(table)
     say(
-        f"Any of them with +{NOISE_SUFFIX} weighs pixels by the picture's noise, and with one of "
-        f"{', '.join(f'+{name}' for name in LOSSES)} stands occlusion: li+{NOISE_SUFFIX}, grey+tukey."
+        f"Any of them stands occlusion with one of {', '.join(f'+{name}' for name in LOSSES)}, such as grey+tukey; "
+        f"those of logarithms weigh pixels by the picture's noise with +{NOISE_SUFFIX}, such as li+{NOISE_SUFFIX}."
     )
 
 

@@ -37,6 +37,10 @@ Solver = Annotated[
     ),
 ]
 
+Strength = Annotated[
+    float, typer.Option(help="Depth of the simulated shadow: change of log light; -1.2 leaves 0.3 of it, -1.8 0.17.")
+]
+
 SIMULATED = "grey,rgb,li,li-lit,li-pc,li-pcs"
 
 
@@ -103,12 +107,14 @@ def displacement(
     trials: Trials = 24,
     seed: Seed = 0,
     solver: Solver = "paper",
+    strength: Strength = -1.8,
     jobs: Jobs = None,
 ) -> None:
     """How far from the object may a fit start, under a simulated shadow? (Paper Fig 3a.)"""
     from liaam.experiments.displacement import displacement_experiment as make
 
-    run_sweep(make, out, jobs, data=data, methods=names_in(methods), trials=trials, seed=seed, solver=solver)
+    options = {"data": data, "trials": trials, "seed": seed, "solver": solver, "strength": strength}
+    run_sweep(make, out, jobs, methods=names_in(methods), **options)
 
 
 @experiments.command()
@@ -119,12 +125,14 @@ def noise(
     trials: Trials = 24,
     seed: Seed = 0,
     solver: Solver = "paper",
+    strength: Strength = -1.8,
     jobs: Jobs = None,
 ) -> None:
     """What does noise do to landmarks and angle, under a simulated shadow? (Paper Fig 3b and 3c.)"""
     from liaam.experiments.noise import noise_experiment as make
 
-    run_sweep(make, out, jobs, data=data, methods=names_in(methods), trials=trials, seed=seed, solver=solver)
+    options = {"data": data, "trials": trials, "seed": seed, "solver": solver, "strength": strength}
+    run_sweep(make, out, jobs, methods=names_in(methods), **options)
 
 
 @experiments.command()

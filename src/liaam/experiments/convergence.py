@@ -182,7 +182,14 @@ def _plan(setup: Setup) -> tuple:
     if persons:
         return "a spot light", spot.facts_of(setup.data, persons), persons, trace_person, spot.CHOICES, left_out
     facts = {**subject_facts(setup.data), "gamma": GAMMA}
-    return "a simulated shadow", facts, numbered, trace_shadow, (*SHADOW_CHOICES, *simulated.CHOICES), ()
+    return (
+        "a simulated shadow",
+        facts,
+        numbered,
+        trace_shadow,
+        (*SHADOW_CHOICES, simulated.shadow_choice(), *simulated.CHOICES),
+        (),
+    )
 
 
 def summarise(methods: Sequence[str], rows: list[Row]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from liaam.experiments.runner import Experiment
 from liaam.experiments.simulated import METHODS, Sweep, simulated_experiment
+from liaam.experiments.subjects import STRENGTH
 
 GAMMAS = (0.0, 2.0, 4.0, 8.0, 12.0, 16.0)
 
@@ -27,6 +28,7 @@ def displacement_experiment(
     seed: int = 0,
     solver: str = "paper",
     gammas: Sequence[float] = GAMMAS,
+    strength: float = STRENGTH,
 ) -> Experiment:
     """Make the experiment; see :func:`liaam.experiments.simulated.simulated_experiment`."""
-    return simulated_experiment(SWEEP, gammas, data, methods, trials, seed, solver)
+    return simulated_experiment(SWEEP, gammas, data, methods, trials, seed, solver, strength)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from liaam.experiments.runner import Experiment
 from liaam.experiments.simulated import METHODS, Sweep, simulated_experiment
+from liaam.experiments.subjects import STRENGTH
 
 SIGMAS = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0)
 NOISE_METHODS = (*METHODS, "li+noise")
@@ -30,6 +31,7 @@ def noise_experiment(
     seed: int = 0,
     solver: str = "paper",
     sigmas: Sequence[float] = SIGMAS,
+    strength: float = STRENGTH,
 ) -> Experiment:
     """Make the experiment; see :func:`liaam.experiments.simulated.simulated_experiment`."""
-    return simulated_experiment(SWEEP, sigmas, data, methods, trials, seed, solver)
+    return simulated_experiment(SWEEP, sigmas, data, methods, trials, seed, solver, strength)

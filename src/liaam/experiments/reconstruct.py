@@ -54,7 +54,7 @@ CHOICES = (
     "channels, in the model's reference frame: fitted against true shape.",
     "Scenes: expressions and poses that training has not seen, hard light from either side with cast shadows; the "
     "truth is the same head rendered under the training light. `model` is the error of the truth projected on the "
-    "model: no fit can do better.",
+    "model, about the best that a fit can do.",
 )
 
 

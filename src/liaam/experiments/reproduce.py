@@ -17,9 +17,10 @@ from liaam.experiments.displacement import displacement_experiment
 from liaam.experiments.noise import noise_experiment
 from liaam.experiments.reconstruct import reconstruct_experiment
 from liaam.experiments.runner import PICTURES, Experiment, Progress, finished, run_experiment
-from liaam.experiments.simulated import METHODS
+from liaam.experiments.simulated import METHODS, shadow_colour
 from liaam.experiments.solvers import get_solver
 from liaam.experiments.spot import spot_experiment
+from liaam.experiments.subjects import STRENGTH
 from liaam.io import make_folder, write_text_atomically
 
 
@@ -50,13 +51,40 @@ SIZES = {
 }
 """Sizes by name."""
 
-VARIANTS = {
-    "liaam": "liaam's own solver (damped, with a prior, two levels)",
-    "paper-90": "modes of 90 % of the variance",
-    "paper-100px": "reference frame of 100 px",
-    "paper-theta1": "θ2 starts at θ1",
-}
-"""Solvers that change one choice which the paper leaves open, and what it is."""
+
+@dataclass(frozen=True)
+class Variant:
+    """One choice that the paper leaves open, made otherwise.
+
+    Attributes
+    ----------
+    folder, what : str
+        Name below the output folder, and for people.
+    solver : str
+    strength : float
+        Of the simulated shadow.
+    """
+
+    folder: str
+    what: str
+    solver: str = "paper"
+    strength: float = STRENGTH
+
+    @property
+    def summary(self) -> str:
+        """What is different, in a sentence."""
+        if self.strength != STRENGTH:
+            return f"as the first columns, but full shadow leaves {shadow_colour(self.strength)} of the light"
+        return get_solver(self.solver).summary
+
+
+VARIANTS = (
+    Variant("liaam", "liaam's own solver", "liaam"),
+    Variant("paper-90", "modes of 90 % of the variance", "paper-90"),
+    Variant("paper-100px", "reference frame of 100 px", "paper-100px"),
+    Variant("paper-theta1", "θ2 starts at θ1", "paper-theta1"),
+    Variant("mild-shadow", "milder shadow", strength=-1.2),
+)
 
 VARIANCE_READING = "γ and σn read as variances"
 
@@ -105,8 +133,8 @@ def plan(person: Path | None, persons: Path | None, size: str, seed: int) -> lis
         parts += _main_parts("person", person.resolve().name, person, amount, seed)
     if persons is not None:
         parts += _spot_parts(persons, amount, seed)
-    for solver, what in VARIANTS.items():
-        parts += _variant_parts(solver, what, person, amount, seed)
+    for variant in VARIANTS:
+        parts += _variant_parts(variant, person, amount, seed)
     return parts
 
 
@@ -133,13 +161,15 @@ def _spot_parts(persons: Path, size: Size, seed: int) -> list[Part]:
     return [Part(f"persons/{key}", f"{made[key].title} ({name})", name, made[key]) for key in made]
 
 
-def _variant_parts(solver: str, what: str, data: Path | None, size: Size, seed: int) -> list[Part]:
+def _variant_parts(variant: Variant, data: Path | None, size: Size, seed: int) -> list[Part]:
+    common = (data, METHODS, size.variant_trials, seed, variant.solver)
     made = {
-        "displacement": displacement_experiment(data, METHODS, size.variant_trials, seed, solver, size.gammas),
-        "noise": noise_experiment(data, METHODS, size.variant_trials, seed, solver, size.sigmas),
+        "displacement": displacement_experiment(*common, size.gammas, variant.strength),
+        "noise": noise_experiment(*common, size.sigmas, variant.strength),
     }
     return [
-        Part(f"variants/{solver}/{key}", f"{made[key].title}: {what}", what, made[key], shown=False) for key in made
+        Part(f"variants/{variant.folder}/{key}", f"{one.title}: {variant.what}", variant.what, one, shown=False)
+        for key, one in made.items()
     ]
 
 
@@ -261,8 +291,7 @@ def _verdict_cell(verdict: Verdict | None) -> str:
 
 def _about_columns() -> str:
     choices = "".join(
-        f"<li><b>{html.escape(what)}</b>: {html.escape(get_solver(solver).summary)}.</li>"
-        for solver, what in VARIANTS.items()
+        f"<li><b>{html.escape(variant.what)}</b>: {html.escape(variant.summary)}.</li>" for variant in VARIANTS
     )
     return (
         f"<p>The first columns use the paper's solver ({html.escape(get_solver('paper').summary)}). The others change "

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from liaam.errors import LiaamError
 from liaam.evaluation import angle_difference, error_statistics, point_error, rms_error
 from liaam.experiments.runner import Experiment, Row, markdown_table
 from liaam.experiments.solvers import check_request, get_solver, make_fitters
@@ -40,17 +41,23 @@ if TYPE_CHECKING:
 METHODS = ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs")
 
 
-def shadow_colour() -> str:
+def shadow_colour(strength: float = STRENGTH) -> str:
     """Share of the light that is left in full shadow, by channel."""
-    left = np.exp(STRENGTH + TEMPERATURE * temperature_direction(PAPER_THETA))
+    left = np.exp(strength + TEMPERATURE * temperature_direction(PAPER_THETA))
     return ", ".join(f"{share:.2f}" for share in left)
 
 
+def shadow_choice(strength: float = STRENGTH) -> str:
+    """Say what shadow was chosen."""
+    return (
+        "The strength of the simulated shadow is not given: log light changes by "
+        f"{strength:g} (1, 1, 1) + {TEMPERATURE:g} d(θ) in full shadow, whose edge goes through the middle of the face "
+        f"and is {PENUMBRA:g} px wide; side (left or right) and tilt (up to 20°) are drawn for each trial. Full shadow "
+        f"leaves {shadow_colour(strength)} of the red, green and blue light."
+    )
+
+
 CHOICES = (
-    "The strength of the simulated shadow is not given: log light changes by "
-    f"{STRENGTH:g} (1, 1, 1) + {TEMPERATURE:g} d(θ) in full shadow, whose edge goes through the middle of the face and "
-    f"is {PENUMBRA:g} px wide; side (left or right) and tilt (up to 20°) are drawn for each trial. Full shadow leaves "
-    f"{shadow_colour()} of the red, green and blue light.",
     "θ = 146° is the camera of the simulated shadow, so models are trained with θ = 146°.",
     "γ and σn are taken as standard deviations: of each coordinate of each landmark, and of each channel of the "
     "stored values, which are cut to [0, 255] but not rounded.",
@@ -62,7 +69,7 @@ CHOICES = (
     "Pictures of a folder are halved (means of 2 by 2 pixels in linear light); the reference frame is 150 px across, "
     "but under `paper-100px`.",
 )
-"""What was chosen where the paper leaves it open."""
+"""What was chosen where the paper leaves it open, besides the shadow."""
 
 START = "start"
 """What the shape model makes of a displaced start: a fit that ends above it did harm."""
@@ -122,6 +129,8 @@ class Setup:
     methods : tuple of str
     solver : str
     seed : int
+    strength : float
+        Of the shadow: change of log light.
     """
 
     sweep: Sweep
@@ -129,6 +138,7 @@ class Setup:
     methods: tuple[str, ...]
     solver: str
     seed: int
+    strength: float = STRENGTH
 
 
 @dataclass(frozen=True)
@@ -163,12 +173,14 @@ class Case:
     picture: int
 
 
-def make_case(subject: Subject, seed: int, trial: int, gamma: float, sigma_n: float) -> Case:
+def make_case(
+    subject: Subject, seed: int, trial: int, gamma: float, sigma_n: float, strength: float = STRENGTH
+) -> Case:
     """Lay a shadow over one of a subject's pictures, add noise, and displace the truth."""
     shadow, noise = (np.random.default_rng([seed, trial, stream]) for stream in (0, 2))
     picture = trial % len(subject.images)
     truth = subject.shapes[picture]
-    image, _ = simulated_shadow(subject.images[picture], truth, random_side(shadow))
+    image, _ = simulated_shadow(subject.images[picture], truth, random_side(shadow), strength=strength)
     if sigma_n > 0:
         image = np.clip(image + sigma_n / 255 * noise.standard_normal(image.shape), 0, 1).astype(np.float32)
     return Case(image, truth, displaced(truth, gamma, seed, trial), picture)
@@ -199,7 +211,8 @@ def sharp_model(data: Path | None) -> AAM:
 def run_trial(setup: Setup, trial: Trial) -> list[Row]:
     """Fit one case with every method."""
     fitters = get_fitters(setup.data, setup.methods, setup.solver)
-    case = make_case(get_subject(setup.data), setup.seed, trial.number, **setup.sweep.conditions(trial.value))
+    conditions = setup.sweep.conditions(trial.value)
+    case = make_case(get_subject(setup.data), setup.seed, trial.number, **conditions, strength=setup.strength)
     rows = []
     for method, fitter in fitters.items():
         result = fitter.fit(case.image, case.start)
@@ -225,7 +238,7 @@ def _bound_rows(setup: Setup, trial: Trial) -> list[Row]:
     conditions = setup.sweep.conditions(trial.value)
     if not conditions["sigma_n"] > 0:
         return []
-    case = make_case(get_subject(setup.data), setup.seed, trial.number, gamma=0.0, sigma_n=0.0)
+    case = make_case(get_subject(setup.data), setup.seed, trial.number, 0.0, 0.0, setup.strength)
     bound = cramer_rao_bound(sharp_model(setup.data), case.image, case.truth, "li", conditions["sigma_n"] / 255)
     row: Row = {
         "method": BOUND,
@@ -259,6 +272,7 @@ def simulated_experiment(
     trials: int = 24,
     seed: int = 0,
     solver: str = "paper",
+    strength: float = STRENGTH,
 ) -> Experiment:
     """Make the experiment of a sweep.
 
@@ -273,10 +287,15 @@ def simulated_experiment(
     trials : int
         Draws of shadow, start and noise; trial i takes picture i modulo 6.
     seed : int
-    solver : {"liaam", "paper"}
+    solver : str
+        Of :data:`liaam.experiments.solvers.SOLVERS`.
+    strength : float
+        Of the shadow: change of log light.
     """
     check_request(tuple(methods), solver, trials)
-    setup = Setup(sweep, data, tuple(methods), solver, seed)
+    if not -5.0 <= strength <= 0.0:
+        raise LiaamError(f"strength {strength:g}: give the shadow's change of log light, -5 (black) to 0 (none)")
+    setup = Setup(sweep, data, tuple(methods), solver, seed, strength)
     conditions = sweep.conditions(0.0)
     return Experiment(
         name=sweep.name,
@@ -287,6 +306,7 @@ def simulated_experiment(
             "trials": trials,
             "seed": seed,
             "solver": f"{solver}: {get_solver(solver).summary}",
+            "strength": float(strength),
             **{key: value for key, value in conditions.items() if key != sweep.column},
             sweep.column: [float(value) for value in values],
         },
@@ -307,8 +327,8 @@ def simulated_experiment(
         summarise=partial(summarise, sweep.column, setup.methods),
         draw=partial(draw, sweep),
         report=partial(report, sweep),
-        pictures=partial(draw_pictures, data, seed),
-        choices=CHOICES,
+        pictures=partial(draw_pictures, setup),
+        choices=(shadow_choice(strength), *CHOICES),
     )
 
 
@@ -349,11 +369,11 @@ def _is_invariant(method: str) -> bool:
 
 
 def bound_statistics(rows: list[Row]) -> dict[str, Any]:
-    """Bound at one value: as a mean distance, a root mean square, and the median error of an efficient angle."""
+    """Bound at one value: what an efficient estimator's medians would be about, and the root mean square."""
     return {
-        "error_px": float(np.mean([row["error_px"] for row in rows])),
+        "error_px": float(np.median([row["error_px"] for row in rows])),
         "rms_px": _rms([row["rms_px"] for row in rows]),
-        "theta_error_deg": MEDIAN_OF_GAUSSIAN * _rms([row["theta_error_deg"] for row in rows]),
+        "theta_error_deg": MEDIAN_OF_GAUSSIAN * float(np.median([row["theta_error_deg"] for row in rows])),
     }
 
 
@@ -410,10 +430,11 @@ def draw(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> "Figure":
     )
 
 
-def draw_pictures(data: Path | None, seed: int) -> "Figure":
+def draw_pictures(setup: Setup) -> "Figure":
     """A picture without and with its simulated shadow, and their invariants (paper Fig 2)."""
-    case = make_case(get_subject(data), seed, 0, gamma=0.0, sigma_n=0.0)
-    pair = {"in training": get_subject(data).images[case.picture], "under the shadow": case.image}
+    subject = get_subject(setup.data)
+    case = make_case(subject, setup.seed, 0, 0.0, 0.0, setup.strength)
+    pair = {"in training": subject.images[case.picture], "under the shadow": case.image}
     invariants = {name: invariant(encode(image, "log")[..., :3], PAPER_THETA) for name, image in pair.items()}
     low, high = np.percentile(invariants["in training"], (1, 99))
     scaled = {
