@@ -31,7 +31,7 @@ IMAGE_SIZE = (480, 640)  # rows, columns
 BAR = 2.5  # times the yardstick
 ROUNDS, WARM_UP = 300, 20
 SOLVE_STEPS = 10
-HEAVY = 1e6  # damping under which the loop hardly moves, so that each of its steps costs the same
+HEAVY = 1e3  # damping under which the loop hardly moves, so that each of its steps costs the same
 
 Parts = dict[str, Callable[[], object]]
 

@@ -274,3 +274,25 @@ def test_black_and_pixels_that_are_no_numbers_get_a_finite_shading(own_model, re
     assert np.isfinite(picture).all()
     assert np.isfinite(shading).all()
     assert (shading[y, x : x + 2] < -3).all()
+
+
+def test_another_fitter_than_the_fits_is_refused(own_model, subject):
+    image, shape = subject.images[0], subject.shapes[0]
+    result = Fitter(own_model, "grey").fit(image, shape)
+    with pytest.raises(MethodError, match="made with method grey, not li; give its own fitter"):
+        shadow_free(Fitter(own_model, "li"), image, result)
+
+
+def test_a_black_picture_rebuilds_what_training_says(own_model, subject):
+    fitter, black = Fitter(own_model, "li"), np.zeros_like(subject.images[0])
+    appearance = own_model.levels[-1].appearances["log"]
+    rebuilt = shadow_free(fitter, black, fitter.fit(black, subject.shapes[0]))
+    np.testing.assert_array_equal(rebuilt.log_rgb, appearance.mean)
+    np.testing.assert_allclose(rebuilt.deviations, np.sqrt(appearance.eigenvalues))
+
+
+@pytest.mark.parametrize("factor", [1e6, np.inf, np.nan])
+def test_a_shape_that_has_blown_up_paints_nothing(own_model, subject, factor):
+    shape = factor * (subject.shapes[0] - subject.shapes[0].mean(axis=0))
+    _, inside = paint(subject.images[0], shape, own_model, np.ones((own_model.n_pixels, 1), np.float32))
+    assert not inside.any()

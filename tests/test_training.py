@@ -281,3 +281,9 @@ def test_identical_images_leave_no_modes(scenes):
     model = train_on([scenes[0]] * 3, diagonal=40.0)
     assert len(model.shape_model.modes) == 0
     assert model.levels[0].appearances["log"].n_modes == 0
+
+
+def test_lit_pictures_may_not_be_grey_where_the_others_are_in_colour(pairs, lit_pairs):
+    grey = [(np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2), points) for image, points in lit_pairs]
+    with pytest.raises(TrainingError, match="under other lights are grey .* unlike those to learn from"):
+        train(pairs, lit=grey)

@@ -80,6 +80,8 @@ def conclude(summary: Mapping[str, Any], out: Path) -> None:
 
 def print_lines(lines: Mapping[str, Sequence[tuple[float, float | None]]], title: str) -> None:
     """Print values by method and swept value."""
+    if not lines:
+        return
     table = table_of("method", *(f"{x:g}" for x, _ in next(iter(lines.values()))))
     for method, line in lines.items():
         table.add_row(method, *("–" if y is None else f"{y:.3f}" for _, y in line))

@@ -21,7 +21,7 @@ def _distances(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:
     """Root mean square distance of corresponding (n, 2) landmarks, pixels: what a covariance speaks of."""
-    return float(np.sqrt(np.mean(np.square(_distances(shape, truth)))))
+    return root_mean_square(_distances(shape, truth))
 
 
 def inter_ocular_distance(shape: np.ndarray, left_eye: slice, right_eye: slice) -> float:
@@ -50,7 +50,17 @@ def error_statistics(errors: np.ndarray) -> dict[str, float | None]:
             "p90": np.percentile(errors, 90),
             "rms": np.sqrt(np.mean(np.square(errors))),
         }
-    return {name: float(value) if np.isfinite(value) else None for name, value in found.items()}
+    return {name: finite_or_none(value) for name, value in found.items()}
+
+
+def root_mean_square(values) -> float:
+    """Root mean square of numbers."""
+    return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))
+
+
+def finite_or_none(value: float) -> float | None:
+    """Give a number as JSON knows it: None for what is not finite."""
+    return float(value) if np.isfinite(value) else None
 
 
 def angle_difference(angle: float, truth: float) -> float:

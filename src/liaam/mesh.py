@@ -188,6 +188,10 @@ class ReferenceFrame:
         """
         return np.stack([solve(np.asarray(difference @ values, np.float64)) for difference, solve in self._slopes], 1)
 
+    def __getstate__(self) -> dict:
+        """Leave out the factorised splines, which cannot be pickled and are soon made again."""
+        return {name: value for name, value in self.__dict__.items() if name != "_slopes"}
+
     @cached_property
     def _slopes(self) -> list:
         width, height = self.size

@@ -254,15 +254,17 @@ def _level(tensors: dict[str, np.ndarray], i: int, blur: float, n_pixels: int) -
 def _appearance(tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int) -> AppearanceModel:
     channels = CHANNELS[name]
     modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
+    unexplained = None  # absent from an illumination basis and from the files of earlier versions
+    if f"{prefix}.unexplained" in tensors:
+        unexplained = _tensor(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels))
+        if (np.diagonal(unexplained, axis1=1, axis2=2) < 0).any():
+            raise ValueError(f"{prefix}.unexplained has variances below 0")
     return AppearanceModel(
         mean=_tensor(tensors, f"{prefix}.mean", np.float32, (n_pixels, channels)),
         modes=modes,
         eigenvalues=_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
         usable=_tensor(tensors, f"{prefix}.usable", np.float32, (n_pixels,)),
-        # Absent from an illumination basis and from the files of earlier versions.
-        unexplained=_tensor(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels))
-        if f"{prefix}.unexplained" in tensors
-        else None,
+        unexplained=unexplained,
     )
 
 

@@ -12,8 +12,11 @@ from liaam.photometry import Response, from_linear, to_linear
 from liaam.photometry.encoding import as_colour
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
-"""Of a residual: what rounding to 8 bits leaves. A fit of a picture without noise leaves less, down to rounding of
-float32, against which no prior would hold modes that are not seen."""
+"""Of a residual: at least what rounding to 8 bits leaves of the brightest pixel's logarithm. A fit of a picture
+without noise leaves less, down to rounding of float32, against which no prior would hold modes that are not seen."""
+
+LARGEST = 10
+"""Size of a shape, in sizes of the image, beyond which it is not painted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,20 +63,25 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     Raises
     ------
     MethodError
-        For a method without the log appearance.
+        For a method without the log appearance, and for another fitter than the fit's.
     """
     if fitter.objectives[-1].method.appearance != "log":
         raise MethodError(
             f"method {result.method} does not fit the appearance of log-RGB, so nothing can be rebuilt from it; "
             "fit with 'li', 'li-pc', 'li-pcs' or 'chroma'"
         )
+    if fitter.objectives[-1].method.name != result.method:
+        own = fitter.objectives[-1].method.name
+        raise MethodError(f"the fit was made with method {result.method}, not {own}; give its own fitter")
     objective, equations, lam = fitter.equations_at(image, result)
-    n = objective.appearance.n_modes
+    n, eigenvalues = objective.appearance.n_modes, objective.appearance.eigenvalues
+    if not equations.weight > 0:  # nothing of the picture can be used: what training says
+        return ShadowFree(objective.appearance.texture(np.zeros(n)), np.zeros(n), np.sqrt(eigenvalues))
     # In units of the residual's variance; one residual in 4 pi s^2 is independent, as for the shape's prior.
     correlated = max(1.0, 4.0 * np.pi * fitter.model.levels[-1].blur ** 2)
     variance = correlated * max(equations.cost, LEAST_VARIANCE)
     precision = np.zeros(len(lam))
-    precision[:n] = prior * variance / np.maximum(objective.appearance.eigenvalues, 1e-12)
+    precision[:n] = prior * variance / np.maximum(eigenvalues, 1e-12)
     # Modes that are not seen may have lost their sign to rounding.
     ridge = max(1e-9 * float(np.diag(equations.aa).max()), -2.0 * float(np.linalg.eigvalsh(equations.aa)[0]))
     hessian = equations.aa + np.diag(precision + ridge)
@@ -97,14 +105,17 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     Returns
     -------
     picture : (h, w, c) float32
-        Zero outside the mesh; triangles that are turned over stay empty.
+        Zero outside the mesh; triangles that are turned over stay empty, and so does all of a shape that is
+        not finite, or many times as large as the image.
     inside : (h, w) bool
     """
     from scipy.ndimage import map_coordinates
 
     height, width = image.shape[:2]
     picture, inside = np.zeros((height, width, values.shape[1]), np.float32), np.zeros((height, width), bool)
-    triangles = model.triangles[signed_areas(shape, model.triangles) > 1e-3]
+    # A fit that has blown up may be of any size.
+    sane = np.isfinite(shape).all() and np.ptp(shape, axis=0).max() < LARGEST * max(height, width)
+    triangles = model.triangles[signed_areas(shape, model.triangles) > 1e-3] if sane else model.triangles[:0]
     if not len(triangles):
         return picture, inside
     there = ReferenceFrame(shape, triangles)

@@ -102,7 +102,9 @@ def train(
         _check_fold(entry, frame)
     warp = PiecewiseAffineWarp(frame, shape_model)
     textures = _sample_all(entries, warp, response, blurs, progress)
-    lit_textures = [None] * len(blurs) if lit is None else _sample_lit(lit, entries, warp, response, blurs, progress)
+    lit_textures: list[_Textures | None] = [None] * len(blurs)
+    if lit is not None:
+        lit_textures = [*_sample_lit(lit, entries, warp, response, blurs, progress, textures[0].grey)]
     kept = variance if appearance_variance is None else appearance_variance
     return AAM(
         shape_model=shape_model,
@@ -275,6 +277,7 @@ def _sample_lit(
     response: Response,
     blurs: tuple[float, ...],
     progress: Callable | None,
+    grey: bool,
 ) -> list[_Textures]:
     """Sample the pictures under other lights, which have to have the landmarks of the rest."""
     others, *_ = _entries(lit, at_least=1)
@@ -285,7 +288,13 @@ def _sample_lit(
                 f"{len(entries[0].points)}; every image needs the same points in the same order"
             )
         _check_fold(entry, warp.frame)
-    return _sample_all(others, warp, response, blurs, progress)
+    textures = _sample_all(others, warp, response, blurs, progress)
+    if textures[0].grey != grey:
+        raise TrainingError(
+            f"the pictures under other lights are {'in colour' if grey else 'grey (three equal channels)'}, unlike "
+            f"those to learn from (such as {entries[0].name}); make both alike"
+        )
+    return textures
 
 
 def sample_appearance(

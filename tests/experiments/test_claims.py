@@ -12,7 +12,7 @@ def sweep(column: str, errors: dict[str, list], angles: dict[str, list] | None =
     angles = angles or {}
     return {
         "swept": column,
-        "li_and_lit_px": dict(zip(("median", "p90"), gap, strict=True)),
+        "li_and_lit_px": [{column: float(i), **dict(zip(("median", "p90"), gap, strict=True))} for i in range(3)],
         "methods": {
             method: [
                 {
@@ -40,6 +40,7 @@ def alike(line: list, **others: list) -> dict[str, list]:
         ("noise", sweep("sigma_n", alike([0.0, 1.0, 2.0])), True),
         ("noise", sweep("sigma_n", alike([0.0, 1.0, 2.0], li_pc=[0.0, 1.2, 1.5])), False),
         ("noise", sweep("sigma_n", alike([9.0, 1.0, 2.0], li_pc=[0.1, 1.2, 2.0])), True),
+        ("noise", sweep("sigma_n", alike([0.0, None, None])), False),
         ("displacement", sweep("gamma", alike([0.01, 0.02], li_pc=[0.04, 0.06])), True),
         ("displacement", sweep("gamma", alike([0.01, 0.02], li_pc=[0.04, 0.2])), False),
         ("displacement", sweep("gamma", alike([0.01, 0.02], li_pc=[0.04, None])), False),
@@ -97,4 +98,5 @@ def test_too_few_values_have_no_verdict():
 def test_the_lower_part_of_a_sweep():
     summary = up_to(sweep("gamma", alike([0.1, 0.2, 9.0])), 1.0)
     assert [cell["gamma"] for cell in summary["methods"]["li"]] == [0.0, 1.0]
+    assert [gap["gamma"] for gap in summary["li_and_lit_px"]] == [0.0, 1.0]
     assert BY_NAME["displacement"].of({"displacement": summary}).holds

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
-from liaam.experiments.runner import JOURNAL, Experiment, all_cores, run_experiment
+from liaam.experiments.runner import Experiment, all_cores, run_experiment
 from liaam.plotting import Panel, figure_of_curves
 
 FILES = ["figure.png", "figure.svg", "report.md", "results.csv", "summary.json"]
@@ -124,10 +124,10 @@ def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, calls, jobs):
     with pytest.raises(KeyboardInterrupt, match=r"3 of 6 tasks are kept in .*goes on from there"):
         run_experiment(experiment, out, jobs, stop_after(3))
     assert not multiprocessing.active_children()
-    done = {json.loads(line)["key"] for line in (out / JOURNAL).read_text().splitlines()[1:]}
+    done = {json.loads(line)["key"] for line in (out / experiment.journal).read_text().splitlines()}
     assert len(done) == 3
     before = counts()
-    with (out / JOURNAL).open("a") as journal:  # a kill in the middle of a write
+    with (out / experiment.journal).open("a") as journal:  # a kill in the middle of a write
         journal.write('{"key": "task 5", "rows": [{"meth')
     run_experiment(experiment, out, jobs)
     assert all(counts()[i] == before[i] for i in range(6) if f"task {i}" in done)
@@ -137,18 +137,22 @@ def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, calls, jobs):
 
 
 @pytest.mark.parametrize("change", [{"settings": {"n": 6, "step": 0.25}}, {"name": "counting again"}])
-def test_other_settings_start_afresh(tmp_path, calls, change):
+def test_other_settings_have_a_journal_of_their_own(tmp_path, calls, change):
     folder, counts = calls
     experiment = counting(partial(work, folder))
     with pytest.raises(KeyboardInterrupt):
         run_experiment(experiment, tmp_path / "out", 1, stop_after(3))
     run_experiment(replace(experiment, **change), tmp_path / "out")
     assert counts() == {0: 2, 1: 2, 2: 2, 3: 1, 4: 1, 5: 1}
+    run_experiment(experiment, tmp_path / "out")  # what the first had done is still there
+    assert counts() == {0: 2, 1: 2, 2: 2, 3: 2, 4: 2, 5: 2}
 
 
-def test_a_journal_of_something_else_is_no_obstacle(tmp_path, calls):
-    (tmp_path / JOURNAL).write_bytes(b"\xff\x00 nonsense\n{}\n")
-    run_experiment(counting(partial(work, calls[0])), tmp_path)
+@pytest.mark.parametrize("text", [b"\xff\x00 nonsense\n{}\n", b"[1]\n", b'{"key": "task 1"}\n'])
+def test_a_journal_of_something_else_is_no_obstacle(tmp_path, calls, text):
+    experiment = counting(partial(work, calls[0]))
+    (tmp_path / experiment.journal).write_bytes(text)
+    run_experiment(experiment, tmp_path)
     assert set(calls[1]().values()) == {1}
 
 

@@ -114,3 +114,17 @@ def test_light_invariance_holds_on_a_real_person(shared_data, tmp_path):
     for gamma in (4, 16):
         assert max(medians(summary, method)[gamma] for method in LIGHT_INVARIANT) < 0.3
         assert min(medians(summary, method)[gamma] for method in ("grey", "rgb")) > 2.5
+
+
+@pytest.mark.parametrize("method", ["aia", "varied+tukey"])
+def test_methods_that_need_other_lights_are_refused_before_any_work(tmp_path, method):
+    with pytest.raises(LiaamError, match="needs pictures under other lights .* baselines"):
+        displacement_experiment(None, (method,), 1)
+
+
+def test_a_milder_shadow_leaves_more_light_and_a_negative_one_is_refused():
+    subject = get_subject(None)
+    deep, mild = (make_case(subject, 0, 0, 0.0, 0.0, strength).image for strength in (-1.8, -1.2))
+    assert mild.mean() > deep.mean() + 0.01
+    with pytest.raises(LiaamError, match=r"strength 0.5: give the shadow's change of log light"):
+        displacement_experiment(None, ("li",), 1, strength=0.5)

@@ -110,13 +110,25 @@ def test_suffixes_change_a_method():
 
 @pytest.mark.parametrize("name", ["li+nonsense", "li+noise+noise", "li+huber+tukey", "li+", "li+squares"])
 def test_suffixes_that_do_not_exist_are_listed(name):
-    with pytest.raises(MethodError, match=r"does not exist or comes twice; a method takes \+noise and one of \+huber"):
+    with pytest.raises(
+        MethodError, match=r"does not exist or is one too many; a method takes \+noise and one of \+huber"
+    ):
         get_method(name)
 
 
-def test_gradient_orientations_have_no_noise_weights():
-    with pytest.raises(MethodError, match="noise weights are not known"):
-        get_method("igo+noise")
+@pytest.mark.parametrize("name", ["igo+noise", "grey+noise", "rgb+noise+huber"])
+def test_noise_weights_are_for_logarithms(name):
+    with pytest.raises(MethodError, match="noise weights are for methods that compare logarithms"):
+        get_method(name)
+
+
+def test_the_models_errors_are_not_counted_twice():
+    with pytest.raises(MethodError, match="leave learnt out"):
+        get_method("li+noise+learnt")
+
+
+def test_spaces_around_suffixes_do_not_matter():
+    assert get_method("li + noise ").name == "li+noise"
 
 
 def test_methods_that_learn_light_need_a_model_that_has(fine_model):

@@ -1,11 +1,13 @@
 """Robust losses, noise weights and normalisation: what each is for, on scenes with known truth."""
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from liaam.fitting import Fitter
+from liaam.fitting import Fitter, SolverOptions
 from liaam.fitting.losses import LOSSES, robust_scale
 from liaam.photometry import linear_to_srgb, noise_deviation
 from setups import disturb, model_pixels
@@ -28,6 +30,12 @@ def test_the_scale_is_that_of_most_residuals(rng):
     assert robust_scale(residuals[4000:]) == pytest.approx(3, rel=0.03)
     assert robust_scale(residuals) < 4.5
     assert robust_scale(np.zeros(0)) == 0
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_the_scale_does_not_depend_on_the_rows(k, rng):
+    sizes = np.sqrt(np.square(rng.normal(0, 3, (20000, k))).mean(axis=1))
+    assert robust_scale(sizes, k) == pytest.approx(3, rel=0.03)
 
 
 def covered(image: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
@@ -73,6 +81,29 @@ def test_noise_weights_pay_where_pixels_differ_in_noise(fine_model, lit_scene, r
             shape = Fitter(fine_model, name).fit(noisy, disturb(lit_scene.landmarks)).shape
             found.append(model_pixels(fine_model, shape, lit_scene.landmarks))
     assert np.mean(errors["li+noise"]) < 0.7 * np.mean(errors["li"])
+
+
+def test_no_iterations_are_none_also_where_scoring_follows(fine_model, lit_scene):
+    start = fine_model.shape_model.project(lit_scene.landmarks)
+    result = Fitter(fine_model, "li+noise", SolverOptions(max_iterations=0)).fit(lit_scene.image, start)
+    np.testing.assert_allclose(result.shape, start, atol=1e-6)
+    assert result.n_iterations == 0
+
+
+def test_scoring_steps_are_counted_and_bounded(fine_model, lit_scene):
+    options = SolverOptions(max_iterations=2)
+    result = Fitter(fine_model, "li+noise", options).fit(lit_scene.image, disturb(lit_scene.landmarks))
+    levels = len(fine_model.levels)
+    assert 2 * levels < result.n_iterations <= 4 * levels
+    assert len(result.history) <= result.n_iterations + levels
+
+
+def test_a_model_can_be_pickled_after_any_fit(fine_model, lit_scene):
+    """As worker processes need it; the spline's factors cannot be."""
+    Fitter(fine_model, "li+noise").fit(lit_scene.image, disturb(lit_scene.landmarks))
+    again = pickle.loads(pickle.dumps(fine_model))
+    values = np.arange(fine_model.n_pixels, dtype=float)[:, None]
+    np.testing.assert_array_equal(again.frame.gradient(values), fine_model.frame.gradient(values))
 
 
 @pytest.mark.parametrize(("sigma", "close"), [(2, 0.3), (10, 0.1)])

@@ -193,9 +193,10 @@ def baselines_experiment(
     trials : int
         Draws per situation.
     seed : int
-    solver : {"liaam", "paper"}
+    solver : str
+        Of :data:`liaam.experiments.solvers.SOLVERS`.
     """
-    check_request([method for situation in SITUATIONS[1:2] for method in situation.methods], solver, trials)
+    check_request(("grey",), solver, trials)
     return Experiment(
         name="baselines",
         title="The paper's references, each where it should help",

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.experiments.runner import Experiment, Row, markdown_table
-from liaam.experiments.simulated import Curves, make_case, sharp_model
+from liaam.evaluation import finite_or_none, root_mean_square
+from liaam.experiments.runner import Experiment, Row
+from liaam.experiments.simulated import Curves, make_case, sharp_model, table_of_curves
 from liaam.experiments.solvers import check_request
 from liaam.experiments.subjects import get_subject, subject_facts
 from liaam.fitting import Method
@@ -151,11 +152,10 @@ def _is(row: Row, light: str, measure: str, sigma: float) -> bool:
 
 
 def _rms(rows: list[Row]) -> dict[str, float | None]:
-    def of(column: str) -> float | None:
-        value = float(np.sqrt(np.mean(np.square([row[column] for row in rows]))))
-        return value if np.isfinite(value) else None
-
-    return {"bound_px": of("bound_px"), "theta_bound_deg": of("theta_bound_deg")}
+    return {
+        column: finite_or_none(root_mean_square([row[column] for row in rows]))
+        for column in ("bound_px", "theta_bound_deg")
+    }
 
 
 def curves(summary: dict[str, Any], light: str, quantity: str) -> Curves:
@@ -199,14 +199,15 @@ def report(_rows: list[Row], summary: dict[str, Any]) -> str:
     parts = ["What is the least error that noise leaves to an unbiased estimator that measures a picture in each way?"]
     for light in UNDER:
         lines = curves(summary, light, "bound_px")
-        sigmas = [x for x, _ in next(iter(lines.values()))]
-        rows = [[m, *("–" if y is None else f"{y:.3f}" for _, y in line)] for m, line in lines.items()]
         parts += [
             f"**{light[0].upper()}{light[1:]}**: bound of the landmarks (RMS), px, by σn of 255:",
-            markdown_table(["measure", *(f"{sigma:g}" for sigma in sigmas)], rows),
+            table_of_curves(lines),
         ]
     price = summary["bounds"]["same light"]
-    ratio = price["li"][0]["bound_px"] / price["rgb"][0]["bound_px"]
+    li, rgb = (price[measure][0]["bound_px"] for measure in ("li", "rgb"))
+    if li is None or rgb is None:
+        return "\n\n".join(parts)
+    ratio = li / rgb
     parts.append(
         f"Invariance has its price: under the same light, at the same noise, `li` is at best {ratio:.1f} times as far "
         "from the truth as `rgb`."

@@ -145,7 +145,8 @@ def convergence_experiment(
     trials : int
         Draws of the start; in the spot protocol for each person.
     seed : int
-    solver : {"liaam", "paper"}
+    solver : str
+        Of :data:`liaam.experiments.solvers.SOLVERS`.
     """
     check_request(tuple(methods), solver, trials)
     setup = Setup(data, tuple(methods), solver, trials, seed)

@@ -212,7 +212,8 @@ def reconstruct_experiment(
     trials : int
         Pictures of each kind.
     seed : int
-    solver : {"liaam", "paper"}
+    solver : str
+        Of :data:`liaam.experiments.solvers.SOLVERS`.
     """
     check_request(tuple(methods), solver, trials)
     for method in methods:

@@ -26,7 +26,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -43,9 +43,6 @@ Progress = Callable[[int, int, str], None]
 
 PICTURES = "pictures.png"
 """File in the results' folder that shows what was fitted, where an experiment has such pictures."""
-
-JOURNAL = "trials.jsonl"
-"""File in the results' folder that keeps finished tasks until all are done."""
 
 
 class Task(Protocol):
@@ -115,9 +112,17 @@ class Experiment:
             raise LiaamError(f"experiment {self.name}: two tasks have the same name; is a swept value given twice?")
 
     @property
+    def journal(self) -> str:
+        """File in the results' folder that keeps finished tasks until all are done: one for each fingerprint.
+
+        So a run with other settings does not undo what a stopped one has done.
+        """
+        return f"trials-{self.fingerprint}.jsonl"
+
+    @property
     def fingerprint(self) -> str:
-        """Short digest of what decides the results."""
-        text = json.dumps([self.name, self.settings, __version__], sort_keys=True)
+        """Short digest of what decides the results: settings, and the code."""
+        text = json.dumps([self.name, self.settings, __version__, _code_digest()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -133,6 +138,16 @@ class Outcome:
 
     rows: list[Row]
     fault: str | None = None
+
+
+@lru_cache(maxsize=1)
+def _code_digest() -> str:
+    """Digest of the library's source, so that no result outlives the code that gave it."""
+    root = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 Finished = Generator[tuple[Task, Outcome], None, None]
@@ -171,7 +186,7 @@ def run_experiment(
         raise LiaamError("jobs must be at least 1")
     tell = progress or (lambda done, total, what: None)
     make_folder(out)
-    with Journal(out / JOURNAL, experiment.fingerprint) as journal:
+    with Journal(out / experiment.journal) as journal:
         _complete(experiment, journal, jobs, tell)
         outcomes = [journal.outcomes[task.key] for task in experiment.tasks]
     tell(len(outcomes), len(outcomes), "figure")
@@ -182,11 +197,12 @@ def run_experiment(
 
 def finished(experiment: Experiment, out: Path) -> dict[str, Any] | None:
     """Give the summary that an earlier run of the same experiment has left in a folder; None where there is none."""
-    path = out / "summary.json"
-    if not path.is_file():
+    files = ["results.csv", "summary.json", "figure.png", "figure.svg", "report.md"]
+    files += [PICTURES] if experiment.pictures else []
+    if not all((out / name).is_file() for name in files):
         return None
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
+        summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     except ValueError:
         return None
     same = isinstance(summary, dict) and summary.get("fingerprint") == experiment.fingerprint
@@ -199,7 +215,7 @@ def all_cores() -> int:
 
 
 class Journal:
-    """Finished tasks on disk, a line each, behind a first line that says of which experiment they are.
+    """Finished tasks on disk, a line each.
 
     Attributes
     ----------
@@ -207,13 +223,11 @@ class Journal:
         By the task's key.
     """
 
-    def __init__(self, path: Path, fingerprint: str) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.outcomes: dict[str, Outcome] = {}
-        head = json.dumps({"fingerprint": fingerprint})
         kept = _whole_lines(path)
-        kept = kept if kept[:1] == [head] else [head]
-        for line in kept[1:]:
+        for line in kept:
             self._note(json.loads(line))
         write_text_atomically(path, "".join(f"{line}\n" for line in kept))  # without a torn line
         self._file = path.open("a", encoding="utf-8")
@@ -243,16 +257,16 @@ class Journal:
 
 
 def _whole_lines(path: Path) -> list[str]:
-    """Lines up to the first that is no whole JSON: what a kill left half-written is done again."""
+    """Lines up to the first that is no whole entry: what a kill left half-written is done again."""
     if not path.is_file():
         return []
     whole = []
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True):
         try:
-            json.loads(line)
+            entry = json.loads(line)
         except ValueError:
             break
-        if not line.endswith("\n"):
+        if not line.endswith("\n") or not isinstance(entry, dict) or set(entry) != {"key", "rows", "fault"}:
             break
         whole.append(line.rstrip("\n"))
     return whole

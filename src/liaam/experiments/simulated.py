@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.evaluation import angle_difference, error_statistics, point_error, rms_error
+from liaam.evaluation import (
+    angle_difference,
+    error_statistics,
+    finite_or_none,
+    point_error,
+    rms_error,
+    root_mean_square,
+)
 from liaam.experiments.runner import Experiment, Row, markdown_table
 from liaam.experiments.solvers import check_request, get_solver, make_fitters
 from liaam.experiments.subjects import (
@@ -340,14 +347,14 @@ def summarise(column: str, methods: Sequence[str], rows: list[Row]) -> dict[str,
         return [row for row in rows if row["method"] == method and row[column] == value]
 
     bounds = [{column: value, **bound_statistics(at(BOUND, value))} for value in values if at(BOUND, value)]
-    least = {cell[column]: cell["rms_px"] for cell in bounds}
+    least = {cell[column]: cell["rms_px"] for cell in bounds if cell["rms_px"] is not None}
     return {
         "swept": column,
         "start_px_median": [
             [value, float(np.median([r["start_px"] for r in at(methods[0], value)]))] for value in values
         ],
         "bound": bounds,
-        "li_and_lit_px": _difference(rows),
+        "li_and_lit_px": _differences(column, rows),
         "methods": {
             method: [
                 {column: value, **statistics(at(method, value), least.get(value) if _is_invariant(method) else None)}
@@ -358,10 +365,19 @@ def summarise(column: str, methods: Sequence[str], rows: list[Row]) -> dict[str,
     }
 
 
-def _difference(rows: list[Row]) -> dict[str, float | None] | None:
-    """How far the errors of ``li`` and ``li-lit`` differ, fit by fit; None where one of them is missing."""
-    li, lit = (np.array([row["error_px"] for row in rows if row["method"] == method]) for method in ("li", "li-lit"))
-    return error_statistics(np.abs(li - lit)) if len(li) and len(lit) else None
+def _differences(column: str, rows: list[Row]) -> list[dict[str, Any]] | None:
+    """How far the errors of ``li`` and ``li-lit`` differ, fit by fit, at each value; None without one of them."""
+    errors = {
+        method: {(row[column], row["trial"]): row["error_px"] for row in rows if row["method"] == method}
+        for method in ("li", "li-lit")
+    }
+    if not all(errors.values()):
+        return None
+    gaps = {key: abs(error - errors["li-lit"][key]) for key, error in errors["li"].items()}
+    values = sorted({value for value, _ in gaps})
+    return [
+        {column: v, **error_statistics(np.array([gap for key, gap in gaps.items() if key[0] == v]))} for v in values
+    ]
 
 
 def _is_invariant(method: str) -> bool:
@@ -371,24 +387,20 @@ def _is_invariant(method: str) -> bool:
 def bound_statistics(rows: list[Row]) -> dict[str, Any]:
     """Bound at one value: what an efficient estimator's medians would be about, and the root mean square."""
     return {
-        "error_px": float(np.median([row["error_px"] for row in rows])),
-        "rms_px": _rms([row["rms_px"] for row in rows]),
-        "theta_error_deg": MEDIAN_OF_GAUSSIAN * float(np.median([row["theta_error_deg"] for row in rows])),
+        "error_px": finite_or_none(np.median([row["error_px"] for row in rows])),
+        "rms_px": finite_or_none(root_mean_square([row["rms_px"] for row in rows])),
+        "theta_error_deg": finite_or_none(MEDIAN_OF_GAUSSIAN * np.median([row["theta_error_deg"] for row in rows])),
     }
-
-
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def statistics(rows: list[Row], least: float | None) -> dict[str, Any]:
     """Statistics of one method at one value, where ``least`` is the bound of its root mean square."""
     angles = np.abs([row["theta_error_deg"] for row in rows])
     statuses = [row["status"] for row in rows]
-    spread = _rms([row["rms_px"] for row in rows])
+    spread = root_mean_square([row["rms_px"] for row in rows])
     return {
         "error_px": error_statistics(np.array([row["error_px"] for row in rows])),
-        "rms_px": spread if np.isfinite(spread) else None,
+        "rms_px": finite_or_none(spread),
         "efficiency": None if least is None else least / spread,
         "theta_error_deg": error_statistics(angles),
         "iterations_median": float(np.median([row["iterations"] for row in rows])),
@@ -453,12 +465,17 @@ def report(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> str:
             parts += [f"{what}, by {sweep.label}:", table_of_curves({**lines, **references(summary, quantity)})]
     efficiencies = curves(summary, "efficiency")
     if efficiencies:
-        parts += [f"Efficiency (bound / RMS error of the landmarks), by {sweep.label}:", table_of_curves(efficiencies)]
+        parts += [
+            f"Efficiency (bound of li / RMS error of the landmarks), by {sweep.label}:",
+            table_of_curves(efficiencies),
+        ]
     return "\n\n".join(parts)
 
 
 def table_of_curves(lines: Mapping[str, Sequence[tuple[float, float | None]]]) -> str:
     """Curves as a table in markdown, a row per method; the first curve has all swept values."""
+    if not lines:
+        return "Nothing finite."
     values = [x for x, _ in next(iter(lines.values()))]
     header = ["method", *(f"{x:g}" for x in values)]
     cells = {method: {x: y for x, y in line if y is not None} for method, line in lines.items()}

@@ -85,7 +85,12 @@ def make_fitters(model: AAM, methods: Sequence[str], solver: str) -> dict[str, F
 def check_request(methods: Sequence[str], solver: str, trials: int) -> None:
     """Refuse, before any work, methods and solvers that do not exist, and no trials."""
     for method in methods:
-        get_method(method)
+        row = get_method(method)
+        if row.illumination or row.appearance == "varied":
+            raise MethodError(
+                f"method {method} needs pictures under other lights to learn from, which this experiment lacks; "
+                "'liaam experiment baselines' compares it"
+            )
     if not methods:
         raise MethodError("no method is given; see 'liaam methods' for those that exist")
     if len(set(methods)) < len(methods):

@@ -221,7 +221,8 @@ def spot_experiment(
     trials : int
         Starts per person.
     seed : int
-    solver : {"liaam", "paper"}
+    solver : str
+        Of :data:`liaam.experiments.solvers.SOLVERS`.
     """
     check_request(methods, solver, trials)
     persons, left_out = find_persons(data)

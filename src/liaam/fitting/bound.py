@@ -50,7 +50,7 @@ class Bound:
             return np.inf
         low, high = np.linalg.eigvalsh(self.landmarks).T
         flatness = 1.0 - np.divide(low, high, out=np.ones_like(low), where=high > 0)
-        return float((np.sqrt(2.0 * high / np.pi) * ellipe(flatness)).mean())
+        return float((np.sqrt(2.0 * high / np.pi) * ellipe(np.clip(flatness, 0.0, 1.0))).mean())
 
 
 UNSEEN = 1e-9
@@ -69,6 +69,9 @@ def cramer_rao_bound(
     response: Response | None = None,
 ) -> Bound:
     """Bound for one picture under white noise of its stored values.
+
+    An object at least twice as large as the reference frame is averaged down first, as a fit does: the bound is then
+    that of the averaged picture. Train with a larger frame for the bound of all pixels.
 
     Parameters
     ----------

@@ -2,7 +2,8 @@
 
 Theobald, Matthews and Baker, "Evaluating error functions for robust active appearance models", FG 2006 (the
 paper's [12]), compare them for AAMs. Each function maps residuals in standard deviations to weights in
-[0, 1]; its constant is the usual one, with which a Gaussian residual loses 5 % of efficiency.
+[0, 1]. The constants of huber, cauchy, geman-mcclure and tukey are the usual ones, with which Gaussian residuals lose
+5 % of efficiency (a ratio of variances); under l1 and learnt they lose a third.
 """
 
 from collections.abc import Callable
@@ -49,6 +50,17 @@ LOSSES: dict[str, Loss] = {
 from pictures without occlusion, gives it: the best of the eight in the paper cited above."""
 
 
-def robust_scale(u: np.ndarray) -> float:
-    """Standard deviation of Gaussian residuals estimated from the median of their sizes (1.4826 median)."""
-    return float(1.4826 * np.median(u)) if len(u) else 0.0
+def robust_scale(sizes: np.ndarray, k: int = 1) -> float:
+    """Standard deviation of Gaussian residuals from the median of their sizes: 1.4826 times that for one row.
+
+    Parameters
+    ----------
+    sizes : (n,) float
+        Root mean squares over the k rows of each pixel's residual.
+    k : int
+    """
+    from scipy.special import gammaincinv
+
+    # Half of the sums of k squares of unit normals lie below this (the median of chi-squared).
+    median = 2.0 * float(gammaincinv(k / 2, 0.5))
+    return float(np.median(sizes) / np.sqrt(median / k)) if len(sizes) else 0.0

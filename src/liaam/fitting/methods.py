@@ -104,8 +104,15 @@ class Method:
             raise MethodError(f"method {self.name}: {self.encoding} images do not suit a {self.appearance} appearance")
         if (self.metric == "orientation") != (self.encoding == "orientation"):
             raise MethodError(f"method {self.name}: metric {self.metric} does not suit encoding {self.encoding}")
-        if self.noise_weights and self.encoding == "orientation":
-            raise MethodError(f"method {self.name}: noise weights are not known for gradient orientations")
+        if self.noise_weights and self.encoding != "log":
+            raise MethodError(
+                f"method {self.name}: noise weights are for methods that compare logarithms, where dark pixels are the "
+                f"noisy ones; noise of values is alike everywhere"
+            )
+        if self.noise_weights and self.loss == "learnt":
+            raise MethodError(
+                f"method {self.name}: noise weights hold the model's own errors already; leave learnt out"
+            )
         if (self.illumination or self.normalise) and self.encoding != "value":
             raise MethodError(f"method {self.name}: an illumination basis and normalisation need encoding value")
         if self.appearance == "invariant" and self.metric != "invariant":
@@ -262,15 +269,16 @@ def get_method(method: str | Method) -> Method:
     """
     if isinstance(method, Method):
         return method
+    method = "+".join(part.strip() for part in method.split("+"))
     base, *suffixes = method.split("+")
     if base not in METHODS:
-        raise MethodError(f"method {method!r} does not exist; there are {', '.join(METHODS)}")
+        raise MethodError(f"method {method!r} does not exist; there are {', '.join(METHODS)} (see 'liaam methods')")
     changes: dict = {}
     for suffix in suffixes:
         field, value = ("noise_weights", True) if suffix == NOISE_SUFFIX else ("loss", suffix)
         if field in changes or (field == "loss" and suffix not in LOSSES):
             raise MethodError(
-                f"method {method!r}: the suffix +{suffix} does not exist or comes twice; a method takes "
+                f"method {method!r}: the suffix +{suffix} does not exist or is one too many; a method takes "
                 f"+{NOISE_SUFFIX} and one of {', '.join(f'+{name}' for name in LOSSES)}"
             )
         changes[field] = value

@@ -63,9 +63,9 @@ class FitProblem:
     response : Response
         Of the image's camera.
     noise : float
-        Standard deviation of the image's noise, in stored values of [0, 1].
+        Standard deviation of the noise that the patch's averaging leaves, in stored values of [0, 1].
     noise_left : float
-        Share of it that the patch's averaging and blur leave.
+        Share of it that the blur of the encoded channels leaves.
     """
 
     patch: Patch
@@ -101,13 +101,13 @@ class FitProblem:
 
 
 def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, blur: float) -> tuple[float, float]:
-    """Noise of an image around a shape, and the share that a patch's averaging and blur (image pixels) leave."""
+    """Noise around a shape after a patch's averaging, and the share that a blur (image pixels) leaves of it."""
     reduce = 1.0 / patch.from_image.scale
     # A Gaussian blur keeps 1 / (4 pi sigma^2) of white noise's variance.
-    left = 1.0 / (reduce * max(1.0, 2.0 * np.sqrt(np.pi) * blur / reduce))
+    left = 1.0 / max(1.0, 2.0 * np.sqrt(np.pi) * blur / reduce)
     low = np.maximum(shape.min(axis=0).astype(int), 0)
     high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
-    return noise_deviation(image[low[1] : high[1], low[0] : high[0]]), left
+    return noise_deviation(image[low[1] : high[1], low[0] : high[0]]) / reduce, left
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class Trust:
     model : (n_pixels,) float64, optional
         Variance of the residual by the model's errors; goes with ``noise``.
     unit : float
-        Variance that weighs 1.
+        Variance that weighs 1: weights are 1 on average, so that a cost is the variance of such a residual.
     gain, offset : float
         Normalisation of the image's samples: they are compared as gain * E(I) + offset.
     """
@@ -306,20 +306,21 @@ class Objective:
             problem.patch.channels,
             self.warp.points(state.p, problem.pose),
             self.warp.jacobian(state.p),
-            gain * problem.pose.matrix,
+            problem.pose.matrix if gain == 1.0 else gain * problem.pose.matrix,
             metric,
             own_root,
             columns,
         )
         lam = state.lam.astype(np.float32)
+        residual = projected - design.mean
         with np.errstate(over="ignore", invalid="ignore"):  # a fit that blows up; its cost says so
-            predicted = design.mean + (design.modes @ lam).reshape(design.mean.shape)
-        # Rows of P that see a common offset see it by their sum.
-        residual = gain * projected + (offset * metric.sum(axis=1)).astype(np.float32) - predicted
+            residual -= (design.modes @ lam).reshape(residual.shape)
+        if (gain, offset) != (1.0, 0.0):  # rows of P see a common offset by their sum
+            residual += (gain - 1.0) * projected + (offset * metric.sum(axis=1)).astype(np.float32)
         root = (own_root * weights)[:, None]
         n_p = self.warp.n_parameters
         if own_gradient:
-            columns[:, :n_p] = self._model_columns(state, predicted, root)
+            columns[:, :n_p] = self._model_columns(state, design, root)
         if self.n_q > n_p:
             columns[:, n_p : self.n_q] = self.angle_columns(state, values, lam, root)
         if root_slope is not None:
@@ -329,8 +330,9 @@ class Objective:
         equations = self._equations(columns, design, weights, None if trust is None else own_root)
         return Linearisation(equations, residual, values, weights)
 
-    def _model_columns(self, state: State, predicted: np.ndarray, root: np.ndarray) -> np.ndarray:
-        """Weighted dr/dp by the gradient of the predicted appearance (n, k) instead of the image's, (n * k, n_p)."""
+    def _model_columns(self, state: State, design: _Design, root: np.ndarray) -> np.ndarray:
+        """Weighted dr/dp by the gradient of the fitted appearance instead of the image's, (n * k, n_p)."""
+        predicted = design.mean + (design.modes @ state.lam.astype(np.float32)).reshape(design.mean.shape)
         slope = root[:, :, None] * self.warp.pulled_gradient(predicted, state.p)
         columns = np.einsum("nak,naj->nkj", slope, self.warp.jacobian(state.p), optimize=True)
         return columns.reshape(predicted.size, -1)
@@ -398,7 +400,7 @@ class Objective:
         squares = np.square(seen.residual, dtype=np.float64).mean(axis=1)[usable]
         factor = _likeliest_factor(squares, by_noise[usable], by_model[usable])
         model = factor * by_model
-        return {"noise": noise, "model": model, "unit": float(np.median((by_noise + model)[usable]))}
+        return {"noise": noise, "model": model, "unit": float(1.0 / np.mean(1.0 / (by_noise + model)[usable]))}
 
     def _unexplained(self, theta: float) -> np.ndarray:
         """Variance of the model's errors in rows of P on average, (n_pixels,) float64; 0 where it is not known."""
@@ -416,10 +418,10 @@ class Objective:
             # A picture under another light leaves more everywhere: the median pixel still counts.
             deviation = np.sqrt(self._unexplained(self.theta_model) + 1e-12)
             u = sizes / deviation
-            weights = loss(u / max(robust_scale(u[usable]), 1.0)) / deviation
-            return (weights / weights[usable].max()).astype(np.float32)
+            weights = loss(u / max(robust_scale(u[usable], residual.shape[1]), 1.0)) / deviation
+            return (weights / max(weights[usable].mean(), 1e-300)).astype(np.float32)
         u = sizes if variance is None else sizes / np.sqrt(variance)
-        return loss(u / max(robust_scale(u[usable]), 1e-9)).astype(np.float32)
+        return loss(u / max(robust_scale(u[usable], residual.shape[1]), 1e-9)).astype(np.float32)
 
     def workspace(self) -> np.ndarray:
         """Give an array for the columns [J | r] of one linearisation."""

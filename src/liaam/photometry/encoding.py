@@ -121,7 +121,7 @@ def encode(
     ----------
     image : (h, w, 3) uint8, uint16 or float32
         Stored values. Integers count from 0 to the type's maximum.
-    encoding : {"value", "log"}
+    encoding : {"value", "log", "orientation"}
         See :data:`ENCODINGS`.
     response : Response
         How stored values relate to linear light.
