@@ -285,5 +285,5 @@ def test_identical_images_leave_no_modes(scenes):
 
 def test_lit_pictures_may_not_be_grey_where_the_others_are_in_colour(pairs, lit_pairs):
     grey = [(np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2), points) for image, points in lit_pairs]
-    with pytest.raises(TrainingError, match="under other lights are grey .* unlike those to learn from"):
+    with pytest.raises(TrainingError, match=r"under other lights are grey .* unlike those to learn from"):
         train(pairs, lit=grey)

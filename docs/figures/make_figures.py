@@ -1,6 +1,8 @@
 """Make the documentation's figures: ``python docs/figures/make_figures.py``. Needs no data.
 
-``demo.png`` is the figure that ``liaam demo`` writes, made by the same code.
+All show generated scenes. They are the figures that commands write, made by the same code: ``demo.png`` by ``liaam
+demo``, ``shadow.png`` and ``noise.png`` by ``liaam experiment noise``, ``reconstruct.png`` by ``liaam experiment
+reconstruct``; the experiments take a few trials only.
 """
 
 import os
@@ -11,16 +13,34 @@ from pathlib import Path
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 from liaam.experiments.demo import run_demo
+from liaam.experiments.noise import noise_experiment
+from liaam.experiments.reconstruct import reconstruct_experiment
+from liaam.experiments.runner import run_experiment
 
 HERE = Path(__file__).parent
+
+TRIALS = 6
+METHODS = ("grey", "rgb", "li", "li-pcs", "li+noise")
+PICTURES = 1
 
 
 def main() -> None:
     """Write every figure beside this script."""
-    with tempfile.TemporaryDirectory() as folder:
-        run_demo(Path(folder))
-        shutil.copyfile(Path(folder) / "figure.png", HERE / "demo.png")
-    print(f"written to {HERE / 'demo.png'}")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        run_demo(folder / "demo")
+        run_experiment(noise_experiment(methods=METHODS, trials=TRIALS), folder / "noise")
+        run_experiment(reconstruct_experiment(methods=("li",), trials=PICTURES), folder / "reconstruct")
+        keep(folder / "demo" / "figure.png", "demo.png")
+        keep(folder / "noise" / "pictures.png", "shadow.png")
+        keep(folder / "noise" / "figure.png", "noise.png")
+        keep(folder / "reconstruct" / "figure.png", "reconstruct.png")
+
+
+def keep(figure: Path, name: str) -> None:
+    """Copy a figure to beside this script."""
+    shutil.copyfile(figure, HERE / name)
+    print(f"written to {HERE / name}")
 
 
 if __name__ == "__main__":
