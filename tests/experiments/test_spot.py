@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError, MethodError
-from liaam.experiments.spot import EYES, disturbed_start, find_persons, run_spot
+from liaam.experiments.runner import run_experiment
+from liaam.experiments.spot import EYES, disturbed_start, find_persons, spot_experiment
 from setups import write_person
 
 
@@ -21,8 +22,8 @@ def persons_folder(tmp_path_factory):
 
 
 def test_writes_a_row_per_fit_and_repeats_itself(persons_folder, tmp_path):
-    summary = run_spot(persons_folder, tmp_path / "a", ["rgb", "li"], trials=2, seed=7)
-    run_spot(persons_folder, tmp_path / "b", ["rgb", "li"], trials=2, seed=7)
+    summary = run_experiment(spot_experiment(persons_folder, ["rgb", "li"], trials=2, seed=7), tmp_path / "a")
+    run_experiment(spot_experiment(persons_folder, ["rgb", "li"], trials=2, seed=7), tmp_path / "b")
     text = (tmp_path / "a" / "results.csv").read_text()
     assert text == (tmp_path / "b" / "results.csv").read_text()
     rows = list(csv.DictReader(text.splitlines()))
@@ -57,15 +58,15 @@ def test_starts_depend_on_seed_person_and_trial_only(persons_folder):
 
 def test_refuses_before_the_work_starts(persons_folder, tmp_path):
     with pytest.raises(MethodError, match="'magic' does not exist; there are grey, rgb, li"):
-        run_spot(persons_folder, tmp_path / "out", ["magic"])
+        run_experiment(spot_experiment(persons_folder, ["magic"]), tmp_path / "out")
     write_person(tmp_path, 6, conditions="12")
     with pytest.raises(LiaamError, match=r"no person has pictures NN-1.*IMM"):
-        run_spot(tmp_path, tmp_path / "out", ["li"])
+        run_experiment(spot_experiment(tmp_path, ["li"]), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_light_invariance_pays_on_real_spot_lit_faces(shared_data, tmp_path):
-    summary = run_spot(shared_data / "imm", tmp_path, ["rgb", "li"], trials=3, seed=0)
+    summary = run_experiment(spot_experiment(shared_data / "imm", ["rgb", "li"], trials=3, seed=0), tmp_path)
     rgb, li = summary["methods"]["rgb"], summary["methods"]["li"]
     assert len(summary["persons"]) == 21
     assert summary["left_out"] == ["person 02: the pictures are grey"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.evaluation import finite_or_none, root_mean_square
-from liaam.experiments.runner import Experiment, Row
+from liaam.experiments.runner import Experiment, NumberedTrial, Row
 from liaam.experiments.simulated import Curves, make_case, sharp_model, table_of_curves
 from liaam.experiments.solvers import check_request
 from liaam.experiments.subjects import get_subject, subject_facts
@@ -44,18 +44,6 @@ CHOICES = (
 
 
 @dataclass(frozen=True)
-class Trial:
-    """One task."""
-
-    number: int
-
-    @property
-    def key(self) -> str:
-        """Name for the journal."""
-        return f"trial {self.number}"
-
-
-@dataclass(frozen=True)
 class Setup:
     """What all trials share."""
 
@@ -64,7 +52,7 @@ class Setup:
     sigmas: tuple[float, ...]
 
 
-def run_trial(setup: Setup, trial: Trial) -> list[Row]:
+def run_trial(setup: Setup, trial: NumberedTrial) -> list[Row]:
     """Work out all bounds for one picture, with and without its shadow."""
     model, subject = sharp_model(setup.data), get_subject(setup.data)
     case = make_case(subject, setup.seed, trial.number, gamma=0.0, sigma_n=0.0)
@@ -115,7 +103,7 @@ def bound_experiment(
             "seed": seed,
             "sigma_n": list(map(float, sigmas)),
         },
-        tasks=tuple(Trial(number) for number in range(trials)),
+        tasks=tuple(NumberedTrial(number) for number in range(trials)),
         work=partial(run_trial, Setup(data, seed, tuple(map(float, sigmas)))),
         columns={
             "light": "",

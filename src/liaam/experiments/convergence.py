@@ -15,7 +15,7 @@ import numpy as np
 
 from liaam.evaluation import error_statistics, point_error
 from liaam.experiments import simulated, spot
-from liaam.experiments.runner import Experiment, Row
+from liaam.experiments.runner import Experiment, NumberedTrial, Row
 from liaam.experiments.solvers import MAX_ITERATIONS, check_request, get_solver
 from liaam.experiments.subjects import get_subject, head_scenes, subject_facts
 from liaam.fitting import FitResult, Fitter
@@ -57,18 +57,6 @@ class Setup:
     seed: int
 
 
-@dataclass(frozen=True)
-class Trial:
-    """One task: the number of a draw."""
-
-    number: int
-
-    @property
-    def key(self) -> str:
-        """Name for the journal."""
-        return f"trial {self.number}"
-
-
 def trace_person(setup: Setup, person: spot.Person) -> list[Row]:
     """Follow the fits to one person's spot-lit picture."""
     study = spot.study_of(person, setup.methods, setup.solver)
@@ -79,14 +67,14 @@ def trace_person(setup: Setup, person: spot.Person) -> list[Row]:
     ]
 
 
-def trace_shadow(setup: Setup, trial: Trial) -> list[Row]:
+def trace_shadow(setup: Setup, trial: NumberedTrial) -> list[Row]:
     """Follow the fits to one of a person's pictures under a simulated shadow."""
     fitters = simulated.get_fitters(setup.data, setup.methods, setup.solver)
     case = simulated.make_case(get_subject(setup.data), setup.seed, trial.number, GAMMA, sigma_n=0.0)
     return trace(fitters, case.image, case.start, case.truth, case.picture, trial.number)
 
 
-def trace_scene(setup: Setup, trial: Trial) -> list[Row]:
+def trace_scene(setup: Setup, trial: NumberedTrial) -> list[Row]:
     """Follow the fits to a generated picture under lateral light."""
     fitters = simulated.get_fitters(None, setup.methods, setup.solver, THETA_DEFAULT)
     scenes = _lateral_scenes()
@@ -175,7 +163,7 @@ def convergence_experiment(
 
 def _plan(setup: Setup) -> tuple:
     """Light, facts of the data, tasks, work, choices and what was left out, as the kind of data has it."""
-    numbered = tuple(Trial(number) for number in range(setup.trials))
+    numbered = tuple(NumberedTrial(number) for number in range(setup.trials))
     if setup.data is None:
         facts = {**subject_facts(None), "gamma": GAMMA}
         return "generated, hard, from the left", facts, numbered, trace_scene, SCENE_CHOICES, ()

@@ -14,7 +14,7 @@ from liaam.experiments.bound import bound_experiment
 from liaam.experiments.claims import CLAIMS, Verdict, up_to
 from liaam.experiments.convergence import convergence_experiment
 from liaam.experiments.displacement import displacement_experiment
-from liaam.experiments.noise import noise_experiment
+from liaam.experiments.noise import NOISE_METHODS, noise_experiment
 from liaam.experiments.reconstruct import reconstruct_experiment
 from liaam.experiments.runner import PICTURES, Experiment, Progress, finished, run_experiment
 from liaam.experiments.simulated import METHODS, shadow_colour
@@ -139,10 +139,9 @@ def plan(person: Path | None, persons: Path | None, size: str, seed: int) -> lis
 
 
 def _main_parts(folder: str, name: str, data: Path | None, size: Size, seed: int) -> list[Part]:
-    noise_methods = (*METHODS, "li+noise")
     made = {
         "displacement": displacement_experiment(data, METHODS, size.trials, seed, gammas=size.gammas),
-        "noise": noise_experiment(data, noise_methods, size.trials, seed, sigmas=size.sigmas),
+        "noise": noise_experiment(data, NOISE_METHODS, size.trials, seed, sigmas=size.sigmas),
         "bound": bound_experiment(data, size.trials, seed),
         "convergence": convergence_experiment(data, METHODS, size.trials, seed),
         "baselines": baselines_experiment(data, size.trials, seed),

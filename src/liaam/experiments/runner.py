@@ -54,6 +54,18 @@ class Task(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class NumberedTrial:
+    """A task that is told by the number of its draw alone."""
+
+    number: int
+
+    @property
+    def key(self) -> str:
+        """Name for the journal."""
+        return f"trial {self.number}"
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """What an experiment does, and how it is told.

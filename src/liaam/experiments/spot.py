@@ -18,7 +18,7 @@ import numpy as np
 from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
 from liaam.evaluation import error_statistics, inter_ocular_distance, nme
-from liaam.experiments.runner import Experiment, Progress, Row, markdown_table, run_experiment
+from liaam.experiments.runner import Experiment, Row, markdown_table
 from liaam.experiments.solvers import check_request, get_solver, make_fitters
 from liaam.experiments.subjects import data_facts
 from liaam.fitting import Fitter
@@ -246,25 +246,6 @@ def spot_experiment(
         left_out=left_out,
         skips_faults=True,
     )
-
-
-def run_spot(
-    data: Path,
-    out: Path,
-    methods: Sequence[str] = METHODS,
-    trials: int = 3,
-    seed: int = 0,
-    progress: Progress | None = None,
-    jobs: int | None = 1,
-) -> dict[str, Any]:
-    """Make the experiment and run it; see :func:`spot_experiment` and :func:`liaam.experiments.runner.run_experiment`.
-
-    Returns
-    -------
-    dict
-        The summary, as written.
-    """
-    return run_experiment(spot_experiment(data, methods, trials, seed), out, jobs, progress)
 
 
 def summarise(methods: Sequence[str], trials: int, seed: int, rows: list[Row]) -> dict[str, Any]:
