@@ -224,7 +224,8 @@ def test_experiments_print_medians_and_write_files(run, portraits, tmp_path, nam
     assert "grey" in out
     assert f"written to {tmp_path / 'o'}" in out
     written = sorted(path.name for path in (tmp_path / "o").iterdir())
-    assert written == ["figure.png", "figure.svg", "report.md", "results.csv", "summary.json"]
+    pictures = [] if name == "convergence" else ["pictures.png"]
+    assert written == ["figure.png", "figure.svg", *pictures, "report.md", "results.csv", "summary.json"]
     assert column in (tmp_path / "o" / "results.csv").read_text().splitlines()[0]
 
 

@@ -215,12 +215,12 @@ def reconstruct_experiment(
     solver : str
         Of :data:`liaam.experiments.solvers.SOLVERS`.
     """
-    check_request(tuple(methods), solver, trials)
     for method in methods:
         if get_method(method).appearance != "log":
             raise MethodError(
                 f"method {method} does not fit log-RGB, so it rebuilds nothing; give li, li-pc, li-pcs or chroma"
             )
+    check_request(tuple(methods), solver, trials)
     setup = Setup(data, tuple(methods), solver, seed)
     facts, tasks, left_out = _plan(data, trials)
     return Experiment(
