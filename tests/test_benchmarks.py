@@ -1,0 +1,10 @@
+"""Benchmarks use the engine's inside, which no one promises to keep: they have to run at least."""
+
+from benchmarks import iteration
+
+
+def test_the_benchmark_of_an_iteration_runs(monkeypatch, capsys):
+    monkeypatch.setattr(iteration, "ROUNDS", 2)
+    monkeypatch.setattr(iteration, "WARM_UP", 0)
+    iteration.main()
+    assert "iteration_ratio" in capsys.readouterr().out
