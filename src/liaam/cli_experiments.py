@@ -82,9 +82,11 @@ def print_lines(lines: Mapping[str, Sequence[tuple[float, float | None]]], title
     """Print values by method and swept value."""
     if not lines:
         return
+    from liaam.evaluation import or_dash
+
     table = table_of("method", *(f"{x:g}" for x, _ in next(iter(lines.values()))))
     for method, line in lines.items():
-        table.add_row(method, *("–" if y is None else f"{y:.3f}" for _, y in line))
+        table.add_row(method, *(or_dash(y) for _, y in line))
     say(title)
     console.print(table)
 
@@ -185,12 +187,14 @@ def spot(
 
 def spot_rows(summary: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
     """Rows of the spot protocol's table."""
+    from liaam.evaluation import or_dash
+
     for method, row in summary["methods"].items():
         theta, nme, p90 = row["theta_deg_median"], row["nme_median"], row["nme_p90"]
         yield (
             method,
-            "–" if nme is None else f"{nme:.2%}",
-            "–" if p90 is None else f"{p90:.2%}",
+            or_dash(nme, ".2%"),
+            or_dash(p90, ".2%"),
             f"{row['converged']:.0%}",
             f"{row['iterations_median']:.0f}",
             "–" if theta is None else f"{theta:.1f}°",
@@ -225,6 +229,7 @@ def baselines(
     jobs: Jobs = None,
 ) -> None:
     """Do AIA, robust losses and normalisation help where their papers say so?"""
+    from liaam.evaluation import or_dash
     from liaam.experiments.baselines import SITUATIONS, baselines_experiment
 
     summary = execute(baselines_experiment(data, trials, seed, solver), out, jobs)
@@ -232,7 +237,7 @@ def baselines(
         table = table_of("method", "median error, px", f"better than {situation.baseline}")
         for method, cell in summary["situations"][situation.name]["methods"].items():
             verdict = {True: "yes", False: "no"}.get(cell.get("beats_plain"), "–")
-            table.add_row(method, "–" if cell["median"] is None else f"{cell['median']:.3f}", verdict)
+            table.add_row(method, or_dash(cell["median"]), verdict)
         say(situation.title)
         console.print(table)
     conclude(summary, out)
@@ -255,6 +260,7 @@ def reconstruct(
     jobs: Jobs = None,
 ) -> None:
     """What would the object look like without the shadow? (Paper section 6 and Fig 4.)"""
+    from liaam.evaluation import or_dash
     from liaam.experiments import reconstruct as module
 
     summary = execute(module.reconstruct_experiment(data, names_in(methods), trials, seed, solver), out, jobs)
@@ -262,7 +268,7 @@ def reconstruct(
     for kind, found in summary["kinds"].items():
         for method, cell in found.items():
             medians = (cell[quantity]["median"] for quantity in module.QUANTITIES)
-            table.add_row(kind, method, *("–" if value is None else f"{value:.3f}" for value in medians))
+            table.add_row(kind, method, *(or_dash(value) for value in medians))
     say("median error of log light: of the input, of what was rebuilt, of the best the model can do")
     console.print(table)
     conclude(summary, out)

@@ -48,7 +48,7 @@ def error_statistics(errors: np.ndarray) -> dict[str, float | None]:
         found = {
             "median": np.median(errors),
             "p90": np.percentile(errors, 90),
-            "rms": np.sqrt(np.mean(np.square(errors))),
+            "rms": root_mean_square(errors),
         }
     return {name: finite_or_none(value) for name, value in found.items()}
 
@@ -61,6 +61,11 @@ def root_mean_square(values) -> float:
 def finite_or_none(value: float) -> float | None:
     """Give a number as JSON knows it: None for what is not finite."""
     return float(value) if np.isfinite(value) else None
+
+
+def or_dash(value: float | None, style: str = ".3f") -> str:
+    """Give a number in a format, a dash where there is none."""
+    return "–" if value is None else format(value, style)
 
 
 def angle_difference(angle: float, truth: float) -> float:

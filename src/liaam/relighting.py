@@ -6,10 +6,11 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
+from liaam.fitting.objective import tied_together
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.model import AAM
 from liaam.photometry import Response, from_linear, to_linear
-from liaam.photometry.encoding import as_colour
+from liaam.photometry.encoding import as_colour, stored_values
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
 """Of a residual: at least what rounding to 8 bits leaves of the brightest pixel's logarithm. A fit of a picture
@@ -77,9 +78,8 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     n, eigenvalues = objective.appearance.n_modes, objective.appearance.eigenvalues
     if not equations.weight > 0:  # nothing of the picture can be used: what training says
         return ShadowFree(objective.appearance.texture(np.zeros(n)), np.zeros(n), np.sqrt(eigenvalues))
-    # In units of the residual's variance; one residual in 4 pi s^2 is independent, as for the shape's prior.
-    correlated = max(1.0, 4.0 * np.pi * fitter.model.levels[-1].blur ** 2)
-    variance = correlated * max(equations.cost, LEAST_VARIANCE)
+    # In units of the residual's variance, as for the shape's prior.
+    variance = tied_together(fitter.model.levels[-1].blur) * max(equations.cost, LEAST_VARIANCE)
     precision = np.zeros(len(lam))
     precision[:n] = prior * variance / np.maximum(eigenvalues, 1e-12)
     # Modes that are not seen may have lost their sign to rounding.
@@ -159,8 +159,7 @@ def without_shading(
         Logarithm of image / appearance, 0 outside the mesh.
     """
     image = as_colour(image)
-    top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
-    stored = np.nan_to_num(image.astype(np.float32) / np.float32(top))
+    stored = stored_values(image)
     log_rgb, inside = paint(image, shape, model, appearance.log_rgb)
     fresh = np.clip(from_linear(np.exp(log_rgb), response), 0, 1)
     floor = 0.5 * float(to_linear(np.array(1 / 255), response))

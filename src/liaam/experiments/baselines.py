@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.evaluation import error_statistics, point_error
+from liaam.evaluation import error_statistics, or_dash, point_error
 from liaam.experiments.runner import Experiment, Row, markdown_table
 from liaam.experiments.simulated import displaced
-from liaam.experiments.solvers import check_request, get_solver, make_fitters
+from liaam.experiments.solvers import check_trials, get_solver, make_fitters
 from liaam.experiments.subjects import (
     PAPER_THETA,
     TILT,
@@ -196,7 +196,7 @@ def baselines_experiment(
     solver : str
         Of :data:`liaam.experiments.solvers.SOLVERS`.
     """
-    check_request(("grey",), solver, trials)
+    check_trials(solver, trials)
     return Experiment(
         name="baselines",
         title="The paper's references, each where it should help",
@@ -258,7 +258,7 @@ def report(_rows: list[Row], summary: dict[str, Any]) -> str:
     for situation in SITUATIONS:
         cells = summary["situations"][situation.name]["methods"]
         rows = [
-            [method, _number(cell["median"]), _number(cell["p90"]), _verdict(cell)] for method, cell in cells.items()
+            [method, or_dash(cell["median"]), or_dash(cell["p90"]), _verdict(cell)] for method, cell in cells.items()
         ]
         header = ["method", "median error, px", "90th percentile", f"better than {situation.baseline}"]
         parts += [f"**{situation.title[0].upper()}{situation.title[1:]}**", markdown_table(header, rows)]
@@ -267,7 +267,3 @@ def report(_rows: list[Row], summary: dict[str, Any]) -> str:
 
 def _verdict(cell: dict[str, Any]) -> str:
     return {True: "yes", False: "no", None: "–"}[cell.get("beats_plain")]
-
-
-def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3f}"

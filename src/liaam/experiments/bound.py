@@ -11,7 +11,7 @@ import numpy as np
 from liaam.evaluation import finite_or_none, root_mean_square
 from liaam.experiments.runner import Experiment, NumberedTrial, Row
 from liaam.experiments.simulated import Curves, make_case, sharp_model, table_of_curves
-from liaam.experiments.solvers import check_request
+from liaam.experiments.solvers import check_trials
 from liaam.experiments.subjects import get_subject, subject_facts
 from liaam.fitting import Method
 from liaam.fitting.bound import cramer_rao_bound
@@ -92,7 +92,7 @@ def bound_experiment(
     sigmas : sequence of float
         Noise, 8-bit units.
     """
-    check_request(("li",), "liaam", trials)
+    check_trials("paper", trials)
     return Experiment(
         name="bound",
         title="The bound that noise sets",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.evaluation import error_statistics, point_error
+from liaam.evaluation import error_statistics, or_dash, point_error, root_mean_square
 from liaam.experiments import simulated, spot
 from liaam.experiments.runner import Experiment, Row, markdown_table
 from liaam.experiments.solvers import check_request, get_solver, make_fitters
@@ -191,7 +191,7 @@ def texture_of(model: AAM, image: np.ndarray, shape: np.ndarray) -> tuple[np.nda
 
 
 def _rms(errors: np.ndarray, usable: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(errors[usable > 0], dtype=np.float64))))
+    return root_mean_square(errors[usable > 0])
 
 
 def reconstruct_experiment(
@@ -311,7 +311,7 @@ def report(_rows: list[Row], summary: dict[str, Any]) -> str:
     """Errors of log light by kind of picture and method."""
     header = ["pictures", "method", "landmarks, px", "input", "rebuilt", "model"]
     rows = [
-        [kind, method, *(_cell(cell[quantity]["median"]) for quantity in QUANTITIES)]
+        [kind, method, *(or_dash(cell[quantity]["median"]) for quantity in QUANTITIES)]
         for kind, methods in summary["kinds"].items()
         for method, cell in methods.items()
     ]
@@ -319,7 +319,3 @@ def report(_rows: list[Row], summary: dict[str, Any]) -> str:
         "How near is the rebuilt appearance to what the object looks like under the light of training? (Paper eq 11 "
         f"and Fig 4.)\n\nMedian errors of log light, by picture and method:\n\n{markdown_table(header, rows)}"
     )
-
-
-def _cell(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3f}"

@@ -36,7 +36,7 @@ from liaam.experiments.subjects import (
     subject_facts,
 )
 from liaam.fitting import FitResult, Fitter, get_method
-from liaam.fitting.bound import cramer_rao_bound
+from liaam.fitting.bound import Bound, cramer_rao_bound
 from liaam.model import AAM
 from liaam.photometry import encode, invariant, temperature_direction
 from liaam.plotting import Panel, figure_of_curves, figure_of_pictures
@@ -245,21 +245,27 @@ def _bound_rows(setup: Setup, trial: Trial) -> list[Row]:
     conditions = setup.sweep.conditions(trial.value)
     if not conditions["sigma_n"] > 0:
         return []
-    case = make_case(get_subject(setup.data), setup.seed, trial.number, 0.0, 0.0, setup.strength)
-    bound = cramer_rao_bound(sharp_model(setup.data), case.image, case.truth, "li", conditions["sigma_n"] / 255)
+    sigma, (picture, unit) = conditions["sigma_n"], _unit_bound(setup.data, setup.seed, trial.number, setup.strength)
     row: Row = {
         "method": BOUND,
         setup.sweep.column: trial.value,
         "trial": trial.number,
-        "image": case.picture,
+        "image": picture,
         "start_px": np.nan,
-        "error_px": bound.mean_distance,
-        "rms_px": bound.rms,
-        "theta_error_deg": float(np.rad2deg(bound.theta)),
+        "error_px": sigma * unit.mean_distance,
+        "rms_px": sigma * unit.rms,
+        "theta_error_deg": float(np.rad2deg(sigma * unit.theta)),
         "iterations": 0,
         "status": "",
     }
     return [row]
+
+
+@lru_cache(maxsize=256)
+def _unit_bound(data: Path | None, seed: int, trial: int, strength: float) -> tuple[int, Bound]:
+    """Picture of a trial, and its bound at a noise of 1 of 255; the bound grows in proportion to the noise."""
+    case = make_case(get_subject(data), seed, trial, 0.0, 0.0, strength)
+    return case.picture, cramer_rao_bound(sharp_model(data), case.image, case.truth, "li", 1 / 255)
 
 
 def angle_error(result: FitResult, truth: float) -> float:

@@ -82,6 +82,13 @@ def make_fitters(model: AAM, methods: Sequence[str], solver: str) -> dict[str, F
     return {method: Fitter(model, method, get_solver(solver).options) for method in methods}
 
 
+def check_trials(solver: str, trials: int) -> None:
+    """Refuse, before any work, a solver that does not exist, and no trials."""
+    get_solver(solver)
+    if trials < 1:
+        raise MethodError("trials must be at least 1")
+
+
 def check_request(methods: Sequence[str], solver: str, trials: int) -> None:
     """Refuse, before any work, methods and solvers that do not exist, and no trials."""
     for method in methods:
@@ -95,6 +102,4 @@ def check_request(methods: Sequence[str], solver: str, trials: int) -> None:
         raise MethodError("no method is given; see 'liaam methods' for those that exist")
     if len(set(methods)) < len(methods):
         raise MethodError(f"a method is given twice: {', '.join(methods)}")
-    get_solver(solver)
-    if trials < 1:
-        raise MethodError("trials must be at least 1")
+    check_trials(solver, trials)

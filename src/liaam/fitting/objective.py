@@ -100,11 +100,23 @@ class FitProblem:
         return cls(patch, to_patch, response, *_noise(image, shape, patch, pose.scale * blur))
 
 
+def tied_together(blur: float) -> float:
+    """Pixels that a Gaussian blur ties together to one independent value, 4 pi blur^2 or 1.
+
+    It is also what the blur divides white noise's variance by.
+
+    Parameters
+    ----------
+    blur : float
+        Standard deviation, pixels.
+    """
+    return max(1.0, 4.0 * np.pi * blur**2)
+
+
 def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, blur: float) -> tuple[float, float]:
     """Noise around a shape after a patch's averaging, and the share that a blur (image pixels) leaves of it."""
     reduce = 1.0 / patch.from_image.scale
-    # A Gaussian blur keeps 1 / (4 pi sigma^2) of white noise's variance.
-    left = 1.0 / max(1.0, 2.0 * np.sqrt(np.pi) * blur / reduce)
+    left = 1.0 / np.sqrt(tied_together(blur / reduce))
     low = np.maximum(shape.min(axis=0).astype(int), 0)
     high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
     return noise_deviation(image[low[1] : high[1], low[0] : high[0]]) / reduce, left
@@ -519,8 +531,8 @@ def _check_holds(model: AAM, method: Method) -> None:
 def _shape_prior(model: AAM, blur: float) -> np.ndarray:
     """Prior of the shape modes, N(0, eigenvalue); the four similarity vectors have none.
 
-    A blur of standard deviation s leaves one independent residual in about 4 pi s^2 pixels, so the sum of
-    squares over all pixels overstates the evidence by that factor and the prior is scaled up by it.
+    The sum of squares over all pixels overstates the evidence by as many pixels as the blur ties together, and the
+    prior is scaled up by that.
     """
-    modes = max(1.0, 4.0 * np.pi * blur**2) / np.maximum(model.shape_model.eigenvalues, 1e-12)
+    modes = tied_together(blur) / np.maximum(model.shape_model.eigenvalues, 1e-12)
     return np.concatenate([modes, np.zeros(4)])

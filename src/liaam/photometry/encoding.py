@@ -89,6 +89,12 @@ def is_grey(image: np.ndarray) -> bool:
     return True
 
 
+def stored_values(image: np.ndarray, dtype: type = np.float32) -> np.ndarray:
+    """Stored values counted from 0 to 1, finite, in a float type; integers count to their type's maximum."""
+    top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
+    return np.nan_to_num(image.astype(dtype) / dtype(top))
+
+
 def exposure_faults(pixels: np.ndarray) -> tuple[float, float]:
     """Shares of pixels whose logarithm says nothing because a channel is dark, or because one is clipped.
 
@@ -102,8 +108,7 @@ def exposure_faults(pixels: np.ndarray) -> tuple[float, float]:
     dark, clipped : float
         Shares, 0 to 1; a pixel may count in both, and one that is not a number counts as dark.
     """
-    top = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1.0
-    values = np.nan_to_num(pixels.astype(np.float64) / top)
+    values = stored_values(pixels, np.float64)
     return float((values < DARK).any(axis=1).mean()), float((values > SATURATED).any(axis=1).mean())
 
 

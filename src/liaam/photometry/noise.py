@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from liaam.photometry.encoding import stored_values
+
 ENOUGH = 600
 """Pixels across that are looked at."""
 
@@ -26,14 +28,13 @@ def noise_deviation(image: np.ndarray) -> float:
     float
         In values of [0, 1], at least what rounding to 8 bits leaves; JPEG's smoothing makes it too small.
     """
-    top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
     least = STEP / np.sqrt(12.0)
     if min(image.shape[:2]) < 3:
         return least
     # The middle of a large picture tells enough.
     y, x = (max(0, (size - ENOUGH) // 2) for size in image.shape[:2])
     image = image[y : y + ENOUGH, x : x + ENOUGH]
-    values = np.nan_to_num(image.astype(np.float32)) / np.float32(top)
+    values = stored_values(image)
     bent = values[:-2] - 2 * values[1:-1] + values[2:]
     bent = bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]
     return max(float(1.4826 * np.median(np.abs(bent)) / 6.0), least)
