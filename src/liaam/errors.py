@@ -30,3 +30,7 @@ class StartError(LiaamError):
 
 class MethodError(LiaamError):
     """A method, encoding or option of that name does not exist or cannot be used here."""
+
+
+class CameraError(LiaamError):
+    """A camera file cannot be read or written, or a camera cannot be calibrated from this material."""

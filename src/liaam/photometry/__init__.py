@@ -1,6 +1,8 @@
 """Photometry: camera response, the light-invariant projection, and image encodings."""
 
+from liaam.photometry.camera import CameraModel, NoiseModel, load_camera
 from liaam.photometry.encoding import ENCODINGS, encode, exposure_faults, is_grey
+from liaam.photometry.estimate import AngleEstimate
 from liaam.photometry.invariant import (
     CHROMATICITY,
     LUMINANCE,
@@ -14,6 +16,7 @@ from liaam.photometry.invariant import (
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import (
     Response,
+    ResponseCurve,
     from_linear,
     linear_to_srgb,
     log_slope,
@@ -27,7 +30,11 @@ __all__ = [
     "ENCODINGS",
     "LUMINANCE",
     "THETA_DEFAULT",
+    "AngleEstimate",
+    "CameraModel",
+    "NoiseModel",
     "Response",
+    "ResponseCurve",
     "encode",
     "exposure_faults",
     "from_linear",
@@ -36,6 +43,7 @@ __all__ = [
     "invariant_row_derivative",
     "is_grey",
     "linear_to_srgb",
+    "load_camera",
     "log_slope",
     "noise_deviation",
     "parse_response",

@@ -1,17 +1,73 @@
 """Camera response: from stored pixel values to linear light and back."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from liaam.errors import ImageError
 
-Response = Literal["srgb", "linear"] | float
-"""How stored values relate to linear light: the sRGB curve, no curve, or a power (gamma)."""
+
+@dataclass(frozen=True)
+class ResponseCurve:
+    """A measured response, common to the three channels: stored values and the linear light they stand for.
+
+    Between its points the logarithm of light is a monotone cubic of the logarithm of the stored value, below the
+    first a power, so that a power (gamma) needs two points only and dark values keep their relative accuracy.
+
+    Attributes
+    ----------
+    stored : tuple of float
+        Stored values, rising, above 0 and at most 1.
+    linear : tuple of float
+        Linear light there, rising; on a scale of its own (only ratios matter to the invariant), but 1 at stored
+        value 1 keeps pictures as bright as they were.
+
+    Raises
+    ------
+    ImageError
+        If the points do not rise, are not positive, or are fewer than two.
+    """
+
+    stored: tuple[float, ...]
+    linear: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what is no response."""
+        points = (
+            np.array([self.stored, self.linear], dtype=np.float64) if len(self.stored) == len(self.linear) else None
+        )
+        if points is None or points.shape[1] < 2 or not np.isfinite(points).all() or points.min() <= 0:
+            raise ImageError("a response curve needs two or more pairs of positive stored values and linear light")
+        if not (np.diff(points, axis=1) > 0).all() or points[0, -1] > 1:
+            raise ImageError("a response curve must rise from point to point, with stored values of at most 1")
 
 
-def parse_response(text: str | float) -> Response:
-    """Read a response as people write it: ``srgb``, ``linear`` or a gamma such as ``2.2``."""
+Response = Literal["srgb", "linear"] | float | ResponseCurve
+"""How stored values relate to linear light: the sRGB curve, no curve, a power (gamma), or a measured curve."""
+
+
+def parse_response(text: "str | float | Mapping | ResponseCurve") -> Response:
+    """Read a response as people and files write it.
+
+    Parameters
+    ----------
+    text : str, float, mapping or ResponseCurve
+        ``srgb``, ``linear``, a gamma such as ``2.2``, or the ``stored`` and ``linear`` values of a curve.
+
+    Raises
+    ------
+    ImageError
+        If it is none of these.
+    """
+    if isinstance(text, ResponseCurve):
+        return text
+    if isinstance(text, Mapping):
+        if set(text) != {"stored", "linear"}:
+            raise ImageError("a response curve is given by its 'stored' and 'linear' values, and by nothing else")
+        return ResponseCurve(tuple(map(float, text["stored"])), tuple(map(float, text["linear"])))
     if text in ("srgb", "linear"):
         return text
     try:
@@ -21,6 +77,13 @@ def parse_response(text: str | float) -> Response:
     if not 0.2 <= gamma <= 5.0:
         raise ImageError(f"response {text!r} is not known: use 'srgb', 'linear' or a gamma between 0.2 and 5")
     return gamma
+
+
+def describe_response(response: Response) -> "str | float | dict[str, list[float]]":
+    """Write a response as JSON knows it; :func:`parse_response` reads it back."""
+    if isinstance(response, ResponseCurve):
+        return {"stored": list(response.stored), "linear": list(response.linear)}
+    return response
 
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
@@ -41,6 +104,8 @@ def to_linear(values: np.ndarray, response: Response = "srgb") -> np.ndarray:
         return srgb_to_linear(values)
     if response == "linear":
         return np.asarray(values)
+    if isinstance(response, ResponseCurve):
+        return _decode_curve(np.asarray(values), response)
     return np.maximum(values, 0.0) ** float(response)
 
 
@@ -50,6 +115,8 @@ def from_linear(linear: np.ndarray, response: Response = "srgb") -> np.ndarray:
         return linear_to_srgb(linear)
     if response == "linear":
         return np.asarray(linear)
+    if isinstance(response, ResponseCurve):
+        return _encode_curve(np.asarray(linear), response)
     return np.maximum(linear, 0.0) ** (1.0 / float(response))
 
 
@@ -61,4 +128,48 @@ def log_slope(stored: np.ndarray, response: Response = "srgb") -> np.ndarray:
     v = np.asarray(stored)
     if response == "srgb":
         return np.where(v <= 0.04045, 1.0 / np.minimum(v, 0.04045), 2.4 / (np.maximum(v, 0.04045) + 0.055))
+    if isinstance(response, ResponseCurve):
+        return _power_law_ends(_spline(response), np.log(v), slope=True) / v
     return (1.0 if response == "linear" else float(response)) / v
+
+
+SMALLEST = 1e-12
+"""Stored value or light below which a curve gives 0: its logarithm has to end somewhere."""
+
+
+FLATTEST = 1e-3
+"""Least slope of a curve in logarithms: rising points may still meet with a flat end."""
+
+
+@lru_cache(maxsize=8)
+def _spline(curve: ResponseCurve):
+    """Log of light as a monotone cubic of the log of the stored value."""
+    from scipy.interpolate import PchipInterpolator  # heavy: imported when first needed
+
+    return PchipInterpolator(np.log(curve.stored), np.log(curve.linear))
+
+
+def _power_law_ends(spline, log_values: np.ndarray, slope: bool = False) -> np.ndarray:
+    """Value (or slope) of a log-log curve, with straight ends beyond its first and last point."""
+    inside = np.clip(log_values, spline.x[0], spline.x[-1])
+    steepness = np.maximum(spline(inside, 1), FLATTEST)
+    return steepness if slope else spline(inside) + steepness * (log_values - inside)
+
+
+def _decode_curve(values: np.ndarray, curve: ResponseCurve) -> np.ndarray:
+    light = np.exp(_power_law_ends(_spline(curve), np.log(np.maximum(values, SMALLEST))))
+    return np.where(values > SMALLEST, light, 0.0)
+
+
+def _encode_curve(linear: np.ndarray, curve: ResponseCurve) -> np.ndarray:
+    """Invert by table and a few Newton steps in logarithms: exact, and monotone like the curve."""
+    spline, wanted = _spline(curve), np.log(np.maximum(linear, SMALLEST))
+    grid = np.linspace(spline.x[0], spline.x[-1], 2048)
+    ends = _power_law_ends(spline, np.array([grid[0], grid[-1]]), slope=True)
+    heights = spline(grid)
+    found = np.interp(wanted, heights, grid)
+    found = np.where(wanted < heights[0], grid[0] + (wanted - heights[0]) / ends[0], found)
+    found = np.where(wanted > heights[-1], grid[-1] + (wanted - heights[-1]) / ends[1], found)
+    for _ in range(2):
+        found = found - (_power_law_ends(spline, found) - wanted) / _power_law_ends(spline, found, slope=True)
+    return np.where(linear > SMALLEST, np.exp(found), 0.0)

@@ -12,6 +12,7 @@ from the seeds.
 from liaam.datasets.scenes.camera import Camera, narrow_band_camera
 from liaam.datasets.scenes.head import Expression, Head, Pose
 from liaam.datasets.scenes.light import DIFFUSE, Ambient, Lights, PointLight, lateral
+from liaam.datasets.scenes.plane import PlaneLight, colour_chart, even_light, photograph, poster, uneven_light
 from liaam.datasets.scenes.render import Scene, make_set, random_expression, random_pose, render
 
 Light = Lights
@@ -23,13 +24,19 @@ __all__ = [
     "Expression",
     "Head",
     "Light",
+    "PlaneLight",
     "PointLight",
     "Pose",
     "Scene",
+    "colour_chart",
+    "even_light",
     "lateral",
     "make_set",
     "narrow_band_camera",
+    "photograph",
+    "poster",
     "random_expression",
     "random_pose",
     "render",
+    "uneven_light",
 ]

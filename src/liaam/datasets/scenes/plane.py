@@ -1,0 +1,213 @@
+"""Flat scenes: a colour chart or a poster under uneven Planckian light with cast shadows, seen by a camera.
+
+Each pixel receives one Planckian spectrum of its own temperature and strength, so that with line sensors the
+paper's theory holds exactly, shadows and all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.datasets.scenes.camera import Camera, matrices_at
+from liaam.datasets.scenes.light import COLDEST_K, HOTTEST_K, Radiator
+from liaam.errors import LiaamError
+
+CHART_ROWS, CHART_COLUMNS = 4, 6
+GREYS = (0.88, 0.58, 0.36, 0.19, 0.09, 0.035)
+"""Reflectances of the chart's last row, about those of the charts one can buy."""
+
+CHART_COLOURS = (
+    (0.17, 0.08, 0.06), (0.55, 0.31, 0.23), (0.12, 0.20, 0.34),
+    (0.11, 0.15, 0.05), (0.24, 0.22, 0.44), (0.13, 0.52, 0.41),
+    (0.70, 0.21, 0.03), (0.07, 0.10, 0.38), (0.55, 0.09, 0.12),
+    (0.11, 0.04, 0.14), (0.35, 0.50, 0.05), (0.77, 0.37, 0.03),
+    (0.03, 0.05, 0.30), (0.06, 0.30, 0.06), (0.45, 0.03, 0.04),
+    (0.84, 0.57, 0.02), (0.51, 0.09, 0.31), (0.03, 0.24, 0.37),
+)  # fmt: skip
+"""Coefficients of the first three rows' reflectances in red, green and blue parts: the chart's colours, roughly."""
+
+
+@dataclass(frozen=True)
+class PlaneLight:
+    """Light on a flat scene.
+
+    Attributes
+    ----------
+    strength : (h, w) float64
+        Irradiance.
+    mired : (h, w) float64
+        Reciprocal colour temperature, 1e6 / kelvin.
+    """
+
+    strength: np.ndarray
+    mired: np.ndarray
+
+
+def colour_chart(patch: int = 30, gap: int = 6) -> tuple[np.ndarray, np.ndarray]:
+    """Make a chart of 24 patches on a dark ground.
+
+    Parameters
+    ----------
+    patch, gap : int
+        Sizes, pixels.
+
+    Returns
+    -------
+    reflectance : (h, w, 3) float64
+        Coefficients of the reflectance in its red, green and blue parts (see ``Camera.matrix``).
+    boxes : (24, 4) int
+        x0, y0, x1, y1 of each patch, the last pixel not included.
+    """
+    colours = np.array([*CHART_COLOURS, *[(grey,) * 3 for grey in GREYS]])
+    step = patch + gap
+    reflectance = np.full((CHART_ROWS * step + gap, CHART_COLUMNS * step + gap, 3), 0.03)
+    corners = [(gap + step * c, gap + step * r) for r in range(CHART_ROWS) for c in range(CHART_COLUMNS)]
+    boxes = np.array([(x, y, x + patch, y + patch) for x, y in corners])
+    for (x0, y0, x1, y1), colour in zip(boxes, colours, strict=True):
+        reflectance[y0:y1, x0:x1] = colour
+    return reflectance, boxes
+
+
+def poster(size: tuple[int, int] = (240, 320), seed: int = 0) -> np.ndarray:
+    """Make a printed sheet: coloured discs and stripes of many sizes, with a fine grain.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Height and width, pixels.
+    seed : int
+
+    Returns
+    -------
+    (h, w, 3) float64
+        Coefficients of the reflectance in its red, green and blue parts.
+    """
+    rng = np.random.default_rng([seed, 0x905])
+    height, width = _checked(size)
+    y, x = np.mgrid[:height, :width].astype(float)
+    sheet = np.broadcast_to(rng.uniform(0.25, 0.7, 3), (height, width, 3)).copy()
+    for i in range(36):
+        colour = np.exp(rng.uniform(np.log(0.06), np.log(0.85), 3))
+        radius = 0.35 * min(height, width) * 0.92**i
+        cx, cy = rng.uniform(0, width), rng.uniform(0, height)
+        if i % 3 == 2:
+            angle = rng.uniform(0, np.pi)
+            across = np.abs(np.cos(angle) * (x - cx) + np.sin(angle) * (y - cy)) - 0.25 * radius
+            along = np.abs(np.sin(angle) * (x - cx) - np.cos(angle) * (y - cy)) - 2.0 * radius
+            outside = np.maximum(across, along)
+        else:
+            outside = np.hypot(x - cx, (y - cy) * rng.uniform(0.6, 1.6)) - radius
+        cover = np.clip(0.5 - outside / 1.5, 0, 1)[..., None]  # an edge a pixel or two wide
+        sheet = sheet * (1 - cover) + colour * cover
+    grain = np.exp(0.06 * _smooth_noise(rng, (height, width), 2.0))[..., None]
+    return np.clip(sheet * grain, 0.02, 0.95)
+
+
+def uneven_light(
+    size: tuple[int, int],
+    seed: int = 0,
+    *,
+    lamp_K: float = 3600.0,
+    sky_K: float = 8000.0,
+    shadow: float = 0.75,
+) -> PlaneLight:
+    """Make light that falls off over a plane, with cast shadows in which only bluish skylight is left.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Height and width, pixels.
+    seed : int
+        Places the lamp and the shadows.
+    lamp_K, sky_K : float
+        Colour temperatures, kelvin.
+    shadow : float
+        Share of the light that the lamp gives, 0 to 1: what the shadows lack.
+    """
+    for name, kelvin in (("lamp_K", lamp_K), ("sky_K", sky_K)):
+        if not COLDEST_K <= kelvin <= HOTTEST_K:
+            raise LiaamError(f"{name} is {kelvin!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin")
+    if not 0 <= shadow < 1:
+        raise LiaamError(f"shadow is {shadow!r}: give a share from 0 to below 1")
+    rng = np.random.default_rng([seed, 0x11947])
+    height, width = _checked(size)
+    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+    slope = rng.normal(0, 0.28, 2)
+    lamp = np.exp(slope[0] * x + slope[1] * y - 0.15 * (x**2 + y**2))
+    for _ in range(2):
+        angle, offset = rng.uniform(0, 2 * np.pi), rng.uniform(-0.4, 0.4)
+        distance = np.cos(angle) * x + np.sin(angle) * y - offset + 0.12 * np.sin(3 * (x * np.sin(angle) - y) + angle)
+        width_of_shadow, edge = rng.uniform(0.15, 0.45), rng.uniform(0.01, 0.06)
+        lamp = lamp * (0.02 + 0.98 * np.clip(0.5 + (np.abs(distance) - width_of_shadow) / edge, 0, 1))
+    lamp, sky = shadow * lamp, (1 - shadow) * np.exp(rng.normal(0, 0.1) * x)
+    share = lamp / (lamp + sky)
+    return PlaneLight(lamp + sky, share * 1e6 / lamp_K + (1 - share) * 1e6 / sky_K)
+
+
+def even_light(size: tuple[int, int], kelvin: float = 5000.0, strength: float = 1.0) -> PlaneLight:
+    """Make the same light everywhere on a plane of a size (height, width)."""
+    height, width = _checked(size)
+    return PlaneLight(np.full((height, width), float(strength)), np.full((height, width), 1e6 / kelvin))
+
+
+def photograph(
+    reflectance: np.ndarray,
+    light: PlaneLight,
+    camera: Camera | None = None,
+    *,
+    seed: int = 0,
+    exposure: float | None = None,
+    homography: np.ndarray | None = None,
+    radiator: Radiator = "wien",
+) -> np.ndarray:
+    """Take a picture of a flat scene.
+
+    Parameters
+    ----------
+    reflectance : (h, w, 3) float
+        Coefficients of the reflectance in its red, green and blue parts.
+    light : PlaneLight
+    camera : Camera, optional
+        Default: broad sensors, sRGB, 8 bits.
+    seed : int
+        Of the sensor's noise.
+    exposure : float, optional
+        Gain from reflectance times irradiance to linear values; the camera's own, or one that brings the brightest
+        hundredth to 0.85, if left out.
+    homography : (3, 3) float, optional
+        From the scene's pixels to the picture's; the picture has the scene's size, black beyond its border.
+    radiator : {"wien", "planck"}
+
+    Returns
+    -------
+    (h, w, 3) uint8, uint16 or float32
+    """
+    camera = camera or Camera()
+    matrices = matrices_at(camera, light.mired, radiator)
+    linear = np.einsum("hwkj,hwj->hwk", matrices, reflectance) * light.strength[..., None]
+    exposure = exposure or camera.exposure or 0.85 / float(np.percentile(linear.max(axis=-1), 99))
+    linear = linear * exposure
+    if homography is not None:
+        import cv2  # heavy: imported when first needed
+
+        size = (linear.shape[1], linear.shape[0])
+        linear = cv2.warpPerspective(linear, np.asarray(homography, float), size, flags=cv2.INTER_CUBIC)
+        linear = np.maximum(linear, 0.0)
+    linear = linear * camera.falloff(*linear.shape[:2])[..., None]
+    return camera.expose(linear, np.random.default_rng([seed, 0x91A7E]))
+
+
+def _checked(size: tuple[int, int]) -> tuple[int, int]:
+    if len(size) != 2 or not all(8 <= s <= 8192 for s in size):
+        raise LiaamError(f"a plane's size is {size!r}: give height and width, 8 to 8192 pixels")
+    return size
+
+
+def _smooth_noise(rng: np.random.Generator, size: tuple[int, int], blur: float) -> np.ndarray:
+    """Noise of unit deviation, smooth over some pixels."""
+    import cv2  # heavy: imported when first needed
+
+    noise = cv2.GaussianBlur(rng.standard_normal(size), (0, 0), blur)
+    return noise / noise.std()

@@ -1,0 +1,163 @@
+"""What is known of a camera: its angle, response, vignetting and noise, in one small readable file."""
+
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from liaam.errors import CameraError, LiaamError
+from liaam.io import write_text_atomically
+from liaam.photometry.invariant import THETA_DEFAULT
+from liaam.photometry.response import Response, describe_response, parse_response
+
+FORMAT = "liaam-camera"
+VERSION = 1
+
+DIMMEST = 0.02
+"""Least share of light that vignetting may leave."""
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise of linear light: variance = slope * rho + offset (DESIGN section 1), rho in [0, 1].
+
+    Attributes
+    ----------
+    slope : float
+        a: photon noise, which grows with the light.
+    offset : float
+        b: noise in the dark.
+    """
+
+    slope: float
+    offset: float
+
+    def __post_init__(self) -> None:
+        """Refuse what is no noise."""
+        if not np.isfinite([self.slope, self.offset]).all() or min(self.slope, self.offset) < 0:
+            raise CameraError(f"noise of slope {self.slope} and offset {self.offset}: give two numbers of at least 0")
+
+    def variance(self, linear: np.ndarray) -> np.ndarray:
+        """Variance of linear light of given values (any shape)."""
+        return self.slope * np.maximum(linear, 0.0) + self.offset
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """What is known of a camera; each part has a sensible default.
+
+    Attributes
+    ----------
+    theta : float
+        Angle of the invariant projection, radians.
+    theta_deviation : float, optional
+        Its standard error, radians; None where the angle is assumed rather than measured.
+    response : Response
+        From stored values to linear light.
+    vignetting : tuple of float
+        Coefficients of r^2, r^4, ... of the share of light that arrives off the centre, 1 + sum v_i r^(2 i),
+        with r = 1 in the corners; empty for none.
+    noise : NoiseModel, optional
+        Of linear light; None where it is estimated from each picture.
+    history : tuple of str
+        What was estimated from what, a sentence each.
+    """
+
+    theta: float = THETA_DEFAULT
+    theta_deviation: float | None = None
+    response: Response = "srgb"
+    vignetting: tuple[float, ...] = ()
+    noise: NoiseModel | None = None
+    history: tuple[str, ...] = field(default=(), compare=False)
+
+    def __post_init__(self) -> None:
+        """Refuse a camera that cannot be."""
+        if not np.isfinite(self.theta) or abs(self.theta) > 2 * np.pi:
+            raise CameraError(f"theta {self.theta}: give the camera's angle in radians (122 degrees are 2.13)")
+        if self.theta_deviation is not None and not self.theta_deviation >= 0:
+            raise CameraError(f"theta_deviation {self.theta_deviation}: give a standard error of at least 0, or None")
+        parse_response(self.response)
+        if not np.isfinite(self.vignetting).all() or falloff_at(np.linspace(0, 1, 101), self.vignetting).min() < 0.02:
+            raise CameraError(
+                f"vignetting {self.vignetting}: less than a fiftieth of the light would reach the corners"
+            )
+
+    def falloff(self, height: int, width: int) -> np.ndarray:
+        """Share of light that arrives at each pixel, (h, w) float32: 1 in the centre."""
+        y = (np.arange(height) - (height - 1) / 2.0)[:, None]
+        x = (np.arange(width) - (width - 1) / 2.0)[None, :]
+        corner = ((height - 1) / 2.0) ** 2 + ((width - 1) / 2.0) ** 2
+        return falloff_at(np.sqrt((x**2 + y**2) / max(corner, 1e-12)), self.vignetting).astype(np.float32)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the camera as a readable JSON file, atomically.
+
+        Raises
+        ------
+        CameraError
+            If the folder does not exist or cannot be written.
+        """
+        facts = {
+            "format": FORMAT,
+            "version": VERSION,
+            "theta_deg": round(float(np.rad2deg(self.theta)), 6),
+            "theta_standard_error_deg": None
+            if self.theta_deviation is None
+            else round(float(np.rad2deg(self.theta_deviation)), 6),
+            "response": describe_response(self.response),
+            "vignetting": list(self.vignetting),
+            "noise": None if self.noise is None else {"slope": self.noise.slope, "offset": self.noise.offset},
+            "history": list(self.history),
+        }
+        write_text_atomically(
+            path, json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False) + "\n", CameraError
+        )
+
+
+def falloff_at(radius: np.ndarray, vignetting: tuple[float, ...]) -> np.ndarray:
+    """Share of light at distances from the centre (1 in the corners), same shape: 1 + sum v_i r^(2 i)."""
+    squared = np.square(radius)
+    return 1.0 + sum((v * squared ** (i + 1) for i, v in enumerate(vignetting)), np.zeros_like(squared))
+
+
+def load_camera(path: str | os.PathLike) -> CameraModel:
+    """Read a camera file, checking all of it.
+
+    Raises
+    ------
+    CameraError
+        If the file is missing, is no camera file, or says what cannot be.
+    """
+    path = Path(path)
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CameraError(
+            f"{path}: the camera file cannot be read ({error.strerror or error}); make one with 'liaam calibrate'"
+        ) from error
+    except (ValueError, RecursionError):
+        facts = None
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+        raise CameraError(f"{path}: this is no camera file; make one with 'liaam calibrate'")
+    if facts.get("version") != VERSION:
+        raise CameraError(f"{path}: the camera file has version {facts.get('version')}, this liaam reads {VERSION}")
+    try:
+        return _camera(facts)
+    except (KeyError, TypeError, ValueError, OverflowError, LiaamError) as error:
+        raise CameraError(
+            f"{path}: the camera file contradicts itself ({error}); mend it or calibrate again"
+        ) from error
+
+
+def _camera(facts: dict) -> CameraModel:
+    error, noise = facts.get("theta_standard_error_deg"), facts.get("noise")
+    return CameraModel(
+        theta=float(np.deg2rad(float(facts["theta_deg"]))),
+        theta_deviation=None if error is None else float(np.deg2rad(float(error))),
+        response=parse_response(facts.get("response", "srgb")),
+        vignetting=tuple(float(v) for v in facts.get("vignetting", ())),
+        noise=None if noise is None else NoiseModel(float(noise["slope"]), float(noise["offset"])),
+        history=tuple(str(line) for line in facts.get("history", ())),
+    )

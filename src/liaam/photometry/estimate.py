@@ -1,0 +1,46 @@
+"""An estimated angle, with how far it can be trusted."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+PHYSICAL = (float(np.deg2rad(90.0)), float(np.deg2rad(135.0)))
+"""Angles of physical cameras, radians (DESIGN section 1)."""
+
+
+@dataclass(frozen=True)
+class AngleEstimate:
+    """An angle of the invariant projection, estimated.
+
+    Attributes
+    ----------
+    theta : float
+        Radians in [0, pi).
+    standard_error : float
+        Radians; infinite where the angle cannot be told.
+    interval : (float, float)
+        95 % interval, radians; (0, pi) where the angle cannot be told.
+    observable : bool
+        Whether the material can tell the angle at all.
+    message : str
+        What made it observable, or what is missing, in a sentence or two.
+    light_change : float
+        What the angle was seen by: root mean square difference of the lights' colour temperature, as the change of
+        log(R / B) it brings about.
+    n : int
+        Number of surfaces (patches, blocks of pixels) it rests on.
+    """
+
+    theta: float
+    standard_error: float
+    interval: tuple[float, float]
+    observable: bool
+    message: str
+    light_change: float
+    n: int
+
+    @property
+    def physical(self) -> bool:
+        """Whether a physical camera can have that angle, given its error."""
+        slack = 2.0 * self.standard_error if np.isfinite(self.standard_error) else np.pi
+        return PHYSICAL[0] - slack <= self.theta <= PHYSICAL[1] + slack
