@@ -21,7 +21,7 @@ from liaam.fitting.objective import FitProblem, Objective, State, make_objective
 from liaam.kernels import get_kernel
 from liaam.mesh import ReferenceFrame, delaunay, signed_areas
 from liaam.model import AAM, Level
-from liaam.photometry import THETA_DEFAULT
+from liaam.photometry import CameraModel
 from liaam.sampling import make_patch
 from liaam.shape import ShapeModel, Similarity, similarity_modes
 
@@ -89,7 +89,7 @@ def make_model(rng: np.random.Generator) -> AAM:
     # Only "log" is fitted here; "invariant" says that the model is one of colour.
     level = Level(0.5, dict.fromkeys(("value", "log", "invariant"), appearance))
     shape_model = make_shape_model(frame.points, rng)
-    return AAM(shape_model, frame.triangles, (level,), THETA_DEFAULT, "srgb", n_images=25)
+    return AAM(shape_model, frame.triangles, (level,), CameraModel(), n_images=25)
 
 
 def make_problem(model: AAM, rng: np.random.Generator) -> FitProblem:

@@ -1,6 +1,7 @@
 """Fixtures shared by all tests: seeds from test names, a simulated world with known truth, and real data."""
 
 import os
+import sys
 import zlib
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from liaam import cli
 from liaam.datasets.scenes import (
     DIFFUSE,
     Head,
@@ -101,3 +103,19 @@ def train_on(scenes: list[Scene], **options) -> AAM:
     """Train on scenes with what is true of their camera."""
     pairs = [(scene.image, scene.landmarks) for scene in scenes]
     return train(pairs, theta=scenes[0].theta, response="linear", **options)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run 'liaam ...' in this process; gives (exit status, standard output, standard error)."""
+
+    def call(*arguments):
+        monkeypatch.setenv("COLUMNS", "200")
+        monkeypatch.setattr(sys, "argv", ["liaam", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            cli.main()
+            raise SystemExit(0)
+        captured = capsys.readouterr()
+        return stopped.value.code or 0, captured.out, captured.err
+
+    return call

@@ -1,30 +1,13 @@
 """The command line as a person types it."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from liaam import cli
+from liaam.cli_inputs import unique_stems
 from liaam.datasets.scenes import Head, lateral, make_set, render
 from liaam.io import read_image, read_landmarks, write_image, write_landmarks
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run 'liaam ...' in this process; gives (exit status, standard output, standard error)."""
-
-    def call(*arguments):
-        monkeypatch.setenv("COLUMNS", "200")
-        monkeypatch.setattr(sys, "argv", ["liaam", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            cli.main()
-            raise SystemExit(0)
-        captured = capsys.readouterr()
-        return stopped.value.code or 0, captured.out, captured.err
-
-    return call
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +193,7 @@ def test_images_of_one_stem_do_not_overwrite_each_other(tmp_path):
         tmp_path / "b" / "y.png",
         tmp_path / "b" / "x.jpg",
     ]
-    assert cli.unique_stems(images) == ["a_x_png", "b_x_png", "y", "b_x_jpg"]
+    assert unique_stems(images) == ["a_x_png", "b_x_png", "y", "b_x_jpg"]
 
 
 @pytest.mark.parametrize(

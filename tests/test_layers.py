@@ -12,9 +12,10 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 
 LAYERS = (
     ("__main__",),
-    ("cli", "cli_experiments", "terminal", "studio"),
+    ("cli", "cli_experiments", "cli_inputs", "cli_photometry", "terminal", "studio"),
     ("experiments", "batch", "tracking"),
-    ("plotting",),
+    ("plotting", "plotting_photometry"),
+    ("calibration",),
     ("registration", "relighting"),
     ("training", "fitting"),
     ("model",),

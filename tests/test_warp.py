@@ -5,6 +5,7 @@ import pytest
 
 from finite_differences import assert_jacobian
 from liaam.shape import align
+from liaam.warp import GENERATORS, HomographyWarp, apply_homography
 
 
 def test_jacobian_of_the_warp(model, rng):
@@ -50,3 +51,43 @@ def test_the_pulled_gradient_is_that_of_the_picture_it_came_from(model, rng):
     np.testing.assert_allclose(gradient[deep, :, 0], np.tile(slope, (sum(deep), 1)), atol=0.02)
     folded = warp.pulled_gradient(np.ones((model.n_pixels, 1)), np.full(warp.n_parameters, -1e9))
     assert np.isfinite(folded).all()
+
+
+@pytest.fixture(params=sorted(GENERATORS))
+def plane_warp(request) -> HomographyWarp:
+    """Give each group of plane maps on a grid of which some points are left out."""
+    kept = np.random.default_rng(3).random((20, 30)) > 0.2
+    corners = np.array([[-0.5, -0.5], [60.0, -0.5], [60.0, 41.0], [-0.5, 41.0]])
+    return HomographyWarp(kept, corners, 2.0, request.param)
+
+
+def test_jacobian_of_the_homography(plane_warp, rng):
+    p = rng.normal(0, 0.5, plane_warp.n_parameters)
+    jacobian = plane_warp.jacobian(p).reshape(-1, plane_warp.n_parameters)
+    assert_jacobian(lambda q: plane_warp.points(q).ravel(), jacobian, p, steps=1e-4, tolerance=1e-5)
+
+
+def test_at_rest_a_homography_moves_nothing_and_a_step_by_its_length(plane_warp, rng):
+    rest = np.zeros(plane_warp.n_parameters)
+    np.testing.assert_allclose(plane_warp.points(rest), plane_warp.pixels, atol=1e-12)
+    step = 1e-4 * rng.normal(size=len(rest))
+    moved = np.sqrt(np.square(plane_warp.points(step) - plane_warp.pixels).sum(axis=1).mean())
+    assert plane_warp.movement(step) == pytest.approx(moved, rel=1e-3)
+
+
+def test_parameters_are_found_from_handles(plane_warp, rng):
+    p = rng.normal(0, 1.0, plane_warp.n_parameters)
+    np.testing.assert_allclose(plane_warp.parameters(plane_warp.shape(p)), p, atol=1e-8)
+
+
+def test_the_gradient_under_a_homography_is_that_of_the_picture_it_came_from(plane_warp, rng):
+    p, slope = rng.normal(0, 0.3, plane_warp.n_parameters), np.array([0.7, -0.3])
+    gradient = plane_warp.pulled_gradient((plane_warp.points(p) @ slope)[:, None], p)[..., 0]
+    assert np.median(np.abs(gradient - slope)) < 0.03
+    assert np.isfinite(plane_warp.pulled_gradient(np.ones((len(plane_warp.pixels), 1)), 1e6 + p)).all()
+
+
+def test_points_behind_the_picture_are_not_numbers():
+    matrix = np.array([[1, 0, 0], [0, 1, 0], [-0.1, 0, 1]])
+    carried = apply_homography(matrix, np.array([[0.0, 0.0], [20.0, 0.0]]))
+    assert np.isfinite(carried[0]).all() and np.isnan(carried[1]).all()

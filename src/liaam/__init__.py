@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from liaam.fitting import METHODS, FitResult, FitStatus, Fitter, Method, SolverOptions, fit
     from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
     from liaam.model import AAM, load_model
+    from liaam.photometry import CameraModel, invariant_image, load_camera, theta_from_chart, theta_from_scene
+    from liaam.registration import Registration, register
     from liaam.training import train
 
 __version__ = "0.1.0"
@@ -20,6 +22,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AAM",
     "METHODS",
+    "CameraModel",
     "Dataset",
     "FitResult",
     "FitStatus",
@@ -27,13 +30,19 @@ __all__ = [
     "Landmarks",
     "LiaamError",
     "Method",
+    "Registration",
     "Sample",
     "SolverOptions",
     "fit",
+    "invariant_image",
+    "load_camera",
     "load_folder",
     "load_model",
     "read_image",
     "read_landmarks",
+    "register",
+    "theta_from_chart",
+    "theta_from_scene",
     "train",
     "write_image",
     "write_landmarks",
@@ -45,6 +54,8 @@ _HOMES = {
     "fitting": ("METHODS", "FitResult", "FitStatus", "Fitter", "Method", "SolverOptions", "fit"),
     "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
     "model": ("AAM", "load_model"),
+    "photometry": ("CameraModel", "invariant_image", "load_camera", "theta_from_chart", "theta_from_scene"),
+    "registration": ("Registration", "register"),
     "training": ("train",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

@@ -11,12 +11,15 @@ from rich.table import Table
 
 from liaam import __version__
 from liaam.cli_experiments import experiments, reproduce
-from liaam.errors import LiaamError, StartError
+from liaam.cli_inputs import camera_for, check_output, read_init, unique_stems
+from liaam.cli_photometry import calibrate, invariant, register_command
+from liaam.errors import LiaamError
 from liaam.terminal import complain, console, progress_bar, say, table_of
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
     from liaam.model import AAM
+    from liaam.photometry import CameraModel
 
 app = typer.Typer(
     help="Fit deformable models of faces and other objects to colour images under any light.",
@@ -26,6 +29,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(experiments, name="experiment")
+app.add_typer(calibrate, name="calibrate")
+app.command()(invariant)
+app.command("register")(register_command)
 app.command()(reproduce)
 
 
@@ -61,8 +67,16 @@ def train(
         str | None, typer.Option(help="The same for the appearance; as --variance if left out.")
     ] = None,
     diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
-    theta: Annotated[float, typer.Option(help="Angle of the training camera, degrees.")] = 122.0,
-    response: Annotated[str, typer.Option(help="Camera response: srgb, linear, or a gamma.")] = "srgb",
+    camera_file: Annotated[
+        Path | None,
+        typer.Option("--camera", help="Camera file of 'liaam calibrate': angle, response, vignetting, noise."),
+    ] = None,
+    theta: Annotated[
+        float | None, typer.Option(help="Angle of the training camera, degrees; 122 for an unknown one.")
+    ] = None,
+    response: Annotated[
+        str | None, typer.Option(help="Camera response: srgb (unless a camera is given), linear, or a gamma.")
+    ] = None,
     lit: Annotated[
         Path | None,
         typer.Option(help="Folder of further landmarked images under other lights, for methods 'varied' and 'aia'."),
@@ -77,19 +91,16 @@ def train(
 
     from liaam.datasets import load_folder
     from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
-    from liaam.photometry import parse_response
     from liaam.training import train as train_model
 
-    if not 60 <= theta <= 180:
+    if theta is not None and not 60 <= theta <= 180:
         raise LiaamError(f"--theta {theta:g}: give the camera's angle in degrees; cameras lie in 90 to 135")
     options = {
         "variance": parse_variance(variance),
         "appearance_variance": None if appearance_variance is None else parse_variance(appearance_variance),
-        "response": parse_response(response),
+        "theta": None if theta is None else float(np.deg2rad(theta)),
     }
-    if not output.parent.is_dir() or output.is_dir():  # before the work, not after it
-        what = "is a folder" if output.is_dir() else f"cannot be written: the folder {output.parent} does not exist"
-        raise LiaamError(f"{output} {what}; give the name of a file in a folder that exists")
+    check_output(output)
     if output.exists() and output.suffix.lower() in {*IMAGE_SUFFIXES, *LANDMARK_SUFFIXES}:
         raise LiaamError(
             f"{output} is an image or landmark file; name the model otherwise, such as {folder.name}.liaam"
@@ -97,6 +108,7 @@ def train(
     data = load_folder(folder, recursive=recursive)
     data = data.select(images) if images else data
     say(data.report())
+    options["camera"] = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
     others = None if lit is None else load_folder(lit, recursive=recursive)
     if others is not None:
         say(f"other lights: {others.report()}")
@@ -104,7 +116,6 @@ def train(
         model = train_model(
             data,
             diagonal=diagonal,
-            theta=float(np.deg2rad(theta)),
             lit=others,
             name=name or folder.name,
             progress=tell,
@@ -138,6 +149,9 @@ def fit(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
     iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
     history: Annotated[bool, typer.Option("--history", help="Also write each iteration's cost and shape.")] = False,
+    camera_file: Annotated[
+        Path | None, typer.Option("--camera", help="Camera file of these images' camera, if not the training camera's.")
+    ] = None,
     response: Annotated[
         str | None, typer.Option(help="Response of these images' camera, if not the training camera's.")
     ] = None,
@@ -146,11 +160,10 @@ def fit(
     from liaam.fitting import Fitter, SolverOptions
     from liaam.io import make_folder
     from liaam.model import load_model
-    from liaam.photometry import parse_response
 
-    options = SolverOptions(max_iterations=iterations)
-    own_response = None if response is None else parse_response(response)
-    fitter = Fitter(load_model(model_file), method, options, response=own_response)
+    options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
+    camera = camera_for(images, camera_file, response, model.camera)
+    fitter = Fitter(model, method, options, camera=camera)
     make_folder(output)
     table = table_of("image", "status", "iterations", "cost", "theta")
     advice: dict[str, list[str]] = {}
@@ -238,44 +251,6 @@ def write_history(path: Path, result: "FitResult") -> None:
     write_text_atomically(path, "\n".join(lines) + "\n")
 
 
-def read_init(text: str, image: Path, size: tuple[int, int]):
-    """Read --init for one image: numbers, a landmark file, or a folder of them."""
-    from liaam.io import LANDMARK_SUFFIXES, read_landmarks
-
-    path = Path(text)
-    if path.is_file():
-        return read_landmarks(path, size)
-    if path.is_dir():
-        found = [path / f"{image.stem}{suffix}" for suffix in LANDMARK_SUFFIXES]
-        for candidate in found:
-            if candidate.is_file():
-                return read_landmarks(candidate, size)
-        raise StartError(f"{image.name}: {path} holds no landmark file for it ({image.stem}.pts or the like)")
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise StartError(
-            f"--init {text}: there is no such file or folder, and it is no box x0,y0,x1,y1 and no x,y,size either"
-        ) from None
-    if len(numbers) not in (3, 4):
-        raise StartError(f"--init {text}: give four numbers x0,y0,x1,y1 (a box) or three x,y,size, not {len(numbers)}")
-    return numbers
-
-
-def unique_stems(images: list[Path]) -> list[str]:
-    """Give names for the results, each once: the image's stem, with its folder where stems collide."""
-    stems = [image.stem for image in images]
-    taken: set[str] = set()
-    names = []
-    for image, stem in zip(images, stems, strict=True):
-        name = stem if stems.count(stem) == 1 else f"{image.resolve().parent.name}_{image.name.replace('.', '_')}"
-        while name in taken:
-            name += "_"
-        taken.add(name)
-        names.append(name)
-    return names
-
-
 @app.command()
 def show(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
@@ -322,8 +297,18 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
-        "camera": f"response {model.response}, theta {np.rad2deg(model.theta):.1f}°",
+        "camera": describe_camera(model.camera),
     }
+
+
+def describe_camera(camera: "CameraModel") -> str:
+    """What is known of a camera, in a line."""
+    import numpy as np
+
+    error = "assumed" if camera.theta_deviation is None else f"± {np.rad2deg(camera.theta_deviation):.2f}°"
+    response = camera.response if isinstance(camera.response, (str, float)) else "measured"
+    known = [name for name in ("vignetting", "noise") if getattr(camera, name)]
+    return f"response {response}, theta {np.rad2deg(camera.theta):.1f}° ({error})" + "".join(f", {n}" for n in known)
 
 
 @app.command()

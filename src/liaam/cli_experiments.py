@@ -1,14 +1,13 @@
 """The commands below ``liaam experiment``: they read options, run, and print what came out."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from liaam.errors import MethodError
-from liaam.terminal import Progress, complain, console, progress_bar, say, table_of
+from liaam.terminal import console, say, stoppable_progress, table_of
 
 if TYPE_CHECKING:
     from liaam.experiments.runner import Experiment
@@ -58,17 +57,6 @@ def execute(experiment: "Experiment", out: Path, jobs: int | None) -> dict[str, 
 
     with stoppable_progress() as tell:
         return run_experiment(experiment, out, jobs, tell)
-
-
-@contextmanager
-def stoppable_progress() -> Iterator[Progress]:
-    """Show a progress bar; a Ctrl-C becomes one line and exit status 130."""
-    try:
-        with progress_bar() as tell:
-            yield tell
-    except KeyboardInterrupt as stop:
-        complain(str(stop) or "stopped")
-        raise typer.Exit(130) from None
 
 
 def conclude(summary: Mapping[str, Any], out: Path) -> None:
@@ -216,6 +204,24 @@ def bound(
     summary = execute(module.bound_experiment(data, trials, seed), out, jobs)
     for light in module.UNDER:
         print_lines(module.curves(summary, light, "bound_px"), f"bound, px, by noise of 255: {light}")
+    conclude(summary, out)
+
+
+@experiments.command()
+def calibration(out: Out, trials: Trials = 24, seed: Seed = 0, jobs: Jobs = None) -> None:
+    """How well do calibrations find the camera's angle, and are their error bars honest?"""
+    from liaam.evaluation import or_dash
+    from liaam.experiments.calibration import calibration_experiment
+
+    summary = execute(calibration_experiment(trials, seed), out, jobs)
+    table = table_of("camera", "kind", "noise", "told", "median", "p95", "stated", "coverage", "plain squares")
+    for c in summary["cells"]:
+        numbers = (or_dash(c[key]) for key in ("median_deg", "p95_deg", "standard_error_deg"))
+        told = f"{c['observable']}/{c['trials']}"
+        coverage, plain = or_dash(c["coverage"], ".2f"), or_dash(c["plain_median_deg"])
+        table.add_row(c["camera"], c["kind"], f"{c['sigma_n']:g}", told, *numbers, coverage, plain)
+    say("error of theta, degrees")
+    console.print(table)
     conclude(summary, out)
 
 

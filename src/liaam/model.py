@@ -2,7 +2,7 @@
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from liaam.appearance import CHANNELS, AppearanceModel
 from liaam.errors import LiaamError, ModelFileError
 from liaam.mesh import ReferenceFrame, signed_areas
-from liaam.photometry import Response, parse_response
+from liaam.photometry import CameraModel, Response, camera_from, describe_response, parse_response
 from liaam.shape import ShapeModel, diagonal_of
 from liaam.warp import PiecewiseAffineWarp
 
@@ -53,10 +53,8 @@ class AAM:
         The mesh.
     levels : tuple of Level
         Appearance from coarse to fine.
-    theta : float
-        Angle of the training camera (theta_1 of the paper), radians.
-    response : Response
-        Response of the training camera.
+    camera : CameraModel
+        The training camera.
     n_images : int
         Number of training images.
     contours : tuple of (indices, closed)
@@ -68,14 +66,23 @@ class AAM:
     shape_model: ShapeModel
     triangles: np.ndarray
     levels: tuple[Level, ...]
-    theta: float
-    response: Response
+    camera: CameraModel
     n_images: int
     contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
     name: str = ""
 
     def __repr__(self) -> str:
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
+
+    @property
+    def theta(self) -> float:
+        """Angle of the training camera (theta_1 of the paper), radians."""
+        return self.camera.theta
+
+    @property
+    def response(self) -> Response:
+        """Response of the training camera."""
+        return self.camera.response
 
     @cached_property
     def frame(self) -> ReferenceFrame:
@@ -127,7 +134,8 @@ def _header(model: AAM) -> dict:
         "format": FORMAT,
         "schema": SCHEMA_VERSION,
         "theta": model.theta,
-        "response": model.response,
+        "response": describe_response(model.response),
+        "camera": model.camera.describe(),
         "blurs": [level.blur for level in model.levels],
         "n_images": model.n_images,
         "n_pixels": model.n_pixels,
@@ -229,12 +237,18 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
         shape_model=ShapeModel(mean, modes, eigenvalues),
         triangles=triangles,
         levels=tuple(_level(tensors, i, blur, frame.n_pixels) for i, blur in enumerate(_blurs(header["blurs"]))),
-        theta=_finite(header["theta"]),
-        response=parse_response(header["response"]),
+        camera=_camera(header),
         n_images=int(header["n_images"]),
         contours=_contours(header["contours"], n),
         name=str(header["name"]),
     )
+
+
+def _camera(header: dict) -> CameraModel:
+    """The training camera; files of earlier versions know its angle and response only."""
+    known = camera_from(header["camera"]) if "camera" in header else CameraModel()
+    # The angle itself, to the last digit, is what the appearance was learnt with.
+    return replace(known, theta=_finite(header["theta"]), response=parse_response(header["response"]))
 
 
 def _blurs(blurs: list) -> list[float]:

@@ -176,13 +176,18 @@ def save_figure(figure: "Figure", *paths: Path, dpi: int = 120) -> None:
     plt.close(figure)
 
 
-def _subplots(rows: int, columns: int, size: tuple[float, float]) -> tuple["Figure", np.ndarray]:
+def subplots(
+    rows: int, columns: int, size: tuple[float, float], heights: Sequence[float] | None = None
+) -> tuple["Figure", np.ndarray]:
+    """Make a figure of a size in inches with a grid of axes, (rows, columns), whatever the display."""
     import matplotlib
 
     matplotlib.use("Agg", force=False)
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, constrained_layout=True)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=size, squeeze=False, constrained_layout=True, height_ratios=heights
+    )
     return figure, axes
 
 
@@ -204,7 +209,8 @@ def _draw_shape(axis: "Axes", shape: np.ndarray, model: AAM, colour: str, label:
         axis.plot(line[:, 0], line[:, 1], color=colour, label=label if i == 0 else None, **style)
 
 
-def _show(axis: "Axes", image: np.ndarray, title: str) -> None:
+def show_picture(axis: "Axes", image: np.ndarray, title: str) -> None:
+    """Show a picture with a title and no axes."""
     axis.imshow(as_picture(image))
     axis.set_title(title, fontsize=10)
     axis.axis("off")
@@ -227,12 +233,12 @@ def figure_of_fits(
     fits : mapping of method to (shape, mean error in pixels)
     model : AAM
     """
-    figure, axes = _subplots(1, 2 + len(fits), (3.1 * (2 + len(fits)), 4.4))
-    _show(axes[0, 0], training, "one of the training pictures")
-    _show(axes[0, 1], image, "new picture, hard lateral light: start")
+    figure, axes = subplots(1, 2 + len(fits), (3.1 * (2 + len(fits)), 4.4))
+    show_picture(axes[0, 0], training, "one of the training pictures")
+    show_picture(axes[0, 1], image, "new picture, hard lateral light: start")
     _draw_shape(axes[0, 1], start, model, "#ffd166")
     for axis, (method, (shape, error)) in zip(axes[0, 2:], fits.items(), strict=True):
-        _show(axis, image, f"{method}: {error:.1f} px")
+        show_picture(axis, image, f"{method}: {error:.1f} px")
         _draw_shape(axis, truth, model, "white", "truth", lw=0.9)
         _draw_shape(axis, shape, model, colour_of(method), method)
         axis.legend(loc="lower right", fontsize=7, framealpha=0.6)
@@ -243,12 +249,12 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
     """Mean appearance with mesh, and what the first shape and appearance modes do (two standard deviations)."""
     shape_model, appearance = model.shape_model, model.levels[-1].appearances["value"]
     shown = max(1, min(n_modes, max(len(shape_model.modes), appearance.n_modes)))
-    figure, axes = _subplots(2, 2 + shown, (2.6 * (2 + shown), 6.0))
+    figure, axes = subplots(2, 2 + shown, (2.6 * (2 + shown), 6.0))
     mean = _mean_picture(model)
-    _show(axes[0, 0], mean, "mean appearance")
-    _show(axes[1, 0], mean, f"mesh, {model.n_points} landmarks")
+    show_picture(axes[0, 0], mean, "mean appearance")
+    show_picture(axes[1, 0], mean, f"mesh, {model.n_points} landmarks")
     axes[1, 0].triplot(*(shape_model.mean - model.frame.origin).T, model.triangles, color="#19a979", lw=0.7)
-    _show(axes[0, 1], _log_picture(model), "mean of the logarithms")
+    show_picture(axes[0, 1], _log_picture(model), "mean of the logarithms")
     axes[1, 1].axis("off")
     if model.is_colour:
         invariant = model.levels[-1].appearances["invariant"].mean[:, 0]
@@ -296,7 +302,7 @@ def _show_appearance_mode(axis: "Axes", model: AAM, i: int) -> None:
     step = 2 * np.sqrt(appearance.eigenvalues[i]) * appearance.modes[i]
     pair = [model.frame.picture(appearance.mean + sign * step, 1.0) for sign in (-1, 1)]
     half = pair[0].shape[1] // 2
-    _show(
+    show_picture(
         axis,
         np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1),
         f"appearance mode {i + 1}, −2 | +2 sd",
@@ -305,7 +311,7 @@ def _show_appearance_mode(axis: "Axes", model: AAM, i: int) -> None:
 
 def figure_of_errors(errors: Mapping[str, Sequence[float]], bound: Iterable[float], limit: float) -> "Figure":
     """Cumulative error distributions of methods and of the shape model's own bound, in per cent of IOD."""
-    figure, axes = _subplots(1, 1, (6.4, 4.4))
+    figure, axes = subplots(1, 1, (6.4, 4.4))
     axis = axes[0, 0]
     grid = np.linspace(0, 0.12, 241)
     axis.plot(
@@ -353,7 +359,7 @@ class Panel:
 
 def figure_of_curves(panels: Sequence[Panel]) -> "Figure":
     """Curves of methods, a panel beside the other, with one legend."""
-    figure, axes = _subplots(1, len(panels), (5.0 * len(panels) + 1.5, 4.2))
+    figure, axes = subplots(1, len(panels), (5.0 * len(panels) + 1.5, 4.2))
     references = list(dict.fromkeys(name for panel in panels for name in panel.references))
     dashes = {name: DASHES[i % len(DASHES)] for i, name in enumerate(references)}
     for axis, panel in zip(axes[0], panels, strict=True):
@@ -411,7 +417,7 @@ def figure_of_bars(groups: Mapping[str, Mapping[str, float | None]], label: str)
         What the values are, with their unit.
     """
     longest = max(len(values) for values in groups.values())
-    figure, axes = _subplots(1, len(groups), (4.6 * len(groups), 0.36 * longest + 1.3))
+    figure, axes = subplots(1, len(groups), (4.6 * len(groups), 0.36 * longest + 1.3))
     for axis, (title, values) in zip(axes[0], groups.items(), strict=True):
         sizes = [np.nan if value is None else value for value in values.values()]
         bars = axis.barh(list(values), sizes, color=[colour_of(method) for method in values], height=0.7)
@@ -435,12 +441,12 @@ def figure_of_pictures(rows: Sequence[Mapping[str, np.ndarray | None]]) -> "Figu
     shown = [i for i in range(len(rows[0])) if any(list(row.values())[i] is not None for row in rows)]
     first = next(image for image in rows[0].values() if image is not None)
     height = 2.6 * first.shape[0] / first.shape[1] + 0.3
-    figure, axes = _subplots(len(rows), len(shown), (2.6 * len(shown), height * len(rows)))
+    figure, axes = subplots(len(rows), len(shown), (2.6 * len(shown), height * len(rows)))
     for line, row in zip(axes, rows, strict=True):
         titles, images = list(row), list(row.values())
         for axis, i in zip(line, shown, strict=True):
             axis.axis("off")
             image = images[i]
             if image is not None:
-                _show(axis, image, titles[i])
+                show_picture(axis, image, titles[i])
     return figure

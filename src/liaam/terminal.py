@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import typer
 from rich.console import Console
 from rich.table import Table
 
@@ -46,3 +47,14 @@ def progress_bar() -> Iterator[Progress]:
             bar.update(task, completed=done, total=total, description=what)
 
         yield tell
+
+
+@contextmanager
+def stoppable_progress() -> Iterator[Progress]:
+    """Show a progress bar; a Ctrl-C becomes one line and exit status 130."""
+    try:
+        with progress_bar() as tell:
+            yield tell
+    except KeyboardInterrupt as stop:
+        complain(str(stop) or "stopped")
+        raise typer.Exit(130) from None

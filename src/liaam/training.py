@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +19,7 @@ from liaam.mesh import (
 )
 from liaam.model import AAM, MAX_DIAGONAL, Level
 from liaam.pca import check_variance
-from liaam.photometry import ENCODINGS, THETA_DEFAULT, Response, exposure_faults, invariant_row, is_grey, parse_response
+from liaam.photometry import ENCODINGS, CameraModel, Response, exposure_faults, invariant_row, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
 from liaam.sampling import make_patch, sample_texture
 from liaam.shape import align, train_shape_model
@@ -44,8 +44,9 @@ def train(
     variance: float | int = 0.98,
     appearance_variance: float | int | None = None,
     diagonal: float = 150.0,
-    theta: float = THETA_DEFAULT,
-    response: Response = "srgb",
+    theta: float | None = None,
+    response: Response | None = None,
+    camera: CameraModel | None = None,
     blurs: tuple[float, ...] = BLURS_DEFAULT,
     triangles: np.ndarray | None = None,
     lit: Iterable | None = None,
@@ -65,10 +66,12 @@ def train(
         The same for appearances; as ``variance`` if left out.
     diagonal : float
         Diagonal of the mean shape in the reference frame, pixels. More is slower and finer.
-    theta : float
-        Angle of the training camera (theta_1 of the paper), radians; 122 degrees if unknown.
-    response : "srgb", "linear" or float
-        How the pictures' values relate to linear light.
+    theta : float, optional
+        Angle of the training camera (theta_1 of the paper), radians; the camera's if left out.
+    response : "srgb", "linear", float or ResponseCurve, optional
+        How the pictures' values relate to linear light; the camera's if left out.
+    camera : CameraModel, optional
+        What is known of the training camera; 122 degrees and sRGB if nothing is.
     blurs : tuple of float
         Blur of the levels a fit goes through, from coarse to fine, pixels of the reference frame.
     triangles : (t, 3) int, optional
@@ -91,8 +94,8 @@ def train(
         Fewer than 3 shapes, counts that differ, missing (NaN) or folded landmarks, black images ...
         The message names the sample.
     """
-    _check_options(variance, appearance_variance, diagonal, blurs, theta)
-    response = parse_response(response)
+    camera = _camera_of(camera, theta, response)
+    _check_options(variance, appearance_variance, diagonal, blurs)
     entries, contours, edges = _entries(data)
     shapes = np.array([entry.points for entry in entries])
     shape_model = train_shape_model(shapes, diagonal, variance)
@@ -101,20 +104,19 @@ def train(
     for entry in entries:
         _check_fold(entry, frame)
     warp = PiecewiseAffineWarp(frame, shape_model)
-    textures = _sample_all(entries, warp, response, blurs, progress)
+    textures = _sample_all(entries, warp, camera, blurs, progress)
     lit_textures: list[_Textures | None] = [None] * len(blurs)
     if lit is not None:
-        lit_textures = [*_sample_lit(lit, entries, warp, response, blurs, progress, textures[0].grey)]
+        lit_textures = [*_sample_lit(lit, entries, warp, camera, blurs, progress, textures[0].grey)]
     kept = variance if appearance_variance is None else appearance_variance
     return AAM(
         shape_model=shape_model,
         triangles=triangles,
         levels=tuple(
-            Level(float(blur), _appearances(part, other, theta, kept))
+            Level(float(blur), _appearances(part, other, camera.theta, kept))
             for blur, part, other in zip(blurs, textures, lit_textures, strict=True)
         ),
-        theta=float(theta),
-        response=response,
+        camera=camera,
         n_images=len(entries),
         contours=contours,
         name=name,
@@ -126,7 +128,6 @@ def _check_options(
     appearance_variance: float | int | None,
     diagonal: float,
     blurs: tuple[float, ...],
-    theta: float,
 ) -> None:
     check_variance(variance)
     if appearance_variance is not None:
@@ -137,8 +138,16 @@ def _check_options(
         )
     if not blurs or list(blurs) != sorted(blurs, reverse=True) or not 0 <= blurs[-1] <= blurs[0] <= 10:
         raise TrainingError(f"blurs {blurs}: give 0 to 10 pixels of the reference frame, from coarse to fine")
-    if not abs(theta) <= 2 * np.pi:
-        raise TrainingError(f"theta {theta:g}: give the camera's angle in radians (122 degrees are 2.13)")
+
+
+def _camera_of(camera: CameraModel | None, theta: float | None, response: Response | None) -> CameraModel:
+    """Training camera, with what was given beside it."""
+    camera = camera or CameraModel()
+    if theta is not None:
+        if not abs(theta) <= 2 * np.pi:
+            raise TrainingError(f"theta {theta:g}: give the camera's angle in radians (122 degrees are 2.13)")
+        camera = replace(camera, theta=float(theta), theta_deviation=None)
+    return camera if response is None else replace(camera, response=parse_response(response))
 
 
 def _entries(data: Iterable, at_least: int = 3) -> tuple[list[_Entry], tuple, np.ndarray]:
@@ -236,7 +245,7 @@ class _Textures:
 def _sample_all(
     entries: list[_Entry],
     warp: PiecewiseAffineWarp,
-    response: Response,
+    camera: CameraModel,
     blurs: tuple[float, ...],
     progress: Callable | None,
 ) -> list[_Textures]:
@@ -251,9 +260,10 @@ def _sample_all(
         image = as_colour(entry.read_image(), entry.name)
         _check_inside(entry, image)
         grey.append(is_grey(image))
+        image = camera.flatten(image)
         for encoding in ENCODINGS:
             for j, blur in enumerate(blurs):
-                texture = sample_appearance(image, entry.points, warp, encoding, response, blur)
+                texture = sample_appearance(image, entry.points, warp, encoding, camera.response, blur)
                 values[encoding][j, i], usable[encoding][j, i] = texture
         _check_light(entry, image, warp.interpolate(entry.points), usable["log"][-1, i])
     if progress:
@@ -274,7 +284,7 @@ def _sample_lit(
     lit: Iterable,
     entries: list[_Entry],
     warp: PiecewiseAffineWarp,
-    response: Response,
+    camera: CameraModel,
     blurs: tuple[float, ...],
     progress: Callable | None,
     grey: bool,
@@ -288,7 +298,7 @@ def _sample_lit(
                 f"{len(entries[0].points)}; every image needs the same points in the same order"
             )
         _check_fold(entry, warp.frame)
-    textures = _sample_all(others, warp, response, blurs, progress)
+    textures = _sample_all(others, warp, camera, blurs, progress)
     if textures[0].grey != grey:
         raise TrainingError(
             f"the pictures under other lights are {'in colour' if grey else 'grey (three equal channels)'}, unlike "

@@ -22,6 +22,19 @@ class Warp(Protocol):
         """Length of p."""
         ...
 
+    @property
+    def rest(self) -> np.ndarray:
+        """Handles of the warp at rest, (n, 2) float64 model pixels: the points that tell where it puts things."""
+        ...
+
+    def shape(self, p: np.ndarray) -> np.ndarray:
+        """Handles moved by the warp, (n, 2) float64 model pixels."""
+        ...
+
+    def parameters(self, shape: np.ndarray) -> np.ndarray:
+        """Parameters that bring the handles nearest to a shape, (n_parameters,) float64."""
+        ...
+
     def movement(self, step: np.ndarray) -> float:
         """Size of a step of p: root mean square movement of what the warp carries, model pixels."""
         ...
@@ -58,6 +71,19 @@ class PiecewiseAffineWarp:
     def n_parameters(self) -> int:
         """Number of shape modes plus the four similarity vectors."""
         return len(self.shape_model.basis)
+
+    @property
+    def rest(self) -> np.ndarray:
+        """The mean shape."""
+        return self.shape_model.mean
+
+    def shape(self, p: np.ndarray) -> np.ndarray:
+        """Landmarks s(p), (n_points, 2) float64."""
+        return self.shape_model.shape(p)
+
+    def parameters(self, shape: np.ndarray) -> np.ndarray:
+        """Coordinates of a shape's orthogonal projection on the model."""
+        return self.shape_model.parameters(shape)
 
     def movement(self, step: np.ndarray) -> float:
         """Root mean square movement of the landmarks by a step of p, model pixels."""
@@ -117,3 +143,168 @@ def _inverse_affinities(points: np.ndarray, shape: np.ndarray, triangles: np.nda
     flat = np.abs(np.linalg.det(there)) < 0.05 * np.abs(np.linalg.det(here))
     there[flat] = np.eye(2)
     return np.where(flat[:, None, None], 0.0, here @ np.linalg.inv(there))
+
+
+GENERATORS: dict[str, tuple[tuple[tuple[int, int, float], ...], ...]] = {
+    "translation": (((0, 2, 1.0),), ((1, 2, 1.0),)),
+    "similarity": (((0, 0, 1.0), (1, 1, 1.0)), ((0, 1, -1.0), (1, 0, 1.0))),
+    "affine": (((0, 0, 1.0), (1, 1, -1.0)), ((0, 1, 1.0), (1, 0, 1.0))),
+    "homography": (((2, 0, 1.0),), ((2, 1, 1.0),)),
+}
+"""Entries (row, column, value) of the matrices that each group of plane maps adds to the one before it."""
+
+NEAREST = 0.1
+"""Depth, relative to that of the grid's centre, below which a point counts as behind the picture plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class HomographyWarp:
+    """Homography of a regular grid of pixels, or a subgroup with fewer parameters.
+
+    W(x; p) = (N_1 / N_3, N_2 / N_3) with N = (I + sum_i p_i G_i) (x, 1) in centred and scaled coordinates. The
+    G_i span all matrices of the group whose last entry is 0, and are combined so that at rest a step of p moves the
+    grid's pixels by as many pixels as it is long (root mean square): no parameter is stiffer than another.
+
+    Attributes
+    ----------
+    kept : (rows, columns) bool
+        Points of the grid that count; the others are left out.
+    rest : (n, 2) float64
+        Handles, model pixels: four corners or more, no three of the four on a line.
+    stride : float
+        Distance between neighbouring points, model pixels; the first lies at the origin.
+    group : {"translation", "similarity", "affine", "homography"}
+    """
+
+    kept: np.ndarray
+    rest: np.ndarray
+    stride: float = 1.0
+    group: str = "homography"
+
+    @cached_property
+    def pixels(self) -> np.ndarray:
+        """Points of the grid that count, (n_pixels, 2) float64 model pixels."""
+        rows, columns = np.nonzero(self.kept)
+        return self.stride * np.column_stack([columns, rows]).astype(np.float64)
+
+    @property
+    def n_parameters(self) -> int:
+        """2, 4, 6 or 8."""
+        return len(self._basis)
+
+    def movement(self, step: np.ndarray) -> float:
+        """Root mean square movement of the grid's pixels by a step of p from rest, model pixels."""
+        return float(np.linalg.norm(step))
+
+    def matrix(self, p: np.ndarray) -> np.ndarray:
+        """Homography in model pixels, (3, 3) float64."""
+        return np.eye(3) + np.tensordot(p, self._basis, axes=1)
+
+    @cached_property
+    def _basis(self) -> np.ndarray:
+        """The G_i in model pixels, (n_parameters, 3, 3) float64."""
+        n = len(self.pixels)
+        centre = self.pixels.mean(axis=0)
+        size = max(float(np.sqrt(np.square(self.pixels - centre).sum() / n)), self.stride)
+        into = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, size]]) / size
+        plain = np.array([np.linalg.inv(into) @ generator @ into for generator in _generators(self.group)])
+        x = _homogeneous(self.pixels)
+        moved = np.einsum("iab,nb->ina", plain, x, optimize=True)
+        flow = (moved[..., :2] - self.pixels * moved[..., 2:]).reshape(len(plain), -1)
+        products = flow @ flow.T / n
+        products[np.diag_indices_from(products)] *= 1.0 + 1e-9  # pixels on one line cannot tell all parameters
+        return np.tensordot(np.linalg.inv(np.linalg.cholesky(products)), plain, axes=1)
+
+    @cached_property
+    def _single(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points (x, 1) and the rows 1 to 2 and 3 of the G_i as columns, in single precision."""
+        basis = self._basis.astype(np.float32)
+        rows = np.ascontiguousarray(basis.transpose(1, 2, 0))
+        return _homogeneous(self.pixels).astype(np.float32), rows[:2], rows[2]
+
+    def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
+        """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64.
+
+        Points behind the picture plane are NaN.
+        """
+        points = apply_homography(self.matrix(p), self.pixels)
+        return points if pose is None else pose(points)
+
+    def jacobian(self, p: np.ndarray) -> np.ndarray:
+        """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32: (G_12 - W G_3) (x, 1) / N_3."""
+        x, upper, last = self._single
+        matrix = self.matrix(p)
+        depth = np.maximum(x @ matrix[2].astype(np.float32), np.float32(NEAREST))[:, None]
+        x = x / depth
+        along = x @ last
+        jacobian = np.empty((len(x), 2, self.n_parameters), np.float32)
+        for axis in (0, 1):
+            jacobian[:, axis] = x @ upper[axis] - (x @ matrix[axis].astype(np.float32))[:, None] * along
+        return jacobian
+
+    def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Forward-additive update p + step."""
+        return p + step
+
+    def shape(self, p: np.ndarray) -> np.ndarray:
+        """Handles moved by the warp, (n, 2) float64; NaN behind the picture plane."""
+        return apply_homography(self.matrix(p), self.rest)
+
+    def parameters(self, shape: np.ndarray) -> np.ndarray:
+        """Parameters of the group's map that brings the handles nearest to a shape, (n_parameters,) float64.
+
+        Nearest algebraically: N_12 - W N_3 = 0 is linear in p, and exact where four handles meet a homography.
+        """
+        moved = np.einsum("iab,nb->ina", self._basis, _homogeneous(self.rest))
+        columns = (moved[..., :2] - shape * moved[..., 2:]).reshape(self.n_parameters, -1)
+        return np.linalg.lstsq(columns.T, (shape - self.rest).ravel(), rcond=None)[0]
+
+    def pulled_gradient(self, values: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Gradient at W(x; p) of what has the given values (n_pixels, k) at x, (n_pixels, 2, k) float32.
+
+        Central differences where both neighbours count, else the difference to the one that does, else 0.
+        """
+        picture = np.full((*self.kept.shape, values.shape[1]), np.nan)
+        picture[self.kept] = values
+        here = np.stack([_differences(picture, axis)[self.kept] for axis in (1, 0)], axis=1) / self.stride
+        matrix, x = self.matrix(p), _homogeneous(self.pixels)
+        depth = np.maximum(x @ matrix[2], NEAREST)
+        carried = apply_homography(matrix, self.pixels)
+        slope = (matrix[None, :2, :2] - carried[:, :, None] * matrix[2, :2]) / depth[:, None, None]  # dW/dx
+        slope[~np.isfinite(slope).all(axis=(1, 2))] = 0.0  # behind the picture plane
+        flat = ~(np.linalg.det(slope) > 0.05)
+        slope[flat] = np.eye(2)
+        back = np.linalg.inv(slope)
+        back[flat] = 0.0
+        return np.einsum("nba,nbk->nak", back, here).astype(np.float32)
+
+
+def _generators(group: str) -> np.ndarray:
+    """Generators of a group of plane maps and of those within it, (n, 3, 3) float64."""
+    names = tuple(GENERATORS)
+    entries = [generator for name in names[: names.index(group) + 1] for generator in GENERATORS[name]]
+    generators = np.zeros((len(entries), 3, 3))
+    for i, generator in enumerate(entries):
+        for row, column, value in generator:
+            generators[i, row, column] = value
+    return generators
+
+
+def _homogeneous(points: np.ndarray) -> np.ndarray:
+    return np.column_stack([points, np.ones(len(points))])
+
+
+def apply_homography(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Apply a homography to (n, 2) points; NaN for points behind the picture plane."""
+    carried = _homogeneous(points) @ matrix.T
+    depth = carried[:, 2]
+    return carried[:, :2] / np.where(depth > NEAREST, depth, np.nan)[:, None]
+
+
+def _differences(picture: np.ndarray, axis: int) -> np.ndarray:
+    """Derivative of a picture (rows, columns, k) along an axis from the neighbours that are numbers; 0 without any."""
+    ahead = np.diff(picture, axis=axis, append=np.full_like(np.take(picture, [0], axis), np.nan))
+    behind = np.roll(ahead, 1, axis)  # the last difference is NaN, so the first pixel has none behind
+    seen = np.isfinite(np.stack([ahead, behind]))
+    total = np.where(seen, np.stack([ahead, behind]), 0.0).sum(axis=0)
+    return total / np.maximum(seen.sum(axis=0), 1)

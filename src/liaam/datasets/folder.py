@@ -22,8 +22,13 @@ from liaam.errors import ImageError, LandmarkError, LiaamError
 from liaam.io.files import natural_key
 from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image
 from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, parse_landmark_file
+from liaam.io.raw import RAW_SUFFIXES
 
 _UNIT = (1.0, 1.0)  # stands for the image's size where only the name of the image is wanted
+
+
+PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
+"""Endings of pictures; where a camera wrote a picture twice, as RAW and JPEG, the one named first here is taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,10 +174,10 @@ def load_folder(
     """
     root = Path(folder)
     files = _list_files(root, recursive)
-    images = [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES]
+    images = [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
     wanted = [image for image in images if pattern is None or _matches(root, image, pattern)]
     if not wanted:
-        endings = ", ".join(IMAGE_SUFFIXES)
+        endings = ", ".join(PICTURE_SUFFIXES)
         like = f" like '{pattern}'" if pattern else ""
         hint = "" if recursive else ", or look into subfolders too (recursive)"
         raise ImageError(f"{root} holds no image{like} ({endings}): name another folder{hint}.")
@@ -248,7 +253,7 @@ class _Pairing:
         self.options: dict[Path, list[_Option]] = {image: [] for image in wanted}
         self.by_stem: dict[Path, Path] = {}
         self.by_name: dict[str, list[Path]] = defaultdict(list)
-        for image in sorted(images, key=lambda path: (path not in self.options, _rank(path, IMAGE_SUFFIXES))):
+        for image in sorted(images, key=lambda path: (path not in self.options, _rank(path, PICTURE_SUFFIXES))):
             self.by_stem.setdefault(image.with_suffix(""), image)
             self.by_name[image.name].append(image)
 
@@ -292,7 +297,7 @@ class _Pairing:
     def _winners(self) -> dict[Path, Path]:
         """Choose among images of the same stem: one that has landmarks, without loss if possible."""
         winners: dict[Path, Path] = {}
-        for image in sorted(self.wanted, key=lambda path: (not self.options[path], _rank(path, IMAGE_SUFFIXES))):
+        for image in sorted(self.wanted, key=lambda path: (not self.options[path], _rank(path, PICTURE_SUFFIXES))):
             winners.setdefault(image.with_suffix(""), image)
         return winners
 

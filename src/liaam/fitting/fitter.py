@@ -1,6 +1,7 @@
 """Fitting an image: prepare, start, solve, judge."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from liaam.fitting.solver import Solution, SolverOptions, settle_lambda, solve
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
 from liaam.model import AAM
-from liaam.photometry import Response, exposure_faults, is_grey, parse_response
+from liaam.photometry import CameraModel, NoiseModel, Response, exposure_faults, is_grey
 from liaam.photometry.encoding import as_colour
 from liaam.shape import Similarity, align, diagonal_of
 
@@ -38,12 +39,83 @@ USABLE_LIMIT = 0.25
 """Share of the object's pixels that must be usable."""
 
 
-@dataclass(frozen=True)
-class _Stage:
+@dataclass(frozen=True, eq=False)
+class Stage:
     """One level's solution, with the similarity from model pixels to image pixels it was found in."""
 
+    objective: Objective
     pose: Similarity
     solution: Solution
+
+    def shape(self, state: State) -> np.ndarray:
+        """Shape of a state, (n, 2) float64, image pixels."""
+        return self.pose(self.objective.warp.shape(state.p))
+
+
+def solve_levels(
+    levels: Sequence[tuple[Objective, float]],
+    image: np.ndarray,
+    start: np.ndarray,
+    response: Response,
+    options: SolverOptions,
+    noise: NoiseModel | None = None,
+) -> list[Stage]:
+    """Solve from the coarsest level to the finest, each from where the one before it stopped.
+
+    Parameters
+    ----------
+    levels : sequence of (Objective, float)
+        What to minimise, and the blur of the image in model pixels; coarse to fine.
+    image : (h, w, 3) uint8, uint16 or float32
+    start : (n, 2) float
+        Where the warp's handles start, image pixels.
+    response : Response
+        Of the image's camera.
+    options : SolverOptions
+    noise : NoiseModel, optional
+        Of the image's camera; measured in the image if left out.
+
+    Returns
+    -------
+    list of Stage
+        Fewer than there are levels where a fit has blown up or collapsed.
+    """
+    shape, stages = start, []
+    for objective, blur in levels:
+        # Anew for each level: shape modes turn and grow with the pose, and the patch with its resolution
+        # belongs where the object is now, not where the start was.
+        warp = objective.warp
+        pose = align(warp.rest, shape)
+        problem = FitProblem.at(image, shape, pose, objective.method, response, blur, noise)
+        state = objective.start(warp.parameters(pose.inverse()(shape)))
+        angles = stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options)
+        finest = objective is levels[-1][0]
+        sparing = options if finest else replace(options, tolerance=COARSE * options.tolerance)
+        stages.append(Stage(objective, pose, solve(objective, problem, replace(state, angles=angles), sparing)))
+        shape = stages[-1].shape(stages[-1].solution.state)
+        if not is_sane(shape, start):
+            break
+    return stages
+
+
+def _first_angles(objective: Objective, problem: FitProblem, state: State, options: SolverOptions) -> np.ndarray:
+    if objective.method.free_angles != "image" or options.angle_start == "model":
+        return state.angles
+    return np.array([state.angles[0], best_image_angle(objective, problem, state)])
+
+
+def trace(stages: Sequence[Stage]) -> tuple[Iteration, ...]:
+    """Every accepted state of all levels, each level's start included."""
+    return tuple(
+        Iteration(
+            cost,
+            stage.shape(state),
+            float(state.angles[1]) if stage.objective.method.metric == "invariant" else np.nan,
+            level,
+        )
+        for level, stage in enumerate(stages)
+        for cost, state in stage.solution.path
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +129,9 @@ class Fitter:
         A name of :data:`liaam.fitting.METHODS`, or a row of your own.
     options : SolverOptions
     kernel : {"fast", "reference"}
-    response : Response, optional
-        Response of the camera of the images to be fitted; the training camera's if left out.
+    camera : CameraModel, optional
+        Camera of the images to be fitted, which gives response, vignetting and noise (its angle is estimated); the
+        training camera if left out.
 
     Examples
     --------
@@ -70,11 +143,9 @@ class Fitter:
     method: str | Method = "li"
     options: SolverOptions = field(default_factory=SolverOptions)
     kernel: str = "fast"
-    response: Response | None = None
+    camera: CameraModel | None = None
 
     def __post_init__(self) -> None:
-        if self.response is not None:
-            parse_response(self.response)
         self.objectives  # noqa: B018 (complain now, not at the first image)
 
     @cached_property
@@ -107,7 +178,7 @@ class Fitter:
         ImageError, StartError
             For input that makes no sense.
         """
-        image, name = _load(image, name)
+        image, name = load_picture(image, name)
         # A picture of one value (black, white) is not refused: its status says more.
         if self._method.needs_colour and is_grey(image) and image.min() != image.max():
             raise ImageError(
@@ -115,6 +186,7 @@ class Fitter:
                 "compares colours; use method 'grey'"
             )
         start = start_shape(self.model, init, (image.shape[1], image.shape[0]), name)
+        image = self._camera.flatten(image)
         return self._result(image, self._solve_levels(image, start))
 
     def equations_at(self, image, result: FitResult) -> tuple[Objective, NormalEquations, np.ndarray]:
@@ -132,10 +204,10 @@ class Fitter:
         equations : NormalEquations
         lam : (m,) float64
         """
-        image, _ = _load(image, "image")
-        objective = self.objectives[-1]
+        image, camera = load_picture(image, "image")[0], self._camera
+        objective, blur = self.objectives[-1], self.model.levels[-1].blur
         problem = FitProblem.at(
-            image, result.shape, result.pose, self._method, self._response, self.model.levels[-1].blur
+            camera.flatten(image), result.shape, result.pose, self._method, camera.response, blur, camera.noise
         )
         state = objective.start(result.p)
         if self._method.metric == "invariant":
@@ -143,46 +215,18 @@ class Fitter:
         state, seen = settle_lambda(objective, problem, state, self.options)
         return objective, seen.equations, state.lam
 
-    def _solve_levels(self, image: np.ndarray, start: np.ndarray) -> list[_Stage]:
-        """Solve from the coarsest level to the finest, each from where the one before it stopped."""
-        shape_model, shape = self.model.shape_model, start
-        stages: list[_Stage] = []
-        for objective, level in zip(self.objectives, self.model.levels, strict=True):
-            # Anew for each level: shape modes turn and grow with the pose, and the patch with its resolution
-            # belongs where the object is now, not where the start was.
-            pose = align(shape_model.mean, shape)
-            problem = FitProblem.at(image, shape, pose, self._method, self._response, level.blur)
-            state = objective.start(shape_model.parameters(pose.inverse()(shape)))
-            angles = stages[-1].solution.state.angles if stages else self._first_angles(objective, problem, state)
-            finest = objective is self.objectives[-1]
-            options = self.options if finest else replace(self.options, tolerance=COARSE * self.options.tolerance)
-            stages.append(_Stage(pose, solve(objective, problem, replace(state, angles=angles), options)))
-            shape = pose(shape_model.shape(stages[-1].solution.state.p))
-            if not _sane(shape, start):
-                break
-        return stages
+    def _solve_levels(self, image: np.ndarray, start: np.ndarray) -> list[Stage]:
+        """Solve from the coarsest level to the finest (see :func:`solve_levels`)."""
+        levels = [(objective, level.blur) for objective, level in zip(self.objectives, self.model.levels, strict=True)]
+        return solve_levels(levels, image, start, self._camera.response, self.options, self._camera.noise)
 
     @property
-    def _response(self) -> Response:
-        return self.model.response if self.response is None else self.response
+    def _camera(self) -> CameraModel:
+        return self.model.camera if self.camera is None else self.camera
 
-    def _first_angles(self, objective: Objective, problem: FitProblem, state: State) -> np.ndarray:
-        if self._method.free_angles != "image" or self.options.angle_start == "model":
-            return state.angles
-        return np.array([state.angles[0], best_image_angle(objective, problem, state)])
-
-    def _result(self, image: np.ndarray, stages: list[_Stage]) -> FitResult:
+    def _result(self, image: np.ndarray, stages: list[Stage]) -> FitResult:
         solution, has_angle = stages[-1].solution, self._method.metric == "invariant"
-        history = tuple(
-            Iteration(
-                cost,
-                stage.pose(self.model.shape_model.shape(state.p)),
-                float(state.angles[1]) if has_angle else np.nan,
-                level,
-            )
-            for level, stage in enumerate(stages)
-            for cost, state in stage.solution.path
-        )
+        history = trace(stages)
         state, last = solution.state, solution.last
         return FitResult(
             shape=history[-1].shape,
@@ -197,13 +241,13 @@ class Fitter:
             history=history,
             residual=last.residual * last.weights[:, None],
             usable=last.weights,
-            covariance=_covariance(solution),
+            covariance=covariance(solution),
             method=self._method.name,
         )
 
     def _status(self, image: np.ndarray, history: tuple[Iteration, ...], solution: Solution) -> FitStatus:
         shape = history[-1].shape
-        if not _sane(shape, history[0].shape):
+        if not is_sane(shape, history[0].shape):
             return FitStatus.DIVERGED
         points = self.model.warp.interpolate(shape)
         inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
@@ -234,14 +278,14 @@ class Fitter:
         return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED
 
 
-def _sane(shape: np.ndarray, start: np.ndarray) -> bool:
+def is_sane(shape: np.ndarray, start: np.ndarray) -> bool:
     """Tell whether a shape is finite and of a size that can still be called that of the start."""
     return (
         bool(np.isfinite(shape).all()) and SCALE_LIMITS[0] < diagonal_of(shape) / diagonal_of(start) < SCALE_LIMITS[1]
     )
 
 
-def _covariance(solution: Solution) -> np.ndarray:
+def covariance(solution: Solution) -> np.ndarray:
     """Gauss-Newton covariance of q; infinite where the image says nothing."""
     equations = solution.last.equations
     hessian, _ = equations.reduced()
@@ -253,7 +297,8 @@ def _covariance(solution: Solution) -> np.ndarray:
     return (vectors * inverse) @ vectors.T
 
 
-def _load(image, name: str) -> tuple[np.ndarray, str]:
+def load_picture(image, name: str) -> tuple[np.ndarray, str]:
+    """Picture of three channels, and what to call it, from an array or a path (whose own name is used)."""
     if not isinstance(image, (str, os.PathLike)):
         return as_colour(image, name), name
     from liaam.io import read_image
@@ -263,7 +308,7 @@ def _load(image, name: str) -> tuple[np.ndarray, str]:
 
 
 def fit(
-    model: AAM, image, init, method: str | Method = "li", *, response: Response | None = None, **options
+    model: AAM, image, init, method: str | Method = "li", *, camera: CameraModel | None = None, **options
 ) -> FitResult:
     """Fit a model to one image; for many images make a :class:`Fitter` once.
 
@@ -274,8 +319,8 @@ def fit(
     init : (n, 2) shape, (x0, y0, x1, y1) box, or (x, y, diagonal)
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
-    response : Response, optional
-        Response of the image's camera; the training camera's if left out.
+    camera : CameraModel, optional
+        Of the image; the training camera if left out.
     **options
         Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
 
@@ -287,4 +332,4 @@ def fit(
     for name in options:
         if name not in known:
             raise MethodError(f"option {name!r} does not exist; there are {', '.join(known)}")
-    return Fitter(model, method, SolverOptions(**options), response=response).fit(image, init)
+    return Fitter(model, method, SolverOptions(**options), camera=camera).fit(image, init)

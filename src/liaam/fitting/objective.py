@@ -21,7 +21,7 @@ from liaam.fitting.methods import Method
 from liaam.fitting.normal_equations import NormalEquations, gram, regular_inverse
 from liaam.kernels import get_kernel
 from liaam.model import AAM
-from liaam.photometry import Response, from_linear, log_slope, noise_deviation
+from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
 from liaam.sampling import Patch, make_patch
 from liaam.shape import Similarity
 from liaam.warp import Warp
@@ -62,8 +62,9 @@ class FitProblem:
         Model pixels to patch pixels.
     response : Response
         Of the image's camera.
-    noise : float
-        Standard deviation of the noise that the patch's averaging leaves, in stored values of [0, 1].
+    noise : float or NoiseModel
+        Standard deviation of the noise that the patch's averaging leaves, in stored values of [0, 1]; or what is known
+        of the camera's noise, in linear light.
     noise_left : float
         Share of it that the blur of the encoded channels leaves.
     """
@@ -71,12 +72,19 @@ class FitProblem:
     patch: Patch
     pose: Similarity
     response: Response = "srgb"
-    noise: float = 0.0
+    noise: float | NoiseModel = 0.0
     noise_left: float = 1.0
 
     @classmethod
     def at(
-        cls, image: np.ndarray, shape: np.ndarray, pose: Similarity, method: Method, response: Response, blur: float
+        cls,
+        image: np.ndarray,
+        shape: np.ndarray,
+        pose: Similarity,
+        method: Method,
+        response: Response,
+        blur: float,
+        noise: NoiseModel | None = None,
     ) -> "FitProblem":
         """Cut and encode an image around a shape.
 
@@ -92,12 +100,14 @@ class FitProblem:
             Of the image's camera.
         blur : float
             Model pixels.
+        noise : NoiseModel, optional
+            Of the image's camera; measured in the image if left out.
         """
         patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=MARGIN)
         to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
         if not method.noise_weights:
             return cls(patch, to_patch, response)
-        return cls(patch, to_patch, response, *_noise(image, shape, patch, pose.scale * blur))
+        return cls(patch, to_patch, response, *_noise(image, shape, patch, pose.scale * blur, noise))
 
 
 def tied_together(blur: float) -> float:
@@ -113,10 +123,14 @@ def tied_together(blur: float) -> float:
     return max(1.0, 4.0 * np.pi * blur**2)
 
 
-def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, blur: float) -> tuple[float, float]:
+def _noise(
+    image: np.ndarray, shape: np.ndarray, patch: Patch, blur: float, known: NoiseModel | None
+) -> tuple[float | NoiseModel, float]:
     """Noise around a shape after a patch's averaging, and the share that a blur (image pixels) leaves of it."""
     reduce = 1.0 / patch.from_image.scale
     left = 1.0 / np.sqrt(tied_together(blur / reduce))
+    if known is not None:
+        return NoiseModel(known.slope / reduce**2, known.offset / reduce**2), left
     low = np.maximum(shape.min(axis=0).astype(int), 0)
     high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
     return noise_deviation(image[low[1] : high[1], low[0] : high[0]]) / reduce, left
@@ -401,8 +415,7 @@ class Objective:
         The model's errors are those of leaving one training image out, times a factor that makes the residuals
         at hand most likely: nought where noise alone explains them.
         """
-        stored = from_linear(np.exp(seen.values.astype(np.float64)), problem.response)
-        relative = problem.noise * log_slope(np.maximum(stored, 1e-3), problem.response)
+        relative = _relative_noise(np.exp(seen.values.astype(np.float64)), problem)
         # A blur averages noise away, but not what the logarithm's curvature makes of it: log(rho + n) is low by
         # up to half its relative variance on average.
         noise = np.square(problem.noise_left * relative) + np.square(0.5 * np.square(relative))
@@ -469,6 +482,14 @@ class Objective:
         return NormalEquations(
             own[:-1, :-1], own[:-1, -1], cross[:, :-1], aa, cross[:, -1], float(own[-1, -1]), weight, inverse
         )
+
+
+def _relative_noise(linear: np.ndarray, problem: FitProblem) -> np.ndarray:
+    """Standard deviation of the logarithm of linear light (any shape) by the image's noise."""
+    if isinstance(problem.noise, NoiseModel):
+        return np.sqrt(problem.noise.variance(linear)) / np.maximum(linear, 1e-6)
+    stored = np.maximum(from_linear(linear, problem.response), 1e-3)
+    return problem.noise * log_slope(stored, problem.response)
 
 
 FACTORS = np.concatenate([[0.0], np.geomspace(1e-3, 30.0, 19)])

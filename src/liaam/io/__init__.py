@@ -12,19 +12,23 @@ from liaam.io.landmarks import (
     write_collection,
     write_landmarks,
 )
+from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
 from liaam.io.results import write_fit
 
 __all__ = [
     "IMAGE_SUFFIXES",
     "LANDMARK_SUFFIXES",
+    "RAW_SUFFIXES",
     "Contour",
     "Landmarks",
     "atomic_path",
     "image_size",
+    "is_raw",
     "make_folder",
     "read_collection",
     "read_image",
     "read_landmarks",
+    "read_raw",
     "write_bytes_atomically",
     "write_collection",
     "write_fit",

@@ -2,7 +2,8 @@
 
 Pillow decodes what has 8 bits per channel and notices files that were cut short; OpenCV decodes what is
 deeper (16-bit and float), which Pillow would reduce to 8 bits. The header is read, and the size checked,
-before anything is decoded. The format is recognised by content, not by the name's ending.
+before anything is decoded. The format is recognised by content, not by the name's ending, but for RAW files, which
+have a module of their own.
 """
 
 from __future__ import annotations
@@ -91,7 +92,8 @@ def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np
     Parameters
     ----------
     path : path-like
-        A PNG, JPEG, TIFF, BMP, PPM or PGM file. The first page of a TIFF file is read.
+        A PNG, JPEG, TIFF, BMP, PPM or PGM file, of which a TIFF file's first page is read; or, by its ending, a RAW
+        file (see :func:`liaam.io.read_raw`), whose values are linear.
     max_pixels : int, optional
         Images with more pixels are refused before they are decoded.
 
@@ -109,13 +111,13 @@ def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np
         If the file is missing, a folder, empty, cut short, damaged, not an image of these formats, has more
         than `max_pixels`, or holds values that have no place here (32-bit integers, signed integers ...).
     """
+    from liaam.io.raw import is_raw, read_raw  # it needs this module
+
+    if is_raw(path):
+        return read_raw(path, max_pixels)
     path = existing_file(path, ImageError, "image")
     header = _read_header(path)
-    if header.width * header.height > max_pixels:
-        raise ImageError(
-            f"{path} has {header.width} x {header.height} pixels, more than the {max_pixels:,} allowed: "
-            "make the image smaller, or raise max_pixels."
-        )
+    check_size(path, header.width, header.height, max_pixels)
     if header.fault:
         raise ImageError(f"{path} {header.fault}")
     data = read_bytes(path, ImageError, _MAX_BYTES)
@@ -134,7 +136,20 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     ImageError
         If the file is missing, a folder, empty, or its header cannot be read.
     """
+    from liaam.io.raw import is_raw, raw_size  # it needs this module
+
+    if is_raw(path):
+        return raw_size(path)
     return _read_header(existing_file(path, ImageError, "image")).size
+
+
+def check_size(path: Path, width: int, height: int, max_pixels: int) -> None:
+    """Refuse an image of too many pixels."""
+    if width * height > max_pixels:
+        raise ImageError(
+            f"{path} has {width} x {height} pixels, more than the {max_pixels:,} allowed: "
+            "make the image smaller, or raise max_pixels."
+        )
 
 
 def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
@@ -158,7 +173,7 @@ def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
     array = np.asarray(array)
     suffix = _check_writable(path, array)
     if suffix == ".ppm" and array.ndim == 2:
-        array = _as_three_channels(array)
+        array = as_three_channels(array)
     data = _encode_shallow(array, suffix) if array.dtype == np.uint8 else _encode_deep(array, suffix)
     write_bytes_atomically(path, data, ImageError)
 
@@ -360,7 +375,7 @@ def _decode_deep(path: Path, data: bytes, header: _Header) -> np.ndarray:
     if array.dtype == np.float64:
         with np.errstate(over="ignore"):
             array = array.astype(np.float32)
-    rgb = _as_three_channels(array) if array.ndim == 2 else array[:, :, 2::-1]
+    rgb = as_three_channels(array) if array.ndim == 2 else array[:, :, 2::-1]
     return _upright(np.ascontiguousarray(rgb), header)
 
 
@@ -372,7 +387,7 @@ def _decode_deep_pnm(path: Path, data: bytes, header: _Header) -> np.ndarray:
     values = np.frombuffer(data, ">u2", n_values, header.offset).astype(np.float64)
     scaled = np.rint(np.minimum(values, header.maximum) * (65535 / header.maximum)).astype(np.uint16)
     array = scaled.reshape(header.height, header.width, n_channels)
-    return array if n_channels == 3 else _as_three_channels(array[:, :, 0])
+    return array if n_channels == 3 else as_three_channels(array[:, :, 0])
 
 
 def _upright(array: np.ndarray, header: _Header) -> np.ndarray:
@@ -388,7 +403,8 @@ def _upright(array: np.ndarray, header: _Header) -> np.ndarray:
     return np.ascontiguousarray(array)
 
 
-def _as_three_channels(grey: np.ndarray) -> np.ndarray:
+def as_three_channels(grey: np.ndarray) -> np.ndarray:
+    """Give a grey image (h, w) three equal channels."""
     return np.repeat(grey[:, :, None], 3, axis=2)
 
 

@@ -1,8 +1,9 @@
-"""Photometry: camera response, the light-invariant projection, and image encodings."""
+"""Photometry: response, noise, the light-invariant projection, encodings, and calibration of all of these."""
 
-from liaam.photometry.camera import CameraModel, NoiseModel, load_camera
+from liaam.photometry.camera import CameraModel, NoiseModel, camera_from, load_camera
 from liaam.photometry.encoding import ENCODINGS, encode, exposure_faults, is_grey
-from liaam.photometry.estimate import AngleEstimate
+from liaam.photometry.entropy import EntropyEstimate, entropy_curve, theta_from_image
+from liaam.photometry.estimate import PHYSICAL, AngleEstimate
 from liaam.photometry.invariant import (
     CHROMATICITY,
     LUMINANCE,
@@ -13,10 +14,25 @@ from liaam.photometry.invariant import (
     temperature_direction,
     wien_theta,
 )
-from liaam.photometry.noise import noise_deviation
+from liaam.photometry.invariant_image import Agreement, Averaged, agreement, averaged, invariant_image
+from liaam.photometry.masks import dark_pixels, saturated_pixels, specular_pixels, usable_pixels
+from liaam.photometry.noise import (
+    NoiseEstimate,
+    noise_deviation,
+    noise_from_flat,
+    noise_from_image,
+    noise_from_pair,
+)
+from liaam.photometry.radiometry import (
+    RadiometricEstimate,
+    VignettingEstimate,
+    calibrate_response,
+    vignetting_from_flat_field,
+)
 from liaam.photometry.response import (
     Response,
     ResponseCurve,
+    describe_response,
     from_linear,
     linear_to_srgb,
     log_slope,
@@ -24,31 +40,74 @@ from liaam.photometry.response import (
     srgb_to_linear,
     to_linear,
 )
+from liaam.photometry.scatter import (
+    chart_patches,
+    least_squares_angle,
+    theta_from_chart,
+    theta_from_scene,
+)
+from liaam.photometry.spectral import (
+    SpectralEstimate,
+    read_sensitivities,
+    theta_from_peaks,
+    theta_from_sensitivities,
+)
 
 __all__ = [
     "CHROMATICITY",
     "ENCODINGS",
     "LUMINANCE",
+    "PHYSICAL",
     "THETA_DEFAULT",
+    "Agreement",
     "AngleEstimate",
+    "Averaged",
     "CameraModel",
+    "EntropyEstimate",
+    "NoiseEstimate",
     "NoiseModel",
+    "RadiometricEstimate",
     "Response",
     "ResponseCurve",
+    "SpectralEstimate",
+    "VignettingEstimate",
+    "agreement",
+    "averaged",
+    "calibrate_response",
+    "camera_from",
+    "chart_patches",
+    "dark_pixels",
+    "describe_response",
     "encode",
+    "entropy_curve",
     "exposure_faults",
     "from_linear",
     "invariant",
+    "invariant_image",
     "invariant_row",
     "invariant_row_derivative",
     "is_grey",
+    "least_squares_angle",
     "linear_to_srgb",
     "load_camera",
     "log_slope",
     "noise_deviation",
+    "noise_from_flat",
+    "noise_from_image",
+    "noise_from_pair",
     "parse_response",
+    "read_sensitivities",
+    "saturated_pixels",
+    "specular_pixels",
     "srgb_to_linear",
     "temperature_direction",
+    "theta_from_chart",
+    "theta_from_image",
+    "theta_from_peaks",
+    "theta_from_scene",
+    "theta_from_sensitivities",
     "to_linear",
+    "usable_pixels",
+    "vignetting_from_flat_field",
     "wien_theta",
 ]

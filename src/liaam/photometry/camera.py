@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,8 +10,9 @@ import numpy as np
 
 from liaam.errors import CameraError, LiaamError
 from liaam.io import write_text_atomically
+from liaam.photometry.encoding import stored_values
 from liaam.photometry.invariant import THETA_DEFAULT
-from liaam.photometry.response import Response, describe_response, parse_response
+from liaam.photometry.response import Response, describe_response, from_linear, parse_response, to_linear
 
 FORMAT = "liaam-camera"
 VERSION = 1
@@ -91,6 +93,39 @@ class CameraModel:
         corner = ((height - 1) / 2.0) ** 2 + ((width - 1) / 2.0) ** 2
         return falloff_at(np.sqrt((x**2 + y**2) / max(corner, 1e-12)), self.vignetting).astype(np.float32)
 
+    def flatten(self, image: np.ndarray) -> np.ndarray:
+        """Undo the vignetting of a picture.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8, uint16 or float32
+            Stored values.
+
+        Returns
+        -------
+        (h, w, 3)
+            Stored values as they would be without vignetting, float32; the very same picture where there is none.
+            What was clipped in a corner comes out above 1 and still counts as clipped.
+        """
+        if not self.vignetting:
+            return image
+        bad = ~np.isfinite(image) if image.dtype.kind == "f" else None
+        light = to_linear(stored_values(image), self.response) / self.falloff(*image.shape[:2])[..., None]
+        flat = from_linear(light, self.response).astype(np.float32)
+        return flat if bad is None else np.where(bad, np.float32(np.nan), flat)
+
+    def describe(self) -> dict:
+        """Facts as JSON knows them; :func:`camera_from` reads them back."""
+        error = self.theta_deviation
+        return {
+            "theta_deg": round(float(np.rad2deg(self.theta)), 9),
+            "theta_standard_error_deg": None if error is None else round(float(np.rad2deg(error)), 9),
+            "response": describe_response(self.response),
+            "vignetting": list(self.vignetting),
+            "noise": None if self.noise is None else {"slope": self.noise.slope, "offset": self.noise.offset},
+            "history": list(self.history),
+        }
+
     def save(self, path: str | os.PathLike) -> None:
         """Write the camera as a readable JSON file, atomically.
 
@@ -99,21 +134,9 @@ class CameraModel:
         CameraError
             If the folder does not exist or cannot be written.
         """
-        facts = {
-            "format": FORMAT,
-            "version": VERSION,
-            "theta_deg": round(float(np.rad2deg(self.theta)), 6),
-            "theta_standard_error_deg": None
-            if self.theta_deviation is None
-            else round(float(np.rad2deg(self.theta_deviation)), 6),
-            "response": describe_response(self.response),
-            "vignetting": list(self.vignetting),
-            "noise": None if self.noise is None else {"slope": self.noise.slope, "offset": self.noise.offset},
-            "history": list(self.history),
-        }
-        write_text_atomically(
-            path, json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False) + "\n", CameraError
-        )
+        facts = {"format": FORMAT, "version": VERSION, **self.describe()}
+        text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
+        write_text_atomically(path, text + "\n", CameraError)
 
 
 def falloff_at(radius: np.ndarray, vignetting: tuple[float, ...]) -> np.ndarray:
@@ -144,14 +167,15 @@ def load_camera(path: str | os.PathLike) -> CameraModel:
     if facts.get("version") != VERSION:
         raise CameraError(f"{path}: the camera file has version {facts.get('version')}, this liaam reads {VERSION}")
     try:
-        return _camera(facts)
+        return camera_from(facts)
     except (KeyError, TypeError, ValueError, OverflowError, LiaamError) as error:
         raise CameraError(
             f"{path}: the camera file contradicts itself ({error}); mend it or calibrate again"
         ) from error
 
 
-def _camera(facts: dict) -> CameraModel:
+def camera_from(facts: Mapping) -> CameraModel:
+    """Camera of the facts of :meth:`CameraModel.describe`; raises what a forged file may make it raise."""
     error, noise = facts.get("theta_standard_error_deg"), facts.get("noise")
     return CameraModel(
         theta=float(np.deg2rad(float(facts["theta_deg"]))),

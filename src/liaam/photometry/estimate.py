@@ -43,4 +43,4 @@ class AngleEstimate:
     def physical(self) -> bool:
         """Whether a physical camera can have that angle, given its error."""
         slack = 2.0 * self.standard_error if np.isfinite(self.standard_error) else np.pi
-        return PHYSICAL[0] - slack <= self.theta <= PHYSICAL[1] + slack
+        return bool(PHYSICAL[0] - slack <= self.theta <= PHYSICAL[1] + slack)

@@ -1,0 +1,128 @@
+"""What the commands read: starts, pictures, cameras, lists of numbers; and names for what they write."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from liaam.errors import CameraError, LiaamError, StartError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from liaam.photometry import CameraModel
+
+
+def read_init(text: str, image: Path, size: tuple[int, int]):
+    """Read --init for one image: numbers, a landmark file, or a folder of them."""
+    from liaam.io import LANDMARK_SUFFIXES, read_landmarks
+
+    path = Path(text)
+    if path.is_file():
+        return read_landmarks(path, size)
+    if path.is_dir():
+        found = [path / f"{image.stem}{suffix}" for suffix in LANDMARK_SUFFIXES]
+        for candidate in found:
+            if candidate.is_file():
+                return read_landmarks(candidate, size)
+        raise StartError(f"{image.name}: {path} holds no landmark file for it ({image.stem}.pts or the like)")
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise StartError(
+            f"--init {text}: there is no such file or folder, and it is no box x0,y0,x1,y1 and no x,y,size either"
+        ) from None
+    if len(numbers) not in (3, 4):
+        raise StartError(f"--init {text}: give four numbers x0,y0,x1,y1 (a box) or three x,y,size, not {len(numbers)}")
+    return numbers
+
+
+def unique_stems(images: list[Path]) -> list[str]:
+    """Give names for the results, each once: the image's stem, with its folder where stems collide."""
+    stems = [image.stem for image in images]
+    taken: set[str] = set()
+    names = []
+    for image, stem in zip(images, stems, strict=True):
+        name = stem if stems.count(stem) == 1 else f"{image.resolve().parent.name}_{image.name.replace('.', '_')}"
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        names.append(name)
+    return names
+
+
+def starting_camera(start: Path | None) -> "CameraModel":
+    """Camera to start from: a file's, or the default."""
+    from liaam.photometry import CameraModel, load_camera
+
+    return CameraModel() if start is None else load_camera(start)
+
+
+def read_pictures(
+    paths: Sequence[Path], start: Path | None, response: str | None, at_least: int = 1
+) -> tuple["CameraModel", list["np.ndarray"]]:
+    """Read pictures and the camera to start from."""
+    from liaam.io import read_image
+
+    if len(paths) < at_least:
+        raise CameraError(f"{len(paths)} picture is too few: give {at_least} or more, under different lights")
+    camera = camera_for(paths, start, response)
+    return camera, [read_image(path) for path in paths]
+
+
+def camera_for(
+    paths: Sequence[Path], start: Path | None, response: str | None, otherwise: "CameraModel | None" = None
+) -> "CameraModel":
+    """Camera of pictures: a file's, or another if there is none; RAW files are linear unless told otherwise."""
+    from liaam.io import is_raw
+    from liaam.photometry import parse_response
+
+    raw = [is_raw(path) for path in paths]
+    if any(raw) and not all(raw):
+        raise CameraError("RAW files and others have different responses; give them apart")
+    camera = starting_camera(start) if start or otherwise is None else otherwise
+    if response is not None:
+        return replace(camera, response=parse_response(response))
+    return replace(camera, response="linear") if any(raw) and start is None else camera
+
+
+def numbers_in(text: str, count: int, option: str) -> "np.ndarray":
+    """Numbers of a list with commas, so many of them."""
+    import numpy as np
+
+    try:
+        numbers = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise CameraError(f"{option} {text}: give {count} numbers, separated by commas")
+    return numbers
+
+
+def read_patches(path: Path) -> "np.ndarray":
+    """Boxes of a CSV file, (n, 4) float64."""
+    import numpy as np
+
+    try:
+        rows = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        rows = rows[1:] if rows and not rows[0].lstrip()[:1].isdigit() else rows
+        boxes = np.array([[float(part) for part in row.split(",")] for row in rows])
+    except OSError as error:
+        raise CameraError(f"{path}: the file of patches cannot be read ({error.strerror or error})") from error
+    except ValueError:
+        boxes = np.zeros((0, 0))
+    if boxes.ndim != 2 or boxes.shape[1] != 4:
+        raise CameraError(f"{path}: a file of patches has one row x0,y0,x1,y1 for each, in pixels")
+    return boxes
+
+
+def check_output(output: Path) -> None:
+    """Complain about a file that cannot be written before the work, not after it."""
+    if output.is_dir() or not output.parent.is_dir():
+        what = "is a folder" if output.is_dir() else f"cannot be written: the folder {output.parent} does not exist"
+        raise LiaamError(f"{output} {what}; give the name of a file in a folder that exists")
+
+
+def names_of(paths: Sequence[Path]) -> str:
+    """Names of files, the first few."""
+    return ", ".join(path.name for path in paths[:6]) + (f" and {len(paths) - 6} more" if len(paths) > 6 else "")

@@ -1,0 +1,313 @@
+"""Direct light-invariant registration of two pictures by a homography (the paper's reference [10]).
+
+The objective and the solver are those of a fit: the first picture's pixels are the model (an appearance without
+modes), a homography is the warp, and any method of :data:`liaam.fitting.METHODS` says what is compared.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.appearance import AppearanceModel
+from liaam.errors import ImageError, MethodError
+from liaam.fitting import FitStatus, Method, SolverOptions, get_method
+from liaam.fitting.fitter import Stage, covariance, is_sane, load_picture, solve_levels
+from liaam.fitting.objective import Objective, tied_together
+from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, is_grey, noise_deviation
+from liaam.photometry.encoding import stored_values
+from liaam.sampling import make_patch
+from liaam.shape import Similarity
+from liaam.warp import GENERATORS, HomographyWarp, apply_homography
+
+METHOD = "igo+tukey"
+"""Gradient orientations are blind to the light's strength; what is left of cast shadows, their edges, is for the
+robust loss. Measured on posters and real objects: nearer to the truth than ``li``, ``chroma`` and ``grey``."""
+
+LEVELS = ((4.0, 2), (2.0, 1), (1.0, 1))
+"""Blur, and distance between the pixels that count, of each level, coarse to fine, pixels of the reduced picture."""
+
+MOST_PIXELS = 180_000
+"""Pixels that a picture is reduced to at most."""
+
+SIGNIFICANT = 3.0
+"""Gradient, in standard deviations of its noise, below which its direction says nothing."""
+
+LEAST_OVERLAP = 0.25
+"""Share of the first picture's pixels that must lie inside the second."""
+
+LEAST_CORRELATION = 0.2
+"""Correlation of what is compared below which the pictures do not show the same thing. Right registrations have 0.4
+and more (cast shadows, twelve directions of light), pictures of different things 0.1 and less."""
+
+OPTIONS = SolverOptions(max_iterations=60)
+
+MESSAGES = {
+    FitStatus.CONVERGED: "The registration settled.",
+    FitStatus.LIGHT_UNOBSERVABLE: "The registration settled; the pictures do not tell the angle, so it was held.",
+    FitStatus.MAX_ITERATIONS: "The registration was still moving when its iterations ran out; start nearer to it.",
+    FitStatus.DIVERGED: "What was found does not look alike in both pictures: they show different things, or lie too "
+    "far apart; give a start (three points or more by hand, say), or pictures that differ less.",
+    FitStatus.LEFT_IMAGE: "The pictures hardly overlap; give pictures that share more than a quarter, or a start.",
+    FitStatus.TOO_DARK: "Too few pixels are well exposed in both pictures; use brighter ones.",
+    FitStatus.NO_TEXTURE: "There is nothing to register by: the pictures are flat.",
+}
+"""What happened, and what to do about it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Result of a registration.
+
+    Attributes
+    ----------
+    homography : (3, 3) float64
+        From pixels of the first picture to those of the second, its last entry 1.
+    status : FitStatus
+        How it ended; ``status.ok`` says whether to use it.
+    correlation : float
+        Of what was compared, between the pictures where they overlap.
+    theta : float
+        Angle of the second picture's camera, radians; NaN for methods without angles.
+    cost : float
+        Mean squared residual, in the method's own units.
+    n_iterations : int
+        Gauss-Newton steps tried.
+    corner_deviation : (4,) float64
+        Standard error of where the first picture's corners come to lie, pixels of the second (root of the sum of both
+        axes' variances): by the Gauss-Newton covariance of independent residuals, which knows noise only.
+    size : (int, int)
+        Height and width of the first picture.
+    method : str
+    """
+
+    homography: np.ndarray
+    status: FitStatus
+    correlation: float
+    theta: float
+    cost: float
+    n_iterations: int
+    corner_deviation: np.ndarray
+    size: tuple[int, int]
+    method: str
+
+    @property
+    def message(self) -> str:
+        """What happened, and what to do about it."""
+        return MESSAGES[self.status]
+
+    def warp(self, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bring the second picture into the frame of the first.
+
+        Parameters
+        ----------
+        second : (h, w, c) uint8, uint16 or float32
+
+        Returns
+        -------
+        picture : (h', w', c) of the same type
+            0 beyond the second picture's border.
+        mask : (h', w') bool
+            Where it shows anything.
+        """
+        import cv2  # heavy: imported when first needed
+
+        height, width = self.size
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        picture = cv2.warpPerspective(second, self.homography, (width, height), flags=flags)
+        covered = np.ones(second.shape[:2], np.float32)
+        mask = cv2.warpPerspective(covered, self.homography, (width, height), flags=flags) > 0.999
+        return picture, np.asarray(mask)
+
+
+def register(
+    a,
+    b,
+    method: str | Method = METHOD,
+    *,
+    group: str = "homography",
+    response: Response = "srgb",
+    theta: float = THETA_DEFAULT,
+    start: np.ndarray | None = None,
+    mask: np.ndarray | None = None,
+    options: SolverOptions = OPTIONS,
+) -> Registration:
+    """Align two pictures of a plane, or of anything seen from one place, whatever the light in each.
+
+    Parameters
+    ----------
+    a, b : (h, w, 3) uint8, uint16 or float array, or path
+        Their sizes may differ.
+    method : str or Method
+        What is compared; see :data:`liaam.fitting.METHODS`.
+    group : {"homography", "affine", "similarity", "translation"}
+        What may differ between the pictures.
+    response : Response
+        Of the camera.
+    theta : float
+        Angle of the first picture's camera, radians, for the methods with angles.
+    start : (3, 3) float, optional
+        Homography to start from, pixels of ``a`` to pixels of ``b``; the identity if left out. From there some 3 % of
+        the picture's size can be made up for.
+    mask : (h, w) bool, optional
+        Pixels of ``a`` that count.
+    options : SolverOptions
+
+    Returns
+    -------
+    Registration
+        Also for one that fails: see its ``status``.
+
+    Raises
+    ------
+    ImageError
+        For a picture that is none, or is grey where colours are compared.
+    MethodError
+        For a method or group that does not exist.
+    """
+    a, name_a = load_picture(a, "first picture")
+    b, name_b = load_picture(b, "second picture")
+    method = get_method(method)
+    if group not in GENERATORS:
+        raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GENERATORS)}")
+    for picture, name in ((a, name_a), (b, name_b)):
+        if method.needs_colour and is_grey(picture):
+            raise ImageError(f"{name}: the picture is grey, but method {method.name} compares colours; use igo or grey")
+    if mask is not None and mask.shape != a.shape[:2]:
+        raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels, {name_a} {a.shape[1]}×{a.shape[0]}")
+    levels, to_a = _levels(a, method, group, response, theta, mask)
+    size = a.shape[:2]
+    if not levels:
+        return _nothing(size, method, FitStatus.NO_TEXTURE if method.encoding != "log" else FitStatus.TOO_DARK)
+    homography = np.eye(3) if start is None else np.asarray(start, dtype=np.float64)
+    handles = apply_homography(homography, to_a(levels[0][0].warp.rest))
+    if not np.isfinite(handles).all():
+        raise ImageError("the start carries a corner of the first picture behind the second; give another one")
+    stages = solve_levels(levels, b, handles, response, options)
+    return _judged(stages, handles, to_a, size, b.shape[:2])
+
+
+def _levels(
+    a: np.ndarray, method: Method, group: str, response: Response, theta: float, mask: np.ndarray | None
+) -> tuple[list[tuple[Objective, float]], Similarity]:
+    """Objectives with their blurs, coarse to fine, and the similarity from their pixels to those of ``a``."""
+    height, width = a.shape[:2]
+    reduce = max(1, int(np.ceil(np.sqrt(height * width / MOST_PIXELS))))
+    scaling = Similarity(np.eye(2) * reduce, np.full(2, (reduce - 1) / 2.0))
+    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+    levels, to_a = [], scaling
+    for blur, stride in LEVELS:
+        patch = make_patch(a, corners, scaling, encoding=method.encoding, response=response, blur=blur, margin=0.0)
+        to_a = patch.from_image.inverse()
+        kept = patch.channels[..., 3] > 0
+        if mask is not None:
+            kept &= _reduced(mask.astype(np.float32), kept.shape) > 0.999
+        if method.encoding == "orientation":
+            kept &= _significance(a, kept.shape, blur) > SIGNIFICANT
+        kept = kept[::stride, ::stride]
+        if kept.sum() < 50 * len(GENERATORS):
+            return [], to_a
+        mean = patch.channels[::stride, ::stride][kept]
+        mean = np.ascontiguousarray(mean[:, : 2 if method.encoding == "orientation" else 3])
+        if method.appearance == "invariant":
+            mean = mean @ method.image_metric(theta).T.astype(np.float32)
+        blank = np.zeros((0, *mean.shape), np.float32)
+        appearance = AppearanceModel(mean, blank, np.zeros(0), np.ones(len(mean), np.float32))
+        warp = HomographyWarp(kept, patch.from_image(corners), float(stride), group)
+        levels.append((Objective(method, warp, appearance, theta, np.zeros(warp.n_parameters)), blur))
+    return levels, to_a
+
+
+def _reduced(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    import cv2  # heavy: imported when first needed
+
+    return image if image.shape[:2] == size else cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA)
+
+
+def _significance(image: np.ndarray, size: tuple[int, int], blur: float) -> np.ndarray:
+    """Gradient of the blurred luminance, in standard deviations that the picture's noise gives it, (h, w)."""
+    import cv2  # heavy: imported when first needed
+
+    luminance = _reduced(np.ascontiguousarray(stored_values(image) @ LUMINANCE[0].astype(np.float32)), size)
+    noise = (
+        noise_deviation(image) * float(np.linalg.norm(LUMINANCE)) * np.sqrt(np.prod(size) / np.prod(image.shape[:2]))
+    )
+    down, right = np.gradient(cv2.GaussianBlur(luminance, (0, 0), blur))
+    # Variance of a central difference of white noise under a Gaussian blur of deviation s.
+    left = np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))
+    return np.hypot(down, right) / (noise * left)
+
+
+def _judged(
+    stages: list[Stage], start: np.ndarray, to_a: Similarity, size: tuple[int, int], other: tuple[int, int]
+) -> Registration:
+    """Homography in pictures' pixels, and whether it can be believed."""
+    stage = stages[-1]
+    objective, solution = stage.objective, stage.solution
+    state, last, has_angle = solution.state, solution.last, objective.method.metric == "invariant"
+    warp = objective.warp
+    assert isinstance(warp, HomographyWarp)
+    matrix = _matrix(stage.pose) @ warp.matrix(state.p) @ np.linalg.inv(_matrix(to_a))
+    points = warp.points(state.p, stage.pose)
+    inside = np.asarray(((points >= 0) & (points <= np.array(other[::-1]) - 1)).all(axis=1))
+    correlation = _correlation(stage)
+    return Registration(
+        homography=matrix / matrix[2, 2],
+        status=_status(stage, start, inside, correlation),
+        correlation=correlation,
+        theta=float(state.angles[1]) if has_angle else float("nan"),
+        cost=last.equations.cost,
+        n_iterations=sum(s.solution.n_iterations for s in stages),
+        corner_deviation=_corner_deviation(stage),
+        size=size,
+        method=objective.method.name,
+    )
+
+
+def _status(stage: Stage, start: np.ndarray, inside: np.ndarray, correlation: float) -> FitStatus:
+    solution = stage.solution
+    if solution.flat:
+        return FitStatus.NO_TEXTURE
+    if not is_sane(stage.shape(solution.state), start):
+        return FitStatus.DIVERGED
+    if inside.mean() < LEAST_OVERLAP:
+        return FitStatus.LEFT_IMAGE
+    if solution.last.weights[inside].mean() < LEAST_OVERLAP:
+        return FitStatus.TOO_DARK
+    if not correlation >= LEAST_CORRELATION:
+        return FitStatus.DIVERGED
+    if not solution.settled:
+        return FitStatus.MAX_ITERATIONS
+    return FitStatus.LIGHT_UNOBSERVABLE if solution.angles_held else FitStatus.CONVERGED
+
+
+def _correlation(stage: Stage) -> float:
+    """Correlation of what is compared, over all pixels that count in both pictures; 0 where there are none."""
+    objective, last = stage.objective, stage.solution.last
+    metric = objective.method.image_metric(stage.solution.state.angles[1]).T
+    seen = last.weights > 0
+    ours = objective.design(float(stage.solution.state.angles[0])).mean[seen].astype(np.float64)
+    theirs = last.values[seen] @ metric
+    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
+    scale = np.sqrt(np.square(ours).sum() * np.square(theirs).sum())
+    return float((ours * theirs).sum() / scale) if scale > 0 else 0.0
+
+
+def _corner_deviation(stage: Stage) -> np.ndarray:
+    warp, p = stage.objective.warp, stage.solution.state.p
+    n, step = warp.n_parameters, 1e-4
+    # A blur makes neighbours err together.
+    spread = covariance(stage.solution)[:n, :n] * tied_together(LEVELS[-1][0])
+    slopes = np.stack([(warp.shape(p + step * e) - warp.shape(p - step * e)) / (2 * step) for e in np.eye(n)], axis=-1)
+    variances = np.einsum("cai,ij,caj->c", slopes, spread, slopes)
+    return stage.pose.scale * np.sqrt(np.maximum(variances, 0.0))
+
+
+def _matrix(similarity: Similarity) -> np.ndarray:
+    matrix = np.eye(3)
+    matrix[:2, :2], matrix[:2, 2] = similarity.matrix, similarity.offset
+    return matrix
+
+
+def _nothing(size: tuple[int, int], method: Method, status: FitStatus) -> Registration:
+    nan = float("nan")
+    return Registration(np.eye(3), status, 0.0, nan, nan, 0, np.full(4, np.inf), size, method.name)

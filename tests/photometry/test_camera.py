@@ -1,0 +1,133 @@
+"""Camera files: small, readable, complete, and checked when read."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from liaam.errors import CameraError
+from liaam.photometry import AngleEstimate, CameraModel, NoiseModel, ResponseCurve, load_camera
+
+KNOWN = CameraModel(
+    theta=np.deg2rad(121.25),
+    theta_deviation=np.deg2rad(0.5),
+    response=ResponseCurve((0.05, 0.5, 1.0), (0.002, 0.2, 1.0)),
+    vignetting=(-0.2, 0.05),
+    noise=NoiseModel(1e-4, 2e-6),
+    history=("theta from a chart", "Größe geprüft"),
+)
+
+
+@pytest.mark.parametrize("camera", [CameraModel(), KNOWN, CameraModel(response=2.2), CameraModel(response="linear")])
+def test_a_camera_is_read_as_it_was_written(tmp_path, camera):
+    camera.save(tmp_path / "camera.json")
+    back = load_camera(tmp_path / "camera.json")
+    assert back.theta == pytest.approx(camera.theta, abs=1e-8)
+    assert back.theta_deviation == (None if camera.theta_deviation is None else pytest.approx(camera.theta_deviation))
+    assert (back.response, back.vignetting, back.noise) == (camera.response, camera.vignetting, camera.noise)
+    assert back.history == camera.history
+
+
+def test_a_camera_file_is_for_people(tmp_path):
+    KNOWN.save(tmp_path / "camera.json")
+    text = (tmp_path / "camera.json").read_text(encoding="utf-8")
+    assert '"theta_deg": 121.25' in text
+    assert '"theta_standard_error_deg": 0.5' in text
+    assert "Größe" in text
+    assert len(text) < 1500
+
+
+def change(path, **facts):
+    KNOWN.save(path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | facts))
+
+
+@pytest.mark.parametrize(
+    ("facts", "fault"),
+    [
+        ({"format": "else"}, "no camera file"),
+        ({"version": 9}, "version 9"),
+        ({"theta_deg": "wide"}, "contradicts itself"),
+        ({"theta_deg": 1e6}, "contradicts itself.*theta"),
+        ({"theta_standard_error_deg": -1}, "contradicts itself.*theta_deviation"),
+        ({"response": "film"}, "contradicts itself.*film"),
+        ({"response": {"stored": [0.1, 0.5]}}, "contradicts itself.*stored"),
+        ({"response": {"stored": [0.5, 0.1], "linear": [0.1, 0.5]}}, "contradicts itself.*rise"),
+        ({"vignetting": [-1.5]}, "contradicts itself.*vignetting"),
+        ({"noise": {"slope": -1, "offset": 0}}, "contradicts itself.*noise"),
+        ({"noise": {"slope": 1}}, "contradicts itself.*offset"),
+    ],
+)
+def test_a_file_that_makes_no_sense_is_refused(tmp_path, facts, fault):
+    path = tmp_path / "camera.json"
+    change(path, **facts)
+    with pytest.raises(CameraError, match=fault) as caught:
+        load_camera(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "nonsense", "[" * 100_000])
+def test_a_file_that_is_no_camera_is_refused(tmp_path, text):
+    path = tmp_path / "camera.json"
+    path.write_text(text)
+    with pytest.raises(CameraError, match="no camera file; make one with 'liaam calibrate'"):
+        load_camera(path)
+
+
+def test_a_missing_file_names_the_remedy(tmp_path):
+    with pytest.raises(CameraError, match=r"none.json.*liaam calibrate"):
+        load_camera(tmp_path / "none.json")
+
+
+def test_a_file_that_cannot_be_written_says_so(tmp_path):
+    with pytest.raises(CameraError, match="does not exist"):
+        KNOWN.save(tmp_path / "no" / "camera.json")
+
+
+def test_light_falls_off_towards_the_corners():
+    share = CameraModel(vignetting=(-0.3, 0.1)).falloff(61, 81)
+    assert share.dtype == np.float32
+    assert share[30, 40] == 1.0
+    assert share[0, 0] == pytest.approx(0.8)
+    np.testing.assert_allclose(share, share[::-1, ::-1])
+    assert (CameraModel().falloff(5, 9) == 1).all()
+
+
+def test_noise_grows_with_the_light():
+    assert NoiseModel(1e-3, 1e-5).variance(np.array([0.0, 0.5, -1.0])).tolist() == [1e-5, 5.1e-4, 1e-5]
+
+
+@given(
+    stored=st.lists(st.floats(0.01, 1.0), min_size=2, max_size=12, unique_by=lambda v: round(v, 2)),
+    growth=st.lists(st.floats(0.05, 3.0), min_size=12, max_size=12),
+    value=st.floats(0.005, 1.0),
+)
+def test_a_curve_encodes_what_it_decodes_and_rises(stored, growth, value):
+    from liaam.photometry import from_linear, log_slope, to_linear
+
+    stored = tuple(sorted(stored))
+    curve = ResponseCurve(stored, tuple(np.exp(np.cumsum(growth[: len(stored)])) * 1e-3))
+    light = to_linear(np.array([value, value * 1.001]), curve)
+    assert light[1] > light[0] > 0
+    assert from_linear(light, curve)[0] == pytest.approx(value, rel=1e-6)
+    assert (log_slope(np.array(value), curve) > 0).all()
+    np.testing.assert_allclose(to_linear(np.array(stored), curve), curve.linear, rtol=1e-9)
+
+
+def test_a_curve_of_two_points_is_a_gamma():
+    from liaam.photometry import log_slope, to_linear
+
+    curve, v = ResponseCurve((0.1, 1.0), (0.1**2.2, 1.0)), np.linspace(0.01, 1, 50)
+    np.testing.assert_allclose(to_linear(v, curve), v**2.2, rtol=1e-9)
+    np.testing.assert_allclose(log_slope(v, curve), 2.2 / v, rtol=1e-9)
+    assert to_linear(np.array([0.0, -1.0]), curve).tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("theta", "error", "physical"), [(122, 0.1, True), (60, 1, False), (88, 2, True), (60, np.inf, True)]
+)
+def test_angles_of_physical_cameras(theta, error, physical):
+    estimate = AngleEstimate(np.deg2rad(theta), np.deg2rad(error), (0, 1), True, "", 0.0, 1)
+    assert estimate.physical is physical

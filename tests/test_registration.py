@@ -1,0 +1,182 @@
+"""Registration by a homography, whatever the light: on planes with known truth, and on real objects."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.datasets.scenes import Camera, narrow_band_camera, photograph, poster, uneven_light
+from liaam.errors import ImageError, MethodError
+from liaam.fitting import FitStatus
+from liaam.io import read_image
+from liaam.registration import register
+from liaam.warp import apply_homography
+
+SIZE = (160, 200)
+
+
+def corners_of(size):
+    height, width = size
+    return np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+
+
+def random_homography(rng, size, reach=8.0):
+    import cv2
+
+    corners = corners_of(size).astype(np.float32)
+    moved = corners + rng.uniform(-reach, reach, (4, 2)).astype(np.float32)
+    return cv2.getPerspectiveTransform(corners, moved)
+
+
+def plane(seed, camera, size=SIZE):
+    """Two pictures of one poster under different lights, and the homography between them."""
+    rng = np.random.default_rng([seed, 77])
+    homography = random_homography(rng, size)
+    lights = [uneven_light(size, 2 * seed + i, lamp_K=float(rng.uniform(2800, 6500))) for i in (0, 1)]
+    sheet = poster(size, seed)
+    a, b = (
+        photograph(sheet, light, camera, seed=seed + i, homography=h)
+        for i, (light, h) in enumerate(zip(lights, (None, homography), strict=True))
+    )
+    return a, b, homography
+
+
+def corner_error(found, truth, corners):
+    there, wanted = apply_homography(found.homography, corners), apply_homography(truth, corners)
+    return float(np.nan_to_num(np.linalg.norm(there - wanted, axis=1), nan=1e3).mean())
+
+
+@pytest.mark.parametrize(
+    "camera", [replace(narrow_band_camera(response="srgb"), bits=8), Camera()], ids=["lines", "broad"]
+)
+def test_planes_under_other_lights_are_aligned(camera):
+    errors = []
+    for seed in range(6):
+        a, b, truth = plane(seed, camera)
+        found = register(a, b)
+        assert found.status is FitStatus.CONVERGED, seed
+        errors.append(corner_error(found, truth, corners_of(SIZE)))
+    assert max(errors) < 0.5
+    assert np.median(errors) < 0.1
+
+
+def test_the_invariant_with_its_angle_inside_aligns_where_grey_values_do_not():
+    errors = {"li": [], "grey": []}
+    for seed in range(5):
+        a, b, truth = plane(seed, replace(narrow_band_camera(response="srgb"), bits=8))
+        for method in errors:
+            errors[method].append(corner_error(register(a, b, method), truth, corners_of(SIZE)))
+    assert np.median(errors["li"]) < 0.5 < np.median(errors["grey"])
+
+
+def test_the_angle_is_found_along_with_the_homography():
+    camera = replace(narrow_band_camera(response="srgb"), bits=8)
+    a, b, _ = plane(1, camera)
+    found = register(a, b, "li", theta=camera.theta("wien"))
+    assert abs(found.theta - camera.theta("wien")) < np.deg2rad(2.0)
+
+
+@pytest.mark.parametrize("name", ["cat", "owl", "rock"])
+def test_real_objects_under_other_directions_of_light_are_aligned(shared_data, name):
+    import cv2
+
+    folder = shared_data / "light-directions" / name
+    y, x = np.nonzero(read_image(folder / f"{name}.mask.png")[..., 0] > 127)
+    box = np.array([[x.min(), y.min()], [x.max(), y.min()], [x.max(), y.max()], [x.min(), y.max()]], dtype=np.float64)
+    errors = []
+    for seed in range(3):
+        rng = np.random.default_rng([seed, 5])
+        i, j = rng.choice(12, 2, replace=False)
+        a, b = (read_image(folder / f"{name}.{k}.png") for k in (i, j))
+        truth = random_homography(rng, a.shape[:2])
+        moved = cv2.warpPerspective(b, truth, a.shape[1::-1], flags=cv2.INTER_CUBIC)
+        # At the corners of the object's box: the rest of the picture is black.
+        errors.append(corner_error(register(a, moved, response="linear"), truth, box))
+    assert np.median(errors) < 0.5
+    assert max(errors) < 1.2
+
+
+@pytest.mark.parametrize("group", ["translation", "similarity", "affine"])
+def test_a_smaller_group_of_warps_stays_within_it(group):
+    a, _, _ = plane(2, Camera())
+    b = np.roll(a, (2, -3), axis=(0, 1))
+    found = register(a, b, group=group)
+    assert found.status.ok
+    np.testing.assert_allclose(found.homography, [[1, 0, -3], [0, 1, 2], [0, 0, 1]], atol=0.05)
+    if group == "translation":
+        np.testing.assert_allclose(found.homography[:2, :2], np.eye(2), atol=1e-9)
+
+
+def test_large_pictures_are_reduced_and_still_aligned():
+    size = (600, 800)
+    a, b, truth = plane(3, Camera(), size)
+    assert corner_error(register(a, b), truth, corners_of(size)) < 0.5
+
+
+def test_a_start_makes_up_for_a_large_movement():
+    a, _, _ = plane(2, Camera())
+    b = np.roll(a, 50, axis=1)
+    start = np.array([[1, 0, 48.0], [0, 1, 1.0], [0, 0, 1]])
+    found = register(a, b, start=start)
+    assert found.status.ok
+    assert corner_error(found, np.array([[1, 0, 50.0], [0, 1, 0], [0, 0, 1]]), corners_of(SIZE)) < 0.2
+
+
+def test_the_second_picture_is_brought_into_the_frame_of_the_first():
+    a, b, _ = plane(4, replace(narrow_band_camera(), bits=None))
+    same = photograph(poster(SIZE, 4), uneven_light(SIZE, 9), narrow_band_camera())
+    sampled, mask = register(a, b).warp(b)
+    assert sampled.shape == same.shape and sampled.dtype == b.dtype
+    assert mask.dtype == bool and 0.8 < mask.mean() <= 1
+
+
+def test_errors_of_corners_are_of_the_size_that_is_stated():
+    ratios = []
+    for seed in range(6):
+        a, b, truth = plane(seed, Camera())
+        found = register(a, b)
+        there, wanted = (apply_homography(h, corners_of(SIZE)) for h in (found.homography, truth))
+        ratios.append(np.linalg.norm(there - wanted, axis=1) / found.corner_deviation)
+    assert 0.3 < np.sqrt(np.mean(np.square(ratios))) < 4.0
+
+
+def test_pictures_of_different_things_are_told(rng):
+    a, _, _ = plane(1, Camera())
+    _, b, _ = plane(7, Camera())
+    found = register(a, b)
+    assert not found.status.ok
+    assert "different things" in found.message or "overlap" in found.message or "iterations" in found.message
+
+
+@pytest.mark.parametrize("value", [0, 128, 255])
+@pytest.mark.parametrize("method", ["igo+tukey", "grey", "li"])
+def test_flat_pictures_have_nothing_to_register_by(value, method):
+    flat = np.full((*SIZE, 3), value, np.uint8)
+    flat[..., 0] = max(value - 1, 0) if value else 1
+    found = register(flat, flat, method)
+    assert found.status in (FitStatus.NO_TEXTURE, FitStatus.TOO_DARK)
+    assert np.isfinite(found.homography).all() and found.message
+
+
+def test_pictures_with_nan_and_other_types_are_taken():
+    a, b, truth = plane(5, replace(Camera(), bits=16))
+    floats = (b / 65535).astype(np.float32)
+    floats[20:30, 20:30] = np.nan
+    assert corner_error(register(a, floats), truth, corners_of(SIZE)) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "fault"),
+    [
+        ({"method": "nonsense"}, MethodError, "nonsense"),
+        ({"group": "rubber"}, MethodError, "homography"),
+        ({"mask": np.ones((3, 3), bool)}, ImageError, "mask is 3×3"),
+        ({"start": np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 1.0]])}, ImageError, "behind"),
+        ({"method": "li"}, ImageError, "grey"),
+    ],
+)
+def test_mistakes_are_named(options, error, fault):
+    a, _, _ = plane(1, Camera())
+    b = np.repeat(a[..., :1], 3, axis=2) if options.get("method") == "li" else a
+    with pytest.raises(error, match=fault):
+        register(a, b, **options)
