@@ -92,7 +92,8 @@ WORST_RMS, WORST_NOISE = 0.06, 0.3
 """Residuals in log exposure beyond which nothing is claimed: what noise does not explain, and what it does."""
 
 SYSTEMATIC = 1.5e-3
-"""Standard error of log light that more pixels do not reduce (blocks of mixed light, clipped noise): as simulated."""
+"""Standard error of log light and exposure that more pixels do not reduce (blocks of mixed light, clipped noise), as
+simulated."""
 
 MISFIT = 4.0
 """Residuals, in units of what noise explains, that noise does not explain; JPEG of quality 75 brings 4 to 6."""
@@ -608,7 +609,7 @@ class _Fit:
     @property
     def log_errors(self) -> np.ndarray:
         """Standard errors (m,) of the log exposures, 0 where they were given."""
-        free = self.problem.split(np.sqrt(np.diag(self.covariance)))[1]
+        free = np.sqrt(self.problem.split(np.diag(self.covariance))[1] + SYSTEMATIC**2)
         return np.concatenate([[0.0], free]) if len(free) else np.zeros(len(self.problem.seen.stored))
 
     @property

@@ -33,6 +33,12 @@ CAUCHY = 2.385
 FEWEST = 6
 """Surfaces that an estimate needs at least."""
 
+FEW = 2000
+"""Surfaces that tell well enough where the least scatter is; all of them refine it."""
+
+SETTLED = 1e-6
+"""Change of the angle, radians, at which angle and errors agree."""
+
 BLOCK_NOISE = 0.05
 """Noise of a block's logarithm that averaging aims at: its bias is then a thousandth."""
 
@@ -77,6 +83,10 @@ class Surfaces:
     variance: np.ndarray
     seen: np.ndarray
     clusters: np.ndarray
+
+    def only(self, chosen: np.ndarray | slice) -> "Surfaces":
+        """Some of the surfaces, by mask or slice."""
+        return Surfaces(self.log_rgb[chosen], self.variance[chosen], self.seen[chosen], self.clusters[chosen])
 
 
 def theta_from_scene(
@@ -128,11 +138,15 @@ def theta_from_scene(
     y, x = np.divmod(np.arange(n), across)
     clusters = (y * CLUSTERS // (int(rows[-1]) + 1)) * CLUSTERS + x * CLUSTERS // across
     surfaces = replace(surfaces, clusters=clusters)
-    found = theta_of_least_scatter(surfaces, free_balance=free_balance)
-    kept = replace(surfaces, seen=surfaces.seen & ~_light_edges(surfaces, across, found.theta)[:, None])
-    # Where the light changes everywhere there is nothing better to keep.
-    few = (kept.seen.sum(axis=1) >= 2).sum() < 0.4 * (surfaces.seen.sum(axis=1) >= 2).sum()
-    return found if few else theta_of_least_scatter(kept, free_balance=free_balance)
+    enough = surfaces.seen.sum(axis=1) >= 2
+    if enough.sum() >= FEWEST:
+        # A few blocks tell well enough in which direction the light changes.
+        _, rough = _settled(_every(surfaces.only(enough), int(np.ceil(enough.sum() / FEW))), free_balance)
+        kept = replace(surfaces, seen=surfaces.seen & ~_light_edges(surfaces, across, rough)[:, None])
+        # Where the light changes everywhere there is nothing better to keep.
+        if (kept.seen.sum(axis=1) >= 2).sum() >= max(0.4 * enough.sum(), FEWEST):
+            surfaces = kept
+    return theta_of_least_scatter(surfaces, free_balance=free_balance)
 
 
 def _light_edges(surfaces: Surfaces, across: int, theta: float) -> np.ndarray:
@@ -404,13 +418,20 @@ def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) ->
             f"only {n} surfaces are well exposed in two pictures; at least {FEWEST} are needed: give pictures that are "
             "neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
         )
-    surfaces = Surfaces(*(a[enough] for a in (surfaces.log_rgb, surfaces.variance, surfaces.seen, surfaces.clusters)))
+    surfaces = surfaces.only(enough)
+    return _judge(*_settled(surfaces, free_balance))
+
+
+def _settled(surfaces: Surfaces, free_balance: bool) -> "tuple[_Scatter, float]":
+    """Angle of least scatter, with the errors that go with it; each depends on the other."""
     scatter = _Scatter(surfaces, free_balance)
     theta = scatter.best_angle()
-    for _ in range(4):
-        scatter = scatter.with_model_error(theta)
+    for _ in range(5):
+        before, scatter = theta, scatter.with_model_error(theta)
         theta = scatter.best_angle()
-    return _judge(scatter, theta)
+        if abs(theta - before) < SETTLED:
+            break
+    return scatter, theta
 
 
 def least_squares_angle(images: Sequence[np.ndarray], camera: CameraModel | None = None) -> float:
@@ -482,8 +503,7 @@ class _Scatter:
         """Angle of least cost, radians in [0, pi)."""
         from scipy.optimize import minimize_scalar  # heavy: imported when first needed
 
-        # A few thousand surfaces tell where the minimum is; all of them refine it.
-        step = max(1, len(self.degrees) // 2000)
+        step = int(np.ceil(len(self.degrees) / FEW))
         thinned = replace(self, surfaces=_every(self.surfaces, step))
         near = GRID[int(thinned.costs(GRID).sum(axis=1).argmin())]
         width = 1.5 * float(GRID[1])
@@ -512,9 +532,7 @@ class _Scatter:
 
 
 def _every(surfaces: Surfaces, step: int) -> Surfaces:
-    return Surfaces(
-        surfaces.log_rgb[::step], surfaces.variance[::step], surfaces.seen[::step], surfaces.clusters[::step]
-    )
+    return surfaces.only(slice(None, None, step))
 
 
 def _unit_rows(thetas: np.ndarray) -> np.ndarray:
