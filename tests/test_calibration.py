@@ -35,6 +35,15 @@ def test_the_error_of_pooled_angles_is_that_of_the_errors(rng):
     assert 0.85 < np.std(z) < 1.35
 
 
+def test_fits_that_disagree_tell_no_angle(rng):
+    found = theta_from_fits(fits(rng.uniform(0, 180, 8)))
+    assert not found.observable and "too much" in found.message
+
+
+def test_equal_angles_are_no_proof_of_precision():
+    assert theta_from_fits(fits([121, 121, 121, 124, 118])).standard_error > np.deg2rad(0.1)
+
+
 def test_an_angle_is_an_axis():
     found = theta_from_fits(fits([121, 301, 120.5, 300.5, 121.5, 121.2]))
     assert np.rad2deg(found.theta) == pytest.approx(121, abs=0.3)

@@ -71,7 +71,7 @@ def test_calibrate_writes_a_camera_and_a_picture_to_check_it_by(run, folder, tmp
     assert (code, err) == (0, "")
     assert "theta 12" in out and "95 % interval" in out and "log R/B" in out
     assert abs(theta_of(tmp_path / "camera.json") - np.rad2deg(TRUTH)) < limit
-    assert read_image(tmp_path / "camera.png").shape[2] == 3
+    assert read_image(tmp_path / "camera_check.png").shape[2] == 3
     assert load_camera(tmp_path / "camera.json").history
 
 
@@ -81,8 +81,8 @@ def test_calibrate_spectral(run, tmp_path):
     assert theta_of(tmp_path / "camera.json") == pytest.approx(122.43, abs=0.1)
     curves = ["wavelength_nm,R,G,B", *(sensitivities(w) for w in range(400, 701, 2))]
     (tmp_path / "curves.csv").write_text("\n".join(curves))
-    assert run("calibrate", "spectral", "--curves", tmp_path / "curves.csv", "-o", tmp_path / "camera.json")[0] == 0
-    assert theta_of(tmp_path / "camera.json") == pytest.approx(122.43, abs=1.5)
+    assert run("calibrate", "spectral", "--curves", tmp_path / "curves.csv", "-o", tmp_path / "other.json")[0] == 0
+    assert theta_of(tmp_path / "other.json") == pytest.approx(122.43, abs=1.5)
 
 
 def sensitivities(wavelength):
@@ -113,7 +113,7 @@ def test_calibrate_response_from_exposures(run, folder, tmp_path):
     logs = [np.log(to_linear(stored, r)) for r in (load_camera(tmp_path / "camera.json").response, "srgb")]
     difference = logs[0] - logs[1]
     assert np.std(difference) < 0.03
-    assert read_image(tmp_path / "camera.png").shape[2] == 3
+    assert read_image(tmp_path / "camera_check.png").shape[2] == 3
 
 
 def test_what_cannot_be_told_is_not_written(run, folder, tmp_path):
@@ -168,7 +168,7 @@ def test_invariant_writes_a_picture_and_numbers(run, folder, tmp_path):
 def test_register_writes_the_picture_the_homography_and_a_check(run, folder, tmp_path):
     code, _out, err = run("register", folder / "a.png", folder / "c.png", "-o", tmp_path / "c_on_a.png")
     assert (code, err) == (0, "")
-    facts = json.loads((tmp_path / "c_on_a.json").read_text())
+    facts = json.loads((tmp_path / "c_on_a_homography.json").read_text())
     assert np.abs(np.array(facts["homography"]) - [[1, 0.01, 2.4], [-0.01, 1, -1.7], [0, 0, 1]]).max() < 0.3
     assert read_image(tmp_path / "c_on_a.png").shape == (*SIZE, 3)
     assert read_image(tmp_path / "c_on_a_check.png").shape == (*SIZE, 3)

@@ -2,7 +2,7 @@
 
 All show generated scenes. They are the figures that commands write, made by the same code: ``demo.png`` by ``liaam
 demo``, ``shadow.png`` and ``noise.png`` by ``liaam experiment noise``, ``reconstruct.png`` by ``liaam experiment
-reconstruct``; the experiments take a few trials only.
+reconstruct``, ``calibration.png`` by ``liaam calibrate pair``; the experiments take a few trials only.
 """
 
 import os
@@ -12,10 +12,13 @@ from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from liaam.datasets.scenes import Camera, photograph, poster, uneven_light
 from liaam.experiments.demo import run_demo
 from liaam.experiments.noise import noise_experiment
 from liaam.experiments.reconstruct import reconstruct_experiment
 from liaam.experiments.runner import run_experiment
+from liaam.photometry import CameraModel, invariant_image, theta_from_scene
+from liaam.plotting_photometry import figure_of_invariants, save_figure
 
 HERE = Path(__file__).parent
 
@@ -31,10 +34,22 @@ def main() -> None:
         run_demo(folder / "demo")
         run_experiment(noise_experiment(methods=METHODS, trials=TRIALS), folder / "noise")
         run_experiment(reconstruct_experiment(methods=("li",), trials=PICTURES), folder / "reconstruct")
+        draw_calibration(folder / "calibration.png")
+        keep(folder / "calibration.png", "calibration.png")
         keep(folder / "demo" / "figure.png", "demo.png")
         keep(folder / "noise" / "pictures.png", "shadow.png")
         keep(folder / "noise" / "figure.png", "noise.png")
         keep(folder / "reconstruct" / "figure.png", "reconstruct.png")
+
+
+def draw_calibration(path: Path) -> None:
+    """One poster under two lights, and its invariant images at the angle that the two tell."""
+    size, names = (240, 320), ("lamp.png", "window.png")
+    sheet, lights = poster(size, 5), [uneven_light(size, 3, lamp_K=3200), uneven_light(size, 8, lamp_K=5800)]
+    pictures = [photograph(sheet, light, Camera(), seed=i) for i, light in enumerate(lights)]
+    camera = CameraModel(theta=theta_from_scene(pictures).theta)
+    rows = {name: (picture, invariant_image(picture, camera)) for name, picture in zip(names, pictures, strict=True)}
+    save_figure(figure_of_invariants(rows), path, dpi=90)
 
 
 def keep(figure: Path, name: str) -> None:

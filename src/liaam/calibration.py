@@ -1,13 +1,14 @@
 """Calibrations that need the engine: of scenes whose pictures have to be aligned first, and from fits of a model."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from liaam.errors import CameraError
 from liaam.fitting import FitResult, FitStatus
 from liaam.photometry import AngleEstimate, CameraModel
+from liaam.photometry.estimate import WIDEST_ERROR, axis_difference
 from liaam.registration import Registration, register
 
 Progress = Callable[[int, int, str], None]
@@ -143,7 +144,7 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
     CameraError
         If the fits do not estimate a free angle.
     """
-    results = list(results)
+    results, nan = list(results), float("nan")
     if any(not result.method.startswith("li-pc") for result in results):
         raise CameraError(
             "to pool a camera's angle, fit with method li-pcs (one camera) or li-pc (another one trained)"
@@ -153,25 +154,26 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
     left = f"{len(results) - len(told)} of {len(results)} fits tell no angle ({unseen} saw no change of light)"
     if len(told) < FEWEST_FITS:
         message = f"{left}; at least {FEWEST_FITS} are needed: fit more pictures, under lights other than in training"
-        return AngleEstimate(float("nan"), float("inf"), (0.0, float(np.pi)), False, message, float("nan"), len(told))
+        return AngleEstimate(nan, float("inf"), (0.0, float(np.pi)), False, message, nan, len(told))
     angles = np.array([r.theta for r in told])
     centre = float(np.angle(np.exp(2j * angles).mean()) / 2 % np.pi)  # only up to a half turn
-    offsets = (angles - centre + np.pi / 2) % np.pi - np.pi / 2
-    offset, error = _huber_location(offsets)
+    offset, error = _huber_location(np.array([axis_difference(angle, centre) for angle in angles]))
     from scipy.stats import t  # heavy: imported when first needed
 
-    theta, reach = (centre + offset) % np.pi, float(t.ppf(0.975, len(told) - 1)) * error
-    message = f"{len(told)} fits differ by {np.rad2deg(error * np.sqrt(len(told))):.2f}°; {left}"
-    estimate = AngleEstimate(theta, error, (theta - reach, theta + reach), True, message, float("nan"), len(told))
-    if estimate.physical:
-        return estimate
-    return replace(estimate, message=f"{message}; but no physical camera has this angle (90 to 135 degrees)")
+    theta, spread = (centre + offset) % np.pi, np.rad2deg(error * np.sqrt(len(told)))
+    error *= float(t.ppf(0.975, len(told) - 1)) / 1.96
+    message = f"{len(told)} fits differ by {spread:.2f}°; {left}"
+    if error > WIDEST_ERROR:
+        return AngleEstimate(theta, float("inf"), (0.0, float(np.pi)), False, f"{message}: too much", nan, len(told))
+    interval = (theta - 1.96 * error, theta + 1.96 * error)
+    return AngleEstimate(theta, error, interval, True, message, nan, len(told)).doubted()
 
 
 def _huber_location(values: np.ndarray) -> tuple[float, float]:
     """Huber's estimate of location and its standard error."""
     centre = float(np.median(values))
-    scale = max(1.4826 * float(np.median(np.abs(values - centre))), 1e-9)
+    # Never far below the deviation: of a few values more than half may be equal by chance.
+    scale = max(1.4826 * float(np.median(np.abs(values - centre))), 0.2 * float(values.std()), 1e-9)
     for _ in range(50):
         moved = float(np.clip((values - centre) / scale, -HUBER, HUBER).mean() * scale)
         centre += moved

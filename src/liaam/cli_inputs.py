@@ -83,7 +83,8 @@ def camera_for(
     camera = starting_camera(start) if start or otherwise is None else otherwise
     if response is not None:
         return replace(camera, response=parse_response(response))
-    return replace(camera, response="linear") if any(raw) and start is None else camera
+    # A response that was measured is known better; srgb or a gamma in a file speaks of the camera's finished pictures.
+    return replace(camera, response="linear") if any(raw) and isinstance(camera.response, str | float) else camera
 
 
 def numbers_in(text: str, count: int, option: str) -> "np.ndarray":
@@ -99,13 +100,46 @@ def numbers_in(text: str, count: int, option: str) -> "np.ndarray":
     return numbers
 
 
+def is_number(text: str) -> bool:
+    """Whether a cell of a table holds a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def check_camera_output(output: Path, start: Path | None, inputs: Sequence[Path] = ()) -> None:
+    """Complain, before the work, about a camera file that cannot be written or would undo another."""
+    check_output(output)
+    if output.suffix.lower() != ".json":
+        raise CameraError(f"{output}: a camera file ends in .json, such as camera.json")
+    if output.exists() and (start is None or start.resolve() != output.resolve()):
+        raise CameraError(
+            f"{output} exists; add --camera {output} to keep what it knows and add to it, or give another name with -o"
+        )
+    refuse_inputs([check_picture(output)], inputs)
+
+
+def check_picture(output: Path) -> Path:
+    """Name of the picture that is written beside a camera file."""
+    return output.with_name(f"{output.stem}_check.png")
+
+
+def refuse_inputs(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
+    """Complain about an output that would overwrite an input."""
+    for path in outputs:
+        if path.resolve() in {other.resolve() for other in inputs}:
+            raise LiaamError(f"{path} is one of the pictures to be read; give another name with -o")
+
+
 def read_patches(path: Path) -> "np.ndarray":
     """Boxes of a CSV file, (n, 4) float64."""
     import numpy as np
 
     try:
-        rows = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
-        rows = rows[1:] if rows and not rows[0].lstrip()[:1].isdigit() else rows
+        rows = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        rows = rows[1:] if rows and not any(map(is_number, rows[0].split(","))) else rows
         boxes = np.array([[float(part) for part in row.split(",")] for row in rows])
     except OSError as error:
         raise CameraError(f"{path}: the file of patches cannot be read ({error.strerror or error})") from error

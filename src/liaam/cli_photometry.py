@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from liaam.cli_inputs import (
+    camera_for,
+    check_camera_output,
     check_output,
+    check_picture,
     names_of,
     numbers_in,
     read_init,
     read_patches,
     read_pictures,
+    refuse_inputs,
     starting_camera,
     unique_stems,
 )
@@ -41,6 +45,9 @@ ResponseOption = Annotated[
     str | None,
     typer.Option("--response", help="Response: srgb, linear, or a gamma; that of --camera, or srgb, if left out."),
 ]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Write the angle even if no physical camera has it, or its minimum is doubtful.")
+]
 Align = Annotated[
     bool, typer.Option("--align/--no-align", help="Bring the pictures into the frame of the first one beforehand.")
 ]
@@ -64,10 +71,12 @@ def spectral(
     ] = None,
     output: Output = CAMERA_FILE,
     start: Start = None,
+    trust: Trust = False,
 ) -> None:
     """Angle from the sensors' spectra: from peak wavelengths (Wien's law), or from measured sensitivities."""
     from liaam.photometry import read_sensitivities, theta_from_peaks, theta_from_sensitivities
 
+    check_camera_output(output, start)
     if (peaks is None) == (curves is None):
         raise CameraError("give either --peaks 610,540,450 or --curves FILE.csv")
     if peaks is not None:
@@ -76,7 +85,7 @@ def spectral(
     else:
         assert curves is not None
         estimate, source = theta_from_sensitivities(*read_sensitivities(curves)), f"sensitivities of {curves.name}"
-    conclude_angle(estimate, starting_camera(start), f"spectral, {source}", output)
+    conclude_angle(estimate, starting_camera(start), f"spectral, {source}", output, trust)
 
 
 @calibrate.command()
@@ -88,9 +97,10 @@ def pair(
     response: ResponseOption = None,
     align: Align = True,
     free_balance: FreeBalance = False,
+    trust: Trust = False,
 ) -> None:
     """Angle from two pictures of one scene under lights of different colour."""
-    angle_of_scene([first, second], output, start, response, align, free_balance)
+    angle_of_scene([first, second], output, start, response, align, free_balance, trust)
 
 
 @calibrate.command()
@@ -101,9 +111,10 @@ def scene(
     response: ResponseOption = None,
     align: Align = True,
     free_balance: FreeBalance = False,
+    trust: Trust = False,
 ) -> None:
     """Angle from several pictures of one scene under lights of different colour."""
-    angle_of_scene(images, output, start, response, align, free_balance)
+    angle_of_scene(images, output, start, response, align, free_balance, trust)
 
 
 def angle_of_scene(
@@ -113,11 +124,12 @@ def angle_of_scene(
     response: str | None,
     align: bool,
     free_balance: bool,
+    trust: bool,
 ) -> None:
     """Read, align, estimate, and write what belongs to it."""
     from liaam.photometry import theta_from_scene
 
-    check_output(output)
+    check_camera_output(output, start, paths)
     camera, pictures = read_pictures(paths, start, response, at_least=2)
     masks = None
     if align:
@@ -131,7 +143,7 @@ def angle_of_scene(
             f"aligned: moved by up to {moved:.1f} pixels at the corners" if moved > 0.25 else "the pictures are aligned"
         )
     estimate = theta_from_scene(pictures, camera, free_balance=free_balance, masks=masks)
-    camera = conclude_angle(estimate, camera, f"scene, {names_of(paths)}", output)
+    camera = conclude_angle(estimate, camera, f"scene, {names_of(paths)}", output, trust)
     write_check(output, pictures, paths, camera)
 
 
@@ -155,11 +167,12 @@ def chart(
     start: Start = None,
     response: ResponseOption = None,
     free_balance: FreeBalance = False,
+    trust: Trust = False,
 ) -> None:
     """Angle from pictures of a colour chart under lights of different colour; no alignment is needed."""
     from liaam.photometry import chart_patches, theta_from_chart
 
-    check_output(output)
+    check_camera_output(output, start, images)
     if (corners is None) == (patches is None):
         raise CameraError(
             "give either --corners (the centres of the chart's four corner patches) or --patches FILE.csv"
@@ -173,7 +186,7 @@ def chart(
         raise CameraError(f"{len(quads)} charts for {len(images)} pictures: give one for all, or one for each")
     quads = quads * len(images) if len(quads) == 1 else quads
     estimate = theta_from_chart(pictures, quads, camera, free_balance=free_balance)
-    camera = conclude_angle(estimate, camera, f"chart, {names_of(images)}", output)
+    camera = conclude_angle(estimate, camera, f"chart, {names_of(images)}", output, trust)
     write_check(output, pictures, images, camera, quads)
 
 
@@ -184,19 +197,19 @@ def image(
     start: Start = None,
     response: ResponseOption = None,
     kind: Annotated[Literal["quadratic", "shannon"], typer.Option(help="Entropy to minimise.")] = "quadratic",
-    trust: Annotated[bool, typer.Option("--trust", help="Write the angle even if its minimum is not trusted.")] = False,
+    trust: Trust = False,
 ) -> None:
     """Angle from one picture with shadows (entropy minimisation): a last resort that often cannot be trusted."""
     from liaam.photometry import theta_from_image
 
-    check_output(output)
+    check_camera_output(output, start, [picture])
     camera, (pixels,) = read_pictures([picture], start, response)
     estimate = theta_from_image(pixels, camera.response, kind)
     if trust and not estimate.observable:
         say(f"theta {degrees(estimate.theta)}: {estimate.message}")
         write_camera(replace(camera, theta=estimate.theta, theta_deviation=None), output, f"image, {picture.name}")
     else:
-        camera = conclude_angle(estimate, camera, f"image, {picture.name}", output)
+        camera = conclude_angle(estimate, camera, f"image, {picture.name}", output, trust)
     write_check(output, [pixels], [picture], replace(camera, theta=estimate.theta))
 
 
@@ -210,6 +223,7 @@ def faces(
     ] = "li-pcs",
     output: Output = CAMERA_FILE,
     start: Start = None,
+    trust: Trust = False,
 ) -> None:
     """Angle pooled over fits of a model to many pictures, under lights other than the training light."""
     from liaam.calibration import theta_from_fits
@@ -217,16 +231,19 @@ def faces(
     from liaam.io import read_image
     from liaam.model import load_model
 
-    check_output(output)
+    check_camera_output(output, start)
+    if not method.startswith("li-pc"):
+        raise CameraError(f"--method {method}: only li-pcs and li-pc estimate the camera's angle")
     model = load_model(model_file)
-    camera = starting_camera(start) if start else model.camera
+    # One camera for all is the model's; another one is not known to have its vignetting or noise.
+    camera = camera_for(images, start, None, model.camera if method.startswith("li-pcs") else None)
     fitter, results = Fitter(model, method, camera=camera), []
     with stoppable_progress() as tell:
         for i, path in enumerate(images):
             tell(i, len(images), path.name)
             pixels = read_image(path)
             results.append(fitter.fit(pixels, read_init(init, path, pixels.shape[1::-1]), path.name))
-    conclude_angle(theta_from_fits(results), camera, f"faces, {len(images)} fits with {method}", output)
+    conclude_angle(theta_from_fits(results), camera, f"faces, {len(images)} fits with {method}", output, trust)
 
 
 @calibrate.command("response")
@@ -246,7 +263,7 @@ def response_command(
     """Response, and with --vignetting the light's falloff, from pictures of one scene at different exposures."""
     from liaam.photometry import calibrate_response
 
-    check_output(output)
+    check_camera_output(output, start, images)
     camera, pictures = read_pictures(images, start, None, at_least=2)
     ratios = None if exposures is None else numbers_in(exposures, len(images), "--exposures").tolist()
     homographies = None
@@ -263,12 +280,14 @@ def response_command(
     if vignetting:
         say(corner_sentence(lens))
     known = lens.coefficients if lens.observable else camera.vignetting
-    camera = replace(camera, response=found.response, vignetting=known)
+    if camera.theta_deviation is not None or camera.noise is not None:
+        say("the file's angle and noise were estimated under another response: estimate them again")
+    camera = replace(camera, response=found.response, vignetting=known, theta_deviation=None, noise=None)
     write_camera(camera, output, f"response, {names_of(images)}: {found.message}")
     from liaam.plotting_photometry import figure_of_response, save_figure
 
-    save_figure(figure_of_response(camera), output.with_suffix(".png"))
-    say(f"{output.with_suffix('.png')}: the response beside sRGB, to look at")
+    save_figure(figure_of_response(camera), check_picture(output))
+    say(f"{check_picture(output)}: the response beside sRGB, to look at")
 
 
 @calibrate.command("vignetting")
@@ -281,7 +300,7 @@ def vignetting_command(
     """Vignetting from one picture of an evenly lit white wall or paper."""
     from liaam.photometry import vignetting_from_flat_field
 
-    check_output(output)
+    check_camera_output(output, start, [picture])
     camera, (pixels,) = read_pictures([picture], start, response)
     found = vignetting_from_flat_field(pixels, camera.response)
     say(corner_sentence(found))
@@ -315,7 +334,7 @@ def noise_command(
 
     from liaam.photometry import noise_from_flat, noise_from_image, noise_from_pair
 
-    check_output(output)
+    check_camera_output(output, start, images)
     camera, pictures = read_pictures(images, start, response)
     if flat:
         boxes = np.rint([numbers_in(text, 4, "--flat") for text in flat]).astype(int)
@@ -332,10 +351,17 @@ def noise_command(
     write_camera(replace(camera, noise=found.noise), output, f"noise, {names_of(images)}: {found.message}")
 
 
-def conclude_angle(estimate: "AngleEstimate", camera: "CameraModel", source: str, output: Path) -> "CameraModel":
+def conclude_angle(
+    estimate: "AngleEstimate", camera: "CameraModel", source: str, output: Path, trust: bool
+) -> "CameraModel":
     """Say what was found, and write the camera; an angle that cannot be told is not guessed."""
     if not estimate.observable:
         raise CameraError(f"nothing was written: {estimate.message}")
+    if not estimate.physical and not trust:
+        raise CameraError(
+            f"nothing was written: theta {degrees(estimate.theta)} ± {degrees(estimate.standard_error)}; "
+            f"{estimate.message} (--trust writes it nonetheless)"
+        )
     low, high = estimate.interval
     say(f"theta {degrees(estimate.theta)} ± {degrees(estimate.standard_error, 2)}")
     say(f"95 % interval {degrees(low)} to {degrees(high)}; {estimate.message}")
@@ -362,12 +388,12 @@ def write_check(
     from liaam.photometry import invariant_image
     from liaam.plotting_photometry import figure_of_invariants, save_figure
 
-    shown = list(zip(pictures, paths, strict=True))[:6]
+    names = unique_stems(list(paths[:6]))
     figure = figure_of_invariants(
-        {path.name: (picture, invariant_image(picture, camera, name=path.name)) for picture, path in shown},
-        None if patches is None else patches[: len(shown)],
+        {n: (p, invariant_image(p, camera, name=n)) for n, p in zip(names, pictures[:6], strict=True)},
+        None if patches is None else patches[:6],
     )
-    path = output.with_suffix(".png")
+    path = check_picture(output)
     save_figure(figure, path)
     say(f"{path}: the pictures and their invariant images, which should look alike")
 
@@ -385,7 +411,7 @@ def invariant(
     ] = False,
     block: Annotated[int, typer.Option(help="For --compare: average this many pixels across first.", min=1)] = 2,
     dark: Annotated[
-        float, typer.Option(help="For --compare: stored value, of 255, below which pixels say nothing.", min=0)
+        float, typer.Option(help="For --compare: stored value, of 255, below which pixels say nothing.", min=0, max=250)
     ] = 8.0,
     mask: Annotated[Path | None, typer.Option(help="For --compare: picture that is white where pixels count.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-invariant"),
@@ -402,6 +428,10 @@ def invariant(
         if not 0 <= theta <= 360:
             raise LiaamError(f"--theta {theta:g}: give the camera's angle in degrees; cameras lie in 90 to 135")
         camera = replace(camera, theta=float(np.deg2rad(theta)))
+    if compare and (len(pictures) < 2 or len({picture.shape for picture in pictures}) > 1):
+        raise LiaamError("--compare: give two or more registered pictures of one size")
+    if compare and block > min(pictures[0].shape[:2]) // 3:
+        raise LiaamError(f"--block {block}: give at most a third of the pictures' size")
     make_folder(output)
     stems = unique_stems(images)
     with stoppable_progress() as tell:
@@ -447,9 +477,10 @@ def compare_pictures(
 
     from liaam.io import read_image, write_text_atomically
     from liaam.photometry import agreement, averaged
+    from liaam.photometry.encoding import stored_values
     from liaam.plotting_photometry import figure_of_agreement, save_figure
 
-    mask = None if mask_file is None else read_image(mask_file)[..., 0] > 127
+    mask = None if mask_file is None else stored_values(read_image(mask_file)[..., 0]) > 0.5
     seen = averaged(pictures, camera, block=block, dark=dark, mask=mask)
     found = agreement(seen)
     lines = ["first,second,invariant,log_grey,share"]
@@ -486,14 +517,15 @@ def register_command(
 
     output = output or Path(f"{second.stem}_registered.png")
     check_output(output)
+    board, facts_file = (output.with_name(f"{output.stem}_{name}") for name in ("check.png", "homography.json"))
+    refuse_inputs([output, board], [first, second])
     camera, (a, b) = read_pictures([first, second], camera_file, response)
     found = register(a, b, method or METHOD, group=group, response=camera.response, theta=camera.theta)
-    say(f"{found.status}: {found.message}")
     if not found.status.ok:
-        raise typer.Exit(1)
+        raise LiaamError(f"{second.name} could not be registered with {first.name} ({found.status}): {found.message}")
+    say(f"{found.status}: {found.message}")
     sampled, _ = found.warp(b)
     write_image(output, sampled)
-    board = output.with_name(f"{output.stem}_check.png")
     write_image(board, checkerboard(a, sampled))
     facts = {
         "first": first.name,
@@ -503,8 +535,8 @@ def register_command(
         "status": str(found.status),
         "iterations": found.n_iterations,
     }
-    write_text_atomically(output.with_suffix(".json"), json.dumps(facts, indent=1) + "\n")
-    say(f"written to {output}, {output.with_suffix('.json').name} (pixels of A to pixels of B) and {board.name}")
+    write_text_atomically(facts_file, json.dumps(facts, indent=1) + "\n")
+    say(f"written to {output}, {facts_file.name} (pixels of A to pixels of B) and {board.name}")
 
 
 def degrees(angle: float, digits: int = 1) -> str:

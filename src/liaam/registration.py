@@ -46,8 +46,8 @@ MESSAGES = {
     FitStatus.LIGHT_UNOBSERVABLE: "The registration settled; the pictures do not tell the angle, so it was held.",
     FitStatus.MAX_ITERATIONS: "The registration was still moving when its iterations ran out; start nearer to it.",
     FitStatus.DIVERGED: "What was found does not look alike in both pictures: they show different things, or lie too "
-    "far apart; give a start (three points or more by hand, say), or pictures that differ less.",
-    FitStatus.LEFT_IMAGE: "The pictures hardly overlap; give pictures that share more than a quarter, or a start.",
+    "far apart; bring them nearer to each other, or give pictures that differ less.",
+    FitStatus.LEFT_IMAGE: "The pictures hardly overlap; give pictures that share more than a quarter.",
     FitStatus.TOO_DARK: "Too few pixels are well exposed in both pictures; use brighter ones.",
     FitStatus.NO_TEXTURE: "There is nothing to register by: the pictures are flat.",
 }
@@ -179,6 +179,8 @@ def register(
     if not levels:
         return _nothing(size, method, FitStatus.NO_TEXTURE if method.encoding != "log" else FitStatus.TOO_DARK)
     homography = np.eye(3) if start is None else np.asarray(start, dtype=np.float64)
+    if homography.shape != (3, 3) or not np.isfinite(homography).all():
+        raise ImageError("the start of a registration is a homography: 3 by 3 numbers, from the first picture's pixels")
     handles = apply_homography(homography, to_a(levels[0][0].warp.rest))
     if not np.isfinite(handles).all():
         raise ImageError("the start carries a corner of the first picture behind the second; give another one")
@@ -285,6 +287,8 @@ def _correlation(stage: Stage) -> float:
     objective, last = stage.objective, stage.solution.last
     metric = objective.method.image_metric(stage.solution.state.angles[1]).T
     seen = last.weights > 0
+    if not seen.any():
+        return 0.0
     ours = objective.design(float(stage.solution.state.angles[0])).mean[seen].astype(np.float64)
     theirs = last.values[seen] @ metric
     ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
@@ -295,6 +299,8 @@ def _correlation(stage: Stage) -> float:
 def _corner_deviation(stage: Stage) -> np.ndarray:
     warp, p = stage.objective.warp, stage.solution.state.p
     n, step = warp.n_parameters, 1e-4
+    if not stage.solution.last.weights.any():
+        return np.full(4, np.inf)
     # A blur makes neighbours err together.
     spread = covariance(stage.solution)[:n, :n] * tied_together(LEVELS[-1][0])
     slopes = np.stack([(warp.shape(p + step * e) - warp.shape(p - step * e)) / (2 * step) for e in np.eye(n)], axis=-1)

@@ -58,6 +58,7 @@ def change(path, **facts):
         ({"vignetting": [-1.5]}, "contradicts itself.*vignetting"),
         ({"noise": {"slope": -1, "offset": 0}}, "contradicts itself.*noise"),
         ({"noise": {"slope": 1}}, "contradicts itself.*offset"),
+        ({"respnse": "srgb"}, "knows no respnse"),
     ],
 )
 def test_a_file_that_makes_no_sense_is_refused(tmp_path, facts, fault):
@@ -93,6 +94,19 @@ def test_light_falls_off_towards_the_corners():
     assert share[0, 0] == pytest.approx(0.8)
     np.testing.assert_allclose(share, share[::-1, ::-1])
     assert (CameraModel().falloff(5, 9) == 1).all()
+
+
+@pytest.mark.parametrize("vignetting", [(-0.5,), (0.3,)])
+def test_flattening_undoes_vignetting_and_leaves_dark_and_clipped_pixels_what_they_are(vignetting):
+    camera = CameraModel(vignetting=vignetting, response="linear")
+    flat = camera.flatten((0.5 * camera.falloff(40, 60)[..., None] * np.ones(3) * 65535).astype(np.uint16))
+    np.testing.assert_allclose(flat, 0.5, atol=1e-4)
+    odd = np.full((40, 60, 3), 0.8, np.float32)
+    odd[0, 0], odd[0, 1], odd[0, 2] = 1.0, 0.01, np.nan
+    flat = camera.flatten(odd)
+    assert flat[0, 0].min() == 1.0 and flat[0, 1].max() < 0.02 and np.isnan(flat[0, 2]).all()
+    assert np.nanmax(flat[1:]) <= 250 / 255
+    assert CameraModel().flatten(odd) is odd
 
 
 def test_noise_grows_with_the_light():

@@ -66,7 +66,8 @@ def test_the_standard_error_is_that_of_the_errors():
     found = [estimate("pair", seed, 8.0) for seed in range(25)]
     errors = np.array([e.theta - TRUTH for e in found])
     claimed = np.array([e.standard_error for e in found])
-    assert 0.7 < np.sqrt(np.mean(np.square(errors / claimed))) < 1.4
+    # On the wide side: it makes allowance for how few regions and colours it rests on.
+    assert 0.4 < np.sqrt(np.mean(np.square(errors / claimed))) < 1.2
 
 
 def test_another_exposure_is_no_change_of_light():
@@ -86,6 +87,32 @@ def test_a_white_balance_that_differs_is_seen_through_when_allowed():
     strict, free = (theta_from_scene(tinted, CameraModel(response=2.2), free_balance=f) for f in (False, True))
     assert abs(strict.theta - TRUTH) > np.deg2rad(3.0)
     assert abs(free.theta - TRUTH) < np.deg2rad(0.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_even_light_tells_nothing_once_white_balance_is_free(seed):
+    found = theta_from_chart(*chart(seed, 2.0), free_balance=True)
+    assert not found.observable
+    assert "place to place" in found.message
+
+
+def test_few_colours_tell_too_little_and_it_is_said():
+    sheet = np.full((*SIZE, 3), 0.4)
+    sheet[:, 80:] = (0.5, 0.3, 0.2)
+    rng = np.random.default_rng(1)
+    exact = replace(CAMERA, bits=None)  # rounding to 8 bits before the noise would be alike all over a surface
+    pictures = [noisy(255 * photograph(sheet, even_light(SIZE, k), exact), 2.0, rng) for k in (3000, 7000)]
+    found = theta_from_scene(pictures)
+    assert not found.observable or found.interval[0] <= TRUTH <= found.interval[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [({"block": 0}, "blocks of 0"), ({"block": 90}, "blocks of 90"), ({"masks": [np.ones((3, 3), bool)]}, "masks")],
+)
+def test_options_that_make_no_sense_are_refused(options, fault):
+    with pytest.raises(CameraError, match=fault):
+        theta_from_scene(scene(1, 1.0), **options)
 
 
 def test_a_tenth_of_the_picture_that_moved_does_no_harm():

@@ -23,6 +23,7 @@ from liaam.errors import LiaamError
 from liaam.evaluation import or_dash, root_mean_square
 from liaam.experiments.runner import Experiment, NumberedTrial, Row
 from liaam.photometry import AngleEstimate, least_squares_angle, theta_from_chart, theta_from_image, theta_from_scene
+from liaam.photometry.estimate import axis_difference
 from liaam.plotting import figure_of_bars
 
 if TYPE_CHECKING:
@@ -72,19 +73,14 @@ def run_trial(setup: Setup, trial: NumberedTrial) -> list[Row]:
                         "kind": kind,
                         "sigma_n": sigma,
                         "trial": trial.number,
-                        "error_deg": float(np.rad2deg(_turn(estimate.theta - truth))),
+                        "error_deg": float(np.rad2deg(axis_difference(estimate.theta, truth))),
                         "standard_error_deg": float(np.rad2deg(estimate.standard_error)),
                         "observable": int(estimate.observable),
                         "inside": int(estimate.interval[0] <= truth <= estimate.interval[1]),
-                        "plain_error_deg": float(np.rad2deg(_turn(plain - truth))),
+                        "plain_error_deg": float(np.rad2deg(axis_difference(plain, truth))),
                     }
                 )
     return rows
-
-
-def _turn(angle: float) -> float:
-    """Angle brought to [-90, 90) degrees: an axis has no sign."""
-    return (angle + np.pi / 2) % np.pi - np.pi / 2
 
 
 def _estimates(

@@ -10,7 +10,7 @@ import numpy as np
 
 from liaam.errors import CameraError, LiaamError
 from liaam.io import write_text_atomically
-from liaam.photometry.encoding import stored_values
+from liaam.photometry.encoding import DARK, SATURATED, stored_values
 from liaam.photometry.invariant import THETA_DEFAULT
 from liaam.photometry.response import Response, describe_response, from_linear, parse_response, to_linear
 
@@ -81,10 +81,11 @@ class CameraModel:
         if self.theta_deviation is not None and not self.theta_deviation >= 0:
             raise CameraError(f"theta_deviation {self.theta_deviation}: give a standard error of at least 0, or None")
         parse_response(self.response)
-        if not np.isfinite(self.vignetting).all() or falloff_at(np.linspace(0, 1, 101), self.vignetting).min() < 0.02:
-            raise CameraError(
-                f"vignetting {self.vignetting}: less than a fiftieth of the light would reach the corners"
-            )
+        if (
+            not np.isfinite(self.vignetting).all()
+            or falloff_at(np.linspace(0, 1, 101), self.vignetting).min() < DIMMEST
+        ):
+            raise CameraError(f"vignetting {self.vignetting}: hardly any light would arrive off the centre")
 
     def falloff(self, height: int, width: int) -> np.ndarray:
         """Share of light that arrives at each pixel, (h, w) float32: 1 in the centre."""
@@ -105,14 +106,15 @@ class CameraModel:
         -------
         (h, w, 3)
             Stored values as they would be without vignetting, float32; the very same picture where there is none.
-            What was clipped in a corner comes out above 1 and still counts as clipped.
+            What was dark or clipped stays so, and what was not does not become it.
         """
         if not self.vignetting:
             return image
-        bad = ~np.isfinite(image) if image.dtype.kind == "f" else None
-        light = to_linear(stored_values(image), self.response) / self.falloff(*image.shape[:2])[..., None]
-        flat = from_linear(light, self.response).astype(np.float32)
-        return flat if bad is None else np.where(bad, np.float32(np.nan), flat)
+        stored = stored_values(image)
+        light = to_linear(stored, self.response) / self.falloff(*image.shape[:2])[..., None]
+        flat = np.clip(from_linear(light, self.response), DARK, SATURATED).astype(np.float32)
+        flat = np.where((stored < DARK) | (stored > SATURATED), stored, flat)
+        return np.where(np.isfinite(image), flat, np.float32(np.nan)) if image.dtype.kind == "f" else flat
 
     def describe(self) -> dict:
         """Facts as JSON knows them; :func:`camera_from` reads them back."""
@@ -166,6 +168,10 @@ def load_camera(path: str | os.PathLike) -> CameraModel:
         raise CameraError(f"{path}: this is no camera file; make one with 'liaam calibrate'")
     if facts.get("version") != VERSION:
         raise CameraError(f"{path}: the camera file has version {facts.get('version')}, this liaam reads {VERSION}")
+    unknown = set(facts) - {"format", "version", *CameraModel().describe()}
+    if unknown or "theta_deg" not in facts:
+        what = f"knows no {', '.join(sorted(unknown))}" if unknown else "needs theta_deg"
+        raise CameraError(f"{path}: a camera file {what}; its entries are {', '.join(CameraModel().describe())}")
     try:
         return camera_from(facts)
     except (KeyError, TypeError, ValueError, OverflowError, LiaamError) as error:

@@ -1,11 +1,19 @@
 """An estimated angle, with how far it can be trusted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 PHYSICAL = (float(np.deg2rad(90.0)), float(np.deg2rad(135.0)))
 """Angles of physical cameras, radians (DESIGN section 1)."""
+
+WIDEST_ERROR = float(np.deg2rad(8.0))
+"""Standard error beyond which an angle is called unobservable, radians."""
+
+
+def axis_difference(angle: float, other: float) -> float:
+    """Angle minus another, radians in [-pi/2, pi/2): the angle of a projection has no sign."""
+    return float((angle - other + np.pi / 2) % np.pi - np.pi / 2)
 
 
 @dataclass(frozen=True)
@@ -17,7 +25,7 @@ class AngleEstimate:
     theta : float
         Radians in [0, pi).
     standard_error : float
-        Radians; infinite where the angle cannot be told.
+        Half the width of the 95 % interval over 1.96, radians; infinite where the angle cannot be told.
     interval : (float, float)
         95 % interval, radians; (0, pi) where the angle cannot be told.
     observable : bool
@@ -44,3 +52,13 @@ class AngleEstimate:
         """Whether a physical camera can have that angle, given its error."""
         slack = 2.0 * self.standard_error if np.isfinite(self.standard_error) else np.pi
         return bool(PHYSICAL[0] - slack <= self.theta <= PHYSICAL[1] + slack)
+
+    def doubted(self) -> "AngleEstimate":
+        """Give the same with a word on it if no physical camera can have that angle."""
+        if self.physical:
+            return self
+        return replace(
+            self,
+            message=f"{self.message}; but no physical camera has this angle (90 to 135 degrees): were the pictures "
+            "taken with one white balance and response, and do they show the same surfaces?",
+        )

@@ -19,7 +19,7 @@ import numpy as np
 from liaam.errors import CameraError
 from liaam.photometry.camera import CameraModel
 from liaam.photometry.encoding import DARK, SATURATED, as_colour, is_grey, stored_values
-from liaam.photometry.estimate import AngleEstimate
+from liaam.photometry.estimate import WIDEST_ERROR, AngleEstimate
 from liaam.photometry.invariant import temperature_direction
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope, to_linear
@@ -59,8 +59,12 @@ WEAKEST_SIGNAL = 2.0
 """Mean square of the lights' difference along the temperature direction, in units of its error, below which the
 angle is called unobservable; errors alone give 1."""
 
-WIDEST_ERROR = float(np.deg2rad(8.0))
-"""Standard error beyond which the angle is called unobservable, radians."""
+WEAKEST_VARIATION = 16.0
+"""The same where white balance is free and only what varies from place to place counts: what sensors that are no lines
+make of coloured surfaces varies too."""
+
+SURE = 0.7
+"""Quantile of F above which errors are taken to go by colour rather than by place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +127,12 @@ def theta_from_scene(
     """
     pictures = _checked(images)
     height, width = pictures[0].shape[:2]
+    if block is not None and not 1 <= block <= min(height, width) // 3:
+        raise CameraError(
+            f"blocks of {block} pixels: give 1 to {min(height, width) // 3} for pictures of {width}×{height}"
+        )
+    if masks is not None and [np.shape(mask) for mask in masks] != [(height, width)] * len(pictures):
+        raise CameraError(f"masks: give one of {width}×{height} pixels for each of the {len(pictures)} pictures")
     if any(picture.shape != pictures[0].shape for picture in pictures):
         sizes = ", ".join(f"{picture.shape[1]}×{picture.shape[0]}" for picture in pictures)
         raise CameraError(f"the pictures of a scene must have one size, but these have {sizes}; crop or align them")
@@ -477,13 +487,7 @@ class _Scatter:
         s = self.surfaces
         projected = np.einsum("kc,nmc->knm", rows, s.log_rgb)
         weights = s.seen / (np.einsum("kc,nmc->knm", np.square(rows), s.variance + self.model) + 1e-12)
-        total = weights.sum(axis=2, keepdims=True)
-        centred = projected - (weights * projected).sum(axis=2, keepdims=True) / total
-        if self.free_balance:
-            for _ in range(3):  # alternately: a constant for each light, a mean for each surface
-                balance = (weights * centred).sum(axis=1, keepdims=True) / weights.sum(axis=1, keepdims=True)
-                centred = centred - balance
-                centred = centred - (weights * centred).sum(axis=2, keepdims=True) / total
+        centred = _centred(projected, weights, self.free_balance)
         return (weights * np.square(centred)).sum(axis=2)
 
     @property
@@ -531,6 +535,21 @@ class _Scatter:
         return replace(self, model=float(np.exp(float(root))))  # pyright: ignore[reportArgumentType]
 
 
+def _centred(values: np.ndarray, weights: np.ndarray, free_balance: bool) -> np.ndarray:
+    """Values (..., n, m) without each surface's weighted mean, and without a constant of each light if it is free."""
+
+    def means(of: np.ndarray, axis: int) -> np.ndarray:
+        total = np.maximum(weights.sum(axis=axis, keepdims=True), 1e-300)
+        return (weights * of).sum(axis=axis, keepdims=True) / total
+
+    centred = values - means(values, -1)
+    if free_balance:
+        for _ in range(3):  # alternately: a constant for each light, a mean for each surface
+            centred = centred - means(centred, -2)
+            centred = centred - means(centred, -1)
+    return centred
+
+
 def _every(surfaces: Surfaces, step: int) -> Surfaces:
     return surfaces.only(slice(None, None, step))
 
@@ -543,30 +562,47 @@ def _unit_rows(thetas: np.ndarray) -> np.ndarray:
 
 def _judge(scatter: _Scatter, theta: float) -> AngleEstimate:
     """Standard error by leaving out clusters, and whether there was a change of light to see the angle by."""
-    # Neighbours err together, and so do surfaces of one colour: sensors that are no lines see each move differently.
-    partings = (scatter.surfaces.clusters, _colours(scatter, theta))
-    error, factor = max(
-        (_jackknife(scatter, theta, parting) for parting in partings), key=lambda found: found[0] * found[1]
-    )
-    change, signal = _light_change(scatter, theta)
-    n = len(scatter.degrees)
-    if signal < WEAKEST_SIGNAL or not error < WIDEST_ERROR:
-        message = (
-            f"the lights' colours hardly differ (log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors): the "
-            "angle cannot be told; give pictures under lights of different colour, such as lamp light and daylight"
+    error, (change, signal), n = _error(scatter, theta), _light_change(scatter, theta), len(scatter.degrees)
+    times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
+    reason = None
+    if scatter.free_balance and signal < WEAKEST_VARIATION:
+        reason = (
+            f"the lights' colours hardly vary from place to place ({times}), and with a free white balance nothing "
+            "else counts; give pictures with one white balance, or under light of uneven colour"
         )
+    elif signal < WEAKEST_SIGNAL:
+        reason = (
+            f"the lights' colours hardly differ ({times}); give pictures under lights of different colour, such as "
+            "lamp light and daylight"
+        )
+    elif not error < WIDEST_ERROR:
+        reason = (
+            f"the angle is uncertain by {np.rad2deg(1.96 * error):.0f} degrees either way, though the lights differ "
+            f"({times}): {n} blocks or patches of too few colours tell too little; show more colours, well exposed"
+        )
+    if reason is not None:
+        message = f"the angle cannot be told: {reason}"
         return AngleEstimate(theta, float("inf"), (0.0, float(np.pi)), False, message, change, n)
     message = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
-    interval = (theta - factor * error, theta + factor * error)
-    estimate = AngleEstimate(theta, error, interval, True, message, change, n)
-    if estimate.physical:
-        return estimate
-    return replace(
-        estimate,
-        message=message
-        + "; but no physical camera has this angle (90 to 135 degrees): were the pictures taken with one "
-        "white balance and response, and do they show the same surfaces?",
-    )
+    interval = (theta - 1.96 * error, theta + 1.96 * error)
+    return AngleEstimate(theta, error, interval, True, message, change, n).doubted()
+
+
+def _error(scatter: _Scatter, theta: float) -> float:
+    """Half the width of the 95 % interval over 1.96, radians.
+
+    Neighbours err together. So do surfaces of one colour, because sensors that are no lines see each colour move
+    differently; errors go by colour where they are clearly greater that way.
+    """
+    from scipy.stats import f, t  # heavy: imported when first needed
+
+    by_place, places = _jackknife(scatter, theta, scatter.surfaces.clusters)
+    by_colour, colours = _jackknife(scatter, theta, _colours(scatter, theta))
+    if not np.isfinite([by_place, by_colour]).all():
+        return float("inf")
+    go_by_colour = (by_colour / max(by_place, 1e-12)) ** 2 > f.ppf(SURE, colours, places)
+    error, degrees = (by_colour, colours) if go_by_colour else (by_place, places)
+    return error * float(t.ppf(0.975, degrees)) / 1.96
 
 
 def _colours(scatter: _Scatter, theta: float) -> np.ndarray:
@@ -579,9 +615,7 @@ def _colours(scatter: _Scatter, theta: float) -> np.ndarray:
 
 
 def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[float, float]:
-    """Standard error of the angle by leaving out clusters, radians, and the factor of a 95 % interval."""
-    from scipy.stats import t  # heavy: imported when first needed
-
+    """Standard error of the angle by leaving out clusters, radians, and its degrees of freedom."""
     step = np.deg2rad(0.1)
     low, middle, high = scatter.costs(theta + step * np.array([-1.0, 0.0, 1.0]))
     slopes, bends = (high - low) / (2 * step), (high - 2 * middle + low) / step**2
@@ -589,14 +623,14 @@ def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[f
     slope, bend = np.bincount(cluster, slopes), np.bincount(cluster, bends)
     rest = bend.sum() - bend
     if len(slope) < 3 or not (rest > 0).all():
-        return float("inf"), 2.0
+        return float("inf"), 1.0
     # One Newton step from the whole to the rest without each cluster.
     moved = slope / rest
     k = len(slope)
     error = float(np.sqrt((k - 1) / k * np.square(moved - moved.mean()).sum()))
     # Clusters that see little of the change hardly count as observations.
     effective = float(np.square(np.abs(bend).sum()) / np.square(bend).sum())
-    return error, float(t.ppf(0.975, max(effective - 1.0, 1.0)))
+    return error, max(effective - 1.0, 1.0)
 
 
 def _light_change(scatter: _Scatter, theta: float) -> tuple[float, float]:
@@ -604,7 +638,7 @@ def _light_change(scatter: _Scatter, theta: float) -> tuple[float, float]:
     direction, s = temperature_direction(theta), scatter.surfaces
     along = s.log_rgb @ direction
     weights = s.seen.astype(np.float64)
-    centred = along - (weights * along).sum(axis=1, keepdims=True) / weights.sum(axis=1, keepdims=True)
+    centred = _centred(along, weights, scatter.free_balance)
     errors = ((s.variance + scatter.model) @ np.square(direction) * weights).sum(axis=1) / weights.sum(axis=1)
     squares = (weights * np.square(centred)).sum(axis=1) / scatter.degrees
     change = np.sqrt(2.0 * max(float(np.mean(squares - errors)), 0.0)) * abs(direction[0] - direction[2])
