@@ -60,6 +60,9 @@ FreeBalance = Annotated[
 ]
 CAMERA_FILE = Path("camera.json")
 
+FAR = 0.02
+"""Movement, as a share of the picture's size, that deserves a word: perhaps the scene is not flat."""
+
 
 @calibrate.command()
 def spectral(
@@ -133,15 +136,19 @@ def angle_of_scene(
     camera, pictures = read_pictures(paths, start, response, at_least=2)
     masks = None
     if align:
-        from liaam.calibration import align_pictures
+        from liaam.calibration import STILL, align_pictures
 
         with stoppable_progress() as tell:
             aligned = align_pictures(pictures, camera, names=[p.name for p in paths], progress=tell)
         pictures, masks = list(aligned.pictures), aligned.masks
         moved = max(aligned.moved)
         say(
-            f"aligned: moved by up to {moved:.1f} pixels at the corners" if moved > 0.25 else "the pictures are aligned"
+            f"aligned: moved by up to {moved:.1f} pixels at the corners"
+            if moved > STILL
+            else "the pictures are aligned"
         )
+        if moved > FAR * max(pictures[0].shape[:2]):
+            complain("they moved far: a homography suits flat or far scenes only; check the picture that is written")
     estimate = theta_from_scene(pictures, camera, free_balance=free_balance, masks=masks)
     camera = conclude_angle(estimate, camera, f"scene, {names_of(paths)}", output, trust)
     write_check(output, pictures, paths, camera)
