@@ -90,7 +90,7 @@ def solve_levels(
         state = objective.start(warp.parameters(pose.inverse()(shape)))
         angles = stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options)
         finest = objective is levels[-1][0]
-        sparing = options if finest else replace(options, tolerance=COARSE * options.tolerance)
+        sparing = options if finest else replace(options, tolerance=COARSE * options.tolerance, scoring=0)
         stages.append(Stage(objective, pose, solve(objective, problem, replace(state, angles=angles), sparing)))
         shape = stages[-1].shape(stages[-1].solution.state)
         if not is_sane(shape, start):

@@ -42,6 +42,9 @@ class SolverOptions:
         quite noise), 100 and more under a lateral light in scenes.
     angle_start : {"best", "model"}
         Where theta_2 starts: at its closed-form optimum for the start's shape, or at the model's angle.
+    scoring : int
+        Fisher scoring steps to end the finest level with, at most (see :func:`_score`); methods that weigh by noise
+        take some at any rate.
     """
 
     max_iterations: int = 50
@@ -51,6 +54,7 @@ class SolverOptions:
     shape_prior: float = 1.0
     observable: float = 25.0
     angle_start: str = "best"
+    scoring: int = 0
 
     def __post_init__(self) -> None:
         """Refuse options that make no sense."""
@@ -60,8 +64,8 @@ class SolverOptions:
             raise MethodError(f"angle_start {self.angle_start!r} does not exist; there are {', '.join(ANGLE_STARTS)}")
         if not np.isfinite([self.tolerance, self.damping, self.shape_prior, self.observable]).all():
             raise MethodError("tolerance, damping, shape_prior and observable must be finite numbers")
-        if self.max_iterations < 0 or self.tolerance < 0 or min(self.damping, self.shape_prior) < 0:
-            raise MethodError("max_iterations, tolerance, damping and shape_prior may not be negative")
+        if self.max_iterations < 0 or self.tolerance < 0 or min(self.damping, self.shape_prior, self.scoring) < 0:
+            raise MethodError("max_iterations, tolerance, damping, shape_prior and scoring may not be negative")
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +143,7 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
             break
         if not np.isfinite(last.equations.cost):
             break
-    if trust is not None and trust.noise is not None and not flat:
+    if (options.scoring or (trust is not None and trust.noise is not None)) and not flat:
         scored = _score(objective, problem, state, options, workspace, trust, free)
         if scored and scored[-1][1].equations.cost <= SCORING_RISE * last.equations.cost:
             state, last = scored[-1]
@@ -149,7 +153,7 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
 
 
 SCORING_STEPS = 5
-"""Scoring steps at most; they settle in two or three."""
+"""Scoring steps at most, where none are asked for; they settle in two or three."""
 
 SCORING_RISE = 1.25
 """Scoring that raises the cost by more than this has left the minimum for another reason than noise's dents, and is
@@ -162,7 +166,7 @@ def _score(
     state: State,
     options: SolverOptions,
     workspace: np.ndarray,
-    trust: Trust,
+    trust: Trust | None,
     free: np.ndarray,
 ) -> list[tuple[State, Linearisation]]:
     """Step on by Fisher scoring: with the gradient of the model, which has no noise.
@@ -173,16 +177,18 @@ def _score(
     depth of a dent.
     """
     scored: list[tuple[State, Linearisation]] = []
-    for _ in range(min(SCORING_STEPS, options.max_iterations)):
+    for _ in range(min(options.scoring or SCORING_STEPS, options.max_iterations)):
         seen = objective.linearise(problem, state, workspace, trust, own_gradient=True)
         precision = _prior_precision(objective, seen.equations, options.shape_prior)
         steps = _step(seen.equations, state, precision, free, damping=0.0)
         if steps is None:
             break
-        scored.append(
-            _evaluate(objective, problem, objective.update(state, *steps), options, workspace, trust, start_up=False)
+        state, seen = _evaluate(
+            objective, problem, objective.update(state, *steps), options, workspace, trust, start_up=False
         )
-        state = scored[-1][0]
+        if options.scoring:  # asked for more than a step or two: the weights move along
+            state, seen, trust = _weigh_anew(objective, problem, state, seen, options, workspace, trust)
+        scored.append((state, seen))
         if objective.warp.movement(steps[0][: objective.warp.n_parameters]) < options.tolerance:
             break
     return scored
