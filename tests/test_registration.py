@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from finite_differences import assert_jacobian
 from liaam.datasets.scenes import Camera, narrow_band_camera, photograph, poster, uneven_light
 from liaam.errors import ImageError, MethodError
-from liaam.fitting import FitStatus
+from liaam.fitting import FitStatus, get_method
+from liaam.fitting.objective import FitProblem
 from liaam.io import read_image
-from liaam.registration import register
+from liaam.photometry import THETA_DEFAULT
+from liaam.registration import OPTIONS, _levels, register
+from liaam.shape import align
 from liaam.warp import apply_homography
 
 SIZE = (160, 200)
@@ -180,3 +184,104 @@ def test_mistakes_are_named(options, error, fault):
     b = np.repeat(a[..., :1], 3, axis=2) if options.get("method") == "li" else a
     with pytest.raises(error, match=fault):
         register(a, b, **options)
+
+
+@pytest.mark.parametrize("method", ["li", "li-pcs", "chroma", "grey", "rgb+tukey", "igo", "li+noise+huber"])
+def test_columns_are_the_derivative_of_the_residual(method, rng):
+    a, b, _ = plane(1, Camera())
+    mask = np.arange(SIZE[1]) + np.zeros((SIZE[0], 1)) > 20
+    objective, blur = _levels(a, get_method(method), "homography", "srgb", THETA_DEFAULT, mask)[0][-1]
+    warp, n_p = objective.warp, objective.warp.n_parameters
+    pose = align(warp.rest, warp.rest)
+    problem = FitProblem.at(b, warp.rest, pose, objective.method, "srgb", blur)
+    state = replace(objective.start(rng.normal(0, 0.5, n_p)), angles=np.array([2.0, 2.2]))
+    trust = objective.trust(problem, state, objective.linearise(problem, state))
+    columns = objective.workspace()
+
+    def residual(p: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        moved = replace(state, p=p, angles=state.angles + objective.method.angle_directions @ turn)
+        objective.linearise(problem, moved, columns, trust)
+        return columns[:, -1].astype(np.float64)
+
+    def in_one_cell(low, high):
+        same = [np.floor(problem.pose(warp.points(p))) for p in (low, high)]
+        return np.repeat((same[0] == same[1]).all(axis=1), objective.method.n_rows)
+
+    residual(state.p, np.zeros(objective.n_q - n_p))
+    jacobian = columns[:, :-1].astype(np.float64)
+    # A step no pixel makes more than 0.04 pixels of: samples are smooth between pixel lines only.
+    steps = 0.04 / np.abs(warp.jacobian(state.p)).max(axis=(0, 1))
+    no_turn = np.zeros(objective.n_q - n_p)
+    assert_jacobian(
+        lambda p: residual(p, no_turn), jacobian[:, :n_p], state.p, steps=steps, tolerance=2e-3, valid=in_one_cell
+    )
+    if objective.n_q > n_p:
+        assert_jacobian(lambda t: residual(state.p, t), jacobian[:, n_p:], no_turn, steps=1e-2, tolerance=2e-3)
+
+
+@pytest.mark.parametrize(("method", "gain"), [("igo", 5.0), ("li", 3.0)])
+def test_scoring_takes_away_the_pull_of_noise_towards_the_middle_between_pixels(method, gain):
+    """Pictures that lie still: noise sampled between pixels is smoother, so a plain minimum lies off."""
+    pull = {0: [], 20: []}
+    for seed in range(4):
+        sheet, camera = poster(SIZE, seed), Camera(read_noise=0.01)
+        a, b = (photograph(sheet, uneven_light(SIZE, 2 * seed + i), camera, seed=2 * seed + i) for i in (0, 1))
+        for scoring, shifts in pull.items():
+            found = register(a, b, method, group="translation", options=replace(OPTIONS, scoring=scoring))
+            shifts.append(np.abs(found.homography[:2, 2]))
+    assert np.mean(pull[20]) < 0.08
+    assert np.mean(pull[0]) > gain * np.mean(pull[20])
+
+
+def test_each_picture_may_have_a_white_balance_of_its_own():
+    for seed in range(3):
+        a, b, truth = plane(seed, replace(Camera(), bits=None))
+        balanced = (b * np.array([1.1, 0.9, 0.8])).astype(np.float32)
+        assert corner_error(register(a, balanced, "li"), truth, corners_of(SIZE)) < 0.2
+
+
+def test_a_mask_keeps_out_what_moved_by_itself():
+    a, b, truth = plane(6, Camera())
+    moving = np.zeros(SIZE, bool)
+    moving[30:130, 40:150] = True
+    b = b.copy()
+    b[moving] = np.roll(b, 5, axis=1)[moving]
+    kept = register(a, b, "li", mask=~moving)
+    assert kept.status.ok
+    assert (
+        corner_error(kept, truth, corners_of(SIZE)) < 0.3 < corner_error(register(a, b, "li"), truth, corners_of(SIZE))
+    )
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.5])
+def test_pictures_of_other_sizes_start_whole_on_whole(factor):
+    import cv2
+
+    a, b, truth = plane(3, Camera())
+    b = cv2.resize(b, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    shift = (factor - 1) / 2
+    truth = np.array([[factor, 0, shift], [0, factor, shift], [0, 0, 1]]) @ truth
+    assert corner_error(register(a, b), truth, corners_of(SIZE)) < 0.3
+
+
+def test_a_tenth_of_the_picture_is_within_reach():
+    for seed in range(3):
+        rng = np.random.default_rng([seed, 5])
+        truth, sheet = random_homography(rng, SIZE, reach=16.0), poster(SIZE, seed)
+        a = photograph(sheet, uneven_light(SIZE, 2 * seed), seed=seed)
+        b = photograph(sheet, uneven_light(SIZE, 2 * seed + 1), seed=seed + 9, homography=truth)
+        found = register(a, b)
+        assert found.status.ok
+        assert corner_error(found, truth, corners_of(SIZE)) < 0.5
+
+
+@pytest.mark.parametrize("size", [(8, 8), (20, 16), (64, 48)])
+def test_small_pictures_are_aligned_or_refused(size):
+    import cv2
+
+    a = cv2.resize(plane(4, Camera())[0], size[::-1], interpolation=cv2.INTER_AREA)
+    found = register(a, np.roll(a, 1, axis=1))
+    assert np.isfinite(found.homography).all()
+    if found.status.ok:
+        np.testing.assert_allclose(found.homography[:2, 2], [1, 0], atol=0.1)
+    assert found.status.ok == (min(size) > 8)

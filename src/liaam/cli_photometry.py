@@ -60,7 +60,7 @@ FreeBalance = Annotated[
 ]
 CAMERA_FILE = Path("camera.json")
 
-FAR = 0.02
+FAR = 0.04
 """Movement, as a share of the picture's size, that deserves a word: perhaps the scene is not flat."""
 
 

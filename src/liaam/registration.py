@@ -162,8 +162,8 @@ def register(
     theta : float
         Angle of the first picture's camera, radians, for the methods with angles.
     start : (3, 3) float, optional
-        Homography to start from, pixels of ``a`` to pixels of ``b``; the identity if left out. From there some 3 % of
-        the picture's size can be made up for.
+        Homography to start from, pixels of ``a`` to pixels of ``b``; the whole of one on the whole of the other if
+        left out, the identity for pictures of one size. From there a tenth of the picture's size can be made up for.
     mask : (h, w) bool, optional
         Pixels of ``a`` that count.
     options : SolverOptions
@@ -194,7 +194,7 @@ def register(
     size = a.shape[:2]
     if not levels:
         return _nothing(size, method, FitStatus.NO_TEXTURE if method.encoding != "log" else FitStatus.TOO_DARK)
-    homography = np.eye(3) if start is None else np.asarray(start, dtype=np.float64)
+    homography = _whole_on_whole(size, b.shape[:2]) if start is None else np.asarray(start, dtype=np.float64)
     if homography.shape != (3, 3) or not np.isfinite(homography).all():
         raise ImageError("the start of a registration is a homography: 3 by 3 numbers, from the first picture's pixels")
     handles = apply_homography(homography, to_a(levels[0][0].warp.rest))
@@ -202,6 +202,14 @@ def register(
         raise ImageError("the start carries a corner of the first picture behind the second; give another one")
     stages = solve_levels(levels, b, handles, response, options)
     return _judged(stages, levels[len(stages) - 1][1], handles, to_a, size, b.shape[:2])
+
+
+def _whole_on_whole(size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
+    """Homography that scales one picture to the other's size (height, width), centre on centre."""
+    scale = np.array(other[::-1], dtype=np.float64) / size[::-1]
+    matrix = np.diag([*scale, 1.0])
+    matrix[:2, 2] = (scale - 1.0) / 2.0
+    return matrix
 
 
 def _with_constants(method: Method) -> Method:
