@@ -23,9 +23,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from liaam.errors import CameraError
-from liaam.evaluation import angle_difference, root_mean_square
+from liaam.evaluation import root_mean_square
 from liaam.photometry.encoding import as_colour, encode, is_grey
-from liaam.photometry.estimate import PHYSICAL, AngleEstimate
+from liaam.photometry.estimate import PHYSICAL, AngleEstimate, axis_difference
 from liaam.photometry.invariant import CHROMATICITY, invariant_row, temperature_direction
 from liaam.photometry.response import Response
 
@@ -165,8 +165,8 @@ def theta_from_image(
     again = _bootstrap(kind, histograms, seed)
     evidence = _Evidence(
         theta=theta,
-        spread=root_mean_square([_turn(angle, theta) for angle in again]),
-        disagreement=abs(_turn(other, theta)),
+        spread=root_mean_square([axis_difference(angle, theta) for angle in again]),
+        disagreement=abs(axis_difference(other, theta)),
         margin=_margin(curves[kind], theta),
         **_light(log_rgb, theta, projections.scott),
     )
@@ -330,7 +330,7 @@ def _bootstrap(kind: Entropy, histograms: list[np.ndarray], seed: int) -> list[f
 
 def _margin(entropies: np.ndarray, theta: float) -> float:
     """Bits by which the next minimum lies higher; the curve's depth if there is none."""
-    far = np.abs([_turn(angle, theta) for angle in THETAS]) > NEAR
+    far = np.abs([axis_difference(angle, theta) for angle in THETAS]) > NEAR
     minima = far & (entropies <= np.roll(entropies, 1)) & (entropies <= np.roll(entropies, -1))
     others = entropies[minima] if minima.any() else entropies.max()
     return float(np.min(others) - entropies.min())
@@ -419,11 +419,6 @@ def _judged(evidence: _Evidence, kind: Entropy, entropies: np.ndarray, n: int) -
     return EntropyEstimate(
         theta, error, interval, not faults, message, evidence.change, n, kind, THETAS.copy(), entropies, evidence.spread
     )
-
-
-def _turn(theta: float, other: float) -> float:
-    """Difference of two angles that are known up to a half turn, radians."""
-    return 0.5 * angle_difference(2.0 * theta, 2.0 * other)
 
 
 def _check_kind(kind: str) -> None:

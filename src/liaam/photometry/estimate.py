@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from liaam.evaluation import angle_difference
+
 PHYSICAL = (float(np.deg2rad(90.0)), float(np.deg2rad(135.0)))
 """Angles of physical cameras, radians (DESIGN section 1)."""
 
@@ -12,8 +14,8 @@ WIDEST_ERROR = float(np.deg2rad(8.0))
 
 
 def axis_difference(angle: float, other: float) -> float:
-    """Angle minus another, radians in [-pi/2, pi/2): the angle of a projection has no sign."""
-    return float((angle - other + np.pi / 2) % np.pi - np.pi / 2)
+    """Angle minus another, radians in (-pi/2, pi/2]: the angle of a projection has no sign."""
+    return 0.5 * angle_difference(2.0 * angle, 2.0 * other)
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from liaam.errors import CameraError
-from liaam.evaluation import angle_difference, root_mean_square
+from liaam.evaluation import root_mean_square
 from liaam.io.files import existing_file, read_bytes
-from liaam.photometry.estimate import AngleEstimate
+from liaam.photometry.estimate import AngleEstimate, axis_difference
 from liaam.photometry.invariant import CHROMATICITY, wien_theta
 
 Lights = Literal["both", "planckian", "daylight", "wien"]
@@ -121,7 +121,11 @@ def theta_from_peaks(peaks_nm: tuple[float, float, float]) -> AngleEstimate:
     broad = theta_from_sensitivities(nm, np.exp(-0.5 * np.square((nm[:, None] - peaks) / SENSOR_WIDTH)))
     moved = [wien_theta(p) for p in ((red + PEAK_OFFSET, green, blue), (red, green + PEAK_OFFSET, blue))]
     moved.append(wien_theta((red, green, blue + PEAK_OFFSET)))
-    parts = [broad.standard_error, _turn(broad.theta, theta), *(_turn(angle, theta) for angle in moved)]
+    parts = [
+        broad.standard_error,
+        axis_difference(broad.theta, theta),
+        *(axis_difference(angle, theta) for angle in moved),
+    ]
     error = float(np.linalg.norm(parts))
     message = (
         f"by Wien's closed form; the error is that of wide sensors that act within {PEAK_OFFSET:g} nm of their peaks, "
@@ -172,7 +176,7 @@ def theta_from_sensitivities(
     series = {name: np.log(r[seen]) for name, r in responses.items()}
     theta = _angle_of([logs[0] for logs in series.values()])
     halves = [half for logs in series.values() for surface in logs for half in _halves(surface)]
-    error = root_mean_square([_turn(_angle_of([half]), theta) for half in halves])
+    error = root_mean_square([axis_difference(_angle_of([half]), theta) for half in halves])
     alone = {name: _angle_of([logs[0]]) for name, logs in series.items()}
     warmth = np.concatenate([logs[0, :, 0] - logs[0, :, 2] for logs in series.values()])
     return SpectralEstimate(
@@ -335,11 +339,6 @@ def _halves(locus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Split a locus into its cold and its hot lights, to see how much it bends."""
     middle = len(locus) // 2
     return locus[: middle + 1], locus[middle:]
-
-
-def _turn(theta: float, other: float) -> float:
-    """Difference of two angles that are known up to a half turn, radians."""
-    return 0.5 * angle_difference(2.0 * theta, 2.0 * other)
 
 
 def _interval(theta: float, error: float) -> tuple[float, float]:
