@@ -154,7 +154,7 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
     left = f"{len(results) - len(told)} of {len(results)} fits tell no angle ({unseen} saw no change of light)"
     if len(told) < FEWEST_FITS:
         message = f"{left}; at least {FEWEST_FITS} are needed: fit more pictures, under lights other than in training"
-        return AngleEstimate(nan, float("inf"), (0.0, float(np.pi)), False, message, nan, len(told))
+        return AngleEstimate(nan, float("inf"), message, nan, len(told))
     angles = np.array([r.theta for r in told])
     centre = float(np.angle(np.exp(2j * angles).mean()) / 2 % np.pi)  # only up to a half turn
     offset, error = _huber_location(np.array([axis_difference(angle, centre) for angle in angles]))
@@ -164,9 +164,8 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
     error *= float(t.ppf(0.975, len(told) - 1)) / 1.96
     message = f"{len(told)} fits differ by {spread:.2f}°; {left}"
     if error > WIDEST_ERROR:
-        return AngleEstimate(theta, float("inf"), (0.0, float(np.pi)), False, f"{message}: too much", nan, len(told))
-    interval = (theta - 1.96 * error, theta + 1.96 * error)
-    return AngleEstimate(theta, error, interval, True, message, nan, len(told)).doubted()
+        return AngleEstimate(theta, float("inf"), f"{message}: too much", nan, len(told))
+    return AngleEstimate(theta, error, message, nan, len(told)).doubted()
 
 
 def _huber_location(values: np.ndarray) -> tuple[float, float]:

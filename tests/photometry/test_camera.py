@@ -1,6 +1,7 @@
 """Camera files: small, readable, complete, and checked when read."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -143,5 +144,12 @@ def test_a_curve_of_two_points_is_a_gamma():
     ("theta", "error", "physical"), [(122, 0.1, True), (60, 1, False), (88, 2, True), (60, np.inf, True)]
 )
 def test_angles_of_physical_cameras(theta, error, physical):
-    estimate = AngleEstimate(np.deg2rad(theta), np.deg2rad(error), (0, 1), True, "", 0.0, 1)
+    estimate = AngleEstimate(np.deg2rad(theta), np.deg2rad(error), "", 0.0, 1)
     assert estimate.physical is physical
+
+
+def test_an_interval_follows_from_the_standard_error():
+    told = AngleEstimate(2.0, 0.1, "", 0.0, 1)
+    assert told.observable and told.interval == pytest.approx((1.804, 2.196))
+    untold = replace(told, standard_error=np.inf)
+    assert not untold.observable and untold.interval == (0.0, np.pi)

@@ -404,21 +404,18 @@ def _judged(evidence: _Evidence, kind: Entropy, entropies: np.ndarray, n: int) -
     """Give the estimate with its verdict."""
     theta, faults = evidence.theta, evidence.faults()
     if faults:
-        error, interval = float("inf"), (0.0, float(np.pi))
+        error = float("inf")
         message = (
             f"the entropy is least at {np.rad2deg(theta):.0f}°, which is not to be trusted: {'; '.join(faults)}. Give "
             "a picture of many colours with cast shadows, or better two pictures under different lights"
         )
     else:
         error = float(np.hypot(evidence.spread, MODEL_ERROR))
-        interval = (theta - 1.96 * error, theta + 1.96 * error)
         message = (
             f"the entropy is least by {evidence.margin:.2f} bits; light differs by {evidence.change:.2f} in log R/B "
             f"within surfaces, bluer where they are darker (correlation {evidence.redness:.2f})"
         )
-    return EntropyEstimate(
-        theta, error, interval, not faults, message, evidence.change, n, kind, THETAS.copy(), entropies, evidence.spread
-    )
+    return EntropyEstimate(theta, error, message, evidence.change, n, kind, THETAS.copy(), entropies, evidence.spread)
 
 
 def _check_kind(kind: str) -> None:

@@ -28,10 +28,6 @@ class AngleEstimate:
         Radians in [0, pi).
     standard_error : float
         Half the width of the 95 % interval over 1.96, radians; infinite where the angle cannot be told.
-    interval : (float, float)
-        95 % interval, radians; (0, pi) where the angle cannot be told.
-    observable : bool
-        Whether the material can tell the angle at all.
     message : str
         What made it observable, or what is missing, in a sentence or two.
     light_change : float
@@ -43,16 +39,26 @@ class AngleEstimate:
 
     theta: float
     standard_error: float
-    interval: tuple[float, float]
-    observable: bool
     message: str
     light_change: float
     n: int
 
     @property
+    def observable(self) -> bool:
+        """Whether the material can tell the angle at all."""
+        return bool(np.isfinite(self.standard_error))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval, radians; (0, pi) where the angle cannot be told."""
+        if not self.observable:
+            return 0.0, float(np.pi)
+        return self.theta - 1.96 * self.standard_error, self.theta + 1.96 * self.standard_error
+
+    @property
     def physical(self) -> bool:
         """Whether a physical camera can have that angle, given its error."""
-        slack = 2.0 * self.standard_error if np.isfinite(self.standard_error) else np.pi
+        slack = 2.0 * self.standard_error if self.observable else np.pi
         return bool(PHYSICAL[0] - slack <= self.theta <= PHYSICAL[1] + slack)
 
     def doubted(self) -> "AngleEstimate":

@@ -582,10 +582,9 @@ def _judge(scatter: _Scatter, theta: float) -> AngleEstimate:
         )
     if reason is not None:
         message = f"the angle cannot be told: {reason}"
-        return AngleEstimate(theta, float("inf"), (0.0, float(np.pi)), False, message, change, n)
+        return AngleEstimate(theta, float("inf"), message, change, n)
     message = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
-    interval = (theta - 1.96 * error, theta + 1.96 * error)
-    return AngleEstimate(theta, error, interval, True, message, change, n).doubted()
+    return AngleEstimate(theta, error, message, change, n).doubted()
 
 
 def _error(scatter: _Scatter, theta: float) -> float:

@@ -121,17 +121,13 @@ def theta_from_peaks(peaks_nm: tuple[float, float, float]) -> AngleEstimate:
     broad = theta_from_sensitivities(nm, np.exp(-0.5 * np.square((nm[:, None] - peaks) / SENSOR_WIDTH)))
     moved = [wien_theta(p) for p in ((red + PEAK_OFFSET, green, blue), (red, green + PEAK_OFFSET, blue))]
     moved.append(wien_theta((red, green, blue + PEAK_OFFSET)))
-    parts = [
-        broad.standard_error,
-        axis_difference(broad.theta, theta),
-        *(axis_difference(angle, theta) for angle in moved),
-    ]
+    parts = [broad.standard_error, *(axis_difference(angle, theta) for angle in (broad.theta, *moved))]
     error = float(np.linalg.norm(parts))
     message = (
         f"by Wien's closed form; the error is that of wide sensors that act within {PEAK_OFFSET:g} nm of their peaks, "
         "under Planckian lights and daylights: sensitivity curves would tell more"
     )
-    return AngleEstimate(theta, error, _interval(theta, error), True, message, broad.light_change, broad.n)
+    return AngleEstimate(theta, error, message, broad.light_change, broad.n)
 
 
 def theta_from_sensitivities(
@@ -182,8 +178,6 @@ def theta_from_sensitivities(
     return SpectralEstimate(
         theta=theta,
         standard_error=error,
-        interval=_interval(theta, error),
-        observable=True,
         message=_told(alone, kelvin, error),
         light_change=float(np.sqrt(2.0) * np.std(warmth, ddof=1)),
         n=int(seen.sum()),
@@ -339,10 +333,6 @@ def _halves(locus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Split a locus into its cold and its hot lights, to see how much it bends."""
     middle = len(locus) // 2
     return locus[: middle + 1], locus[middle:]
-
-
-def _interval(theta: float, error: float) -> tuple[float, float]:
-    return theta - 1.96 * error, theta + 1.96 * error
 
 
 def _told(alone: dict[str, float], kelvin: tuple[float, float], error: float) -> str:
