@@ -13,8 +13,8 @@ from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
 from liaam.fitting.fitter import Stage, covariance, is_sane, load_picture, solve_levels
 from liaam.fitting.objective import Objective, tied_together
-from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, is_grey, noise_deviation
-from liaam.photometry.encoding import stored_values
+from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
+from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.sampling import make_patch
 from liaam.shape import Similarity
 from liaam.warp import GENERATORS, HomographyWarp, apply_homography
@@ -186,8 +186,8 @@ def register(
     if group not in GENERATORS:
         raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GENERATORS)}")
     for picture, name in ((a, name_a), (b, name_b)):
-        if method.needs_colour and is_grey(picture):
-            raise ImageError(f"{name}: the picture is grey, but method {method.name} compares colours; use igo or grey")
+        if method.needs_colour:
+            refuse_grey(picture, name, f"method {method.name} compares colours: use igo or grey")
     if mask is not None and mask.shape != a.shape[:2]:
         raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels, {name_a} {a.shape[1]}×{a.shape[0]}")
     levels, to_a = _levels(a, method, group, response, theta, mask)

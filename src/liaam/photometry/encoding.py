@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from liaam.errors import ImageError, MethodError
+from liaam.errors import ImageError, LiaamError, MethodError
 from liaam.photometry.invariant import LUMINANCE
 from liaam.photometry.response import Response, linear_to_srgb, to_linear
 
@@ -87,6 +87,12 @@ def is_grey(image: np.ndarray) -> bool:
         if not (np.array_equal(part[..., 0], part[..., 1]) and np.array_equal(part[..., 1], part[..., 2])):
             return False
     return True
+
+
+def refuse_grey(image: np.ndarray, name: str, need: str, error: type[LiaamError] = ImageError) -> None:
+    """Raise an error about a grey picture where colours are needed; ``need`` says what needs them."""
+    if is_grey(image):
+        raise error(f"{name}: the picture is grey (three equal channels); {need}")
 
 
 def stored_values(image: np.ndarray, dtype: type = np.float32) -> np.ndarray:

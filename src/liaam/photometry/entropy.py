@@ -24,7 +24,7 @@ import numpy as np
 
 from liaam.errors import CameraError
 from liaam.evaluation import root_mean_square
-from liaam.photometry.encoding import as_colour, encode, is_grey
+from liaam.photometry.encoding import as_colour, encode, refuse_grey
 from liaam.photometry.estimate import PHYSICAL, AngleEstimate, axis_difference
 from liaam.photometry.invariant import CHROMATICITY, invariant_row, temperature_direction
 from liaam.photometry.response import Response
@@ -205,8 +205,7 @@ def entropy_curve(
 def _usable_pixels(image: np.ndarray, response: Response) -> tuple[np.ndarray, np.ndarray]:
     """Smoothed log-RGB of well-exposed pixels (n, 3) float32, and the block (n,) that each belongs to."""
     image = as_colour(image)
-    if is_grey(image):
-        raise CameraError("the picture is grey (three equal channels): an angle needs a colour picture")
+    refuse_grey(image, "image", "an angle needs colour", CameraError)
     reduce = int(np.ceil(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))
     encoded = encode(image, "log", response, blur=SMOOTHING, reduce=max(reduce, 1))
     height, width = encoded.shape[:2]

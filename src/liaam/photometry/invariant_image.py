@@ -8,7 +8,7 @@ import numpy as np
 
 from liaam.errors import ImageError
 from liaam.photometry.camera import CameraModel
-from liaam.photometry.encoding import DARK, as_colour, encode, is_grey
+from liaam.photometry.encoding import DARK, as_colour, encode, refuse_grey
 from liaam.photometry.invariant import LUMINANCE, invariant
 from liaam.photometry.scatter import observe
 
@@ -41,8 +41,7 @@ def invariant_image(
         If the array is no image, or grey: three equal channels have no invariant.
     """
     camera, image = camera or CameraModel(), as_colour(image, name)
-    if is_grey(image):
-        raise ImageError(f"{name}: the picture is grey (three equal channels); an invariant image needs colour")
+    refuse_grey(image, name, "an invariant image needs colour")
     encoded = encode(image, "log", camera.response, blur)
     values = invariant(encoded[..., :3], camera.theta).astype(np.float32)
     return np.where(encoded[..., 3] > 0, values, np.float32(np.nan))
@@ -124,8 +123,7 @@ def averaged(
     if len(pictures) < 2 or len({picture.shape for picture in pictures}) > 1:
         raise ImageError("to compare invariant images, give two or more registered pictures of one size")
     for i, picture in enumerate(pictures):
-        if is_grey(picture):
-            raise ImageError(f"picture {i + 1} is grey (three equal channels); an invariant image needs colour")
+        refuse_grey(picture, f"picture {i + 1}", "an invariant image needs colour")
     height, width = pictures[0].shape[:2]
     down, across = -(-height // block), -(-width // block)
     labels = (np.arange(height) // block)[:, None] * across + np.arange(width) // block

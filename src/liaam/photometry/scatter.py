@@ -18,7 +18,7 @@ import numpy as np
 
 from liaam.errors import CameraError
 from liaam.photometry.camera import CameraModel
-from liaam.photometry.encoding import DARK, SATURATED, as_colour, is_grey, stored_values
+from liaam.photometry.encoding import DARK, SATURATED, as_colour, refuse_grey, stored_values
 from liaam.photometry.estimate import WIDEST_ERROR, AngleEstimate
 from liaam.photometry.invariant import temperature_direction
 from liaam.photometry.noise import noise_deviation
@@ -397,8 +397,7 @@ def _checked(images: Sequence[np.ndarray]) -> list[np.ndarray]:
     if len(pictures) < 2:
         raise CameraError("the angle shows in what a change of light does: give two or more pictures")
     for i, picture in enumerate(pictures):
-        if is_grey(picture):
-            raise CameraError(f"picture {i + 1} is grey (three equal channels): an angle needs colour pictures")
+        refuse_grey(picture, f"picture {i + 1}", "an angle needs colour", CameraError)
     return pictures
 
 
