@@ -196,6 +196,8 @@ def test_register_writes_the_picture_the_homography_and_a_check(run, folder, tmp
         ("invariant grey.png", "grey"),
         ("invariant a.png --theta 1000", "--theta"),
         ("invariant a.png --compare", "two or more"),
+        ("invariant a.png b.png --compare --block 1000 -o compared", "blocks of 1000"),
+        ("invariant a.png grey.png --compare -o compared", "grey.png: the picture is grey"),
         ("register a.png none.png", "none.png"),
         ("register a.png b.png --method nonsense", "nonsense"),
         ("register a.png b.png --warp rubber", "rubber"),
@@ -207,6 +209,7 @@ def test_mistakes_are_named(run, folder, monkeypatch, arguments, fault):
     assert code != 0
     assert fault in err
     assert "Traceback" not in err
+    assert not (folder / "compared").exists()
 
 
 @pytest.mark.parametrize(

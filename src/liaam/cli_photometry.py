@@ -27,7 +27,7 @@ from liaam.terminal import complain, console, say, stoppable_progress, table_of
 if TYPE_CHECKING:
     import numpy as np
 
-    from liaam.photometry import AngleEstimate, CameraModel, VignettingEstimate
+    from liaam.photometry import AngleEstimate, Averaged, CameraModel, VignettingEstimate
 
 calibrate = typer.Typer(
     help="Find out what light invariance needs to know of a camera: its angle, response, vignetting and noise. "
@@ -269,6 +269,7 @@ def response_command(
 ) -> None:
     """Response, and with --vignetting the light's falloff, from pictures of one scene at different exposures."""
     from liaam.photometry import calibrate_response
+    from liaam.plotting_photometry import figure_of_response, save_figure
 
     check_camera_output(output, start, images)
     camera, pictures = read_pictures(images, start, None, at_least=2)
@@ -291,8 +292,6 @@ def response_command(
         say("the file's angle and noise were estimated under another response: estimate them again")
     camera = replace(camera, response=found.response, vignetting=known, theta_deviation=None, noise=None)
     write_camera(camera, output, f"response, {names_of(images)}: {found.message}")
-    from liaam.plotting_photometry import figure_of_response, save_figure
-
     save_figure(figure_of_response(camera), check_picture(output))
     say(f"{check_picture(output)}: the response beside sRGB, to look at")
 
@@ -435,10 +434,8 @@ def invariant(
         if not 0 <= theta <= 360:
             raise LiaamError(f"--theta {theta:g}: give the camera's angle in degrees; cameras lie in 90 to 135")
         camera = replace(camera, theta=float(np.deg2rad(theta)))
-    if compare and (len(pictures) < 2 or len({picture.shape for picture in pictures}) > 1):
-        raise LiaamError("--compare: give two or more registered pictures of one size")
-    if compare and block > min(pictures[0].shape[:2]) // 3:
-        raise LiaamError(f"--block {block}: give at most a third of the pictures' size")
+    # Before anything is written: pictures that cannot be compared are a mistake.
+    seen_by_all = average_pictures(pictures, images, camera, block, dark / 255.0, mask) if compare else None
     make_folder(output)
     stems = unique_stems(images)
     with stoppable_progress() as tell:
@@ -454,8 +451,8 @@ def invariant(
             write_bytes_atomically(with_npy, npy_bytes(values))
             if sweep:
                 save_figure(figure_of_sweep(pixels, camera), output / f"{stem}_sweep.png")
-    if compare:
-        compare_pictures(pictures, images, camera, block, dark / 255.0, mask, output)
+    if seen_by_all is not None:
+        compare_pictures(pictures, images, seen_by_all, output)
     say(f"written to {output}, at theta {degrees(camera.theta)}")
 
 
@@ -470,25 +467,31 @@ def npy_bytes(values: "np.ndarray") -> bytes:
     return buffer.getvalue()
 
 
-def compare_pictures(
+def average_pictures(
     pictures: Sequence["np.ndarray"],
     paths: Sequence[Path],
     camera: "CameraModel",
     block: int,
     dark: float,
     mask_file: Path | None,
-    output: Path,
-) -> None:
+) -> "Averaged":
+    """Average registered pictures in blocks, where a mask's file is white."""
+    from liaam.io import read_image
+    from liaam.photometry import averaged
+    from liaam.photometry.encoding import stored_values
+
+    mask = None if mask_file is None else stored_values(read_image(mask_file)[..., 0]) > 0.5
+    return averaged(pictures, camera, block=block, dark=dark, mask=mask, names=[path.name for path in paths])
+
+
+def compare_pictures(pictures: Sequence["np.ndarray"], paths: Sequence[Path], seen: "Averaged", output: Path) -> None:
     """Write and print how well invariant images agree, each with each, with log-grey beside them."""
     import numpy as np
 
-    from liaam.io import read_image, write_text_atomically
-    from liaam.photometry import agreement, averaged
-    from liaam.photometry.encoding import stored_values
+    from liaam.io import write_text_atomically
+    from liaam.photometry import agreement
     from liaam.plotting_photometry import figure_of_agreement, save_figure
 
-    mask = None if mask_file is None else stored_values(read_image(mask_file)[..., 0]) > 0.5
-    seen = averaged(pictures, camera, block=block, dark=dark, mask=mask)
     found = agreement(seen)
     lines = ["first,second,invariant,log_grey,share"]
     table = table_of("first", "second", "invariant", "log grey", "share of pixels")

@@ -17,6 +17,7 @@ from liaam.photometry import (
     to_linear,
 )
 from liaam.photometry.camera import falloff_at
+from liaam.photometry.scatter import patch_corners
 from liaam.plotting import as_picture, save_figure, show_picture, subplots
 
 if TYPE_CHECKING:
@@ -93,16 +94,9 @@ def figure_of_invariants(
     for i, ((name, (picture, values)), line) in enumerate(zip(rows.items(), axes, strict=True)):
         show_picture(line[0], brightened(picture), name)
         show_picture(line[1], invariant_picture(values, limits), "invariant image")
-        for quad in _quads(patches[i]) if patches is not None else ():
+        for quad in patch_corners(patches[i]) if patches is not None else ():
             line[0].fill(*quad.T, fill=False, edgecolor="white", lw=1.0)
     return figure
-
-
-def _quads(patches: np.ndarray) -> np.ndarray:
-    if patches.ndim == 3:
-        return patches
-    x0, y0, x1, y1 = patches.T
-    return np.stack([np.stack(c, axis=-1) for c in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))], axis=1)
 
 
 def brightened(image: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from liaam.errors import CameraError, ImageError
 from liaam.photometry import CameraModel, NoiseModel, invariant_row, temperature_direction
 from liaam.photometry.scatter import (
     Surfaces,
+    block_labels,
     chart_patches,
     patch_labels,
     theta_from_chart,
@@ -206,3 +207,13 @@ def test_patches_that_do_not_fit_are_refused(patches, fault):
 def test_corners_that_make_no_chart_are_refused(corners):
     with pytest.raises(CameraError, match="corner patches"):
         chart_patches(np.array(corners))
+
+
+def test_blocks_cover_the_picture_row_by_row():
+    labels, grid = block_labels(7, 9, 2)
+    assert grid == (4, 5)
+    assert labels[0].tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4]
+    assert labels[:, 0].tolist() == [0, 0, 5, 5, 10, 10, 15]
+    for block in (0, 3):
+        with pytest.raises(CameraError, match=f"blocks of {block} pixels: give 1 to 2"):
+            block_labels(7, 9, block)

@@ -10,7 +10,7 @@ from liaam.errors import ImageError
 from liaam.photometry.camera import CameraModel
 from liaam.photometry.encoding import DARK, as_colour, encode, refuse_grey
 from liaam.photometry.invariant import LUMINANCE, invariant
-from liaam.photometry.scatter import observe
+from liaam.photometry.scatter import block_labels, observe
 
 
 def invariant_image(
@@ -94,6 +94,7 @@ def averaged(
     block: int = 1,
     dark: float = DARK,
     mask: np.ndarray | None = None,
+    names: Sequence[str] | None = None,
 ) -> Averaged:
     """Average registered pictures over blocks of linear light, and project.
 
@@ -108,6 +109,8 @@ def averaged(
         Stored value, in [0, 1], below which a block says nothing, in any channel.
     mask : (h, w) bool, optional
         Pixels that count.
+    names : sequence of str, optional
+        What to call the pictures in errors.
 
     Returns
     -------
@@ -117,16 +120,18 @@ def averaged(
     ------
     ImageError
         If the pictures are fewer than two, differ in size, or are grey.
+    CameraError
+        If the blocks are wider than a third of the pictures.
     """
     camera = camera or CameraModel()
-    pictures = [as_colour(image, f"picture {i + 1}") for i, image in enumerate(images)]
+    names = names or [f"picture {i + 1}" for i in range(len(images))]
+    pictures = [as_colour(image, name) for image, name in zip(images, names, strict=True)]
     if len(pictures) < 2 or len({picture.shape for picture in pictures}) > 1:
         raise ImageError("to compare invariant images, give two or more registered pictures of one size")
-    for i, picture in enumerate(pictures):
-        refuse_grey(picture, f"picture {i + 1}", "an invariant image needs colour")
+    for picture, name in zip(pictures, names, strict=True):
+        refuse_grey(picture, name, "an invariant image needs colour")
     height, width = pictures[0].shape[:2]
-    down, across = -(-height // block), -(-width // block)
-    labels = (np.arange(height) // block)[:, None] * across + np.arange(width) // block
+    labels, (down, across) = block_labels(height, width, block)
     if mask is not None:
         if mask.shape != (height, width):
             raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels, the pictures {width}×{height}")

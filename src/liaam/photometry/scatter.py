@@ -89,7 +89,7 @@ class Surfaces:
     clusters: np.ndarray
 
     def only(self, chosen: np.ndarray | slice) -> "Surfaces":
-        """Some of the surfaces, by mask or slice."""
+        """Some of the surfaces, by mask, numbers or slice."""
         return Surfaces(self.log_rgb[chosen], self.variance[chosen], self.seen[chosen], self.clusters[chosen])
 
 
@@ -127,36 +127,59 @@ def theta_from_scene(
     """
     pictures = _checked(images)
     height, width = pictures[0].shape[:2]
-    if block is not None and not 1 <= block <= min(height, width) // 3:
-        raise CameraError(
-            f"blocks of {block} pixels: give 1 to {min(height, width) // 3} for pictures of {width}×{height}"
-        )
-    if masks is not None and [np.shape(mask) for mask in masks] != [(height, width)] * len(pictures):
-        raise CameraError(f"masks: give one of {width}×{height} pixels for each of the {len(pictures)} pictures")
     if any(picture.shape != pictures[0].shape for picture in pictures):
         sizes = ", ".join(f"{picture.shape[1]}×{picture.shape[0]}" for picture in pictures)
         raise CameraError(f"the pictures of a scene must have one size, but these have {sizes}; crop or align them")
+    if masks is not None and [np.shape(mask) for mask in masks] != [(height, width)] * len(pictures):
+        raise CameraError(f"masks: give one of {width}×{height} pixels for each of the {len(pictures)} pictures")
     camera = camera or CameraModel()
     deviations = [_noise_of(picture, camera) for picture in pictures]
-    block = block or _block_size(pictures, deviations, camera)
-    rows, columns = np.arange(height) // block, np.arange(width) // block
-    across = int(columns[-1]) + 1
-    labels = rows[:, None] * across + columns[None, :]
-    n = (int(rows[-1]) + 1) * across
+    block = _block_size(pictures, deviations, camera) if block is None else block
+    labels, (down, across) = block_labels(height, width, block)
     regions = [labels if mask is None else np.where(mask, labels, -1) for mask in masks or [None] * len(pictures)]
-    surfaces = observe(pictures, regions, n, camera, deviations, full=block * block)
-    y, x = np.divmod(np.arange(n), across)
-    clusters = (y * CLUSTERS // (int(rows[-1]) + 1)) * CLUSTERS + x * CLUSTERS // across
+    surfaces = observe(pictures, regions, down * across, camera, deviations, full=block * block)
+    y, x = np.divmod(np.arange(down * across), across)
+    clusters = (y * CLUSTERS // down) * CLUSTERS + x * CLUSTERS // across
     surfaces = replace(surfaces, clusters=clusters)
     enough = surfaces.seen.sum(axis=1) >= 2
     if enough.sum() >= FEWEST:
         # A few blocks tell well enough in which direction the light changes.
-        _, rough = _settled(_every(surfaces.only(enough), int(np.ceil(enough.sum() / FEW))), free_balance)
+        _, rough = _settled(surfaces.only(np.flatnonzero(enough)[:: int(np.ceil(enough.sum() / FEW))]), free_balance)
         kept = replace(surfaces, seen=surfaces.seen & ~_light_edges(surfaces, across, rough)[:, None])
         # Where the light changes everywhere there is nothing better to keep.
         if (kept.seen.sum(axis=1) >= 2).sum() >= max(0.4 * enough.sum(), FEWEST):
             surfaces = kept
     return theta_of_least_scatter(surfaces, free_balance=free_balance)
+
+
+def block_labels(height: int, width: int, block: int) -> tuple[np.ndarray, tuple[int, int]]:
+    """Cut a picture into square blocks; those at its right and lower border may be cut off.
+
+    Parameters
+    ----------
+    height, width : int
+        Of the picture.
+    block : int
+        Pixels across a block.
+
+    Returns
+    -------
+    labels : (height, width) int
+        Number of the block that each pixel belongs to, row by row.
+    grid : (int, int)
+        Blocks down and across.
+
+    Raises
+    ------
+    CameraError
+        If fewer than three whole blocks fit down or across.
+    """
+    most = min(height, width) // 3
+    if not 1 <= block <= most:
+        raise CameraError(f"blocks of {block} pixels: give 1 to {most} for pictures of {width}×{height}")
+    rows, columns = np.arange(height) // block, np.arange(width) // block
+    across = int(columns[-1]) + 1
+    return rows[:, None] * across + columns, (int(rows[-1]) + 1, across)
 
 
 def _light_edges(surfaces: Surfaces, across: int, theta: float) -> np.ndarray:
@@ -168,9 +191,7 @@ def _light_edges(surfaces: Surfaces, across: int, theta: float) -> np.ndarray:
     from scipy.ndimage import maximum_filter, minimum_filter  # heavy: imported when first needed
 
     direction = temperature_direction(theta)
-    weights = surfaces.seen.astype(np.float64)
-    along = surfaces.log_rgb @ direction
-    along -= (weights * along).sum(axis=1, keepdims=True) / np.maximum(weights.sum(axis=1, keepdims=True), 1)
+    along = _centred(surfaces.log_rgb @ direction, surfaces.seen.astype(np.float64), free_balance=False)
     noise = np.sqrt((surfaces.variance @ np.square(direction))[surfaces.seen].mean())
 
     def over_neighbours(extreme, outside: float) -> np.ndarray:
@@ -255,6 +276,15 @@ def chart_patches(corners: np.ndarray, rows: int = 4, columns: int = 6, share: f
     return cv2.perspectiveTransform(quads, homography).reshape(-1, 4, 2)
 
 
+def patch_corners(patches: np.ndarray) -> np.ndarray:
+    """Pixels in the corners of patches, (n, 4, 2) float64: of boxes (n, 4), whose x1, y1 lie outside, or as given."""
+    patches = np.asarray(patches, dtype=np.float64)
+    if patches.ndim != 2 or patches.shape[1] != 4:
+        return patches
+    x0, y0, x1, y1 = patches.T
+    return np.stack([np.stack(c, -1) for c in ((x0, y0), (x1 - 1, y0), (x1 - 1, y1 - 1), (x0, y1 - 1))], axis=1)
+
+
 def patch_labels(patches: np.ndarray, size: tuple[int, int], name: str = "picture") -> np.ndarray:
     """Number of the patch that each pixel of a picture belongs to, -1 for none, (h, w) int32.
 
@@ -265,10 +295,7 @@ def patch_labels(patches: np.ndarray, size: tuple[int, int], name: str = "pictur
     """
     import cv2  # heavy: imported when first needed
 
-    patches = np.asarray(patches, dtype=np.float64)
-    if patches.ndim == 2 and patches.shape[1] == 4:
-        x0, y0, x1, y1 = patches.T
-        patches = np.stack([np.stack(c, -1) for c in ((x0, y0), (x1 - 1, y0), (x1 - 1, y1 - 1), (x0, y1 - 1))], axis=1)
+    patches = patch_corners(patches)
     if patches.ndim != 3 or patches.shape[1:] != (4, 2) or not np.isfinite(patches).all():
         raise CameraError(f"{name}: patches are boxes x0,y0,x1,y1 or four corners each, not {patches.shape}")
     labels = np.full(size, -1, dtype=np.int32)
@@ -507,7 +534,7 @@ class _Scatter:
         from scipy.optimize import minimize_scalar  # heavy: imported when first needed
 
         step = int(np.ceil(len(self.degrees) / FEW))
-        thinned = replace(self, surfaces=_every(self.surfaces, step))
+        thinned = replace(self, surfaces=self.surfaces.only(slice(None, None, step)))
         near = GRID[int(thinned.costs(GRID).sum(axis=1).argmin())]
         width = 1.5 * float(GRID[1])
         found = minimize_scalar(
@@ -547,10 +574,6 @@ def _centred(values: np.ndarray, weights: np.ndarray, free_balance: bool) -> np.
             centred = centred - means(centred, -2)
             centred = centred - means(centred, -1)
     return centred
-
-
-def _every(surfaces: Surfaces, step: int) -> Surfaces:
-    return surfaces.only(slice(None, None, step))
 
 
 def _unit_rows(thetas: np.ndarray) -> np.ndarray:
