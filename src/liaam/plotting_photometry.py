@@ -210,7 +210,7 @@ def figure_of_response(camera: CameraModel) -> "Figure":
     axes[0, 0].set(xlabel="stored value, of 255", ylabel="linear light", yscale="log", ylim=(1e-3, 1.3))
     axes[0, 0].legend(frameon=False)
     radius = np.linspace(0, 1, 101)
-    axes[0, 1].plot(radius, falloff_at(radius, camera.vignetting), color="#19a979", lw=1.8)
+    axes[0, 1].plot(radius, falloff_at(np.square(radius), camera.vignetting), color="#19a979", lw=1.8)
     axes[0, 1].set(xlabel="distance from the centre, 1 in the corners", ylabel="share of light", ylim=(0, 1.05))
     for axis in axes[0]:
         axis.spines[["top", "right"]].set_visible(False)

@@ -111,8 +111,8 @@ def response_error(response, curve, power=False):
 
 
 def falloff_error(coefficients, vignetting=VIGNETTING, power=1.0):
-    radius = np.linspace(0, 1, 100)
-    wrong = power * np.log(falloff_at(radius, coefficients)) - np.log(falloff_at(radius, vignetting))
+    radius2 = np.square(np.linspace(0, 1, 100))
+    wrong = power * np.log(falloff_at(radius2, coefficients)) - np.log(falloff_at(radius2, vignetting))
     return np.sqrt(np.mean(np.square(wrong)))
 
 

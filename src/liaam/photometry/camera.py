@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -81,18 +81,13 @@ class CameraModel:
         if self.theta_deviation is not None and not self.theta_deviation >= 0:
             raise CameraError(f"theta_deviation {self.theta_deviation}: give a standard error of at least 0, or None")
         parse_response(self.response)
-        if (
-            not np.isfinite(self.vignetting).all()
-            or falloff_at(np.linspace(0, 1, 101), self.vignetting).min() < DIMMEST
-        ):
+        if not np.isfinite(self.vignetting).all() or least_share(self.vignetting) < DIMMEST:
             raise CameraError(f"vignetting {self.vignetting}: hardly any light would arrive off the centre")
 
     def falloff(self, height: int, width: int) -> np.ndarray:
         """Share of light that arrives at each pixel, (h, w) float32: 1 in the centre."""
-        y = (np.arange(height) - (height - 1) / 2.0)[:, None]
-        x = (np.arange(width) - (width - 1) / 2.0)[None, :]
-        corner = ((height - 1) / 2.0) ** 2 + ((width - 1) / 2.0) ** 2
-        return falloff_at(np.sqrt((x**2 + y**2) / max(corner, 1e-12)), self.vignetting).astype(np.float32)
+        squared = squared_radius(np.arange(width)[None, :], np.arange(height)[:, None], height, width)
+        return falloff_at(squared, self.vignetting).astype(np.float32)
 
     def flatten(self, image: np.ndarray) -> np.ndarray:
         """Undo the vignetting of a picture.
@@ -141,10 +136,21 @@ class CameraModel:
         write_text_atomically(path, text + "\n", CameraError)
 
 
-def falloff_at(radius: np.ndarray, vignetting: tuple[float, ...]) -> np.ndarray:
-    """Share of light at distances from the centre (1 in the corners), same shape: 1 + sum v_i r^(2 i)."""
-    squared = np.square(radius)
+def squared_radius(x: np.ndarray, y: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Squared distance of points from a picture's centre, 1 in its corners; x and y, pixels, are broadcast."""
+    middle_x, middle_y = (width - 1) / 2.0, (height - 1) / 2.0
+    corner = max(middle_x**2 + middle_y**2, 1e-12)  # a picture of one pixel has no corners
+    return (np.square(x - middle_x) + np.square(y - middle_y)) / corner
+
+
+def falloff_at(squared: np.ndarray, vignetting: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Share of light at squared distances from the centre (1 in the corners), same shape: 1 + sum v_i r^(2 i)."""
     return 1.0 + sum((v * squared ** (i + 1) for i, v in enumerate(vignetting)), np.zeros_like(squared))
+
+
+def least_share(vignetting: Sequence[float] | np.ndarray) -> float:
+    """Least share of light that arrives anywhere in the picture."""
+    return float(falloff_at(np.square(np.linspace(0.0, 1.0, 101)), vignetting).min())
 
 
 def load_camera(path: str | os.PathLike) -> CameraModel:

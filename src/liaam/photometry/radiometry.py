@@ -27,7 +27,7 @@ from functools import lru_cache
 import numpy as np
 
 from liaam.errors import CameraError
-from liaam.photometry.camera import falloff_at
+from liaam.photometry.camera import falloff_at, least_share, squared_radius
 from liaam.photometry.encoding import DARK, SATURATED, as_colour, is_grey, stored_values
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.photometry.noise import noise_deviation
@@ -259,19 +259,19 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     seen = _observe(_checked([image], fewest=1), [np.eye(3)], least=1)
     if seen.n < FEWEST:
         return _no_vignetting("Vignetting cannot be told: hardly any block of the picture is evenly exposed.", seen.n)
-    curve, radius = _Curve.of(response), np.sqrt(seen.radius2[0])
+    curve, radius2 = _Curve.of(response), seen.radius2[0]
     log_light = curve.log_light(seen.stored[0])
     deviation = seen.deviation[0] * curve.slope(seen.stored[0])
     constants = np.equal.outer(seen.channel, np.unique(seen.channel)).astype(np.float64)
     tilted = np.concatenate([seen.offset, constants], axis=1)
 
     def residuals(z: np.ndarray) -> np.ndarray:
-        rest = log_light - np.log(_share(radius, z[:TERMS])) - tilted @ z[TERMS:]
+        rest = log_light - np.log(_share(radius2, z[:TERMS])) - tilted @ z[TERMS:]
         return np.concatenate([rest / deviation, z[:TERMS] / TERM_SPREAD])
 
     start = np.concatenate([np.zeros(TERMS), np.linalg.lstsq(tilted, log_light, rcond=None)[0]])
     found = least_squares(residuals, start, loss="cauchy", f_scale=OUTLYING, x_scale="jac")
-    standard = residuals(found.x)[: len(radius)]
+    standard = residuals(found.x)[: len(radius2)]
     scale = max(_robust_deviation(standard), LEAST_SCALE)
     covariance = scale**2 * np.linalg.inv(found.jac.T @ found.jac)[:TERMS, :TERMS]
     rms = float(np.sqrt(np.average(np.square(standard * deviation), weights=_robust(standard / scale))))
@@ -403,14 +403,8 @@ def _observe_one(
     deviation = np.sqrt(noise**2 / edge**2 + (UNREGISTERED * texture) ** 2 + (0.1 / 255) ** 2)
     y, x = np.mgrid[:rows, :columns] * edge + (edge - 1) / 2
     there = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(to_first).T
-    radius2 = _squared_radius(there[..., :2] / there[..., 2:], *picture.shape[:2])
+    radius2 = squared_radius(there[..., 0] / there[..., 2], there[..., 1] / there[..., 2], *picture.shape[:2])
     return mean, deviation, usable, np.broadcast_to(radius2[..., None], mean.shape)
-
-
-def _squared_radius(points: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Squared distance of points (..., 2) from a picture's centre, 1 in its corners."""
-    centre = np.array([width - 1, height - 1]) / 2.0
-    return np.square(points - centre).sum(axis=-1) / np.square(centre).sum()
 
 
 # --- the response as a curve ------------------------------------------------------------------------------------------
@@ -537,7 +531,7 @@ class _Problem:
         """Log of what scales each block's light in each picture (m, n), and its derivative by z (m, n, P)."""
         seen, (curve, logs, colours, falloff) = self.seen, self.split(z)
         m, n = seen.stored.shape
-        share = _share(np.sqrt(seen.radius2), falloff)
+        share = _share(seen.radius2, falloff)
         others = np.eye(m)[:, None, 1:]
         by_log = np.broadcast_to(others, (m, n, m - 1))[..., : len(logs)]
         by_colour = np.einsum("mop,nc->mnpc", others, CHROMATICITY.T[seen.channel]).reshape(m, n, -1)
@@ -582,9 +576,9 @@ class _Problem:
         return np.concatenate([rows, span / EXACT]), np.append(values, USUAL_RANGE / EXACT)
 
 
-def _share(radius: np.ndarray, falloff: np.ndarray) -> np.ndarray:
+def _share(radius2: np.ndarray, falloff: np.ndarray) -> np.ndarray:
     """Share of light that vignetting leaves, kept from zero on the way to the solution."""
-    return np.maximum(falloff_at(radius, tuple(falloff)), LEAST_SHARE)
+    return np.maximum(falloff_at(radius2, falloff), LEAST_SHARE)
 
 
 @dataclass(frozen=True)
@@ -719,16 +713,12 @@ def _corner_fault(fit: _Fit) -> str:
     """Say what is wrong with the vignetting that was found; nothing if it can be used."""
     if _disagrees(fit):
         return "Vignetting cannot be told: the pictures disagree."
-    if fit.corner_error <= WIDEST_CORNER and _least_share(fit.problem.split(fit.z)[-1]) > LEAST_SHARE:
+    if fit.corner_error <= WIDEST_CORNER and least_share(fit.problem.split(fit.z)[-1]) > LEAST_SHARE:
         return ""
     return (
         f"Vignetting cannot be told: the share of light in the corners is uncertain by {fit.corner_error:.2f}; "
         "turn the camera further, so that surfaces go from the middle to the corners."
     )
-
-
-def _least_share(falloff: np.ndarray) -> float:
-    return float(falloff_at(np.linspace(0.0, 1.0, 101), tuple(falloff)).min())
 
 
 def _disagrees(fit: _Fit) -> bool:
@@ -850,7 +840,7 @@ def _vignetting_estimate(
 ) -> VignettingEstimate:
     errors = np.sqrt(np.diag(covariance))
     corner_error = float(np.sqrt(covariance.sum()))
-    if _least_share(falloff) <= LEAST_SHARE:
+    if least_share(falloff) <= LEAST_SHARE:
         return _no_vignetting("Vignetting cannot be told: less than a tenth of the light would reach the corners.", n)
     return VignettingEstimate(
         coefficients=tuple(falloff.tolist()),
