@@ -1,7 +1,6 @@
 """Pictures of photometry: invariant images, sweeps over theta, agreement, responses, registrations."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,12 +10,11 @@ from liaam.photometry import (
     Agreement,
     Averaged,
     CameraModel,
-    encode,
     entropy_curve,
-    invariant_image,
     to_linear,
 )
 from liaam.photometry.camera import falloff_at
+from liaam.photometry.invariant_image import log_picture, projected
 from liaam.photometry.scatter import patch_corners
 from liaam.plotting import as_picture, save_figure, show_picture, subplots
 
@@ -117,17 +115,15 @@ def figure_of_sweep(image: np.ndarray, camera: CameraModel) -> "Figure":
     camera : CameraModel
         Gives the response, and the angle that is marked.
     """
-    small = _thumbnail(image)
+    encoded = log_picture(_thumbnail(image), camera)
     columns = len(SWEEP) // 2
-    height = small.shape[0] / small.shape[1]
+    height = encoded.shape[0] / encoded.shape[1]
     figure, axes = subplots(3, columns, (2.0 * columns, 4.0 * height + 3.2), heights=(height, height, 1.5 / 2.0))
     for axis, angle in zip(axes[:2].ravel(), SWEEP, strict=True):
-        values = invariant_image(small, replace(camera, theta=float(np.deg2rad(angle))))
-        show_picture(axis, invariant_picture(values), f"{angle}°")
+        show_picture(axis, invariant_picture(projected(encoded, float(np.deg2rad(angle)))), f"{angle}°")
     for axis in axes[2]:
         axis.remove()
     curve = figure.add_subplot(axes[2, 0].get_gridspec()[2, :])
-    encoded = encode(small, "log", camera.response)
     _draw_entropy(curve, encoded[..., :3][encoded[..., 3] > 0], camera)
     return figure
 

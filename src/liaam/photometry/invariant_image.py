@@ -40,10 +40,20 @@ def invariant_image(
     ImageError
         If the array is no image, or grey: three equal channels have no invariant.
     """
-    camera, image = camera or CameraModel(), as_colour(image, name)
+    camera = camera or CameraModel()
+    return projected(log_picture(image, camera, blur=blur, name=name), camera.theta)
+
+
+def log_picture(image: np.ndarray, camera: CameraModel, *, blur: float = 0.0, name: str = "image") -> np.ndarray:
+    """Log-RGB and its mask, (h, w, 4) float32, of a picture that has colour; parameters as of the invariant image."""
+    image = as_colour(image, name)
     refuse_grey(image, name, "an invariant image needs colour")
-    encoded = encode(image, "log", camera.response, blur)
-    values = invariant(encoded[..., :3], camera.theta).astype(np.float32)
+    return encode(image, "log", camera.response, blur)
+
+
+def projected(encoded: np.ndarray, theta: float) -> np.ndarray:
+    """Invariant values (h, w) float32 of a :func:`log_picture`, NaN where it is masked."""
+    values = invariant(encoded[..., :3], theta).astype(np.float32)
     return np.where(encoded[..., 3] > 0, values, np.float32(np.nan))
 
 
