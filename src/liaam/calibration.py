@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.errors import CameraError
+from liaam.evaluation import rms_error
 from liaam.fitting import FitResult, FitStatus
 from liaam.photometry import AngleEstimate, CameraModel
 from liaam.photometry.estimate import WIDEST_ERROR, axis_difference
 from liaam.registration import Registration, register
+from liaam.warp import apply_homography, picture_corners
 
 Progress = Callable[[int, int, str], None]
 
@@ -117,10 +119,8 @@ def _register_all(
 
 def _corner_movement(homography: np.ndarray, size: tuple[int, int]) -> float:
     """Root mean square movement of the picture's corners by a homography, pixels."""
-    height, width = size
-    corners = np.array([[0, 0, 1], [width - 1, 0, 1], [width - 1, height - 1, 1], [0, height - 1, 1]], dtype=np.float64)
-    moved = corners @ homography.T
-    return float(np.sqrt(np.square(moved[:, :2] / moved[:, 2:] - corners[:, :2]).sum(axis=1).mean()))
+    corners = picture_corners(*size)
+    return rms_error(apply_homography(homography, corners), corners)
 
 
 def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:

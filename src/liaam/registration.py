@@ -17,7 +17,7 @@ from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.sampling import make_patch
 from liaam.shape import Similarity
-from liaam.warp import GENERATORS, HomographyWarp, apply_homography
+from liaam.warp import GENERATORS, HomographyWarp, apply_homography, picture_corners
 
 METHOD = "igo+tukey"
 """Gradient orientations are blind to the light's strength; what is left of cast shadows, their edges, is for the
@@ -227,22 +227,26 @@ def _levels(
     height, width = a.shape[:2]
     reduce = max(1, int(np.ceil(np.sqrt(height * width / MOST_PIXELS))))
     scaling = Similarity(np.eye(2) * reduce, np.full(2, (reduce - 1) / 2.0))
-    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
-    levels, to_a = [], scaling
-    for blur, stride in LEVELS:
-        patch = make_patch(a, corners, scaling, encoding=method.encoding, response=response, blur=blur, margin=0.0)
-        to_a = patch.from_image.inverse()
-        kept = patch.channels[..., 3] > 0
-        if mask is not None:
-            kept &= _reduced(mask.astype(np.float32), kept.shape) > 0.999
-        stands_out = _significance(a, kept.shape, blur)
+    corners = picture_corners(height, width)
+    patches = [
+        make_patch(a, corners, scaling, encoding=method.encoding, response=response, blur=blur, margin=0.0)
+        for blur, _ in LEVELS
+    ]
+    # Levels differ in their blur only: size and place of their pixels are the same.
+    from_a, size = patches[0].from_image, patches[0].channels.shape[:2]
+    wanted = np.ones(size, dtype=bool) if mask is None else _reduced(mask.astype(np.float32), size) > 0.999
+    luminance, noise = _luminance_and_noise(a, size)
+    levels = []
+    for patch, (blur, stride) in zip(patches, LEVELS, strict=True):
+        kept = (patch.channels[..., 3] > 0) & wanted
+        stands_out = _significance(luminance, noise, blur)
         significant = stands_out[kept & (stands_out > SIGNIFICANT)]
         if blur < SHARP and not (significant.size and np.median(significant) > CLEAR):
             continue
         if method.encoding == "orientation":
             kept &= stands_out > SIGNIFICANT
         kept = kept[::stride, ::stride]
-        if kept.sum() < LEAST_PIXELS or max(blur, 1.0) > LARGEST_BLUR * min(patch.channels.shape[:2]):
+        if kept.sum() < LEAST_PIXELS or max(blur, 1.0) > LARGEST_BLUR * min(size):
             continue
         mean = patch.channels[::stride, ::stride][kept]
         mean = np.ascontiguousarray(mean[:, : 2 if method.encoding == "orientation" else 3])
@@ -250,9 +254,9 @@ def _levels(
             mean = mean @ method.image_metric(theta).T.astype(np.float32)
         blank = np.zeros((0, *mean.shape), np.float32)
         appearance = AppearanceModel(mean, blank, np.zeros(0), np.ones(len(mean), np.float32))
-        warp = HomographyWarp(kept, patch.from_image(corners), float(stride), group)
+        warp = HomographyWarp(kept, from_a(corners), float(stride), group)
         levels.append((Objective(method, warp, appearance, theta, np.zeros(warp.n_parameters)), blur))
-    return levels, to_a
+    return levels, from_a.inverse()
 
 
 def _reduced(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -261,14 +265,17 @@ def _reduced(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return image if image.shape[:2] == size else cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA)
 
 
-def _significance(image: np.ndarray, size: tuple[int, int], blur: float) -> np.ndarray:
-    """Gradient of the blurred luminance, in standard deviations that the picture's noise gives it, (h, w)."""
+def _luminance_and_noise(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, float]:
+    """Luminance of stored values, reduced to a size (h, w), and the standard deviation of its noise."""
+    luminance = _reduced(np.ascontiguousarray(stored_values(image) @ LUMINANCE[0].astype(np.float32)), size)
+    averaged = np.sqrt(np.prod(size) / np.prod(image.shape[:2]))
+    return luminance, float(noise_deviation(image) * np.linalg.norm(LUMINANCE) * averaged)
+
+
+def _significance(luminance: np.ndarray, noise: float, blur: float) -> np.ndarray:
+    """Gradient of the blurred luminance, in standard deviations that noise gives it, (h, w)."""
     import cv2  # heavy: imported when first needed
 
-    luminance = _reduced(np.ascontiguousarray(stored_values(image) @ LUMINANCE[0].astype(np.float32)), size)
-    noise = (
-        noise_deviation(image) * float(np.linalg.norm(LUMINANCE)) * np.sqrt(np.prod(size) / np.prod(image.shape[:2]))
-    )
     down, right = np.gradient(cv2.GaussianBlur(luminance, (0, 0), blur))
     # Variance of a central difference of white noise under a Gaussian blur of deviation s.
     left = np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))

@@ -294,6 +294,11 @@ def _homogeneous(points: np.ndarray) -> np.ndarray:
     return np.column_stack([points, np.ones(len(points))])
 
 
+def picture_corners(height: int, width: int) -> np.ndarray:
+    """Centres of a picture's corner pixels (x, y), clockwise from the first, (4, 2) float64."""
+    return np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+
+
 def apply_homography(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Apply a homography to (n, 2) points; NaN for points behind the picture plane."""
     carried = _homogeneous(points) @ matrix.T
