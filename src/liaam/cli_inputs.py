@@ -100,15 +100,6 @@ def numbers_in(text: str, count: int, option: str) -> "np.ndarray":
     return numbers
 
 
-def is_number(text: str) -> bool:
-    """Whether a cell of a table holds a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def check_camera_output(output: Path, start: Path | None, inputs: Sequence[Path] = ()) -> None:
     """Complain, before the work, about a camera file that cannot be written or would undo another."""
     check_output(output)
@@ -136,6 +127,8 @@ def refuse_inputs(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
 def read_patches(path: Path) -> "np.ndarray":
     """Boxes of a CSV file, (n, 4) float64."""
     import numpy as np
+
+    from liaam.io.files import is_number
 
     try:
         rows = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]

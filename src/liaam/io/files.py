@@ -1,8 +1,9 @@
-"""What every reader of files shares: finding the file, saying why it cannot be found, and natural order."""
+"""What readers of files share: finding them, saying why one cannot be found, natural order, cells of tables."""
 
 from __future__ import annotations
 
 import difflib
+import math
 import os
 import re
 from pathlib import Path
@@ -15,6 +16,14 @@ def natural_key(text: str) -> list[Any]:
     """Give a sort key under which ``img2`` comes before ``img10``, whatever the case of the letters."""
     parts = re.split(r"([0-9]+)", text.casefold())
     return [int(part) if part.isdecimal() and part.isascii() else part for part in parts]
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell of a table holds a finite number."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:

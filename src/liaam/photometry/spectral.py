@@ -15,7 +15,7 @@ import numpy as np
 
 from liaam.errors import CameraError
 from liaam.evaluation import root_mean_square
-from liaam.io.files import existing_file, read_bytes
+from liaam.io.files import existing_file, is_number, read_bytes
 from liaam.photometry.estimate import AngleEstimate, axis_difference
 from liaam.photometry.invariant import CHROMATICITY, wien_theta
 
@@ -213,7 +213,7 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
     lines = _table_lines(path)
     first = [cell.strip().lower() for cell in lines[0][1]]
     order, body = [0, 1, 2, 3], lines
-    if not _is_number(first[0]):
+    if not is_number(first[0]):
         order, body = _column_order(first, path), lines[1:]
     table = np.array([_numbers(cells, order, len(first), f"{path}, line {number}") for number, cells in body])
     if len(table) < FEWEST:
@@ -406,13 +406,6 @@ def _numbers(cells: list[str], order: list[int], width: int, where: str) -> list
         raise CameraError(f"{where}: there are {len(cells)} columns instead of {max(width, 4)}")
     values = [cells[i].strip() for i in order]
     for value in values:
-        if not _is_number(value):
+        if not is_number(value):
             raise CameraError(f"{where}: {value!r} is not a number; write it with a decimal point")
     return [float(value) for value in values]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return bool(np.isfinite(float(text)))
-    except ValueError:
-        return False
