@@ -4,6 +4,7 @@ import ast
 import subprocess
 import sys
 from graphlib import TopologicalSorter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -94,12 +95,14 @@ def test_training_and_fitting_wait_for_what_is_slow_to_import():
     loaded = loaded_by("from liaam import train, Fitter")
     assert "liaam.fitting" in loaded
     assert not loaded & {"numba", "scipy", "matplotlib", "typer"}
+    assert not loaded & {f"liaam.photometry.{name}" for name in ("entropy", "masks", "radiometry", "spectral")}
 
 
-def test_every_public_name_exists():
-    import liaam
-
-    for name in liaam.__all__:
-        assert getattr(liaam, name) is not None
-    with pytest.raises(AttributeError, match="has no attribute 'nonsense'"):
-        liaam.nonsense  # noqa: B018
+@pytest.mark.parametrize("package", ["liaam", "liaam.photometry"])
+def test_every_public_name_exists(package):
+    module = import_module(package)
+    for name in module.__all__:
+        assert getattr(module, name) is not None
+    assert set(module.__all__) <= set(dir(module))
+    with pytest.raises(AttributeError, match=f"'{package}' has no attribute 'nonsense'"):
+        module.nonsense  # noqa: B018

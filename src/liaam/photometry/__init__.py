@@ -1,8 +1,13 @@
-"""Photometry: response, noise, the light-invariant projection, encodings, and calibration of all of these."""
+"""Photometry: response, noise, the light-invariant projection, encodings, and calibration of all of these.
+
+What only calibrations use loads on first use, so that fitting starts quickly.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 from liaam.photometry.camera import CameraModel, NoiseModel, camera_from, load_camera
 from liaam.photometry.encoding import ENCODINGS, encode, exposure_faults, is_grey
-from liaam.photometry.entropy import EntropyEstimate, entropy_curve, theta_from_image
 from liaam.photometry.estimate import PHYSICAL, AngleEstimate
 from liaam.photometry.invariant import (
     CHROMATICITY,
@@ -15,20 +20,6 @@ from liaam.photometry.invariant import (
     wien_theta,
 )
 from liaam.photometry.invariant_image import Agreement, Averaged, agreement, averaged, invariant_image
-from liaam.photometry.masks import dark_pixels, saturated_pixels, specular_pixels, usable_pixels
-from liaam.photometry.noise import (
-    NoiseEstimate,
-    noise_deviation,
-    noise_from_flat,
-    noise_from_image,
-    noise_from_pair,
-)
-from liaam.photometry.radiometry import (
-    RadiometricEstimate,
-    VignettingEstimate,
-    calibrate_response,
-    vignetting_from_flat_field,
-)
 from liaam.photometry.response import (
     Response,
     ResponseCurve,
@@ -46,12 +37,29 @@ from liaam.photometry.scatter import (
     theta_from_chart,
     theta_from_scene,
 )
-from liaam.photometry.spectral import (
-    SpectralEstimate,
-    read_sensitivities,
-    theta_from_peaks,
-    theta_from_sensitivities,
-)
+
+if TYPE_CHECKING:
+    from liaam.photometry.entropy import EntropyEstimate, entropy_curve, theta_from_image
+    from liaam.photometry.masks import dark_pixels, saturated_pixels, specular_pixels, usable_pixels
+    from liaam.photometry.noise import (
+        NoiseEstimate,
+        noise_deviation,
+        noise_from_flat,
+        noise_from_image,
+        noise_from_pair,
+    )
+    from liaam.photometry.radiometry import (
+        RadiometricEstimate,
+        VignettingEstimate,
+        calibrate_response,
+        vignetting_from_flat_field,
+    )
+    from liaam.photometry.spectral import (
+        SpectralEstimate,
+        read_sensitivities,
+        theta_from_peaks,
+        theta_from_sensitivities,
+    )
 
 __all__ = [
     "CHROMATICITY",
@@ -111,3 +119,24 @@ __all__ = [
     "vignetting_from_flat_field",
     "wien_theta",
 ]
+
+_HOMES = {
+    "entropy": ("EntropyEstimate", "entropy_curve", "theta_from_image"),
+    "masks": ("dark_pixels", "saturated_pixels", "specular_pixels", "usable_pixels"),
+    "noise": ("NoiseEstimate", "noise_deviation", "noise_from_flat", "noise_from_image", "noise_from_pair"),
+    "radiometry": ("RadiometricEstimate", "VignettingEstimate", "calibrate_response", "vignetting_from_flat_field"),
+    "spectral": ("SpectralEstimate", "read_sensitivities", "theta_from_peaks", "theta_from_sensitivities"),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module 'liaam.photometry' has no attribute {name!r}")
+    value = getattr(import_module(f"liaam.photometry.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
