@@ -1,6 +1,6 @@
 """Pictures: overlays of fits, models to look at, and the figures of experiments."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -407,7 +407,9 @@ def _columns(points: Sequence[tuple[float, float | None]], log: bool) -> np.ndar
     return np.stack([x, np.maximum(y, FLOOR) if log else y])
 
 
-def figure_of_bars(groups: Mapping[str, Mapping[str, float | None]], label: str) -> "Figure":
+def figure_of_bars(
+    groups: Mapping[str, Mapping[str, float | None]], label: str, colours: Callable[[str], str] = colour_of
+) -> "Figure":
     """Horizontal bars of methods, a panel for each group; None (no finite value) has no bar.
 
     Parameters
@@ -415,12 +417,19 @@ def figure_of_bars(groups: Mapping[str, Mapping[str, float | None]], label: str)
     groups : mapping of title to (mapping of method to value)
     label : str
         What the values are, with their unit.
+    colours : callable
+        Colour of a method.
     """
     longest = max(len(values) for values in groups.values())
-    figure, axes = subplots(1, len(groups), (4.6 * len(groups), 0.36 * longest + 1.3))
-    for axis, (title, values) in zip(axes[0], groups.items(), strict=True):
+    # A long row of panels would be shrunk on a page until its labels cannot be read.
+    rows = 1 if len(groups) <= 3 else 2
+    columns = -(-len(groups) // rows)
+    figure, axes = subplots(rows, columns, (4.6 * columns, rows * (0.36 * longest + 1.3)))
+    for axis in axes.ravel()[len(groups) :]:
+        axis.remove()
+    for axis, (title, values) in zip(axes.ravel(), groups.items(), strict=False):
         sizes = [np.nan if value is None else value for value in values.values()]
-        bars = axis.barh(list(values), sizes, color=[colour_of(method) for method in values], height=0.7)
+        bars = axis.barh(list(values), sizes, color=[colours(method) for method in values], height=0.7)
         axis.bar_label(bars, [_short(size) for size in sizes], padding=3, fontsize=8)
         axis.invert_yaxis()
         axis.margins(x=0.15)

@@ -90,7 +90,7 @@ def figure_of_invariants(
     height, width = next(iter(rows.values()))[0].shape[:2]
     figure, axes = subplots(len(rows), 2, (7.0, 3.5 * len(rows) * height / width + 0.4))
     for i, ((name, (picture, values)), line) in enumerate(zip(rows.items(), axes, strict=True)):
-        show_picture(line[0], brightened(picture), name)
+        show_picture(line[0], brightened(picture), shortened(name, 36))
         show_picture(line[1], invariant_picture(values, limits), "invariant image")
         for quad in patch_corners(patches[i]) if patches is not None else ():
             line[0].fill(*quad.T, fill=False, edgecolor="white", lw=1.0)
@@ -138,7 +138,13 @@ def _draw_entropy(axis: "Axes", log_rgb: np.ndarray, camera: CameraModel) -> Non
     axis.axvline(np.rad2deg(camera.theta) % 180, color="black", ls="--", lw=1.2, label="theta given")
     axis.set(xlim=(0, 180), xlabel="theta, degrees", ylabel="entropy of the values, bits", xticks=np.arange(0, 181, 15))
     axis.spines[["top", "right"]].set_visible(False)
-    axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9)
+    _legend_above(axis)
+
+
+def _legend_above(axis: "Axes") -> None:
+    """Put the legend in a line above the axes: beside them it would take width from the pictures."""
+    entries = len(axis.get_legend_handles_labels()[0])
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, frameon=False, fontsize=9)
 
 
 def _thumbnail(image: np.ndarray) -> np.ndarray:
@@ -153,6 +159,12 @@ def _thumbnail(image: np.ndarray) -> np.ndarray:
 MATRIX = 4
 """Pictures up to which their invariant images are drawn above the correlations."""
 
+LOWEST = 0.5
+"""Correlation that a matrix's colours begin with; what is less has one colour."""
+
+NUMBERED = 16
+"""Pictures up to which a matrix has room for numbers."""
+
 
 def figure_of_agreement(
     pictures: Sequence[np.ndarray], names: Sequence[str], seen: Averaged, found: Sequence[Agreement]
@@ -160,15 +172,18 @@ def figure_of_agreement(
     """Correlations of invariant images and of log-grey for each pair of pictures, below the images themselves."""
     n = len(pictures)
     if n > MATRIX:
-        figure, axes = subplots(1, 2, (9.0, 4.4))
+        side = max(4.0, 0.36 * n)
+        figure, axes = subplots(1, 2, (2 * side + 2.6, side + 0.4))
         for axis, key, title in ((axes[0, 0], "invariant", "invariant"), (axes[0, 1], "log_grey", "log grey")):
             shown = _draw_matrix(axis, n, found, key, title)
-        figure.colorbar(shown, ax=axes[0], label="correlation", shrink=0.8)
+        axes[0, 0].set_yticklabels([f"{shortened(name)}  {i + 1}" for i, name in enumerate(names)], fontsize=7)
+        axes[0, 0].set_ylabel("")
+        figure.colorbar(shown, ax=axes[0], label="correlation", shrink=0.8, extend="min")
         return figure
     limits, height = common_limits(list(seen.invariant)), pictures[0].shape[0] / pictures[0].shape[1]
     figure, axes = subplots(3, n, (3.0 * n, 6.0 * height + 2.4), heights=(height, height, 0.7))
     for i in range(n):
-        show_picture(axes[0, i], brightened(pictures[i]), names[i])
+        show_picture(axes[0, i], brightened(pictures[i]), f"{i + 1}  {shortened(names[i], 30)}")
         show_picture(axes[1, i], invariant_picture(seen.invariant[i], limits), "invariant image")
         axes[2, i].remove()
     bars = figure.add_subplot(axes[2, 0].get_gridspec()[2, :])
@@ -178,36 +193,60 @@ def figure_of_agreement(
         drawn = bars.bar(places + shift, heights, 0.34, color=colour, label=key.replace("_", " "))
         bars.bar_label(drawn, fmt="%.3f", fontsize=8, padding=2)
     bars.set_xticks(places, [f"{pair.first + 1} and {pair.second + 1}" for pair in found])
-    bars.set(ylabel="correlation", ylim=(0, 1.12), xlabel="pictures")
-    bars.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9)
+    lowest = min([0.0, *(getattr(pair, key) for pair in found for key in ("invariant", "log_grey"))])
+    bars.set(ylabel="correlation", ylim=(1.25 * lowest, 1.12), xlabel="pictures")
+    bars.axhline(0.0, color="black", lw=0.8)
+    _legend_above(bars)
     bars.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+def shortened(name: str, most: int = 22) -> str:
+    """Name with its middle left out if it is long: what tells pictures of a series apart stands at the end."""
+    return name if len(name) <= most else f"{name[: most // 3]}…{name[len(name) - most + most // 3 + 1 :]}"
 
 
 def _draw_matrix(axis: "Axes", n: int, found: Sequence[Agreement], key: str, title: str):
     matrix = np.eye(n)
     for pair in found:
         matrix[pair.first, pair.second] = matrix[pair.second, pair.first] = getattr(pair, key)
-    shown = axis.imshow(matrix, vmin=0.5, vmax=1.0, cmap="viridis")
+    shown = axis.imshow(matrix, vmin=LOWEST, vmax=1.0, cmap=_correlation_colours())
+    if n <= NUMBERED:
+        for i, j in np.argwhere(~np.eye(n, dtype=bool)):
+            value = matrix[i, j]
+            ink = "white" if value < 0.5 * (LOWEST + 1.0) else "black"
+            text = "–" if np.isnan(value) else f"{value:z.2f}"
+            axis.text(j, i, text, ha="center", va="center", fontsize=6, color=ink)
     median = np.nanmedian([getattr(pair, key) for pair in found])
-    axis.set_title(f"{title}: median {median:.3f}", fontsize=10)
+    axis.set_title(f"{title}: median {median:z.3f}", fontsize=10)
     axis.set(xticks=range(n), yticks=range(n), xlabel="picture", ylabel="picture")
     axis.set_xticklabels([str(i + 1) for i in range(n)], fontsize=7)
     axis.set_yticklabels([str(i + 1) for i in range(n)], fontsize=7)
     return shown
 
 
+def _correlation_colours():
+    """Colours of correlations; low ones and those that cannot be told have colours of their own."""
+    import matplotlib
+
+    return matplotlib.colormaps["viridis"].with_extremes(under="#1b1020", bad="#dddddd")
+
+
 def figure_of_response(camera: CameraModel) -> "Figure":
-    """A camera's response beside sRGB, and its vignetting."""
-    figure, axes = subplots(1, 2, (9.0, 3.6))
+    """A camera's response beside sRGB, and its vignetting where it has any."""
+    panels = 2 if camera.vignetting else 1
+    figure, axes = subplots(1, panels, (4.5 * panels, 3.6))
     stored = np.linspace(1 / 255, 1, 255)
     axes[0, 0].plot(stored * 255, to_linear(stored, camera.response), color="#19a979", lw=1.8, label="this camera")
     axes[0, 0].plot(stored * 255, to_linear(stored, "srgb"), color="black", lw=1.2, ls="--", label="sRGB")
-    axes[0, 0].set(xlabel="stored value, of 255", ylabel="linear light", yscale="log", ylim=(1e-3, 1.3))
+    axes[0, 0].set(xlabel="stored value, of 255", ylabel="linear light, of the largest", yscale="log", ylim=(1e-3, 1.3))
     axes[0, 0].legend(frameon=False)
-    radius = np.linspace(0, 1, 101)
-    axes[0, 1].plot(radius, falloff_at(np.square(radius), camera.vignetting), color="#19a979", lw=1.8)
-    axes[0, 1].set(xlabel="distance from the centre, 1 in the corners", ylabel="share of light", ylim=(0, 1.05))
+    axes[0, 0].set_title("response", fontsize=10)
+    if camera.vignetting:
+        radius = np.linspace(0, 1, 101)
+        axes[0, 1].plot(radius, falloff_at(np.square(radius), camera.vignetting), color="#19a979", lw=1.8)
+        axes[0, 1].set(xlabel="distance from the centre, 1 in the corners", ylabel="share of light", ylim=(0, 1.05))
+        axes[0, 1].set_title("vignetting", fontsize=10)
     for axis in axes[0]:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(color="#e6e6e6", lw=0.8)

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 SIGMAS = (2.0, 8.0)
 SIZE = (180, 240)
 LAMPS_K = (3600.0, 5500.0, 3000.0, 4500.0)
+OURS, PLAIN = "#19a979", "#9a9a9a"
+"""Colours of calibrations and of what they are compared with."""
+
 INSET = 3
 """Pixels of each chart patch's border that are left out, as a person would."""
 
@@ -183,7 +186,7 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
         group[cell["kind"]] = cell["median_deg"]
         if cell["kind"] == "pair":
             group["pair, plain squares"] = cell["plain_median_deg"]
-    return figure_of_bars(groups, "median error of theta, degrees")
+    return figure_of_bars(groups, "median error of theta, degrees", lambda kind: PLAIN if "plain" in kind else OURS)
 
 
 def report(rows: list[Row], summary: dict[str, Any]) -> str:
