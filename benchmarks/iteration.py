@@ -113,7 +113,7 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
     precision = solver._prior_precision(objective, last.equations, options.shape_prior)
     free, _ = solver._free_directions(objective, state, last.equations, options.observable)
     kernel, n_p = get_kernel(objective.kernel), objective.warp.n_parameters
-    root = (objective.root_weights * last.weights)[:, None]
+    root = objective.root_weights * last.weights[:, None]
     design, lam = objective.design(float(state.angles[0])), state.lam.astype(np.float32)
     metric = objective.method.image_metric(state.angles[1])
     points = objective.warp.points(state.p, problem.pose)
@@ -148,7 +148,7 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
         scratch[:, objective.n_q] = (root * residual).ravel()
 
     def products() -> None:
-        objective._equations(workspace, design, last.weights, None)
+        objective._equations(workspace, design, last.weights, objective.root_weights, None)
 
     def solves() -> None:
         fresh = replace(last.equations)  # without what it has worked out already

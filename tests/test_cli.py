@@ -127,7 +127,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("fit", "{model}", "{image}", "--init", "1,2"), "four numbers"),
         (("fit", "{model}", "{image}", "--init", "900,900,950,980"), "outside the image"),
         (("fit", "{model}", "{image}", "--init", "50,50,20,90"), "is empty"),
-        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "there are grey, rgb, li"),
+        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "there are soft-li, grey, rgb, li"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is a file"),
         (("experiment", "spot", "--data", "{portraits}", "--out", "o"), "named as the IMM"),
         (("experiment", "spot", "--data", "{portraits}", "--out", "o", "--methods", ","), "is empty"),

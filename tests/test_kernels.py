@@ -19,30 +19,31 @@ coordinates = st.one_of(
 )
 
 
-def channels_of(rng: np.random.Generator) -> np.ndarray:
-    channels = rng.normal(-2, 2, (HEIGHT, WIDTH, 4)).astype(np.float32)
-    channels[..., 3] = rng.random((HEIGHT, WIDTH)) > 0.1
+def channels_of(rng: np.random.Generator, n: int = 3) -> np.ndarray:
+    channels = rng.normal(-2, 2, (HEIGHT, WIDTH, n + 1)).astype(np.float32)
+    channels[..., n] = rng.random((HEIGHT, WIDTH)) > 0.1
     return channels
 
 
 @settings(max_examples=200)
 @given(
     points=st.lists(st.tuples(coordinates, coordinates), min_size=1, max_size=12),
+    n_channels=st.integers(1, 6),
     rows=st.integers(1, 3),
     n_p=st.integers(1, 6),
     extra=st.integers(0, 2),
     seed=st.integers(0, 999),
 )
-def test_fast_does_what_reference_says(points, rows, n_p, extra, seed):
+def test_fast_does_what_reference_says(points, n_channels, rows, n_p, extra, seed):
     rng = np.random.default_rng(seed)
     n = len(points)
     arguments = (
-        channels_of(rng),
+        channels_of(rng, n_channels),
         np.array(points),
         rng.normal(size=(n, 2, n_p)).astype(np.float32),
         rng.normal(size=(2, 2)),
-        rng.normal(size=(rows, 3)),
-        rng.random(n).astype(np.float32),
+        rng.normal(size=(rows, n_channels)),
+        rng.random((n, rows)).astype(np.float32),
     )
     columns = [np.full((n * rows, n_p + extra), 77.0, np.float32) for _ in range(2)]
     expected = reference.linearise(*arguments, columns[0])
@@ -68,7 +69,7 @@ def test_linear_ramps_are_sampled_exactly(name, seed, on_line):
     columns = np.empty((60, 2), np.float32)
     eye = np.broadcast_to(np.eye(2, dtype=np.float32), (20, 2, 2)).copy()
     values, projected, weights = get_kernel(name).linearise(
-        channels, points, eye, np.eye(2), np.eye(3), np.ones(20, np.float32), columns
+        channels, points, eye, np.eye(2), np.eye(3), np.ones((20, 3), np.float32), columns
     )
     np.testing.assert_array_equal(values, points @ slopes + base)
     np.testing.assert_array_equal(projected, values)
@@ -85,7 +86,7 @@ def test_gradient_is_the_derivative_of_the_bilinear_samples(name, rng):
         columns = np.empty((3, 2), np.float32)
         jacobian = np.eye(2, dtype=np.float32)[None].copy()
         out = get_kernel(name).linearise(
-            channels, at[None], jacobian, np.eye(2), np.eye(3), np.ones(1, np.float32), columns
+            channels, at[None], jacobian, np.eye(2), np.eye(3), np.ones((1, 3), np.float32), columns
         )
         return out[1][0].astype(float), columns
 
@@ -101,7 +102,7 @@ def test_one_unusable_corner_costs_a_sample_its_weight(name):
     points = np.array([[5.0, 4.0], [4.5, 3.5], [5.5, 4.5], [3.9, 4.0], [6.0, 4.0], [5.0, 5.0], [5.0, 3.0]])
     columns = np.empty((len(points), 1), np.float32)
     jacobian = np.ones((len(points), 2, 1), np.float32)
-    root = np.ones(len(points), np.float32)
+    root = np.ones((len(points), 1), np.float32)
     weights = get_kernel(name).linearise(channels, points, jacobian, np.eye(2), np.ones((1, 3)), root, columns)[2]
     assert weights.tolist() == [0, 0, 0, 1, 1, 1, 0]
     assert not columns[weights == 0].any()

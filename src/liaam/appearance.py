@@ -6,17 +6,22 @@ import numpy as np
 
 from liaam.pca import Components, count_modes, principal_components
 
-CHANNELS = {"value": 3, "log": 3, "orientation": 2, "invariant": 1, "varied": 3, "illumination": 3}
+CHANNELS = {"value": 3, "log": 3, "orientation": 2, "soft": 3, "invariant": 1, "varied": 3, "illumination": 3}
 """Appearances a model may hold, and their channels.
 
-``value``, ``log`` and ``orientation``: in the encoding of that name. ``invariant``: L(theta) . log RGB, projected
-before the PCA (the paper's LIT). ``varied``: values under the training light and the lights of further pictures
-in one PCA (training with lighting variation, the paper's [11]). ``illumination``: what those further pictures
-show that ``value`` cannot explain, as modes to be added to it (the illumination basis of AIA, the paper's [6]).
+``value``, ``log`` and ``orientation``: in the encoding of that name. ``soft``: the two components of the softly
+normalised gradient and L(theta) . log RGB, on the mesh and its surroundings. ``invariant``: L(theta) . log RGB,
+projected before the PCA (the paper's LIT). ``varied``: values under the training light and the lights of further
+pictures in one PCA (training with lighting variation, the paper's [11]). ``illumination``: what those further
+pictures show that ``value`` cannot explain, as modes to be added to it (the illumination basis of AIA, the paper's
+[6]).
 """
 
 APPEARANCES = tuple(name for name in CHANNELS if name != "illumination")
 """Those that a method can be compared with on their own."""
+
+SURROUNDED = ("soft",)
+"""Those learnt on the mesh with its surroundings (:class:`liaam.mesh.Surroundings`); the others on the mesh alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +91,16 @@ def train_appearance_model(textures: np.ndarray, usable: np.ndarray, variance: f
     Parameters
     ----------
     textures : (n_images, n_pixels, c) float32
-    usable : (n_images, n_pixels) float32 in {0, 1}
+    usable : (n_images, n_pixels) or (n_images, n_pixels, c) float32 in {0, 1}
+        Where channels differ, a pixel counts as usable where any of them is.
     variance : float or int
         Fraction of variance or number of modes to keep.
     """
     n, n_pixels, c = textures.shape
-    seen = np.repeat(usable > 0, c, axis=1).reshape(n, -1)
+    if usable.ndim == 2:
+        seen = np.repeat(usable > 0, c, axis=1).reshape(n, -1)
+    else:
+        seen, usable = (usable > 0).reshape(n, -1), usable.max(axis=2)
     filled, components = _fill(textures.reshape(n, -1), seen, variance)
     return AppearanceModel(
         mean=components.mean.reshape(n_pixels, c).astype(np.float32),

@@ -99,6 +99,57 @@ def barycentric(points: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     return np.column_stack([1.0 - v - w, v, w])
 
 
+SURROUND = 0.06
+"""Width of the surroundings of a mesh, as a share of the distance from the shape's centre. An object's outline is where
+the landmarks lie, and can be told only by what lies on both sides of it. Measured on the spot protocol: the 90th
+percentile of the error falls from 5.5 to 5.2 %; at twice the width the background begins to count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """A ring of further vertices around a shape's hull, which follow the landmarks.
+
+    Each lies beyond a landmark of the mean shape's hull, on the line from the centre: (1 + m) s_h - m mean(s), linear
+    in the shape and carried along by every affine map.
+
+    Attributes
+    ----------
+    extension : (n + r, n) float64
+        Takes landmarks to all vertices: the landmarks, then the ring.
+    triangles : (t, 3) int32
+        The mesh, and the strip between its hull and the ring.
+    """
+
+    extension: np.ndarray
+    triangles: np.ndarray
+
+
+def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURROUND) -> Surroundings:
+    """Put a ring around a mesh.
+
+    Parameters
+    ----------
+    points : (n, 2) float
+        Mean shape.
+    triangles : (t, 3) int
+        Its mesh.
+    width : float
+        Of the ring, as a share of each hull point's distance from the centre.
+    """
+    from scipy.spatial import ConvexHull
+
+    hull = np.asarray(ConvexHull(points).vertices)  # counter-clockwise: the ring's triangles have positive areas
+    n, r = len(points), len(hull)
+    beyond = np.full((r, n), -width / n)
+    beyond[np.arange(r), hull] += 1.0 + width
+    own, nxt = np.arange(r), np.roll(np.arange(r), -1)
+    strip = np.concatenate([np.stack([hull, n + own, hull[nxt]], 1), np.stack([hull[nxt], n + own, n + nxt], 1)])
+    extension = np.concatenate([np.eye(n), beyond])
+    areas = signed_areas(extension @ points, strip)
+    strip = strip[areas > 1e-6 * np.abs(areas).sum()]
+    return Surroundings(extension, np.concatenate([triangles, strip]).astype(np.int32))
+
+
 @dataclass(frozen=True, eq=False)
 class ReferenceFrame:
     """Pixels of the mean shape: where the model's appearance lives.

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from liaam.appearance import CHANNELS, AppearanceModel
+from liaam.appearance import CHANNELS, SURROUNDED, AppearanceModel
 from liaam.errors import LiaamError, ModelFileError
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.photometry import CameraModel, Response, camera_from, describe_response, parse_response
 from liaam.shape import ShapeModel, diagonal_of
-from liaam.warp import PiecewiseAffineWarp
+from liaam.warp import PiecewiseAffineWarp, surrounded_warp
 
 SCHEMA_VERSION = 1
 """Version of the model file; raised whenever its meaning changes."""
@@ -61,6 +61,8 @@ class AAM:
         Lines between landmarks, for drawing.
     name : str
         What the model was trained on, for people.
+    soft_levels : tuple of Level
+        The ``soft`` appearance, coarse to fine, on the pixels of ``surrounded``; none in files of earlier versions.
     """
 
     shape_model: ShapeModel
@@ -70,6 +72,7 @@ class AAM:
     n_images: int
     contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
     name: str = ""
+    soft_levels: tuple[Level, ...] = ()
 
     def __repr__(self) -> str:
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
@@ -93,6 +96,19 @@ class AAM:
     def warp(self) -> PiecewiseAffineWarp:
         """Piecewise-affine warp of the mesh under the shape model."""
         return PiecewiseAffineWarp(self.frame, self.shape_model)
+
+    @cached_property
+    def surrounded(self) -> PiecewiseAffineWarp:
+        """Warp of the mesh and what surrounds it; its ``frame`` has the pixels of ``soft`` appearances."""
+        return surrounded_warp(self.shape_model, self.triangles)
+
+    def levels_of(self, appearance: str) -> tuple[Level, ...]:
+        """Levels that hold an appearance, coarse to fine."""
+        return self.soft_levels if appearance in SURROUNDED else self.levels
+
+    def warp_of(self, appearance: str) -> PiecewiseAffineWarp:
+        """Warp whose pixels an appearance lives on."""
+        return self.surrounded if appearance in SURROUNDED else self.warp
 
     @property
     def n_points(self) -> int:
@@ -137,6 +153,7 @@ def _header(model: AAM) -> dict:
         "response": describe_response(model.response),
         "camera": model.camera.describe(),
         "blurs": [level.blur for level in model.levels],
+        "soft_blurs": [level.blur for level in model.soft_levels],
         "n_images": model.n_images,
         "n_pixels": model.n_pixels,
         "contours": [[list(indices), closed] for indices, closed in model.contours],
@@ -152,11 +169,12 @@ def _tensors(model: AAM) -> dict[str, np.ndarray]:
         "shape.eigenvalues": shape.eigenvalues,
         "triangles": model.triangles,
     }
-    for i, level in enumerate(model.levels):
-        for name, appearance in level.appearances.items():
-            for field in ("mean", "modes", "eigenvalues", "usable", "unexplained"):
-                if getattr(appearance, field) is not None:
-                    tensors[f"level{i}.{name}.{field}"] = getattr(appearance, field)
+    for prefix, levels in (("level", model.levels), ("soft_level", model.soft_levels)):
+        for i, level in enumerate(levels):
+            for name, appearance in level.appearances.items():
+                for field in ("mean", "modes", "eigenvalues", "usable", "unexplained"):
+                    if getattr(appearance, field) is not None:
+                        tensors[f"{prefix}{i}.{name}.{field}"] = getattr(appearance, field)
     return {key: np.ascontiguousarray(value) for key, value in tensors.items()}
 
 
@@ -233,10 +251,12 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     frame = ReferenceFrame(mean, triangles)
     if frame.n_pixels != header["n_pixels"]:
         raise ValueError("its reference frame does not match its pixels")
+    shape_model = ShapeModel(mean, modes, eigenvalues)
     return AAM(
-        shape_model=ShapeModel(mean, modes, eigenvalues),
+        shape_model=shape_model,
         triangles=triangles,
         levels=tuple(_level(tensors, i, blur, frame.n_pixels) for i, blur in enumerate(_blurs(header["blurs"]))),
+        soft_levels=_soft_levels(tensors, header.get("soft_blurs", []), shape_model, triangles),
         camera=_camera(header),
         n_images=int(header["n_images"]),
         contours=_contours(header["contours"], n),
@@ -263,6 +283,19 @@ def _level(tensors: dict[str, np.ndarray], i: int, blur: float, n_pixels: int) -
     if "value" not in names or "log" not in names:
         raise ValueError("an appearance is missing")
     return Level(blur, {name: _appearance(tensors, f"level{i}.{name}", name, n_pixels) for name in names})
+
+
+def _soft_levels(
+    tensors: dict[str, np.ndarray], blurs: list, shape_model: ShapeModel, triangles: np.ndarray
+) -> tuple[Level, ...]:
+    """Levels of the ``soft`` appearance; none in files of earlier versions."""
+    if not blurs:
+        return ()
+    n_pixels = surrounded_warp(shape_model, triangles).frame.n_pixels
+    return tuple(
+        Level(blur, {"soft": _appearance(tensors, f"soft_level{i}.soft", "soft", n_pixels)})
+        for i, blur in enumerate(_blurs(blurs))
+    )
 
 
 def _appearance(tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int) -> AppearanceModel:

@@ -288,7 +288,7 @@ def _judged(
     """Homography in pictures' pixels, and whether it can be believed."""
     stage = stages[-1]
     objective, solution = stage.objective, stage.solution
-    state, last, has_angle = solution.state, solution.last, objective.method.metric == "invariant"
+    state, last, has_angle = solution.state, solution.last, objective.method.has_angles
     warp = objective.warp
     assert isinstance(warp, HomographyWarp)
     matrix = _matrix(stage.pose) @ warp.matrix(state.p) @ np.linalg.inv(_matrix(to_a))

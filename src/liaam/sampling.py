@@ -15,7 +15,7 @@ class Patch:
 
     Attributes
     ----------
-    channels : (h, w, 4) float32
+    channels : (h, w, c + 1) float32
         Encoded pixels (see :func:`liaam.photometry.encode`), at least 2 by 2.
     from_image : Similarity
         Image pixels to patch pixels (a shift and a reduction, never a turn).
@@ -65,7 +65,8 @@ def make_patch(
     # Blocks are those of the whole image, whatever the margin: training and fitting see the same ones.
     low = low // reduce * reduce
     crop = image[low[1] : high[1], low[0] : high[0]]
-    channels = encode(crop, encoding, response, blur * scale / reduce, reduce, pose.matrix.T / scale)
+    turn, pixel = pose.matrix.T / scale, reduce / scale
+    channels = encode(crop, encoding, response, blur * scale / reduce, reduce, turn, pixel)
     # The centre of the first block of pixels is at low + (reduce - 1) / 2.
     matrix = np.eye(2) / reduce
     offset = -(low + (reduce - 1) / 2.0) / reduce
@@ -83,7 +84,7 @@ def sample_texture(patch: Patch, points: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Returns
     -------
-    values : (n, 3) float32
+    values : (n, c) float32
     usable : (n,) float32 in {0, 1}
     """
     values, _, usable = sample(patch.channels, patch.from_image(points))

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from liaam.mesh import ReferenceFrame
+from liaam.mesh import ReferenceFrame, surroundings
 from liaam.shape import ShapeModel, Similarity
 
 
@@ -62,10 +62,19 @@ class PiecewiseAffineWarp:
 
     W(x; p) = sum_v beta_v(x) s_v(p) is linear in p, so dW/dp_i = sum_v beta_v(x) s_i[v] is constant and
     worked out once.
+
+    Attributes
+    ----------
+    frame : ReferenceFrame
+        Of the mean shape, or of the mean shape and what surrounds it.
+    shape_model : ShapeModel
+    extension : (n_vertices, n_points) float64, optional
+        Takes landmarks to the frame's vertices (:class:`liaam.mesh.Surroundings`); they are the same if left out.
     """
 
     frame: ReferenceFrame
     shape_model: ShapeModel
+    extension: np.ndarray | None = None
 
     @property
     def n_parameters(self) -> int:
@@ -107,11 +116,14 @@ class PiecewiseAffineWarp:
         n = self.frame.n_pixels
         starts = np.arange(0, 3 * n + 1, 3)
         data = (self.frame.weights.ravel(), self.frame.vertices.ravel(), starts)
-        return csr_array(data, shape=(n, len(self.frame.points)))
+        by_vertex = csr_array(data, shape=(n, len(self.frame.points)))
+        return by_vertex if self.extension is None else csr_array(by_vertex @ csr_array(self.extension))
 
     @cached_property
     def _jacobian(self) -> np.ndarray:
         modes = self.shape_model.basis.reshape(self.n_parameters, -1, 2)
+        if self.extension is not None:
+            modes = np.einsum("vn,ina->iva", self.extension, modes, optimize=True)
         carried = np.einsum("nv,inva->nai", self.frame.weights, modes[:, self.frame.vertices])
         return np.ascontiguousarray(carried, dtype=np.float32)
 
@@ -128,8 +140,17 @@ class PiecewiseAffineWarp:
 
         If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Triangles of next to no area give 0.
         """
-        inverse = _inverse_affinities(self.frame.points, self.shape_model.shape(p), self.frame.triangles)
+        shape = self.shape_model.shape(p)
+        vertices = shape if self.extension is None else self.extension @ shape
+        inverse = _inverse_affinities(self.frame.points, vertices, self.frame.triangles)
         return np.einsum("nba,nbk->nak", inverse[self.frame.owners], self.frame.gradient(values)).astype(np.float32)
+
+
+def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
+    """Warp of a mesh on the mean shape and of what surrounds it (see :class:`liaam.mesh.Surroundings`)."""
+    around = surroundings(shape_model.mean, triangles)
+    frame = ReferenceFrame(around.extension @ shape_model.mean, around.triangles)
+    return PiecewiseAffineWarp(frame, shape_model, around.extension)
 
 
 def _inverse_affinities(points: np.ndarray, shape: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -113,7 +113,7 @@ def test_a_missing_picture_is_refused_by_name(model, start, tmp_path):
 
 
 def test_an_unknown_method_is_refused_before_the_first_picture(model):
-    with pytest.raises(MethodError, match="'magic' does not exist; there are grey"):
+    with pytest.raises(MethodError, match="'magic' does not exist; there are soft-li, grey"):
         Fitter(model, "magic")
 
 

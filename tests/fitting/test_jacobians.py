@@ -10,8 +10,17 @@ from liaam.fitting import METHODS, get_method
 from liaam.kernels import KERNELS
 from setups import disturb, finest_objective, make_problem
 
-ANGLED = ("li", "li-lit", "li-pc", "li-pcs", "li+noise", "li-pc+noise+huber", "li-pcs+cauchy")
-WEIGHED = ("grey+tukey", "rgb+learnt", "chroma+noise", "li+noise", "li-pc+noise+huber", "igo+geman-mcclure")
+FREE_SOFT = replace(METHODS["soft-li"], name="soft-li with a free angle", free_angles="image")
+ANGLED = ("li", "li-lit", "li-pc", "li-pcs", "li+noise", "li-pc+noise+huber", "li-pcs+cauchy", FREE_SOFT)
+WEIGHED = (
+    "soft-li+tukey",
+    "grey+tukey",
+    "rgb+learnt",
+    "chroma+noise",
+    "li+noise",
+    "li-pc+noise+huber",
+    "igo+geman-mcclure",
+)
 ALL = (*METHODS, *WEIGHED)
 
 
@@ -88,11 +97,12 @@ def test_columns_of_the_angles(model, lit_scene, method, kernel, rng):
 def test_columns_of_lambda(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
     objective = setting.objective
-    root = setting.root(setting.state.angles[1]) * objective.linearise(setting.problem, setting.state).weights
+    weights = objective.linearise(setting.problem, setting.state).weights
+    root = setting.root(setting.state.angles[1]) * weights[:, None]
     modes = objective.design(float(setting.state.angles[0])).modes
     assert_jacobian(
         lambda lam: setting.weighted_residual(replace(setting.state, lam=lam)),
-        -modes * np.repeat(root, objective.method.n_rows)[:, None],
+        -modes * root.reshape(-1, 1),
         setting.state.lam,
         steps=1.0,
         tolerance=1e-3,
@@ -105,8 +115,8 @@ def test_columns_carry_the_root_of_the_weights(model, lit_scene, method, kernel,
     objective = setting.objective
     workspace = objective.workspace()
     seen = objective.linearise(setting.problem, setting.state, workspace, setting.trust)
-    root = setting.root(setting.state.angles[1]) * seen.weights
-    np.testing.assert_allclose(workspace[:, -1], (root[:, None] * seen.residual).ravel(), rtol=1e-6)
+    root = setting.root(setting.state.angles[1]) * seen.weights[:, None]
+    np.testing.assert_allclose(workspace[:, -1], (root * seen.residual).ravel(), rtol=1e-6)
     assert not workspace[np.repeat(seen.weights == 0, objective.method.n_rows)].any()
     rr = np.square(workspace[:, -1].astype(np.float64)).sum()
     assert seen.equations.rr == pytest.approx(rr, rel=1e-5)
@@ -117,13 +127,13 @@ def test_gram_matrices_leave_out_pixels_without_weight(model, lit_scene, method,
     setting = Setting(model, lit_scene, method, "fast", rng)
     objective = setting.objective
     channels = setting.problem.patch.channels.copy()
-    channels[: len(channels) // 2, :, 3] = 0
+    channels[: len(channels) // 2, :, -1] = 0
     problem = replace(setting.problem, patch=replace(setting.problem.patch, channels=channels))
     workspace = objective.workspace()
     seen = objective.linearise(problem, setting.state, workspace, setting.trust)
     assert 0.05 < (seen.weights == 0).mean() < 0.95
     weights = np.repeat(seen.weights, objective.method.n_rows)[:, None].astype(np.float64)
-    root = np.repeat(setting.root(setting.state.angles[1]), objective.method.n_rows)[:, None]
+    root = setting.root(setting.state.angles[1]).reshape(-1, 1)
     A = objective.design(float(setting.state.angles[0])).modes * root * weights
     J = workspace[:, :-1].astype(np.float64)
     scale = np.abs(A.T @ A).max()

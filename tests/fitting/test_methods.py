@@ -12,7 +12,7 @@ from liaam.photometry import invariant_row
 
 
 def test_an_unknown_method_lists_those_that_exist():
-    with pytest.raises(MethodError, match="'sift' does not exist; there are grey, rgb, li, li-lit, li-pc, li-pcs"):
+    with pytest.raises(MethodError, match="'sift' does not exist; there are soft-li, grey, rgb, li, li-lit, li-pc"):
         get_method("sift")
 
 
@@ -25,7 +25,8 @@ def test_a_method_of_ones_own_passes_through():
 def test_every_row_of_the_table_is_consistent(name):
     method = METHODS[name]
     assert method.name == name
-    assert method.image_metric(2.0).shape == (method.n_rows, 3)
+    channels = 6 if method.encoding == "soft" else 3
+    assert method.image_metric(2.0).shape == (method.n_rows, channels)
     assert method.model_metric(2.0).shape == (method.n_rows, CHANNELS[method.appearance])
     assert (method.angle_directions.shape[1] > 0) == (method.free_angles != "none")
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from liaam.errors import ImageError, MethodError
 from liaam.photometry import ENCODINGS, encode, exposure_faults, invariant, is_grey, srgb_to_linear
-from liaam.photometry.encoding import as_colour
+from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS, as_colour
 from liaam.training import sample_appearance
 
 
@@ -24,7 +24,7 @@ def test_depth_does_not_matter(picture, encoding, response):
     floats = encode(picture.astype(np.float32) / 255, encoding, response)
     np.testing.assert_allclose(sixteen, eight, atol=1e-6)
     np.testing.assert_allclose(floats, eight, atol=1e-5)
-    assert np.array_equal(floats[..., 3], eight[..., 3])
+    assert np.array_equal(floats[..., -1], eight[..., -1])
 
 
 def test_value_of_srgb_pictures_is_the_stored_value(picture):
@@ -62,8 +62,36 @@ def test_strange_floats_stay_finite(bad, encoding, blur):
     encoded = encode(image, encoding, blur=blur)
     assert np.isfinite(encoded).all()
     if encoding == "log" or not np.isfinite(bad):
-        assert encoded[3, 5, 3] == 0
-    assert encoded[..., 3].sum() >= 255
+        assert encoded[3, 5, -1] == 0
+    assert encoded[..., -1].sum() >= 255
+
+
+def test_soft_gradients_are_those_of_log_luminance_normalised_softly(rng):
+    y, x = np.mgrid[:20, :24]
+    slope = rng.uniform(-0.2, 0.2, 2)
+    image = np.repeat(np.exp(slope[0] * (x - 12) + slope[1] * (y - 10) - 1.5)[..., None], 3, axis=2)
+    encoded = encode((image - LOG_FLOOR).astype(np.float32), "soft", "linear", pixel=2.0)
+    per_pixel = slope / 2.0  # in pixels of the object's frame, which are half as large
+    expected = per_pixel / np.hypot(np.linalg.norm(per_pixel), SOFTNESS)
+    np.testing.assert_allclose(encoded[2:-2, 2:-2, :2], np.broadcast_to(expected, (16, 20, 2)), atol=1e-3)
+
+
+@given(gain=st.floats(0.5, 1.6))
+def test_soft_gradients_hardly_see_a_gain(gain):
+    picture = np.random.default_rng(3).uniform(0.2, 0.6, (16, 16, 3)).astype(np.float32)
+    plain, brighter = (encode(image, "soft", "linear", blur=1.0) for image in (picture, np.float32(gain) * picture))
+    np.testing.assert_allclose(brighter[..., :2], plain[..., :2], atol=0.02)
+    np.testing.assert_allclose(invariant(brighter[..., 2:5], 2.1), invariant(plain[..., 2:5], 2.1), atol=1e-5)
+
+
+def test_soft_directions_work_where_the_log_says_nothing():
+    image = np.tile(np.linspace(0, 255, 64).astype(np.uint8)[None, :, None], (16, 1, 3))
+    encoded = encode(image, "soft")
+    assert encoded[..., -1].all()
+    assert not encoded[:, 0, 5].any()
+    assert not encoded[:, -1, 5].any()
+    assert encoded[:, 20, 5].all()
+    assert (encoded[:, 1, 0] > 0.3).all()
 
 
 def test_blurring_the_log_blurs_the_invariant(rng):

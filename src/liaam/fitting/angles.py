@@ -33,7 +33,7 @@ def best_image_angle(objective: Objective, problem: FitProblem, state: State) ->
         theta_2, radians; the state's own where no pixel counts.
     """
     seen = objective.linearise(problem, state)
-    root = objective.root_weights * seen.weights
+    root = objective.root_weights[:, 0] * seen.weights
     log_r, log_g, log_b = seen.values.T
     design = objective.design(float(state.angles[0]))
     columns = np.stack([log_r - log_b, log_g - log_b, design.mean[:, 0]], axis=1) * root[:, None]

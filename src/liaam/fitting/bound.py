@@ -100,7 +100,7 @@ def cramer_rao_bound(
         For a method on orientations of gradients: their noise depends on the gradient, and is not Gaussian.
     """
     method, response = get_method(method), model.response if response is None else response
-    if method.encoding == "orientation":
+    if method.encoding in ("orientation", "soft"):
         raise MethodError(f"method {method.name}: the noise of gradient orientations is not known, so no bound is")
     objective = make_objectives(model, method)[-1]
     pose = align(model.shape_model.mean, shape)
@@ -134,7 +134,7 @@ def _covariance(
     columns = np.empty((3 * n, n_p), np.float32)
     values, _, usable = get_kernel(objective.kernel).linearise(
         problem.patch.channels, warp.points(p, problem.pose), warp.jacobian(p), problem.pose.matrix, np.eye(3),
-        np.ones(n, np.float32), columns,
+        np.ones((n, 3), np.float32), columns,
     )  # fmt: skip
     metric = method.image_metric(angles[1])
     whitening = _whitening(_channel_noise(values, method.encoding, problem.response, sigma), metric)

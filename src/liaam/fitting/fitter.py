@@ -17,7 +17,7 @@ from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.solver import Solution, SolverOptions, settle_lambda, solve
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
-from liaam.model import AAM
+from liaam.model import AAM, Level
 from liaam.photometry import CameraModel, NoiseModel, Response, exposure_faults, is_grey
 from liaam.photometry.encoding import as_colour
 from liaam.shape import Similarity, align, diagonal_of
@@ -110,7 +110,7 @@ def trace(stages: Sequence[Stage]) -> tuple[Iteration, ...]:
         Iteration(
             cost,
             stage.shape(state),
-            float(state.angles[1]) if stage.objective.method.metric == "invariant" else np.nan,
+            float(state.angles[1]) if stage.objective.method.has_angles else np.nan,
             level,
         )
         for level, stage in enumerate(stages)
@@ -205,27 +205,31 @@ class Fitter:
         lam : (m,) float64
         """
         image, camera = load_picture(image, "image")[0], self._camera
-        objective, blur = self.objectives[-1], self.model.levels[-1].blur
+        objective, blur = self.objectives[-1], self._levels[-1].blur
         problem = FitProblem.at(
             camera.flatten(image), result.shape, result.pose, self._method, camera.response, blur, camera.noise
         )
         state = objective.start(result.p)
-        if self._method.metric == "invariant":
+        if self._method.has_angles:
             state = replace(state, angles=np.array([result.theta_model, result.theta]))
         state, seen = settle_lambda(objective, problem, state, self.options)
         return objective, seen.equations, state.lam
 
     def _solve_levels(self, image: np.ndarray, start: np.ndarray) -> list[Stage]:
         """Solve from the coarsest level to the finest (see :func:`solve_levels`)."""
-        levels = [(objective, level.blur) for objective, level in zip(self.objectives, self.model.levels, strict=True)]
+        levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
         return solve_levels(levels, image, start, self._camera.response, self.options, self._camera.noise)
+
+    @property
+    def _levels(self) -> tuple[Level, ...]:
+        return self.model.levels_of(self._method.appearance)
 
     @property
     def _camera(self) -> CameraModel:
         return self.model.camera if self.camera is None else self.camera
 
     def _result(self, image: np.ndarray, stages: list[Stage]) -> FitResult:
-        solution, has_angle = stages[-1].solution, self._method.metric == "invariant"
+        solution, has_angle = stages[-1].solution, self._method.has_angles
         history = trace(stages)
         state, last = solution.state, solution.last
         return FitResult(
@@ -249,7 +253,7 @@ class Fitter:
         shape = history[-1].shape
         if not is_sane(shape, history[0].shape):
             return FitStatus.DIVERGED
-        points = self.model.warp.interpolate(shape)
+        points = self.model.warp_of(self._method.appearance).interpolate(shape)
         inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
         if inside.mean() < 0.5:
             return FitStatus.LEFT_IMAGE

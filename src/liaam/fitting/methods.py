@@ -14,9 +14,14 @@ METRICS = {
     "rgb": np.eye(3),
     "chromaticity": CHROMATICITY,
     "orientation": np.eye(3)[:2],
+    "soft": np.eye(3, 6),
     "invariant": np.zeros((1, 3)),
 }
-"""Rows of P by name, (k, 3); those of ``invariant`` are L(theta)."""
+"""Rows of P by name, (k, channels of the encoding); those of ``invariant`` are L(theta), and so is the last of ``soft``
+on the channels of log RGB."""
+
+ANGULAR = ("invariant", "soft")
+"""Metrics that depend on the angles."""
 
 FREE_ANGLES = {
     "none": np.zeros((2, 0)),
@@ -32,6 +37,7 @@ ENCODING_OF = {
     "log": "log",
     "invariant": "log",
     "orientation": "orientation",
+    "soft": "soft",
 }
 """The encoding each appearance is learnt in."""
 
@@ -50,12 +56,12 @@ class Method:
     name : str
     summary : str
         One line for people.
-    encoding : {"value", "log", "orientation"}
+    encoding : {"value", "log", "orientation", "soft"}
         What is measured in the image.
-    appearance : {"value", "log", "orientation", "invariant", "varied"}
+    appearance : {"value", "log", "orientation", "soft", "invariant", "varied"}
         Which of the model's appearances it is compared with.
-    metric : {"luminance", "rgb", "chromaticity", "orientation", "invariant"}
-        Rows of P; only ``invariant`` depends on the angles.
+    metric : {"luminance", "rgb", "chromaticity", "orientation", "soft", "invariant"}
+        Rows of P; only ``invariant`` and the last row of ``soft`` depend on the angles.
     free_angles : {"none", "image", "both", "shared"}
         Which of theta_1 (model) and theta_2 (image) are estimated.
     gain : bool
@@ -69,6 +75,9 @@ class Method:
         (photometric normalisation, the paper's [1]).
     noise_weights : bool
         Weigh each pixel by the inverse variance that the image's noise gives its residual.
+    soft : bool
+        Weigh each row of each pixel by the inverse variance that noise and the model's errors give its residual, both
+        estimated from the picture at hand.
     loss : str
         "squares", or a robust loss of :data:`liaam.fitting.losses.LOSSES`.
     """
@@ -84,6 +93,7 @@ class Method:
     illumination: bool = False
     normalise: bool = False
     noise_weights: bool = False
+    soft: bool = False
     loss: str = "squares"
 
     def __post_init__(self) -> None:
@@ -92,7 +102,7 @@ class Method:
         _check("metric", self.metric, METRICS)
         _check("free_angles", self.free_angles, FREE_ANGLES)
         _check("bias", self.bias, BIASES)
-        if self.metric != "invariant" and self.free_angles != "none":
+        if self.metric not in ANGULAR and self.free_angles != "none":
             raise MethodError(f"method {self.name}: metric {self.metric} has no angle to free")
         if self.metric in ("invariant", "chromaticity") and self.bias == "common":
             # L . 1 = 0 (and C . 1 = 0): a grey constant in log space is a null vector.
@@ -102,8 +112,11 @@ class Method:
         _check("loss", self.loss, ("squares", *LOSSES))
         if ENCODING_OF[self.appearance] != self.encoding:
             raise MethodError(f"method {self.name}: {self.encoding} images do not suit a {self.appearance} appearance")
-        if (self.metric == "orientation") != (self.encoding == "orientation"):
-            raise MethodError(f"method {self.name}: metric {self.metric} does not suit encoding {self.encoding}")
+        for name in ("orientation", "soft"):
+            if (self.metric == name) != (self.encoding == name):
+                raise MethodError(f"method {self.name}: metric {self.metric} does not suit encoding {self.encoding}")
+        if self.soft and (self.encoding != "soft" or self.noise_weights):
+            raise MethodError(f"method {self.name}: soft weights are for encoding soft, and hold the noise already")
         if self.noise_weights and self.encoding != "log":
             raise MethodError(
                 f"method {self.name}: noise weights are for methods that compare logarithms, where dark pixels are the "
@@ -117,7 +130,7 @@ class Method:
             raise MethodError(f"method {self.name}: an illumination basis and normalisation need encoding value")
         if self.appearance == "invariant" and self.metric != "invariant":
             raise MethodError(f"method {self.name}: the invariant appearance needs the invariant metric")
-        if self.appearance == "invariant" and self.free_angles in ("both", "shared"):
+        if self.appearance in ("invariant", "soft") and self.free_angles in ("both", "shared"):
             raise MethodError(f"method {self.name}: theta_1 is fixed by an appearance projected before the PCA")
 
     @property
@@ -133,7 +146,17 @@ class Method:
     @property
     def reweighs(self) -> bool:
         """Whether something is worked out anew between iterations (see :class:`objective.Trust`)."""
-        return self.noise_weights or self.normalise or self.loss != "squares"
+        return self.noise_weights or self.soft or self.normalise or self.loss != "squares"
+
+    @property
+    def weighs_noise(self) -> bool:
+        """Whether the image's noise has to be known."""
+        return self.noise_weights or self.soft
+
+    @property
+    def has_angles(self) -> bool:
+        """Whether the metric depends on the cameras' angles."""
+        return self.metric in ANGULAR
 
     @property
     def angle_directions(self) -> np.ndarray:
@@ -141,22 +164,33 @@ class Method:
         return FREE_ANGLES[self.free_angles]
 
     def image_metric(self, theta: float) -> np.ndarray:
-        """Rows of P for the image (angle theta_2), (k, 3)."""
-        return invariant_row(theta) if self.metric == "invariant" else METRICS[self.metric]
+        """Rows of P for the image (angle theta_2), (k, channels of the encoding)."""
+        return self._with_row(METRICS[self.metric], invariant_row(theta)) if self.has_angles else METRICS[self.metric]
+
+    def _with_row(self, rows: np.ndarray, invariant: np.ndarray) -> np.ndarray:
+        """Rows of an angular metric with the one (1, 3) on log RGB put in."""
+        if self.metric == "invariant":
+            return invariant
+        rows = rows.copy()
+        rows[2] = 0.0
+        rows[2, 2:5] = invariant
+        return rows
 
     def model_metric(self, theta: float) -> np.ndarray:
         """Rows of P for the model (angle theta_1), (k, channels of the appearance)."""
         # These two were projected before they were learnt.
-        projected = self.appearance in ("invariant", "orientation")
+        projected = self.appearance in ("invariant", "orientation", "soft")
         return np.eye(self.n_rows) if projected else self.image_metric(theta)
 
     def image_metric_derivative(self, theta: float) -> np.ndarray:
-        """dP/dtheta for the image, (k, 3)."""
-        return invariant_row_derivative(theta)
+        """dP/dtheta for the image, (k, channels of the encoding)."""
+        nothing = np.zeros_like(METRICS[self.metric])
+        return self._with_row(nothing, invariant_row_derivative(theta)) if self.has_angles else nothing
 
     def model_metric_derivative(self, theta: float) -> np.ndarray:
         """dP/dtheta for the model, (k, channels of the appearance)."""
-        return np.zeros((1, 1)) if self.appearance == "invariant" else invariant_row_derivative(theta)
+        projected = self.appearance in ("invariant", "soft")
+        return np.zeros((self.n_rows, self.n_rows)) if projected else invariant_row_derivative(theta)
 
 
 def _check(what: str, value: str, known) -> None:
@@ -167,6 +201,14 @@ def _check(what: str, value: str, known) -> None:
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
+        Method(
+            "soft-li",
+            "gradients of log luminance and the invariant, each as far as it can be trusted; under any light",
+            "soft",
+            "soft",
+            "soft",
+            soft=True,
+        ),
         Method(
             "grey",
             "luminance; drifts when the light changes",

@@ -21,7 +21,8 @@ from liaam.fitting.methods import Method
 from liaam.fitting.normal_equations import NormalEquations, gram, regular_inverse
 from liaam.kernels import get_kernel
 from liaam.model import AAM
-from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
+from liaam.photometry import LUMINANCE, NoiseModel, Response, from_linear, log_slope, noise_deviation
+from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS
 from liaam.sampling import Patch, make_patch
 from liaam.shape import Similarity
 from liaam.warp import Warp
@@ -67,6 +68,10 @@ class FitProblem:
         of the camera's noise, in linear light.
     noise_left : float
         Share of it that the blur of the encoded channels leaves.
+    slope_left : float
+        Standard deviation of a gradient per model pixel that noise of unit deviation leaves after the blur.
+    blur : float
+        Model pixels.
     """
 
     patch: Patch
@@ -74,6 +79,8 @@ class FitProblem:
     response: Response = "srgb"
     noise: float | NoiseModel = 0.0
     noise_left: float = 1.0
+    slope_left: float = 1.0
+    blur: float = 0.0
 
     @classmethod
     def at(
@@ -105,9 +112,10 @@ class FitProblem:
         """
         patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=MARGIN)
         to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
-        if not method.noise_weights:
-            return cls(patch, to_patch, response)
-        return cls(patch, to_patch, response, *_noise(image, shape, patch, pose.scale * blur, noise))
+        if not method.weighs_noise:
+            return cls(patch, to_patch, response, blur=blur)
+        left, slope_left = _noise_left(to_patch.scale, blur)
+        return cls(patch, to_patch, response, _noise(image, shape, patch, noise), left, slope_left, blur)
 
 
 def tied_together(blur: float) -> float:
@@ -123,17 +131,43 @@ def tied_together(blur: float) -> float:
     return max(1.0, 4.0 * np.pi * blur**2)
 
 
-def _noise(
-    image: np.ndarray, shape: np.ndarray, patch: Patch, blur: float, known: NoiseModel | None
-) -> tuple[float | NoiseModel, float]:
-    """Noise around a shape after a patch's averaging, and the share that a blur (image pixels) leaves of it."""
+def _noise_left(scale: float, blur: float) -> tuple[float, float]:
+    """What a blur (model pixels; ``scale`` patch pixels each) leaves of noise, and of its gradient per model pixel."""
+    spread = scale * blur
+    # Variance of a central difference of white noise under a Gaussian blur.
+    slope = (1.0 - np.exp(-1.0 / spread**2)) / (8.0 * np.pi * spread**2) if spread > 0.3 else 0.5
+    return 1.0 / np.sqrt(tied_together(spread)), scale * float(np.sqrt(slope))
+
+
+def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel | None) -> float | NoiseModel:
+    """Noise around a shape after a patch's averaging."""
     reduce = 1.0 / patch.from_image.scale
-    left = 1.0 / np.sqrt(tied_together(blur / reduce))
     if known is not None:
-        return NoiseModel(known.slope / reduce**2, known.offset / reduce**2), left
+        return NoiseModel(known.slope / reduce**2, known.offset / reduce**2)
     low = np.maximum(shape.min(axis=0).astype(int), 0)
     high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
-    return noise_deviation(image[low[1] : high[1], low[0] : high[0]]) / reduce, left
+    return noise_deviation(image[low[1] : high[1], low[0] : high[0]]) / reduce
+
+
+@dataclass(frozen=True, eq=False)
+class _Weighted:
+    """Model side under weights that do not turn with an angle: worked out once for all iterations they are used in.
+
+    Attributes
+    ----------
+    root : (n_pixels, k) float32
+        Root of the weights.
+    modes : (n_pixels * k, m) float32
+    aa : (m, m) float64
+        Gram matrix of the weighted modes.
+    inverse : (m, m) float64
+        Its inverse.
+    """
+
+    root: np.ndarray
+    modes: np.ndarray
+    aa: np.ndarray
+    inverse: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,14 +178,18 @@ class Trust:
     ----------
     weights : (n_pixels,) float32
         By the robust loss; 1 without one.
-    noise : (n_pixels, 3) float64, optional
+    noise : (n_pixels, c) float64, optional
         Variance of the encoded channels by the image's noise.
-    model : (n_pixels,) float64, optional
+    model : (n_pixels, k) or (n_pixels, 1) float64, optional
         Variance of the residual by the model's errors; goes with ``noise``.
     unit : float
         Variance that weighs 1: weights are 1 on average, so that a cost is the variance of such a residual.
     gain, offset : float
         Normalisation of the image's samples: they are compared as gain * E(I) + offset.
+    unexplained : tuple of float
+        Variance of the model's errors by group of rows, where it is estimated so.
+    weighted : _Weighted, optional
+        The model side under these weights, where they hold for every angle.
     """
 
     weights: np.ndarray
@@ -160,12 +198,14 @@ class Trust:
     unit: float = 1.0
     gain: float = 1.0
     offset: float = 0.0
+    unexplained: tuple[float, ...] = ()
+    weighted: _Weighted | None = None
 
     def variance(self, metric: np.ndarray) -> np.ndarray | None:
-        """Variance of the residual in rows of P on average, (n_pixels,) float64; None where it is not modelled."""
+        """Variance of the residual in each row of P, (n_pixels, k) float64; None where it is not modelled."""
         if self.noise is None or self.model is None:
             return None
-        return self.noise @ np.square(metric).mean(axis=0) + self.model
+        return self.noise @ np.square(metric).T + self.model
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +217,7 @@ class Linearisation:
     equations : NormalEquations
     residual : (n_pixels, k) float32
         P E(I) - P A, unweighted.
-    values : (n_pixels, 3) float32
+    values : (n_pixels, c) float32
         Encoded samples of the image.
     weights : (n_pixels,) float32
         Image weight in {0, 1}.
@@ -240,8 +280,8 @@ class Objective:
 
     @cached_property
     def root_weights(self) -> np.ndarray:
-        """Square root of each model pixel's weight, (n_pixels,) float32."""
-        return np.sqrt(self.appearance.usable)
+        """Square root of the weight of each model pixel and row of P, (n_pixels, k) float32."""
+        return np.repeat(np.sqrt(self.appearance.usable)[:, None], self.method.n_rows, axis=1)
 
     @property
     def n_q(self) -> int:
@@ -269,7 +309,7 @@ class Objective:
         modes = np.einsum("mnc,kc->nkm", self.appearance.modes, metric)
         modes = np.concatenate([modes, *self._extra_modes(mean, metric)], axis=2)
         modes = np.ascontiguousarray(modes.reshape(mean.size, -1), dtype=np.float32)
-        weighted = modes * np.repeat(self.root_weights, len(metric))[:, None]
+        weighted = modes * self.root_weights.reshape(-1, 1)
         aa = gram(weighted, weighted)
         return _Design(mean, modes, weighted, aa, regular_inverse(aa))
 
@@ -343,35 +383,37 @@ class Objective:
             residual -= (design.modes @ lam).reshape(residual.shape)
         if (gain, offset) != (1.0, 0.0):  # rows of P see a common offset by their sum
             residual += (gain - 1.0) * projected + (offset * metric.sum(axis=1)).astype(np.float32)
-        root = (own_root * weights)[:, None]
+        root = own_root * weights[:, None]
         n_p = self.warp.n_parameters
         if own_gradient:
             columns[:, :n_p] = self._model_columns(state, design, root)
         if self.n_q > n_p:
             columns[:, n_p : self.n_q] = self.angle_columns(state, values, lam, root)
         if root_slope is not None:
-            by_weight = (root_slope * weights)[:, None] * residual
+            by_weight = root_slope * weights[:, None] * residual
             columns[:, n_p : self.n_q] += by_weight.reshape(-1, 1) * self.method.angle_directions[1].astype(np.float32)
         columns[:, -1] = (root * residual).ravel()
-        equations = self._equations(columns, design, weights, None if trust is None else own_root)
+        equations = self._equations(columns, design, weights, own_root, trust)
         return Linearisation(equations, residual, values, weights)
 
     def _model_columns(self, state: State, design: _Design, root: np.ndarray) -> np.ndarray:
         """Weighted dr/dp by the gradient of the fitted appearance instead of the image's, (n * k, n_p)."""
         predicted = design.mean + (design.modes @ state.lam.astype(np.float32)).reshape(design.mean.shape)
-        slope = root[:, :, None] * self.warp.pulled_gradient(predicted, state.p)
+        slope = root[:, None, :] * self.warp.pulled_gradient(predicted, state.p)
         columns = np.einsum("nak,naj->nkj", slope, self.warp.jacobian(state.p), optimize=True)
         return columns.reshape(predicted.size, -1)
 
     def _root_weights(self, theta: float, trust: Trust | None) -> tuple[np.ndarray, np.ndarray | None]:
-        """Root of each pixel's weight (n,), and its derivative by theta_2 where noise makes it depend on that.
+        """Root of the weights (n, k), and its derivative by theta_2 where noise makes it depend on that.
 
         Whitening by the noise is differentiated along with the residual: var L(theta) depends on the angle, and
         a weight frozen at the old angle leaves the plain sum of squares' pull towards angles of little noise.
         """
         if trust is None:
             return self.root_weights, None
-        root = self.root_weights * np.sqrt(trust.weights)
+        if trust.weighted is not None:
+            return trust.weighted.root, None
+        root = self.root_weights * np.sqrt(trust.weights)[:, None]
         metric = self.method.image_metric(theta)
         variance = trust.variance(metric)
         if variance is None or trust.noise is None:
@@ -379,16 +421,19 @@ class Objective:
         root = (root * np.sqrt(trust.unit / variance)).astype(np.float32)
         if not self.method.angle_directions[1].any():
             return root, None
-        growth = trust.noise @ (2.0 * metric * self.method.image_metric_derivative(theta)).mean(axis=0)
+        growth = trust.noise @ (2.0 * metric * self.method.image_metric_derivative(theta)).T
         return root, (-0.5 * root * growth / variance).astype(np.float32)
 
-    def trust(self, problem: FitProblem, state: State, seen: Linearisation) -> Trust | None:
+    def trust(
+        self, problem: FitProblem, state: State, seen: Linearisation, before: Trust | None = None
+    ) -> Trust | None:
         """Work out what the next iteration freezes, from what the pixels look like at a state.
 
         Returns
         -------
         Trust or None
-            None for methods that weigh all pixels as the model does, and where no pixel counts.
+            None for methods that weigh all pixels as the model does, and where no pixel counts; ``before`` itself
+            where little has changed.
         """
         method, usable = self.method, seen.weights * self.appearance.usable > 0
         if not method.reweighs or not usable.any():
@@ -396,11 +441,23 @@ class Objective:
         metric = method.image_metric(state.angles[1])
         gain, offset = self._normalisation(seen.values @ metric.T, usable) if method.normalise else (1.0, 0.0)
         trust = Trust(np.ones(len(usable), np.float32), gain=gain, offset=offset)
-        if method.noise_weights and method.encoding == "log":
+        if method.noise_weights:
             trust = replace(trust, **self._variances(problem, state, seen, usable))
-        if method.loss == "squares":
-            return trust
-        return replace(trust, weights=self._robust_weights(seen.residual, trust.variance(metric), usable))
+        if method.soft:
+            trust = replace(trust, **self._soft_variances(problem, metric, seen, usable))
+            if before is not None and method.loss == "squares" and _alike(before.unexplained, trust.unexplained):
+                return before
+        if method.loss != "squares":
+            trust = replace(trust, weights=self._robust_weights(seen.residual, trust.variance(metric), usable))
+        # Weights by noise turn with a free angle.
+        turns = trust.noise is not None and method.angle_directions.any()
+        return trust if turns or method.angle_directions[0].any() else replace(trust, weighted=self._weighted(trust))
+
+    def _weighted(self, trust: Trust) -> _Weighted:
+        root = self._root_weights(self.theta_model, trust)[0]
+        modes = self._fixed_design.modes * root.reshape(-1, 1)
+        aa = gram(modes, modes)
+        return _Weighted(root, modes, aa, regular_inverse(aa))
 
     def _normalisation(self, samples: np.ndarray, usable: np.ndarray) -> tuple[float, float]:
         """Gain and offset that bring samples to the mean and deviation of the model's mean."""
@@ -425,7 +482,31 @@ class Objective:
         squares = np.square(seen.residual, dtype=np.float64).mean(axis=1)[usable]
         factor = _likeliest_factor(squares, by_noise[usable], by_model[usable])
         model = factor * by_model
-        return {"noise": noise, "model": model, "unit": float(1.0 / np.mean(1.0 / (by_noise + model)[usable]))}
+        unit = float(1.0 / np.mean(1.0 / (by_noise + model)[usable]))
+        return {"noise": noise, "model": model[:, None], "unit": unit}
+
+    def _soft_variances(self, problem: FitProblem, metric: np.ndarray, seen: Linearisation, usable: np.ndarray) -> dict:
+        """Variance by noise and by what the model leaves unexplained, both as strong as their correlation makes them.
+
+        What is unexplained is alike within the gradient's rows and within the invariant's, and is what the residual at
+        hand has beyond noise: where the light is as in training the invariant is precise, where it is not, or where
+        colours carry JPEG's errors, it steps back behind the gradient, and the other way round in noise.
+        """
+        tied = tied_together(problem.blur)
+        noise = _soft_noise(seen.values.astype(np.float64), problem)
+        by_noise = noise @ np.square(metric).T
+        squares = np.square(seen.residual, dtype=np.float64)
+        model, found = np.empty_like(by_noise), []
+        for rows, correlated in SOFT_ROWS:
+            known = usable[:, None] & (by_noise[:, rows] < UNKNOWN)
+            unexplained = _mean(squares[:, rows] - by_noise[:, rows], known)
+            floor = LEAST_UNEXPLAINED * _mean(squares[:, rows], known) + 1e-9
+            found.append(max(unexplained, floor))
+            model[:, rows] = correlated * tied * found[-1]
+        noise *= tied
+        variance = (noise @ np.square(metric).T + model)[usable]
+        unit = float(1.0 / np.mean(1.0 / variance))
+        return {"noise": noise, "model": model, "unit": unit, "unexplained": tuple(found)}
 
     def _unexplained(self, theta: float) -> np.ndarray:
         """Variance of the model's errors in rows of P on average, (n_pixels,) float64; 0 where it is not known."""
@@ -438,14 +519,15 @@ class Objective:
     def _robust_weights(self, residual: np.ndarray, variance: np.ndarray | None, usable: np.ndarray) -> np.ndarray:
         """Weights by the method's loss, (n_pixels,) float32."""
         loss = LOSSES[self.method.loss]
-        sizes = np.sqrt(np.square(residual, dtype=np.float64).mean(axis=1))
+        squares = np.square(residual, dtype=np.float64)
+        sizes = np.sqrt(squares.mean(axis=1))
         if self.method.loss == "learnt":
             # A picture under another light leaves more everywhere: the median pixel still counts.
             deviation = np.sqrt(self._unexplained(self.theta_model) + 1e-12)
             u = sizes / deviation
             weights = loss(u / max(robust_scale(u[usable], residual.shape[1]), 1.0)) / deviation
             return (weights / max(weights[usable].mean(), 1e-300)).astype(np.float32)
-        u = sizes if variance is None else sizes / np.sqrt(variance)
+        u = sizes if variance is None else np.sqrt((squares / variance).mean(axis=1))
         return loss(u / max(robust_scale(u[usable], residual.shape[1]), 1e-9)).astype(np.float32)
 
     def workspace(self) -> np.ndarray:
@@ -465,20 +547,24 @@ class Objective:
         return columns
 
     def _equations(
-        self, columns: np.ndarray, design: _Design, weights: np.ndarray, root: np.ndarray | None
+        self, columns: np.ndarray, design: _Design, weights: np.ndarray, root: np.ndarray, trust: Trust | None
     ) -> NormalEquations:
-        """Normal equations of the weighted columns; ``root`` gives the pixels' own weights where they vary."""
+        """Normal equations of the weighted columns; ``root`` gives the pixels' own weights."""
         rows = self.method.n_rows
-        weighted, aa, inverse, own_weights = design.weighted, design.aa, design.inverse, self.appearance.usable
-        if root is not None:
-            weighted = design.modes * np.repeat(root, rows)[:, None]
-            aa, inverse, own_weights = gram(weighted, weighted), None, np.square(root)
+        weighted, aa, inverse, own_weights = design.weighted, design.aa, design.inverse, rows * self.appearance.usable
+        if trust is not None:
+            own_weights = np.square(root).sum(axis=1)
+            if trust.weighted is not None:
+                weighted, aa, inverse = trust.weighted.modes, trust.weighted.aa, trust.weighted.inverse
+            else:
+                weighted = design.modes * root.reshape(-1, 1)
+                aa, inverse = gram(weighted, weighted), None
         own, cross = gram(columns, columns), gram(columns, weighted).T
         blind = weights == 0
         if blind.any():
             unseen = weighted[np.repeat(blind, rows)]
             aa, inverse = aa - gram(unseen, unseen), None
-        weight = float(own_weights @ weights) * rows
+        weight = float(own_weights @ weights)
         return NormalEquations(
             own[:-1, :-1], own[:-1, -1], cross[:, :-1], aa, cross[:, -1], float(own[-1, -1]), weight, inverse
         )
@@ -490,6 +576,51 @@ def _relative_noise(linear: np.ndarray, problem: FitProblem) -> np.ndarray:
         return np.sqrt(problem.noise.variance(linear)) / np.maximum(linear, 1e-6)
     stored = np.maximum(from_linear(linear, problem.response), 1e-3)
     return problem.noise * log_slope(stored, problem.response)
+
+
+SOFT_ROWS = ((slice(0, 2), 8.0), (slice(2, 3), 30.0))
+"""Rows of the metric ``soft`` whose unexplained part is alike, and by how much more it is correlated than the blur
+makes noise: model errors are patches, not grains, and those of colour are the widest."""
+
+UNKNOWN = 1e5
+"""Variance that stands for a pixel whose logarithm says nothing."""
+
+LEAST_UNEXPLAINED = 0.02
+"""Share of the residual's variance that is never put down to noise."""
+
+MOST_DIRECTION_NOISE = 0.5
+"""Variance of each component of a direction that says nothing."""
+
+
+ALIKE = 0.1
+"""Relative change of a variance below which pixels are not weighed anew."""
+
+
+def _alike(before: tuple[float, ...], now: tuple[float, ...]) -> bool:
+    return len(before) == len(now) and bool((np.abs(np.log(np.array(now) / np.array(before))) < ALIKE).all())
+
+
+def _mean(values: np.ndarray, kept: np.ndarray) -> float:
+    return float(values[kept].mean()) if kept.any() else 0.0
+
+
+def _soft_noise(values: np.ndarray, problem: FitProblem) -> np.ndarray:
+    """Variance of the six channels of ``soft`` by the image's noise, (n, 6) float64, to first order.
+
+    With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the root follows from |o| itself.
+    """
+    direction, log_rgb, known = values[:, :2], values[:, 2:5], values[:, 5]
+    linear = np.exp(log_rgb)
+    relative = _relative_noise(linear, problem)
+    luminance = linear @ LUMINANCE[0] + LOG_FLOOR
+    slope = np.square(problem.slope_left * relative * linear) @ np.square(LUMINANCE[0]) / np.square(luminance)
+    left = np.maximum(1.0 - np.square(direction).sum(axis=1), 0.0)
+    by_component = 1.0 - np.square(direction) * (1.0 + left[:, None])
+    noise = np.zeros(values.shape)
+    noise[:, :2] = np.minimum((slope * left / SOFTNESS**2)[:, None] * by_component, MOST_DIRECTION_NOISE)
+    noise[:, 2:5] = np.square(problem.noise_left * relative) + np.square(0.5 * np.square(relative))
+    noise[known < 0.99, 2:5] = UNKNOWN
+    return noise
 
 
 FACTORS = np.concatenate([[0.0], np.geomspace(1e-3, 30.0, 19)])
@@ -519,20 +650,25 @@ def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[O
     return tuple(
         Objective(
             method,
-            model.warp,
+            model.warp_of(method.appearance),
             level.appearances[method.appearance],
             model.theta,
-            _shape_prior(model, level.blur),
+            _shape_prior(model, method, level.blur),
             kernel,
             level.appearances.get("illumination"),
         )
-        for level in model.levels
+        for level in model.levels_of(method.appearance)
     )
 
 
 def _check_holds(model: AAM, method: Method) -> None:
     """Complain about what a method needs and a model lacks."""
-    for level in model.levels:
+    if not model.levels_of(method.appearance):
+        raise MethodError(
+            f"method {method.name}: the model was trained by an earlier version of liaam, which did not learn what it "
+            "compares; train it again, or use method 'li'"
+        )
+    for level in model.levels_of(method.appearance):
         if method.illumination and "illumination" not in level.appearances:
             raise MethodError(
                 f"method {method.name} needs a model that has learnt what light does; train it with pictures under "
@@ -549,11 +685,12 @@ def _check_holds(model: AAM, method: Method) -> None:
             raise MethodError(f"method {method.name}: the model has not learnt how far it errs; train it again")
 
 
-def _shape_prior(model: AAM, blur: float) -> np.ndarray:
+def _shape_prior(model: AAM, method: Method, blur: float) -> np.ndarray:
     """Prior of the shape modes, N(0, eigenvalue); the four similarity vectors have none.
 
     The sum of squares over all pixels overstates the evidence by as many pixels as the blur ties together, and the
     prior is scaled up by that.
     """
-    modes = tied_together(blur) / np.maximum(model.shape_model.eigenvalues, 1e-12)
+    tied = tied_together(blur) * (SOFT_ROWS[0][1] if method.soft else 1.0)
+    modes = tied / np.maximum(model.shape_model.eigenvalues, 1e-12)
     return np.concatenate([modes, np.zeros(4)])

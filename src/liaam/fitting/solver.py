@@ -225,8 +225,8 @@ def _weigh_anew(
     Steps are judged under the weights they were made with: a step that lowers the weighted squares lowers a
     robust loss of the same scale too.
     """
-    new = objective.trust(problem, state, seen)
-    if new is None:
+    new = objective.trust(problem, state, seen, trust)
+    if new is None or new is trust:
         return state, seen, trust
     return *_evaluate(objective, problem, state, options, workspace, new, start_up=trust is None), new
 

@@ -10,7 +10,7 @@ _jit = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, e
 @_jit
 def _linearise(channels, points, warp_jacobian, turn, metric, root_weights, columns, values, projected, weights):
     height, width = channels.shape[0], channels.shape[1]
-    n, n_p, k = points.shape[0], warp_jacobian.shape[2], metric.shape[0]
+    n, n_p, k, n_c = points.shape[0], warp_jacobian.shape[2], metric.shape[0], metric.shape[1]
     for i in range(n):
         px, py = points[i, 0], points[i, 1]
         # Written so that NaN counts as outside.
@@ -19,8 +19,8 @@ def _linearise(channels, points, warp_jacobian, turn, metric, root_weights, colu
         if inside:
             x, y = min(int(px), width - 2), min(int(py), height - 2)
             weight = min(
-                min(channels[y, x, 3], channels[y, x + 1, 3]),
-                min(channels[y + 1, x, 3], channels[y + 1, x + 1, 3]),
+                min(channels[y, x, n_c], channels[y, x + 1, n_c]),
+                min(channels[y + 1, x, n_c], channels[y + 1, x + 1, n_c]),
             )
         weights[i] = weight
         if not inside:
@@ -34,10 +34,10 @@ def _linearise(channels, points, warp_jacobian, turn, metric, root_weights, colu
         w00, w10, w01, w11 = (1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v
         for r in range(k):
             projected[i, r] = 0.0
-        root = np.float64(root_weights[i] * weight)
         for r in range(k):
+            root = np.float64(root_weights[i, r] * weight)
             value = gx = gy = 0.0
-            for c in range(3):
+            for c in range(n_c):
                 c00, c10 = np.float64(channels[y, x, c]), np.float64(channels[y, x + 1, c])
                 c01, c11 = np.float64(channels[y + 1, x, c]), np.float64(channels[y + 1, x + 1, c])
                 sampled = w00 * c00 + w10 * c10 + w01 * c01 + w11 * c11
@@ -65,7 +65,7 @@ def linearise(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """See :func:`liaam.kernels.reference.linearise`."""
     n = len(points)
-    values = np.empty((n, 3), dtype=np.float32)
+    values = np.empty((n, metric.shape[1]), dtype=np.float32)
     projected = np.empty((n, len(metric)), dtype=np.float32)
     weights = np.empty(n, dtype=np.float32)
     points, turn, metric = (np.ascontiguousarray(a, dtype=np.float64) for a in (points, turn, metric))

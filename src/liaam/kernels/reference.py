@@ -13,16 +13,16 @@ def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Parameters
     ----------
-    channels : (h, w, 4) float32
-        Encoded image of :func:`liaam.photometry.encode`: three channels and the usable weight.
+    channels : (h, w, c + 1) float32
+        Encoded image of :func:`liaam.photometry.encode`: c channels and the usable weight.
     points : (n, 2) float64
         Where to sample (x, y), pixels.
 
     Returns
     -------
-    values : (n, 3) float32
+    values : (n, c) float32
         Zero outside the image.
-    gradients : (n, 2, 3) float32
+    gradients : (n, 2, c) float32
         d values / dx and d values / dy. Zero outside.
     weights : (n,) float32
         1 where all four pixels around the point are inside the image and usable, else 0.
@@ -41,11 +41,11 @@ def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
     values = top + v * (bottom - top)
     along_x = (1 - v) * (c10 - c00) + v * (c11 - c01)
     along_y = bottom - top
-    usable = np.minimum(np.minimum(c00[:, 3], c10[:, 3]), np.minimum(c01[:, 3], c11[:, 3]))
+    usable = np.minimum(np.minimum(c00[:, -1], c10[:, -1]), np.minimum(c01[:, -1], c11[:, -1]))
     weights = np.where(inside, usable, 0.0)
     keep = inside[:, None]
-    gradients = np.stack([along_x[:, :3] * keep, along_y[:, :3] * keep], axis=1)
-    return (values[:, :3] * keep).astype(np.float32), gradients.astype(np.float32), weights.astype(np.float32)
+    gradients = np.stack([along_x[:, :-1] * keep, along_y[:, :-1] * keep], axis=1)
+    return (values[:, :-1] * keep).astype(np.float32), gradients.astype(np.float32), weights.astype(np.float32)
 
 
 def linearise(
@@ -61,7 +61,7 @@ def linearise(
 
     Parameters
     ----------
-    channels : (h, w, 4) float32
+    channels : (h, w, c + 1) float32
         Encoded image.
     points : (n, 2) float64
         W(x; p) in the image's pixels.
@@ -69,17 +69,17 @@ def linearise(
         dW/dp in the model's pixels.
     turn : (2, 2) float64
         Linear part of the similarity from the model's to the image's pixels.
-    metric : (k, 3) float64
+    metric : (k, c) float64
         Rows of P.
-    root_weights : (n,) float32
-        Square root of the model's own weight of each pixel.
-    columns : (n * k, c) float32, c >= n_p
+    root_weights : (n, k) float32
+        Square root of the model's own weight of each pixel and row of P.
+    columns : (n * k, n_columns) float32, n_columns >= n_p
         Receives, in its first n_p columns, root_weight * P dE/dp, row i * k + r for pixel i and row r of P;
         zero where the image weight is 0.
 
     Returns
     -------
-    values : (n, 3) float32
+    values : (n, c) float32
         Samples of the encoded image.
     projected : (n, k) float32
         P times the samples.
@@ -90,7 +90,7 @@ def linearise(
     n, n_p = len(values), warp_jacobian.shape[2]
     projected = values.astype(np.float64) @ metric.T
     steepest = np.einsum("nac,rc,ab->nrb", gradients.astype(np.float64), metric, turn)
-    steepest *= (root_weights * weights).astype(np.float64)[:, None, None]
+    steepest *= (root_weights * weights[:, None]).astype(np.float64)[:, :, None]
     jacobian = np.einsum("nrb,nbp->nrp", steepest, warp_jacobian.astype(np.float64))
     columns[:, :n_p] = jacobian.reshape(n * len(metric), n_p)
     return values, projected.astype(np.float32), weights

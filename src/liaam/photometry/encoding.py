@@ -1,6 +1,6 @@
 """Encodings: what a fitting method measures in an image (DESIGN section 1, column "encoding").
 
-A stored image becomes four float32 channels: three encoded colour channels and one that says how
+A stored image becomes float32 channels: the encoded ones, three colours for most, and a last one that says how
 far the pixel may be trusted (1 usable, 0 not). NaN, black, saturated, 16-bit and float images all
 get a defined answer here and nowhere else.
 """
@@ -13,10 +13,18 @@ from liaam.errors import ImageError, LiaamError, MethodError
 from liaam.photometry.invariant import LUMINANCE
 from liaam.photometry.response import Response, linear_to_srgb, to_linear
 
-ENCODINGS = ("value", "log", "orientation")
+ENCODINGS = ("value", "log", "orientation", "soft")
 """``value``: sRGB-encoded values in [0, 1]; ``log``: natural logarithm of linear light; ``orientation``: cosine
 and sine of the direction of luminance's gradient, third channel zero (Tzimiropoulos, Zafeiriou and Pantic,
-"Subspace learning from image gradient orientations", PAMI 2012)."""
+"Subspace learning from image gradient orientations", PAMI 2012); ``soft``: the gradient of log luminance, softly
+normalised, log of linear light, and whether that log says anything (six channels, see :func:`encode`)."""
+
+SOFTNESS = 0.1
+"""Gradient of log luminance, per pixel of the object's own frame, at which its length is half normalised away. Measured
+on real faces: 0.025 to 0.1 alike, the larger a little ahead with persons that a model has not seen."""
+
+LOG_FLOOR = 0.004
+"""Added to linear luminance before its logarithm, so that the noise of black makes no strong gradients."""
 
 FLAT = 1e-4
 """Gradient of luminance per pixel, in values of [0, 1], below which its direction fades to nothing: a fortieth
@@ -125,6 +133,7 @@ def encode(
     blur: float = 0.0,
     reduce: int = 1,
     turn: np.ndarray | None = None,
+    pixel: float = 1.0,
 ) -> np.ndarray:
     """Encode an image for fitting.
 
@@ -132,7 +141,7 @@ def encode(
     ----------
     image : (h, w, 3) uint8, uint16 or float32
         Stored values. Integers count from 0 to the type's maximum.
-    encoding : {"value", "log", "orientation"}
+    encoding : {"value", "log", "orientation", "soft"}
         See :data:`ENCODINGS`.
     response : Response
         How stored values relate to linear light.
@@ -146,15 +155,22 @@ def encode(
         border is dropped.
     turn : (2, 2) float, optional
         Rotation from the image's to the object's axes, in which directions are given; none if left out.
+    pixel : float
+        Size of a pixel, after reduction, in pixels of the object's own frame; gradients of ``soft`` are per pixel of
+        that frame, so that their normalisation does not depend on the object's size in the picture.
 
     Returns
     -------
-    (h // reduce, w // reduce, 4) float32
-        Three encoded channels, always finite, and the usable weight in {0, 1}: not NaN, and for
-        ``log`` neither dark nor saturated in any channel.
+    (h // reduce, w // reduce, c + 1) float32
+        Encoded channels, always finite, and the usable weight in {0, 1}: not NaN, and for
+        ``log`` neither dark nor saturated in any channel. For ``soft`` the six channels are the gradient's two
+        components g / sqrt(|g|^2 + SOFTNESS^2), log R, log G, log B, and how far these three may be trusted (0 to 1);
+        the gradient may be used in the dark and in highlights too.
     """
     if encoding not in ENCODINGS:
         raise MethodError(f"encoding {encoding!r} does not exist; there are {', '.join(ENCODINGS)}")
+    if encoding == "soft":
+        return _encode_soft(image, response, blur, reduce, turn, pixel)
     stored, usable = _stored_and_usable(image, encoding)
     if reduce > 1:
         linear = _block_mean(_linear(image, stored, response), reduce)
@@ -170,6 +186,25 @@ def encode(
     if encoding == "orientation":
         colour = _orientation(colour @ LUMINANCE[0].astype(np.float32), turn)
     return np.concatenate([colour, usable[..., None].astype(np.float32)], axis=2)
+
+
+def _encode_soft(
+    image: np.ndarray, response: Response, blur: float, reduce: int, turn: np.ndarray | None, pixel: float
+) -> np.ndarray:
+    """Encode for ``soft``: gradients of log luminance, softly normalised, and log RGB with its own weight."""
+    stored, known = _stored_and_usable(image, "log")
+    finite = _stored_and_usable(image, "value")[1]
+    linear = _linear(image, stored, response)
+    if reduce > 1:
+        linear = _block_mean(linear, reduce)
+        known, finite = (_block_mean(mask.astype(np.float32), reduce) > 0.999 for mask in (known, finite))
+    luminance = np.log(linear @ LUMINANCE[0].astype(np.float32) + np.float32(LOG_FLOOR))
+    colour = _encode_linear(linear, "log", response)
+    if blur > 0.0:
+        luminance, colour = _blurred(luminance, finite, blur), _blurred(colour, known, blur)
+    direction = _normalised(_gradient(luminance, turn), SOFTNESS * pixel)
+    masks = np.stack([known, finite], axis=-1).astype(np.float32)
+    return np.concatenate([direction, colour, masks], axis=2, dtype=np.float32)
 
 
 def _block_mean(image: np.ndarray, size: int) -> np.ndarray:
@@ -225,12 +260,21 @@ def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
 
 def _orientation(luminance: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
     """Direction of the gradient as a unit vector in the first two of three channels, (h, w, 3) float32."""
+    direction = _normalised(_gradient(luminance, turn), FLAT)
+    return np.dstack([direction, np.zeros_like(luminance)]).astype(np.float32)
+
+
+def _gradient(luminance: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
+    """Gradient per pixel in the object's axes, (h, w, 2) float32."""
     down, right = np.gradient(luminance)
     gradient = np.stack([right, down], axis=-1)
-    if turn is not None:
-        gradient = gradient @ np.asarray(turn, dtype=np.float32).T
-    length = np.sqrt(np.square(gradient).sum(axis=-1) + np.float32(FLAT**2))
-    return np.dstack([gradient / length[..., None], np.zeros_like(luminance)]).astype(np.float32)
+    return gradient if turn is None else gradient @ np.asarray(turn, dtype=np.float32).T
+
+
+def _normalised(gradient: np.ndarray, softness: float) -> np.ndarray:
+    """Give g / sqrt(|g|^2 + softness^2), (h, w, 2) float32."""
+    length = np.sqrt(np.square(gradient).sum(axis=-1) + np.float32(softness**2))
+    return gradient / length[..., None]
 
 
 def _blurred(colour: np.ndarray, usable: np.ndarray, sigma: float) -> np.ndarray:
@@ -242,5 +286,7 @@ def _blurred(colour: np.ndarray, usable: np.ndarray, sigma: float) -> np.ndarray
 
     if usable.all():
         return smooth(colour)
-    weight = usable[..., None].astype(np.float32) + np.float32(1e-3)
-    return smooth(colour * weight) / smooth(weight)[..., None]
+    weight = usable.astype(np.float32) + np.float32(1e-3)
+    if colour.ndim == 2:
+        return smooth(colour * weight) / smooth(weight)
+    return smooth(colour * weight[..., None]) / smooth(weight)[..., None]
