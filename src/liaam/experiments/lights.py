@@ -1,0 +1,200 @@
+"""Change the light of a real picture whose landmarks are known.
+
+Each light is a function (image, landmarks, rng) -> image of stored sRGB values, (h, w, 3) uint8; what it draws depends
+on the generator only. Light is multiplied in linear values, rounded to 8 bits and cut, as a camera would.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from liaam.photometry import THETA_DEFAULT, linear_to_srgb, srgb_to_linear, temperature_direction
+
+Light = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
+
+SHADOW = (0.22, 0.28, 0.36)
+"""Linear red, green and blue light that a cast shadow leaves: the sky's, so bluer than the sun's."""
+
+DAPPLE = (0.25, 0.30, 0.36)
+"""The same between dapples."""
+
+SHADOW_EDGE = 1.5
+"""Half the width of a cast shadow's edge, pixels."""
+
+SPOT_SIZE = 0.05
+"""Size of dapples, as a share of the object's."""
+
+HEAD = 1.25
+"""Half axes of the head's ellipsoid, in those of the landmarks' box: landmarks leave out forehead and hair."""
+
+
+def unchanged(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Leave the light as it is."""
+    del landmarks, rng
+    return image
+
+
+def hard_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Light a head from one side by a small lamp, with attached and cast shadow.
+
+    The head is an ellipsoid around the landmarks with Lambert's shading; the side that is turned away lies in a cast
+    shadow whose edge bulges as behind a nose. Lamp and ambient light have colour temperatures of their own.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+        Under diffuse light: its own shading stays.
+    landmarks : (n, 2) float64
+    rng : Generator
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    x, y = _grid(image)
+    low, high = landmarks.min(axis=0), landmarks.max(axis=0)
+    centre, radii = 0.5 * (low + high), 0.5 * HEAD * (high - low)
+    side = rng.choice([-1, 1])
+    lamp = _towards(np.deg2rad(rng.uniform(50, 80)) * side, np.deg2rad(rng.uniform(-30, 10)))
+    shading = np.clip(_ellipsoid((x - centre[0]) / radii[0], (y - centre[1]) / radii[1]) @ lamp, 0, None)
+    reaches = _beside_nose(x - centre[0], y - centre[1], radii, side, rng)
+    ambient = rng.uniform(0.12, 0.3) * _colour(rng.uniform(-0.3, 0.5))
+    key = rng.uniform(1.0, 1.5) * _colour(rng.uniform(-0.4, 0.4))
+    return _lit(image, ambient + key * (shading * reaches)[..., None])
+
+
+def _beside_nose(x: np.ndarray, y: np.ndarray, radii: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray:
+    """Share of a lamp's light that gets past a nose-like profile, (h, w); x and y count from the head's centre."""
+    tilt = rng.uniform(-0.35, 0.35)
+    depth = -side * (x * np.cos(tilt) + y * np.sin(tilt)) - rng.uniform(-0.15, 0.25) * radii[0]
+    depth = depth - 0.12 * radii[0] * np.exp(-(((y / radii[1] - 0.1) / 0.25) ** 2))
+    penumbra = rng.uniform(1.5, 5)
+    return 1 - rng.uniform(0.7, 1) * _step(2 * depth / penumbra)
+
+
+def smooth_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Shade a picture smoothly, and change gain and offset of each channel.
+
+    Log light is a random polynomial of second order in the place. Stored values are then scaled by about 25 %, moved
+    by about 0.03 and cut to what 8 bits hold, each channel by itself.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+    landmarks : (n, 2) float64
+    rng : Generator
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    x, y = _grid(image)
+    centre, size = landmarks.mean(axis=0), _size(landmarks)
+    u, v = (x - centre[0]) / size, (y - centre[1]) / size
+    a, b, c, d, e = rng.normal(0, 1, 5) * [1.2, 1.2, 0.8, 0.8, 0.8]
+    light = np.exp(a * u + b * v + c * u**2 + d * u * v + e * v**2 - 0.2)
+    gain, offset = np.exp(rng.normal(0, 0.25, 3)), rng.normal(0, 0.03, 3)
+    # Cut after the gain only: a lower gain brings back what the light alone would have burnt out.
+    return _stored(linear_to_srgb(np.clip(_linear(image) * light[..., None], 0, 4)) * gain + offset)
+
+
+def cast_shadow(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Lay a shadow of :data:`SHADOW` over a half-plane whose edge passes about the object's middle.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+    landmarks : (n, 2) float64
+    rng : Generator
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    x, y = _grid(image)
+    middle = landmarks.mean(axis=0) + rng.normal(0, 0.08, 2) * np.ptp(landmarks, axis=0)
+    angle = rng.uniform(0, 2 * np.pi)
+    depth = (x - middle[0]) * np.cos(angle) + (y - middle[1]) * np.sin(angle)
+    return _shaded(image, _step(depth / SHADOW_EDGE), SHADOW)
+
+
+def dapples(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Scatter spots of light, as under leaves; between them :data:`DAPPLE` is left.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+    landmarks : (n, 2) float64
+    rng : Generator
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    import cv2
+
+    spots = cv2.GaussianBlur(rng.standard_normal(image.shape[:2]), (0, 0), SPOT_SIZE * _size(landmarks))
+    return _shaded(image, 1 - _step(4 * spots / spots.std()), DAPPLE)
+
+
+LIGHTS: dict[str, Light] = {
+    "none": unchanged,
+    "smooth": smooth_light,
+    "shadow": cast_shadow,
+    "dapples": dapples,
+    "hard": hard_light,
+}
+"""Lights by name."""
+
+
+def _grid(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates of all pixels: x of shape (1, w), y of shape (h, 1), float64."""
+    y, x = np.ogrid[: image.shape[0], : image.shape[1]]
+    return x.astype(np.float64), y.astype(np.float64)
+
+
+def _size(landmarks: np.ndarray) -> float:
+    """Longer side of the landmarks' box, pixels."""
+    return float(np.ptp(landmarks, axis=0).max())
+
+
+def _step(x: np.ndarray) -> np.ndarray:
+    """Rise from 0 to 1 about 0."""
+    return 0.5 * (1.0 + np.tanh(x))
+
+
+def _towards(azimuth: float, elevation: float) -> np.ndarray:
+    """Unit vector towards a lamp: x to the right, y downwards, z towards the camera, (3,) float64."""
+    level = np.cos(elevation)
+    return np.array([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level])
+
+
+def _ellipsoid(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Normals of a unit sphere seen from the front, (h, w, 3); beyond its outline they point nearly sideways."""
+    u, v = np.broadcast_arrays(u, v)
+    normals = np.stack([u, v, np.sqrt(np.clip(1 - u**2 - v**2, 0.02, None))], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def _colour(temperature: float) -> np.ndarray:
+    """Light of a colour temperature, moved along d(122°) from white, (3,) float64."""
+    return np.exp(temperature * temperature_direction(THETA_DEFAULT))
+
+
+def _linear(image: np.ndarray) -> np.ndarray:
+    return srgb_to_linear(image.astype(np.float64) / 255)
+
+
+def _stored(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(255 * values), 0, 255).astype(np.uint8)
+
+
+def _lit(image: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Multiply linear values by light, (h, w, 3)."""
+    return _stored(linear_to_srgb(np.clip(_linear(image) * light, 0, 1)))
+
+
+def _shaded(image: np.ndarray, mask: np.ndarray, left: tuple[float, float, float]) -> np.ndarray:
+    """Leave so much of the red, green and blue light where the mask (h, w) is 1, and all of it where it is 0."""
+    mask = mask[..., None]
+    return _lit(image, 1 - mask + mask * np.array(left))
