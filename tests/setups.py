@@ -1,5 +1,6 @@
 """Helpers shared by tests: scenes between scenes, disturbed starts, model pixels, fit problems, a person's pictures."""
 
+import shutil
 from dataclasses import fields
 from pathlib import Path
 
@@ -52,3 +53,11 @@ def write_person(folder: Path, person: int, conditions: str = "123456") -> None:
         scene = render(Head(person), random_pose(rng, (200, 150)), random_expression(rng), lights, size=(200, 150))
         write_image(folder / f"{person:02d}-{condition}m.png", scene.image)
         write_landmarks(folder / f"{person:02d}-{condition}m.pts", scene.landmarks)
+
+
+def copy_files(folder: Path, to: Path, *patterns: str) -> Path:
+    """Copy the files of a folder whose names match; gives where to."""
+    for pattern in patterns:
+        for path in folder.glob(pattern):
+            shutil.copy(path, to)
+    return to

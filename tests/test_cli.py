@@ -132,6 +132,8 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("experiment", "spot", "--data", "{portraits}", "--out", "o"), "named as the IMM"),
         (("experiment", "spot", "--data", "{portraits}", "--out", "o", "--methods", ","), "is empty"),
         (("experiment", "noise", "--out", "o", "--methods", "li,magic"), "'magic' does not exist"),
+        (("experiment", "generic", "--data", "{portraits}", "--out", "o"), "named as the IMM"),
+        (("experiment", "peer", "--data", "{portraits}", "--out", "o", "--methods", "magic"), "'magic' does not exist"),
         (("experiment", "displacement", "--out", "o", "--solver", "oracle"), "there are liaam, paper"),
         (("experiment", "displacement", "--out", "{image}", "--methods", "li"), "is a file"),
         (("experiment", "convergence", "--out", "o", "--data", "{missing}"), "does not exist"),
@@ -228,7 +230,7 @@ def test_a_stopped_experiment_says_how_to_go_on(run, portraits, tmp_path, monkey
 
 
 def test_help_and_methods(run):
-    helped = ("displacement", "noise", "convergence", "spot")
+    helped = ("displacement", "noise", "convergence", "spot", "generic", "peer", "basin", "occlusion", "unchanged")
     commands = (("train",), ("fit",), *(("experiment", name) for name in helped))
     for arguments in (("--help",), *((*command, "--help") for command in commands)):
         code, out, _ = run(*arguments)

@@ -41,6 +41,15 @@ Strength = Annotated[
 ]
 
 SIMULATED = "grey,rgb,li,li-lit,li-pc,li-pcs"
+COMPARED = "rgb,grey,li,igo"
+
+SpotFolder = Annotated[
+    Path, typer.Option("--data", help="Folder with pictures NN-1 … NN-6 of each person and their landmarks.")
+]
+PersonsFolder = Annotated[
+    Path, typer.Option("--data", help="Folder of pictures named after persons, as 01_01, and their landmarks.")
+]
+Starts = Annotated[int, typer.Option(help="Starts per picture.", min=1)]
 
 
 def names_in(text: str, option: str = "--methods") -> tuple[str, ...]:
@@ -88,6 +97,23 @@ def run_sweep(make: Callable[..., "Experiment"], out: Path, jobs: int | None, **
     angles = curves(summary, "theta_error_deg", "median")
     if angles:
         print_lines(angles, f"median error of theta, degrees, by {summary['swept']}")
+    conclude(summary, out)
+
+
+def run_protocol(
+    make: Callable[..., "Experiment"],
+    table: Callable[[dict[str, Any]], tuple[list[str], list[list[str]]]],
+    out: Path,
+    jobs: int | None,
+    **options: Any,
+) -> None:
+    """Run an experiment on a folder of persons and print the table of its report."""
+    summary = execute(make(**options), out, jobs)
+    header, rows = table(summary)
+    shown = table_of(*header)
+    for row in rows:
+        shown.add_row(*row)
+    console.print(shown)
     conclude(summary, out)
 
 
@@ -278,6 +304,96 @@ def reconstruct(
     say("median error of log light: of the input, of what was rebuilt, of the best the model can do")
     console.print(table)
     conclude(summary, out)
+
+
+@experiments.command()
+def generic(
+    data: SpotFolder,
+    out: Out,
+    methods: Methods = COMPARED,
+    trials: Starts = 1,
+    seed: Seed = 0,
+    solver: Solver = "liaam",
+    jobs: Jobs = None,
+) -> None:
+    """What does another light cost a generic model, on persons it has never seen?"""
+    from liaam.experiments import generic as module
+
+    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
+    run_protocol(module.generic_experiment, module.table, out, jobs, **options)
+
+
+@experiments.command()
+def peer(
+    data: PersonsFolder,
+    out: Out,
+    methods: Methods = COMPARED,
+    trials: Annotated[int, typer.Option(help="Starts per picture and light.", min=1)] = 1,
+    seed: Seed = 0,
+    solver: Solver = "liaam",
+    unseen: Annotated[
+        bool, typer.Option("--unseen", help="Fit persons that the model has not seen, two left out at a time.")
+    ] = False,
+    jobs: Jobs = None,
+) -> None:
+    """How do we compare with menpofit's published figures, on its own protocol?"""
+    from liaam.experiments import peer as module
+
+    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
+    run_protocol(module.peer_experiment, module.table, out, jobs, **options, unseen=unseen)
+
+
+@experiments.command()
+def basin(
+    data: Annotated[
+        Path, typer.Option(help="Folder of the spot protocol, or of pictures named after persons, as 01_01.")
+    ],
+    out: Out,
+    methods: Methods = COMPARED,
+    trials: Starts = 20,
+    seed: Seed = 0,
+    solver: Solver = "liaam",
+    jobs: Jobs = None,
+) -> None:
+    """From how far away do fits still find the object?"""
+    from liaam.experiments import basin as module
+
+    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
+    run_protocol(module.basin_experiment, module.table, out, jobs, **options)
+
+
+@experiments.command()
+def occlusion(
+    data: SpotFolder,
+    out: Out,
+    methods: Methods = COMPARED,
+    trials: Annotated[int, typer.Option(help="Starts and patches per picture.", min=1)] = 2,
+    seed: Seed = 0,
+    solver: Solver = "liaam",
+    jobs: Jobs = None,
+) -> None:
+    """What does a textured patch over a fifth of the face cost?"""
+    from liaam.experiments import occlusion as module
+
+    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
+    run_protocol(module.occlusion_experiment, module.table, out, jobs, **options)
+
+
+@experiments.command()
+def unchanged(
+    data: SpotFolder,
+    out: Out,
+    methods: Methods = f"{COMPARED},chroma",
+    trials: Starts = 1,
+    seed: Seed = 0,
+    solver: Solver = "liaam",
+    jobs: Jobs = None,
+) -> None:
+    """What does invariance cost where the light has not changed? (Leave-one-out on diffuse pictures.)"""
+    from liaam.experiments import unchanged as module
+
+    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
+    run_protocol(module.unchanged_experiment, module.table, out, jobs, **options)
 
 
 def reproduce(

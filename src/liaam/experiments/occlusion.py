@@ -1,0 +1,288 @@
+"""What does a patch over the object cost? Textured ones, on person-specific models of real faces.
+
+Each person's spot-lit picture is fitted with a model of the five others, and one diffuse picture with a model of the
+remaining four; from each start once as it is, and once with a patch over about a fifth of the face.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.evaluation import inter_ocular_distance, or_dash
+from liaam.experiments.protocol import (
+    METHODS,
+    STARTS,
+    TRAINED,
+    Header,
+    Request,
+    Split,
+    Table,
+    columns_of,
+    eight_bit,
+    in_percent,
+    ratio,
+    select,
+    statistics,
+    tell,
+)
+from liaam.experiments.runner import Experiment, Row
+from liaam.experiments.spot import EYES, Person, disturbed_start, facts_of, find_persons, percent
+from liaam.plotting import figure_of_bars, figure_of_pictures
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COVERED = 0.2
+"""Share of the object's area under the patch."""
+
+LIGHTS = ("diffuse", "spot")
+PATCHES = ("colours", "copy")
+CELLS = 5
+"""Random colours along each side of a patch."""
+
+TRIES = 100
+"""Places that are tried for a patch, or for the piece of picture it shows."""
+
+CHOICES = (
+    f"Patch: a rectangle of {COVERED:.0%} of the area of the landmarks' convex hull, shaped as their box, with its "
+    "corners inside the hull; it shows random smooth colours, or another place of the same picture, by turns.",
+    STARTS,
+    "A start is the same with and without patch. The diffuse picture is the first of the first person, the second of "
+    "the next, and so on.",
+    TRAINED,
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One picture of one person: one task.
+
+    Attributes
+    ----------
+    split : Split
+        Its one tested picture is fitted.
+    light : str
+        Of :data:`LIGHTS`.
+    turn : int
+        Place of the person among all, by which patches take turns.
+    """
+
+    split: Split
+    light: str
+    turn: int
+
+    @property
+    def key(self) -> str:
+        """Name for the journal."""
+        return f"{self.split.key}, {self.light}"
+
+    def patch(self, trial: int) -> str:
+        """Kind of patch of a trial."""
+        return PATCHES[(self.turn + trial) % len(PATCHES)]
+
+
+def cases_of(turn: int, person: Person) -> tuple[Case, Case]:
+    """Give one person's diffuse and spot-lit picture, each with what its model is trained on."""
+    out = turn % len(person.training)
+    others = person.training[:out] + person.training[out + 1 :]
+    return (
+        Case(Split(person.name, others, (person.training[out],)), "diffuse", turn),
+        Case(Split(person.name, person.training, (person.spot,)), "spot", turn),
+    )
+
+
+def patch_box(landmarks: np.ndarray, size: tuple[int, int], rng: np.random.Generator) -> tuple[int, int, int, int]:
+    """Choose where a patch lies.
+
+    Parameters
+    ----------
+    landmarks : (n, 2) float64
+    size : (int, int)
+        Width and height of the picture.
+    rng : Generator
+
+    Returns
+    -------
+    (x0, y0, x1, y1) : tuple of int
+        Pixels, the last ones not included. Of 100 places the first with all corners inside the landmarks' hull; if
+        there is none, that with the most.
+    """
+    import cv2
+
+    hull = cv2.convexHull(landmarks.astype(np.float32))
+    low, extent = landmarks.min(axis=0), np.ptp(landmarks, axis=0)
+    patch = extent * np.sqrt(COVERED * cv2.contourArea(hull) / np.prod(extent))
+    corners = low + (extent - patch) * rng.uniform(size=(TRIES, 2))
+    inside = [
+        sum(cv2.pointPolygonTest(hull, (x + dx * patch[0], y + dy * patch[1]), False) >= 0 for dx, dy in CORNERS)
+        for x, y in corners
+    ]
+    corner = corners[int(np.argmax(inside))]
+    (x0, y0), (x1, y1) = (np.clip(np.rint(point).astype(int), 0, size) for point in (corner, corner + patch))
+    return int(x0), int(y0), int(x1), int(y1)
+
+
+CORNERS = ((0, 0), (1, 0), (0, 1), (1, 1))
+
+
+def covered(image: np.ndarray, landmarks: np.ndarray, kind: str, rng: np.random.Generator) -> np.ndarray:
+    """Lay a textured patch over about a fifth of an object.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+    landmarks : (n, 2) float64
+    kind : {"colours", "copy"}
+        Random smooth colours, or another place of the same picture.
+    rng : Generator
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    x0, y0, x1, y1 = patch_box(landmarks, (image.shape[1], image.shape[0]), rng)
+    size = (x1 - x0, y1 - y0)
+    patch = _colours(size, rng) if kind == "colours" else _elsewhere(image, (x0, y0), size, rng)
+    image = image.copy()
+    image[y0:y1, x0:x1] = patch
+    return image
+
+
+def _colours(size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+    """Random colours that pass smoothly into each other, (h, w, 3) uint8."""
+    import cv2
+
+    colours = rng.uniform(0, 255, (CELLS, CELLS, 3))
+    return np.clip(np.rint(cv2.resize(colours, size, interpolation=cv2.INTER_CUBIC)), 0, 255).astype(np.uint8)
+
+
+def _elsewhere(
+    image: np.ndarray, corner: tuple[int, int], size: tuple[int, int], rng: np.random.Generator
+) -> np.ndarray:
+    """A piece of a picture from another place: of some at random, the first that overlaps least."""
+    room = np.array([image.shape[1] - size[0], image.shape[0] - size[1]])
+    places = rng.integers(0, room + 1, (TRIES, 2))
+    overlap = np.prod(np.clip(np.array(size) - np.abs(places - corner), 0, None), axis=1)
+    x, y = places[int(np.argmin(overlap))]
+    return image[y : y + size[1], x : x + size[0]]
+
+
+def fit_case(request: Request, case: Case) -> list[Row]:
+    """Fit one picture with and without patches."""
+    (sample,) = case.split.tested
+    trained = request.train(case.split.training, case.key)
+    image, truth = eight_bit(sample), sample.landmarks.points
+    iod = inter_ocular_distance(truth, *EYES)
+    rows = []
+    for trial in range(request.trials):
+        start = disturbed_start(trained.mean, truth, iod, request.rng(sample.name, trial))
+        patched = covered(image, truth, case.patch(trial), request.rng(sample.name, trial, "patch"))
+        labels = {"person": case.split.name, "picture": sample.name, "light": case.light, "trial": trial}
+        rows += trained.fit(image, truth, iod, start, **labels, patch="none")
+        rows += trained.fit(patched, truth, iod, start, **labels, patch=case.patch(trial))
+    return rows
+
+
+def occlusion_experiment(
+    data: Path, methods: Sequence[str] = METHODS, trials: int = 2, seed: int = 0, solver: str = "liaam"
+) -> Experiment:
+    """Make the experiment.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of pictures ``NN-Js.*`` with landmarks, as the spot protocol has them.
+    methods : sequence of str
+    trials : int
+        Starts and patches per picture.
+    seed : int
+    solver : str
+        Of :data:`liaam.experiments.solvers.SOLVERS`.
+    """
+    request = Request(data, tuple(methods), trials, seed, solver)
+    persons, left_out = find_persons(data)
+    cases = tuple(case for turn, person in enumerate(persons) for case in cases_of(turn, person))
+    return Experiment(
+        name="occlusion",
+        title="A textured patch over a fifth of the face",
+        settings={**facts_of(data, persons), **request.settings()},
+        tasks=cases,
+        work=partial(fit_case, request),
+        columns=columns_of("person", "picture", "light", "trial", "patch"),
+        summarise=partial(summarise, request.methods),
+        draw=draw,
+        report=report,
+        pictures=partial(draw_pictures, request, cases[0]),
+        choices=CHOICES,
+        left_out=left_out,
+        skips_faults=True,
+    )
+
+
+def summarise(methods: Sequence[str], rows: list[Row]) -> dict[str, Any]:
+    """Statistics by method and light, without and with a patch, and with each kind of patch."""
+    return {
+        "persons": sorted({row["person"] for row in rows}),
+        "methods": {
+            method: {light: _by_patch(select(rows, method=method, light=light)) for light in LIGHTS}
+            for method in methods
+        },
+    }
+
+
+def _by_patch(rows: list[Row]) -> dict[str, Any]:
+    bare, under = select(rows, patch="none"), [row for row in rows if row["patch"] != "none"]
+    cells = {"uncovered": statistics(bare), "covered": statistics(under)}
+    return {
+        **cells,
+        "ratio": ratio(cells["covered"]["nme_median"], cells["uncovered"]["nme_median"]),
+        "patches": {kind: statistics(select(rows, patch=kind)) for kind in PATCHES},
+    }
+
+
+def table(summary: dict[str, Any]) -> tuple[Header, Table]:
+    """Medians by light and method."""
+    header = ["light", "method", "bare, %", "patch, %", "ratio", *PATCHES, "bare > 8 %", "patch > 8 %"]
+    rows = []
+    for light in LIGHTS:
+        for method, cells in summary["methods"].items():
+            cell = cells[light]
+            medians = [percent(cell[name]["nme_median"]) for name in ("uncovered", "covered")]
+            kinds = [percent(cell["patches"][kind]["nme_median"]) for kind in PATCHES]
+            beyond = [percent(cell[name]["beyond"], 0) for name in ("uncovered", "covered")]
+            rows.append([light, method, *medians, or_dash(cell["ratio"], ".2f"), *kinds, *beyond])
+    return header, rows
+
+
+def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
+    """Median errors as bars, a panel for each light with and without patch."""
+    methods = summary["methods"]
+    groups = {
+        f"{light}, {how}": in_percent({method: cells[light][how]["nme_median"] for method, cells in methods.items()})
+        for light in LIGHTS
+        for how in ("uncovered", "covered")
+    }
+    return figure_of_bars(groups, "median error, % of inter-ocular distance")
+
+
+def draw_pictures(request: Request, case: Case) -> "Figure":
+    """First picture without and with each kind of patch."""
+    (sample,) = case.split.tested
+    image, truth = eight_bit(sample), sample.landmarks.points
+    patched = {kind: covered(image, truth, kind, request.rng(sample.name, 0, "patch")) for kind in PATCHES}
+    return figure_of_pictures([{"uncovered": image, **patched}])
+
+
+def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+    """What was asked, and the medians."""
+    question = (
+        f"What does a patch over a fifth of the face cost? Models of one person each, of {len(summary['persons'])} "
+        "persons, fitted to a picture under the light of training and to one under a spot light. Median error by "
+        "inter-ocular distance; ratio: with patch by bare; then by what the patch shows, "
+        "and the shares of fits beyond 8 %."
+    )
+    return tell(question, table(summary))

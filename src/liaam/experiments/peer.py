@@ -1,0 +1,303 @@
+"""The protocol of a peer: menpofit's published comparison on a set of frontal faces, light changed by computer.
+
+A model of several persons is fitted to other pictures of the same persons, or of persons it has never seen, under the
+light of training and under three changes of it. Errors are shares of 0.3 diagonals of the landmarks' box, starts lie
+in the true box, slightly disturbed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.datasets import Sample
+from liaam.errors import LiaamError
+from liaam.experiments.lights import LIGHTS
+from liaam.experiments.protocol import (
+    FACE,
+    METHODS,
+    TRAINED,
+    Header,
+    Request,
+    Table,
+    Trained,
+    columns_of,
+    eight_bit,
+    group_by_person,
+    in_percent,
+    median_bound,
+    select,
+    statistics,
+    tell,
+)
+from liaam.experiments.runner import Experiment, Row
+from liaam.experiments.spot import percent
+from liaam.experiments.subjects import data_facts
+from liaam.plotting import figure_of_bars, figure_of_pictures
+from liaam.shape import diagonal_of, rotation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHOWN = ("none", "smooth", "shadow", "dapples")
+"""Lights of the protocol, of :data:`liaam.experiments.lights.LIGHTS`."""
+
+PER_FOLD = 2
+"""Persons left out together where those fitted are unseen."""
+
+AT_LEAST = 2
+"""Pictures that a person must have."""
+
+SCALE, TURN, SHIFT = 0.05, float(np.deg2rad(3.0)), 0.03
+"""Largest disturbance of a start: change of scale, radians, and shift along each axis by the box's diagonal."""
+
+ORIENTATIONS, RAW = "menpofit, orientations", "menpofit, raw RGB"
+
+PUBLISHED: dict[bool, dict[tuple[str, str], tuple[float | None, float]]] = {
+    False: {
+        ("none", RAW): (1.00, 0.0126),
+        ("smooth", ORIENTATIONS): (0.82, 0.016),
+        ("shadow", ORIENTATIONS): (1.00, 0.014),
+        ("dapples", ORIENTATIONS): (0.96, 0.015),
+    },
+    True: {
+        ("none", ORIENTATIONS): (None, 0.049),
+        ("smooth", ORIENTATIONS): (None, 0.075),
+        ("shadow", ORIENTATIONS): (None, 0.041),
+    },
+}
+"""What the peer publishes, by (whether persons are unseen), (light, method): share converged and median error. On
+pictures, lights and starts drawn by its own seeds: compare what is far apart."""
+
+CHOICES = (
+    f"Starts: the mean shape with centre and diagonal of the true box, scaled by ±{SCALE:.0%}, turned by "
+    f"±{np.rad2deg(TURN):.0f}° and moved by ±{SHIFT:.0%} of the diagonal along each axis, all uniform.",
+    "Smooth: log light is a random polynomial of second order, and each channel has a gain and an offset of its own. "
+    "Shadow: half a plane keeps 0.22, 0.28 and 0.36 of the red, green and blue light. Dapples: all but spots keeps "
+    "0.25, 0.30 and 0.36. Drawn anew for each start, the same for all methods.",
+    f"Errors are shares of {FACE} diagonals of the landmarks' box; converged: below 8 %.",
+    TRAINED,
+)
+
+
+@dataclass(frozen=True)
+class Fold:
+    """What one model is trained on, and what it is fitted to.
+
+    Attributes
+    ----------
+    training, tested : tuple of Sample
+    """
+
+    training: tuple[Sample, ...]
+    tested: tuple[Sample, ...]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture to fit under all lights: one task."""
+
+    fold: int
+    name: str
+
+    @property
+    def key(self) -> str:
+        """Name for the journal."""
+        return f"picture {self.name}"
+
+
+@lru_cache(maxsize=2)
+def get_folds(folder: Path, unseen: bool) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
+    """Split a folder; once per process.
+
+    Parameters
+    ----------
+    folder : Path
+        Pictures named after persons, as 01_03.
+    unseen : bool
+        Whether two persons at a time are left out; else every other picture of each person is trained on, from the
+        first.
+
+    Returns
+    -------
+    folds : tuple of Fold
+    left_out : tuple of str
+        What is not used, and why.
+
+    Raises
+    ------
+    LiaamError
+        If there are too few persons.
+    """
+    persons, left_out = group_by_person(folder, AT_LEAST)
+    if not unseen:
+        samples = persons.values()
+        return (Fold(_all(s[0::2] for s in samples), _all(s[1::2] for s in samples)),), left_out
+    if len(persons) <= PER_FOLD:
+        raise LiaamError(
+            f"{folder}: {len(persons)} persons; with {PER_FOLD} left out nobody is there to train on: add some, or fit "
+            "persons seen in training (without --unseen)"
+        )
+    groups, folds = list(persons.values()), []
+    for first in range(0, len(groups), PER_FOLD):
+        out = groups[first : first + PER_FOLD]
+        folds.append(Fold(_all(group for group in groups if group not in out), _all(out)))
+    return tuple(folds), left_out
+
+
+def _all(groups) -> tuple[Sample, ...]:
+    return tuple(sample for group in groups for sample in group)
+
+
+@lru_cache(maxsize=1)
+def get_trained(request: Request, unseen: bool, fold: int) -> Trained:
+    """Train a fold's model; once per process."""
+    return request.train(get_folds(request.data, unseen)[0][fold].training, f"fold {fold}")
+
+
+def box_start(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Mean shape in the true bounding box, then disturbed: scale, rotation and shift, drawn in this order.
+
+    Parameters
+    ----------
+    mean, truth : (n, 2) float64
+
+    Returns
+    -------
+    (n, 2) float64
+    """
+    size = diagonal_of(truth)
+    scale = size / diagonal_of(mean) * rng.uniform(1 - SCALE, 1 + SCALE)
+    turn = rotation(rng.uniform(-TURN, TURN))
+    shift = rng.uniform(-SHIFT, SHIFT, 2) * size
+    return scale * (mean - _middle(mean)) @ turn.T + _middle(truth) + shift
+
+
+def _middle(shape: np.ndarray) -> np.ndarray:
+    return 0.5 * (shape.min(axis=0) + shape.max(axis=0))
+
+
+def fit_picture(request: Request, unseen: bool, task: Picture) -> list[Row]:
+    """Fit one picture under every light; a start is the same under all of them."""
+    trained = get_trained(request, unseen, task.fold)
+    sample = next(s for s in get_folds(request.data, unseen)[0][task.fold].tested if s.name == task.name)
+    image, truth = eight_bit(sample), sample.landmarks.points
+    rows = []
+    for trial in range(request.trials):
+        start = box_start(trained.mean, truth, request.rng(sample.name, trial))
+        for light in SHOWN:
+            changed = LIGHTS[light](image, truth, request.rng(sample.name, trial, light))
+            labels = {"picture": sample.name, "light": light, "trial": trial}
+            rows += trained.fit(changed, truth, FACE * diagonal_of(truth), start, **labels)
+    return rows
+
+
+def peer_experiment(
+    data: Path,
+    methods: Sequence[str] = METHODS,
+    trials: int = 1,
+    seed: int = 0,
+    solver: str = "liaam",
+    unseen: bool = False,
+) -> Experiment:
+    """Make the experiment.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of pictures named after persons (``01_03``) with landmarks, as the IMM frontal face database.
+    methods : sequence of str
+    trials : int
+        Starts per picture and light.
+    seed : int
+    solver : str
+        Of :data:`liaam.experiments.solvers.SOLVERS`.
+    unseen : bool
+        Whether to fit persons that the model has not seen.
+    """
+    request = Request(data, tuple(methods), trials, seed, solver)
+    folds, left_out = get_folds(data, unseen)
+    samples = sorted({s for fold in folds for s in (*fold.training, *fold.tested)}, key=lambda sample: sample.name)
+    return Experiment(
+        name="peer",
+        title=f"A peer's protocol: {_persons(unseen)}",
+        settings={
+            "data": data.resolve().name,
+            **data_facts(samples),
+            "persons": "unseen" if unseen else "seen",
+            **request.settings(),
+        },
+        tasks=tuple(Picture(i, sample.name) for i, fold in enumerate(folds) for sample in fold.tested),
+        work=partial(fit_picture, request, unseen),
+        columns=columns_of("picture", "light", "trial"),
+        summarise=partial(summarise, request.methods, unseen),
+        draw=draw,
+        report=report,
+        pictures=partial(draw_pictures, request, unseen),
+        choices=CHOICES,
+        left_out=left_out,
+        skips_faults=True,
+    )
+
+
+def _persons(unseen: bool) -> str:
+    return "persons never seen" if unseen else "persons seen in training"
+
+
+def summarise(methods: Sequence[str], unseen: bool, rows: list[Row]) -> dict[str, Any]:
+    """Statistics by method and light."""
+    return {
+        "unseen": unseen,
+        "bound_median": median_bound(rows),
+        "methods": {
+            method: {light: statistics(select(rows, method=method, light=light)) for light in SHOWN}
+            for method in methods
+        },
+    }
+
+
+def table(summary: dict[str, Any]) -> tuple[Header, Table]:
+    """Medians by light and method, the peer's beside them."""
+    rows = []
+    for light in SHOWN:
+        for method, cells in summary["methods"].items():
+            cell = cells[light]
+            numbers = (percent(1 - cell["beyond"], 0), percent(cell["nme_median"]), percent(cell["nme_p90"]))
+            rows.append([light, method, *numbers, f"{1000 * cell['seconds_median']:.0f}"])
+        rows += [
+            [light, method, percent(converged, 0), percent(median), "–", "–"]
+            for (where, method), (converged, median) in PUBLISHED[summary["unseen"]].items()
+            if where == light
+        ]
+    return ["light", "method", "converged, %", "median, %", "p90, %", "ms"], rows
+
+
+def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
+    """Median errors as bars, a panel for each light."""
+    methods = summary["methods"]
+    groups = {
+        light: in_percent({method: cells[light]["nme_median"] for method, cells in methods.items()}) for light in SHOWN
+    }
+    return figure_of_bars(groups, f"median error, % of {FACE} box diagonals")
+
+
+def draw_pictures(request: Request, unseen: bool) -> "Figure":
+    """First tested picture under every light."""
+    sample = get_folds(request.data, unseen)[0][0].tested[0]
+    image, truth = eight_bit(sample), sample.landmarks.points
+    return figure_of_pictures(
+        [{light: LIGHTS[light](image, truth, request.rng(sample.name, 0, light)) for light in SHOWN}]
+    )
+
+
+def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+    """What was asked, and the medians."""
+    question = (
+        f"How do we compare with a peer on its own protocol, {_persons(summary['unseen'])}? The rows of menpofit are "
+        "its published figures (orientations: gradients' of RGB, Wiberg's algorithm, two scales), with other draws of "
+        f"light and start than ours. The shape model's bound here: {percent(summary['bound_median'])} %."
+    )
+    return tell(question, table(summary))

@@ -1,0 +1,260 @@
+"""What the protocols on folders of many persons share: who is who, a fit's row, and what rows come to."""
+
+import re
+import time
+import zlib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from liaam.datasets import Sample, load_folder
+from liaam.errors import LiaamError
+from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme
+from liaam.experiments import spot
+from liaam.experiments.runner import Row, markdown_table
+from liaam.experiments.solvers import check_request, get_solver, make_fitters
+from liaam.experiments.spot import CONVERGED, EYES
+from liaam.fitting import Fitter
+from liaam.model import AAM
+from liaam.photometry import is_grey
+from liaam.photometry.encoding import as_colour
+from liaam.shape import diagonal_of
+
+METHODS = ("rgb", "grey", "li", "igo")
+"""Methods that are compared if none are named."""
+
+VARIANCE = 0.98
+"""Share of the variance of shape and of appearance that models keep."""
+
+EYES_BY_COUNT = {58: EYES, 73: (slice(16, 24), slice(24, 32))}
+"""Landmarks of the two eyes by the number of landmarks (IMM, and IMM frontal), counting from 0."""
+
+FACE = 0.3
+"""What stands for the inter-ocular distance where nobody knows which landmarks are eyes, in diagonals of their box."""
+
+RESULTS = {"nme": ".6f", "bound": ".6f", "iterations": "", "status": "", "seconds": ".4f"}
+"""Columns of results.csv that every fit has. ``nme``: mean distance to the landmarks in the protocol's unit;
+``bound``: the same for the true shape projected on the shape model; ``seconds``: of the fit, which no two runs agree
+on."""
+
+STARTS, TRAINED = spot.CHOICES
+"""What was chosen for starts and models, in words."""
+
+Header = list[str]
+Table = list[list[str]]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for.
+
+    Attributes
+    ----------
+    data : Path
+        Folder of pictures with landmarks.
+    methods : tuple of str
+    trials : int
+        Starts per picture.
+    seed : int
+    solver : str
+        Of :data:`liaam.experiments.solvers.SOLVERS`.
+    """
+
+    data: Path
+    methods: tuple[str, ...]
+    trials: int
+    seed: int
+    solver: str
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be done, before any work."""
+        check_request(self.methods, self.solver, self.trials)
+
+    def settings(self) -> dict[str, Any]:
+        """What decides the results, besides the pictures."""
+        return {
+            "methods": list(self.methods),
+            "trials": self.trials,
+            "seed": self.seed,
+            "solver": f"{self.solver}: {get_solver(self.solver).summary}",
+        }
+
+    def train(self, samples: Iterable[Sample], name: str) -> "Trained":
+        """Train a model on some pictures, with a fitter for each method."""
+        model = get_solver(self.solver).train(samples, variance=VARIANCE, name=name)
+        return Trained(model, make_fitters(model, self.methods, self.solver))
+
+    def rng(self, *what: str | int) -> np.random.Generator:
+        """Give the generator of one draw: it depends on the seed and on what is drawn, so methods share it."""
+        return np.random.default_rng([self.seed, *(zlib.crc32(str(item).encode()) for item in what)])
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A model and its fitters by method."""
+
+    model: AAM
+    fitters: Mapping[str, Fitter]
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Mean shape, (n, 2) float64, centred, model pixels."""
+        return self.model.shape_model.mean
+
+    def fit(self, image: np.ndarray, truth: np.ndarray, unit: float, start: np.ndarray, **labels: Any) -> list[Row]:
+        """Fit a picture with every method from one start.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8
+        truth, start : (n, 2) float64
+        unit : float
+            Length that errors are shares of, pixels.
+        **labels
+            Further columns.
+        """
+        bound = nme(self.model.shape_model.project(truth), truth, unit)
+        rows = []
+        for method, fitter in self.fitters.items():
+            began = time.perf_counter()
+            result = fitter.fit(image, start)
+            seconds = time.perf_counter() - began
+            row = {"method": method, **labels, "nme": nme(result.shape, truth, unit), "bound": bound}
+            rows.append(row | {"iterations": result.n_iterations, "status": str(result.status), "seconds": seconds})
+        return rows
+
+
+@dataclass(frozen=True)
+class Split:
+    """Pictures of one person, some to train on and some to fit: one task.
+
+    Attributes
+    ----------
+    name : str
+        Of the person.
+    training, tested : tuple of Sample
+    """
+
+    name: str
+    training: tuple[Sample, ...]
+    tested: tuple[Sample, ...]
+
+    @property
+    def key(self) -> str:
+        """Name for the journal."""
+        return f"person {self.name}"
+
+
+def group_by_person(folder: Path, at_least: int) -> tuple[dict[str, tuple[Sample, ...]], tuple[str, ...]]:
+    """Group a folder whose pictures are named ``PERSON-…`` or ``PERSON_…``.
+
+    Parameters
+    ----------
+    folder : Path
+    at_least : int
+        Pictures that a person must have.
+
+    Returns
+    -------
+    persons : dict of str to tuple of Sample
+        By name, in order; pictures in natural order.
+    left_out : tuple of str
+        What was left out, and why.
+
+    Raises
+    ------
+    LiaamError
+        If no person is left.
+    """
+    data = load_folder(folder)
+    left_out = [f"{item.path.name}: {item.reason}" for item in data.left_out]
+    groups: dict[str, list[Sample]] = defaultdict(list)
+    for sample in data:
+        match = re.match(r"([^-_]+)[-_].", Path(sample.name).name)
+        if match is None:
+            left_out.append(f"{sample.name}: the name does not begin with a person's, as in 01_03")
+        elif not np.isfinite(sample.landmarks.points).all():
+            left_out.append(f"{sample.name}: landmarks are missing")
+        else:
+            groups[match[1]].append(sample)
+    faults = {name: _fault_of(samples, at_least) for name, samples in groups.items()}
+    left_out += [f"person {name}: {fault}" for name, fault in sorted(faults.items()) if fault]
+    persons = {name: tuple(samples) for name, samples in sorted(groups.items()) if not faults[name]}
+    if not persons:
+        raise LiaamError(
+            f"{folder}: no person has {at_least} landmarked pictures in colour; name pictures after persons, as 01_01, "
+            f"01_02, 02_01 …{f' (left out: {left_out[0]})' if left_out else ''}"
+        )
+    return persons, tuple(left_out)
+
+
+def _fault_of(samples: Sequence[Sample], at_least: int) -> str | None:
+    if len(samples) < at_least:
+        return f"{len(samples)} pictures where {at_least} are needed"
+    return "the pictures are grey" if is_grey(samples[0].read_image()) else None
+
+
+def eight_bit(sample: Sample) -> np.ndarray:
+    """Read a picture as (h, w, 3) uint8: what is laid over pictures is made for 8 bits."""
+    image = as_colour(sample.read_image(), sample.name)
+    if image.dtype == np.uint8:
+        return image
+    whole = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else 1.0
+    return np.clip(np.rint(image * (255.0 / whole)), 0, 255).astype(np.uint8)
+
+
+def face_size(truth: np.ndarray) -> float:
+    """Inter-ocular distance of a face, pixels, or what comes near it where the eyes' landmarks are not known."""
+    eyes = EYES_BY_COUNT.get(len(truth))
+    return inter_ocular_distance(truth, *eyes) if eyes else FACE * diagonal_of(truth)
+
+
+def columns_of(*labels: str) -> dict[str, str]:
+    """Columns of results.csv and their formats."""
+    return {"method": "", **dict.fromkeys(labels, ""), **RESULTS}
+
+
+def select(rows: Iterable[Row], **labels: Any) -> list[Row]:
+    """Rows with given values in some columns."""
+    return [row for row in rows if all(row[name] == value for name, value in labels.items())]
+
+
+def statistics(rows: Sequence[Row]) -> dict[str, Any]:
+    """What a set of fits comes to; None where nothing finite can be said."""
+    if not rows:
+        return {"fits": 0, **dict.fromkeys(("nme_median", "nme_p90", "beyond", "excess_median", "seconds_median"))}
+    errors = np.array([row["nme"] for row in rows])
+    found = error_statistics(errors)
+    return {
+        "fits": len(rows),
+        "nme_median": found["median"],
+        "nme_p90": found["p90"],
+        "beyond": float(np.mean(~(errors < CONVERGED))),
+        "excess_median": finite_or_none(np.median(errors - [row["bound"] for row in rows])),
+        "seconds_median": float(np.median([row["seconds"] for row in rows])),
+    }
+
+
+def ratio(value: float | None, reference: float | None) -> float | None:
+    """Quotient of two medians, None without either."""
+    return None if value is None or not reference else value / reference
+
+
+def median_bound(rows: Sequence[Row]) -> float | None:
+    """Median of the shape model's bound over pictures; the methods of a picture share it."""
+    first = rows[0]["method"]
+    return finite_or_none(np.median([row["bound"] for row in rows if row["method"] == first]))
+
+
+def in_percent(values: Mapping[str, float | None]) -> dict[str, float | None]:
+    """Shares by method in per cent, for bars."""
+    return {method: None if value is None else 100 * value for method, value in values.items()}
+
+
+def tell(question: str, table: tuple[Header, Table]) -> str:
+    """Write the body of a report: what was asked, and a table."""
+    return f"{question}\n\n{markdown_table(*table)}"
