@@ -169,6 +169,8 @@ def _tensors(model: AAM) -> dict[str, np.ndarray]:
         "shape.eigenvalues": shape.eigenvalues,
         "triangles": model.triangles,
     }
+    if shape.unexplained is not None:
+        tensors["shape.unexplained"] = shape.unexplained
     for prefix, levels in (("level", model.levels), ("soft_level", model.soft_levels)):
         for i, level in enumerate(levels):
             for name, appearance in level.appearances.items():
@@ -251,7 +253,12 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     frame = ReferenceFrame(mean, triangles)
     if frame.n_pixels != header["n_pixels"]:
         raise ValueError("its reference frame does not match its pixels")
-    shape_model = ShapeModel(mean, modes, eigenvalues)
+    unexplained = None  # absent from files of earlier versions
+    if "shape.unexplained" in tensors:
+        unexplained = _tensor(tensors, "shape.unexplained", np.float64, (n, 2, 2))
+        if (np.diagonal(unexplained, axis1=1, axis2=2) < 0).any():
+            raise ValueError("shape.unexplained has variances below 0")
+    shape_model = ShapeModel(mean, modes, eigenvalues, unexplained)
     return AAM(
         shape_model=shape_model,
         triangles=triangles,

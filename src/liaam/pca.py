@@ -70,3 +70,37 @@ def count_modes(squares: np.ndarray, variance: float | int) -> int:
         return rank
     share = np.cumsum(squares[:rank]) / squares[:rank].sum()
     return min(int(np.searchsorted(share, variance - 1e-12)) + 1, rank)
+
+
+FOLDS = 10
+"""Folds of the leave-out residuals, at most; with fewer images each is left out alone."""
+
+
+def unexplained_by_others(vectors: np.ndarray, variance: float | int) -> np.ndarray:
+    """What the principal components of the other vectors leave of each vector, (n, d) float32.
+
+    Worked out on the vectors' Gram matrix: the components of a fold are combinations of vectors, so the
+    long vectors are touched twice in all.
+    """
+    n = len(vectors)
+    if n < 2:
+        return np.zeros_like(vectors, dtype=np.float32)
+    centred = vectors - vectors.mean(axis=0, dtype=np.float64).astype(vectors.dtype)
+    products = np.asarray(centred @ centred.T, dtype=np.float64)
+    explained = np.zeros((n, n))  # row: the combination of vectors that stands for each
+    for fold in np.array_split(np.arange(n), min(n, FOLDS)):
+        others = np.setdiff1d(np.arange(n), fold)
+        explained[np.ix_(fold, others)] = _combinations(products, others, fold, variance)
+    return (centred - explained.astype(vectors.dtype) @ centred).astype(np.float32)
+
+
+def _combinations(products: np.ndarray, others: np.ndarray, fold: np.ndarray, variance: float | int) -> np.ndarray:
+    """Combinations of the others that are nearest to the fold's vectors in the others' components."""
+    within = products[np.ix_(others, others)]
+    centring = np.eye(len(others)) - 1.0 / len(others)
+    squares, axes = np.linalg.eigh(centring @ within @ centring)
+    squares, axes = squares[::-1], axes[:, ::-1]
+    kept = count_modes(squares, variance)
+    axes = centring @ axes[:, :kept] / np.sqrt(squares[:kept])
+    from_mean = products[np.ix_(fold, others)] - within.mean(axis=0)
+    return 1.0 / len(others) + from_mean @ axes @ axes.T

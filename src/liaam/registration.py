@@ -255,7 +255,9 @@ def _levels(
         blank = np.zeros((0, *mean.shape), np.float32)
         appearance = AppearanceModel(mean, blank, np.zeros(0), np.ones(len(mean), np.float32))
         warp = HomographyWarp(kept, from_a(corners), float(stride), group)
-        levels.append((Objective(method, warp, appearance, theta, np.zeros(warp.n_parameters)), blur))
+        levels.append(
+            (Objective(method, warp, appearance, theta, np.zeros(warp.n_parameters), tied=tied_together(blur)), blur)
+        )
     return levels, from_a.inverse()
 
 
@@ -302,7 +304,7 @@ def _judged(
         theta=float(state.angles[1]) if has_angle else float("nan"),
         cost=last.equations.cost,
         n_iterations=sum(s.solution.n_iterations for s in stages),
-        corner_deviation=_corner_deviation(stage, blur),
+        corner_deviation=_corner_deviation(stage),
         size=size,
         method=objective.method.name,
     )
@@ -339,13 +341,12 @@ def _correlation(stage: Stage) -> float:
     return float((ours * theirs).sum() / scale) if scale > 0 else 0.0
 
 
-def _corner_deviation(stage: Stage, blur: float) -> np.ndarray:
+def _corner_deviation(stage: Stage) -> np.ndarray:
     warp, p = stage.objective.warp, stage.solution.state.p
     n, step = warp.n_parameters, 1e-4
     if not stage.solution.last.weights.any():
         return np.full(4, np.inf)
-    # A blur makes neighbours err together.
-    spread = covariance(stage.solution)[:n, :n] * tied_together(blur)
+    spread = covariance(stage.objective, stage.solution)[:n, :n]
     slopes = np.stack([(warp.shape(p + step * e) - warp.shape(p - step * e)) / (2 * step) for e in np.eye(n)], axis=-1)
     variances = np.einsum("cai,ij,caj->c", slopes, spread, slopes)
     return stage.pose.scale * np.sqrt(np.maximum(variances, 0.0))

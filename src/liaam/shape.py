@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from liaam.pca import principal_components
+from liaam.pca import principal_components, unexplained_by_others
 
 
 def diagonal_of(shape: np.ndarray) -> float:
@@ -132,11 +132,15 @@ class ShapeModel:
         Orthonormal PCA modes, orthogonal to the similarity vectors.
     eigenvalues : (m,) float64
         Variance along each mode, square pixels of the reference frame.
+    unexplained : (n, 2, 2) float64, optional
+        Second moments, by landmark, of what the modes of the other training shapes leave of each (leave one out),
+        square pixels of the reference frame: how far even the best fit is from a person's landmarks.
     """
 
     mean: np.ndarray
     modes: np.ndarray
     eigenvalues: np.ndarray
+    unexplained: np.ndarray | None = None
 
     @cached_property
     def basis(self) -> np.ndarray:
@@ -147,6 +151,11 @@ class ShapeModel:
     def n_points(self) -> int:
         """Number of landmarks."""
         return len(self.mean)
+
+    @property
+    def left_out_bound(self) -> float:
+        """Root mean square distance, over landmarks and shapes left out, that a perfect fit leaves (pixels)."""
+        return np.nan if self.unexplained is None else float(np.sqrt(np.trace(self.unexplained, 0, 1, 2).mean()))
 
     def shape(self, p: np.ndarray) -> np.ndarray:
         """Shape s(p) for p of length m + 4, as (n, 2) float64."""
@@ -207,4 +216,6 @@ def train_shape_model(shapes: np.ndarray, diagonal: float, variance: float | int
     deviations[np.abs(deviations) < 1e-9 * diagonal] = 0.0  # rounding is no mode
     components = principal_components(deviations, variance)
     modes = components.modes - components.modes @ rigid.T @ rigid
-    return ShapeModel(mean, np.ascontiguousarray(modes), components.eigenvalues)
+    left = unexplained_by_others(deviations, variance).astype(np.float64).reshape(len(shapes), -1, 2)
+    unexplained = np.einsum("ina,inb->nab", left, left) / len(shapes)
+    return ShapeModel(mean, np.ascontiguousarray(modes), components.eigenvalues, unexplained)

@@ -232,6 +232,8 @@ class Fitter:
         solution, has_angle = stages[-1].solution, self._method.has_angles
         history = trace(stages)
         state, last = solution.state, solution.last
+        spread = covariance(stages[-1].objective, solution, self.options.shape_prior)
+        n_p = len(state.p)
         return FitResult(
             shape=history[-1].shape,
             status=self._status(image, history, solution),
@@ -245,7 +247,8 @@ class Fitter:
             history=history,
             residual=last.residual * last.weights[:, None],
             usable=last.weights,
-            covariance=covariance(solution),
+            covariance=spread,
+            landmark_covariances=landmark_covariances(self.model, stages[-1].pose, spread[:n_p, :n_p]),
             method=self._method.name,
         )
 
@@ -289,16 +292,38 @@ def is_sane(shape: np.ndarray, start: np.ndarray) -> bool:
     )
 
 
-def covariance(solution: Solution) -> np.ndarray:
-    """Gauss-Newton covariance of q; infinite where the image says nothing."""
+def covariance(objective: Objective, solution: Solution, strength: float = 1.0) -> np.ndarray:
+    """Covariance of q by the picture and a prior of some strength; infinite where neither says anything.
+
+    The evidence of the pixels is counted as what they are worth together: a blur ties neighbours, and so do the errors
+    of the model (:meth:`Objective.unit`).
+    """
     equations = solution.last.equations
-    hessian, _ = equations.reduced()
-    values, vectors = np.linalg.eigh(np.nan_to_num(hessian))
-    variance = equations.cost if np.isfinite(equations.cost) else 1.0
-    inverse = np.divide(
-        variance, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300)
-    )
+    unit = max(objective.unit(equations), 1e-12)
+    precision = np.nan_to_num(equations.reduced()[0]) / unit
+    n_p = objective.warp.n_parameters
+    precision[np.arange(n_p), np.arange(n_p)] += strength * objective.prior
+    values, vectors = np.linalg.eigh(precision)
+    inverse = np.divide(1.0, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
     return (vectors * inverse) @ vectors.T
+
+
+def landmark_covariances(model: AAM, pose: Similarity, spread: np.ndarray) -> np.ndarray:
+    """Covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit, and of what no fit can reach.
+
+    Parameters
+    ----------
+    model : AAM
+    pose : Similarity
+        Model pixels to image pixels.
+    spread : (n_p, n_p) float64
+        Covariance of p.
+    """
+    basis = model.shape_model.basis.reshape(len(spread), -1, 2)
+    fitted = np.einsum("ina,ij,jnb->nab", basis, spread, basis, optimize=True)
+    unexplained = model.shape_model.unexplained
+    own = fitted if unexplained is None else fitted + unexplained
+    return pose.matrix @ own @ pose.matrix.T
 
 
 def load_picture(image, name: str) -> tuple[np.ndarray, str]:

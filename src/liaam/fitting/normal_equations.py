@@ -61,6 +61,8 @@ class NormalEquations:
         r'r.
     weight : float
         Sum of the pixels' weights times the rows of P: what a mean residual divides by.
+    unit : float
+        Variance, correlation included, that a residual of weight 1 stands for; NaN where it is not known.
     inverse : (m, m) float64, optional
         :func:`regular_inverse` of A'A, where it is known already.
     """
@@ -73,6 +75,7 @@ class NormalEquations:
     rr: float
     weight: float
     inverse: np.ndarray | None = None
+    unit: float = np.nan
 
     @cached_property
     def _inverse(self) -> np.ndarray:

@@ -263,11 +263,13 @@ class Objective:
     theta_model : float
         The training camera's angle, radians.
     prior : (n_p,) float64
-        Precision of a Gaussian prior on p relative to the variance of a residual: what a unit of squared p
-        weighs against a unit of squared residual of unit variance. 0 where there is no prior.
+        Precision of a Gaussian prior on p, 0 where there is none. The sum of squares over all pixels overstates the
+        evidence by as many pixels as are tied together; :meth:`unit` makes up for it.
     kernel : {"fast", "reference"}
     illumination : AppearanceModel, optional
         Illumination basis, for methods that add one.
+    tied : float
+        Pixels that stand for one independent residual, where the weights do not know it themselves.
     """
 
     method: Method
@@ -277,6 +279,13 @@ class Objective:
     prior: np.ndarray
     kernel: str = "fast"
     illumination: AppearanceModel | None = None
+    tied: float = 1.0
+
+    def unit(self, equations: NormalEquations) -> float:
+        """Variance, correlation included, that a residual of weight 1 stands for: the weights' own, or the cost's."""
+        if np.isfinite(equations.unit):
+            return equations.unit
+        return self.tied * equations.cost if np.isfinite(equations.cost) else 0.0
 
     @cached_property
     def root_weights(self) -> np.ndarray:
@@ -565,8 +574,9 @@ class Objective:
             unseen = weighted[np.repeat(blind, rows)]
             aa, inverse = aa - gram(unseen, unseen), None
         weight = float(own_weights @ weights)
+        unit = trust.unit if trust is not None and self.method.soft else np.nan
         return NormalEquations(
-            own[:-1, :-1], own[:-1, -1], cross[:, :-1], aa, cross[:, -1], float(own[-1, -1]), weight, inverse
+            own[:-1, :-1], own[:-1, -1], cross[:, :-1], aa, cross[:, -1], float(own[-1, -1]), weight, inverse, unit
         )
 
 
@@ -653,9 +663,10 @@ def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[O
             model.warp_of(method.appearance),
             level.appearances[method.appearance],
             model.theta,
-            _shape_prior(model, method, level.blur),
+            _shape_prior(model),
             kernel,
             level.appearances.get("illumination"),
+            tied_together(level.blur),
         )
         for level in model.levels_of(method.appearance)
     )
@@ -685,12 +696,6 @@ def _check_holds(model: AAM, method: Method) -> None:
             raise MethodError(f"method {method.name}: the model has not learnt how far it errs; train it again")
 
 
-def _shape_prior(model: AAM, method: Method, blur: float) -> np.ndarray:
-    """Prior of the shape modes, N(0, eigenvalue); the four similarity vectors have none.
-
-    The sum of squares over all pixels overstates the evidence by as many pixels as the blur ties together, and the
-    prior is scaled up by that.
-    """
-    tied = tied_together(blur) * (SOFT_ROWS[0][1] if method.soft else 1.0)
-    modes = tied / np.maximum(model.shape_model.eigenvalues, 1e-12)
-    return np.concatenate([modes, np.zeros(4)])
+def _shape_prior(model: AAM) -> np.ndarray:
+    """Prior of the shape modes, N(0, eigenvalue); the four similarity vectors have none."""
+    return np.concatenate([1.0 / np.maximum(model.shape_model.eigenvalues, 1e-12), np.zeros(4)])

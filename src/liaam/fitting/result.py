@@ -113,8 +113,11 @@ class FitResult:
     usable : (n_pixels,) float32
         1 where the image could be used, else 0.
     covariance : (n_q, n_q) float64
-        Gauss-Newton covariance of (p, free angles) for independent residuals. Neighbouring pixels are not
-        independent, so it is too small: good for comparing directions, not yet calibrated.
+        Covariance of (p, free angles), by the picture and the prior. What blur and (for ``soft-li``) the model's errors
+        tie together is counted once.
+    landmark_covariances : (n, 2, 2) float64
+        Covariance of each landmark, image pixels squared: that of p carried to the landmarks, and what even the best
+        fit leaves of a person's landmarks, as learnt by leaving training shapes out.
     method : str
     """
 
@@ -131,6 +134,7 @@ class FitResult:
     residual: np.ndarray
     usable: np.ndarray
     covariance: np.ndarray
+    landmark_covariances: np.ndarray
     method: str
 
     def __repr__(self) -> str:

@@ -253,9 +253,8 @@ def _evaluate(
 
 def _prior_precision(objective: Objective, equations: NormalEquations, strength: float) -> np.ndarray:
     """Precision of the prior on q in units of squared residuals, (n_q,); angles have none."""
-    variance = equations.cost if np.isfinite(equations.cost) else 0.0
     precision = np.zeros(objective.n_q)
-    precision[: objective.warp.n_parameters] = strength * variance * objective.prior
+    precision[: objective.warp.n_parameters] = strength * objective.unit(equations) * objective.prior
     return precision
 
 
