@@ -74,6 +74,53 @@ def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tm
     assert len((out / "new_history.csv").read_text().splitlines()) >= 3
 
 
+def test_fit_searches_without_a_start(run, portraits, model_file, tmp_path):
+    truth = read_landmarks(portraits[2]).points
+    code, text, err = run("fit", model_file, portraits[1], "-o", tmp_path)
+    assert (code, err) == (0, "")
+    assert "found, 0." in text
+    found = read_landmarks(tmp_path / "new.pts").points
+    assert np.linalg.norm(found - truth, axis=1).mean() < 1.5
+    facts = json.loads((tmp_path / "new.json").read_text())
+    assert facts["start"] == "searched"
+    assert facts["search_score"] > 0.52
+    assert facts["search_doubtful"] is False
+
+
+def test_fit_says_how_it_was_started(run, portraits, model_file, tmp_path):
+    code, text, _ = run("fit", model_file, portraits[1], "--init", portraits[2], "-o", tmp_path)
+    assert code == 0
+    assert "given" in text
+    facts = json.loads((tmp_path / "new.json").read_text())
+    assert (facts["start"], facts["search_score"], facts["search_doubtful"]) == ("given", None, None)
+
+
+def test_fit_all_numbers_what_it_finds(run, portraits, model_file, tmp_path):
+    picture, truth = read_image(portraits[1]), read_landmarks(portraits[2]).points
+    write_image(tmp_path / "two.png", np.concatenate([picture, picture[::-1], picture], axis=1))
+    code, text, _ = run(
+        "fit", model_file, tmp_path / "two.png", "--all", "-m", "igo", "-o", tmp_path / "o", "--history"
+    )
+    assert code == 0
+    assert text.count("found, 0.") >= 2
+    names = {path.name for path in (tmp_path / "o").iterdir()}
+    assert {"two_1.pts", "two_1_fit.png", "two_1_history.csv", "two_2.pts", "two_2.json"} <= names
+    assert "two.pts" not in names
+    shapes = [read_landmarks(path).points for path in (tmp_path / "o").glob("*.pts")]
+    for shift in (0, 2 * picture.shape[1]):
+        assert min(np.linalg.norm(shape - truth - [shift, 0], axis=1).mean() for shape in shapes) < 2
+
+
+def test_fit_says_when_a_search_is_in_doubt(run, model_file, tmp_path, rng):
+    write_image(tmp_path / "noise.png", rng.integers(0, 256, (120, 150, 3), dtype=np.uint8))
+    _, _, err = run("fit", model_file, tmp_path / "noise.png", "-m", "igo", "-o", tmp_path / "o")
+    assert "noise.png: it is doubtful that the search found the object" in err
+    assert json.loads((tmp_path / "o" / "noise.json").read_text())["search_doubtful"] is True
+    code, _, err = run("fit", model_file, tmp_path / "noise.png", "--all", "-o", tmp_path / "o")
+    assert code == 1
+    assert "error: noise.png: the search finds no object (the best score is 0." in err
+
+
 def test_fit_goes_on_after_a_bad_image_and_says_so(run, portraits, model_file, tmp_path):
     bad = tmp_path / "bad.png"
     bad.write_bytes(portraits[1].read_bytes()[:500])
@@ -127,6 +174,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("fit", "{model}", "{image}", "--init", "1,2"), "four numbers"),
         (("fit", "{model}", "{image}", "--init", "900,900,950,980"), "outside the image"),
         (("fit", "{model}", "{image}", "--init", "50,50,20,90"), "is empty"),
+        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "--all"), "leave one of them out"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "there are soft-li, grey, rgb, li"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is a file"),
         (("experiment", "spot", "--data", "{portraits}", "--out", "o"), "named as the IMM"),

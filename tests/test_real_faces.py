@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import liaam
+from liaam.fitting import Finder
 
 
 @pytest.mark.parametrize(
@@ -25,3 +26,22 @@ def test_a_box_leads_to_the_landmarks(shared_data, folder, training, test, limit
     assert result.status.ok
     errors = [np.linalg.norm(shape - truth, axis=1).mean() / size for shape in (result.start, result.shape)]
     assert errors[1] < min(limit, 0.8 * errors[0])
+
+
+@pytest.mark.parametrize(
+    ("folder", "training", "tests"),
+    [
+        ("imm", ["0[1568]-[12346]*", "1[0-5]-[12346]*"], ["16-1m", "17-5m", "18-3m", "20-4m", "22-2f", "24-6m"]),
+        ("imm-frontal", ["0[1-3]_*"], ["04_01", "05_05", "06_09"]),
+        ("london", ["0[0-3]*"], ["042_03", "066_03", "091_03"]),
+    ],
+)
+def test_faces_of_others_are_found(shared_data, folder, training, tests):
+    data = liaam.load_folder(shared_data / folder)
+    finder = Finder(liaam.train(data.select(training)))
+    for sample in data.select(tests):
+        (found,) = finder.find(sample.read_image())
+        truth = sample.landmarks.points
+        # About a quarter of the distance between the eyes.
+        assert np.linalg.norm(found.shape - truth, axis=1).mean() < 0.08 * np.hypot(*np.ptp(truth, axis=0)), sample.name
+        assert not found.doubtful

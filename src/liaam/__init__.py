@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from liaam.datasets import Dataset, Sample, load_folder
     from liaam.errors import LiaamError
-    from liaam.fitting import METHODS, FitResult, FitStatus, Fitter, Method, SolverOptions, fit
+    from liaam.fitting import METHODS, Candidate, FitResult, FitStatus, Fitter, Method, SolverOptions, find, fit
     from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
     from liaam.model import AAM, load_model
     from liaam.photometry import CameraModel, invariant_image, load_camera, theta_from_chart, theta_from_scene
@@ -23,6 +23,7 @@ __all__ = [
     "AAM",
     "METHODS",
     "CameraModel",
+    "Candidate",
     "Dataset",
     "FitResult",
     "FitStatus",
@@ -33,6 +34,7 @@ __all__ = [
     "Registration",
     "Sample",
     "SolverOptions",
+    "find",
     "fit",
     "invariant_image",
     "load_camera",
@@ -51,7 +53,7 @@ __all__ = [
 _HOMES = {
     "datasets": ("Dataset", "Sample", "load_folder"),
     "errors": ("LiaamError",),
-    "fitting": ("METHODS", "FitResult", "FitStatus", "Fitter", "Method", "SolverOptions", "fit"),
+    "fitting": ("METHODS", "Candidate", "FitResult", "FitStatus", "Fitter", "Method", "SolverOptions", "find", "fit"),
     "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
     "model": ("AAM", "load_model"),
     "photometry": ("CameraModel", "invariant_image", "load_camera", "theta_from_chart", "theta_from_scene"),

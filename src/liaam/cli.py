@@ -17,6 +17,8 @@ from liaam.errors import LiaamError
 from liaam.terminal import complain, console, progress_bar, say, table_of
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from liaam.fitting import FitResult, Fitter
     from liaam.model import AAM
     from liaam.photometry import CameraModel
@@ -139,12 +141,15 @@ def fit(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
     images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Images to fit.")],
     init: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Where to start: a box x0,y0,x1,y1 around the landmarks; a centre and the box's diagonal x,y,size; "
-            "a landmark file; or a folder with a landmark file for each image."
+            "a landmark file; or a folder with a landmark file for each image. Searched for if left out."
         ),
-    ],
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Fit every object that the search finds; results are numbered NAME_1 and on.")
+    ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "li",
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
     iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
@@ -161,27 +166,31 @@ def fit(
     from liaam.io import make_folder
     from liaam.model import load_model
 
+    if every and init is not None:
+        raise LiaamError("--all searches for all objects, and --init says where one is; leave one of them out")
     options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
     camera = camera_for(images, camera_file, response, model.camera)
     fitter = Fitter(model, method, options, camera=camera)
     make_folder(output)
-    table = table_of("image", "status", "iterations", "cost", "theta")
+    table = table_of("image", "start", "status", "iterations", "cost", "theta")
     advice: dict[str, list[str]] = {}
     failed = 0
     with progress_bar() as tell:
         for i, (image, stem) in enumerate(zip(images, unique_stems(images), strict=True)):
             tell(i, len(images), image.name)
             try:
-                result = fit_one(fitter, image, init, output, stem, history)
+                results = fit_file(fitter, image, init, every, output, stem, history)
             except LiaamError as error:
                 failed += 1
                 complain(f"error: {error}")
                 continue
-            angle = f"{angle_degrees(result):.1f}°" if angle_degrees(result) is not None else "–"
-            table.add_row(escape(image.name), str(result.status), str(result.n_iterations), f"{result.cost:.3g}", angle)
-            if not result.status.ok:
-                failed += 1
-                advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
+            for result in results:
+                table.add_row(escape(image.name), *row_of(result))
+                if not result.status.ok:
+                    failed += 1
+                    advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
+                if result.found is not None and result.found.doubtful:
+                    advice.setdefault(DOUBT, []).append(image.name)
     if table.row_count:
         console.print(table)
         say(f"written to {output}")
@@ -191,18 +200,56 @@ def fit(
         raise typer.Exit(1)
 
 
-def fit_one(fitter: "Fitter", image: Path, init: str, output: Path, stem: str, history: bool) -> "FitResult":
-    """Fit one image file and write what belongs to it."""
-    from liaam.io import Contour, Landmarks, read_image, write_fit, write_image
+DOUBT = (
+    "it is doubtful that the search found the object (a low score): look at the overlay, and if it shows something "
+    "else, say where the object is with --init"
+)
+"""What to say of a start that is as likely something else."""
+
+
+def row_of(result: "FitResult") -> tuple[str, ...]:
+    """Start, status, iterations, cost and angle of a fit, for the table."""
+    start = "given" if result.found is None else f"found, {result.found.score:.2f}"
+    angle = f"{angle_degrees(result):.1f}°" if angle_degrees(result) is not None else "–"
+    return start, str(result.status), str(result.n_iterations), f"{result.cost:.3g}", angle
+
+
+def fit_file(
+    fitter: "Fitter", image: Path, init: str | None, every: bool, output: Path, stem: str, history: bool
+) -> "list[FitResult]":
+    """Fit one image file, from the start that is given, the one that is found, or all of these."""
+    from liaam.io import read_image
+
+    if not every:
+        refuse_to_overwrite(output, stem)
+        pixels = read_image(image)
+        start = None if init is None else read_init(init, image, pixels.shape[1::-1])
+        return [fit_one(fitter, pixels, start, image, output, stem, history)]
+    pixels = read_image(image)
+    found = fitter.find_all(pixels, name=image.name)
+    stems = [f"{stem}_{i}" for i in range(1, len(found) + 1)]
+    for name in stems:
+        refuse_to_overwrite(output, name)
+    return [
+        fit_one(fitter, pixels, start, image, output, name, history) for start, name in zip(found, stems, strict=True)
+    ]
+
+
+def fit_one(
+    fitter: "Fitter", pixels: "np.ndarray", start, image: Path, output: Path, stem: str, history: bool
+) -> "FitResult":
+    """Fit one object of an image and write what belongs to it."""
+    from liaam.io import Contour, Landmarks, write_fit, write_image
     from liaam.plotting import overlay
 
     model = fitter.model
-    refuse_to_overwrite(output, stem)
-    pixels = read_image(image)
-    result = fitter.fit(pixels, read_init(init, image, pixels.shape[1::-1]), image.name)
+    result = fitter.fit(pixels, start, image.name)
     contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
     facts = {
         "image": image.name,
+        "start": "given" if result.found is None else "searched",
+        "search_score": None if result.found is None else result.found.score,
+        "search_doubtful": None if result.found is None else result.found.doubtful,
         "method": result.method,
         "status": str(result.status),
         "message": result.message,

@@ -3,16 +3,20 @@
 from liaam.fitting.fitter import Fitter, fit
 from liaam.fitting.methods import METHODS, Method, get_method
 from liaam.fitting.result import FitResult, FitStatus, Iteration
+from liaam.fitting.search import Candidate, Finder, find
 from liaam.fitting.solver import SolverOptions
 
 __all__ = [
     "METHODS",
+    "Candidate",
+    "Finder",
     "FitResult",
     "FitStatus",
     "Fitter",
     "Iteration",
     "Method",
     "SolverOptions",
+    "find",
     "fit",
     "get_method",
 ]

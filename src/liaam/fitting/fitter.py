@@ -1,25 +1,24 @@
 """Fitting an image: prepare, start, solve, judge."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from liaam.errors import ImageError, MethodError
+from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.methods import Method, get_method
 from liaam.fitting.normal_equations import NormalEquations
 from liaam.fitting.objective import FitProblem, Objective, State, make_objectives
+from liaam.fitting.picture import load_picture
 from liaam.fitting.result import FitResult, FitStatus, Iteration
+from liaam.fitting.search import DOUBTFUL, Candidate, Finder
 from liaam.fitting.solver import Solution, SolverOptions, settle_lambda, solve
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
 from liaam.model import AAM, Level
 from liaam.photometry import CameraModel, NoiseModel, Response, exposure_faults, is_grey
-from liaam.photometry.encoding import as_colour
 from liaam.shape import Similarity, align, diagonal_of
 
 SCALE_LIMITS = (1 / 3, 3.0)
@@ -153,18 +152,61 @@ class Fitter:
         """The model seen through the method, one objective per level, coarse to fine."""
         return make_objectives(self.model, get_method(self.method), self.kernel)
 
+    @cached_property
+    def finder(self) -> Finder:
+        """The model's search (see :mod:`liaam.fitting.search`)."""
+        return Finder(self.model)
+
     @property
     def _method(self) -> Method:
         return self.objectives[0].method
 
-    def fit(self, image, init, name: str = "image") -> FitResult:
+    def find(self, image, *, limit: int | None = 1, least: float = 0.0, name: str = "image") -> list[Candidate]:
+        """Find the object in a picture (see :func:`liaam.fitting.search.find`); a candidate is a start for :meth:`fit`.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8, uint16 or float array, or path
+        limit : int or None
+            How many objects to look for; None for all.
+        least : float
+            Score that an object must have.
+        name : str
+            What to call the image in errors; a path's own name is used for paths.
+
+        Returns
+        -------
+        list of Candidate
+        """
+        image, camera = load_picture(image, name)[0], self._camera
+        return self.finder.find(camera.flatten(image), limit=limit, least=least, response=camera.response)
+
+    def find_all(self, image, name: str = "image") -> list[Candidate]:
+        """Find all objects of a picture, those in doubt left out.
+
+        Raises
+        ------
+        StartError
+            If there is none, with the best score that there was.
+        """
+        found = self.find(image, limit=None, name=name)
+        sure = [candidate for candidate in found if not candidate.doubtful]
+        if not sure:
+            raise StartError(
+                f"{name}: the search finds no object (the best score is {found[0].score:.2f}, {DOUBTFUL:g} is needed); "
+                "say where to start (--init), or fit the best place all the same (without --all)"
+            )
+        return sure
+
+    def fit(self, image, init=None, name: str = "image") -> FitResult:
         """Fit the model to one image.
 
         Parameters
         ----------
         image : (h, w, 3) uint8, uint16 or float array, or path
-        init : (n, 2) shape, (x0, y0, x1, y1) box, or (x, y, diagonal)
-            Where to start, image pixels (see :func:`liaam.fitting.start.start_shape`).
+        init : (n, 2) shape, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
+            Where to start, image pixels (see :func:`liaam.fitting.start.start_shape`); if left out, the object is
+            searched for, and ``result.found`` says how sure that is.
         name : str
             What to call the image in errors; a path's own name is used for paths.
 
@@ -185,9 +227,12 @@ class Fitter:
                 f"{name}: the picture is grey (three equal channels), but method {self._method.name} "
                 "compares colours; use method 'grey'"
             )
-        start = start_shape(self.model, init, (image.shape[1], image.shape[0]), name)
+        init = self.find(image, name=name)[0] if init is None else init
+        found = init if isinstance(init, Candidate) else None
+        given = init if found is None else found.shape
+        start = start_shape(self.model, given, (image.shape[1], image.shape[0]), name)
         image = self._camera.flatten(image)
-        return self._result(image, self._solve_levels(image, start))
+        return replace(self._result(image, self._solve_levels(image, start)), found=found)
 
     def equations_at(self, image, result: FitResult) -> tuple[Objective, NormalEquations, np.ndarray]:
         """Normal equations of the sharpest level at a result, with the appearance's coordinates solved there.
@@ -326,18 +371,8 @@ def landmark_covariances(model: AAM, pose: Similarity, spread: np.ndarray) -> np
     return pose.matrix @ own @ pose.matrix.T
 
 
-def load_picture(image, name: str) -> tuple[np.ndarray, str]:
-    """Picture of three channels, and what to call it, from an array or a path (whose own name is used)."""
-    if not isinstance(image, (str, os.PathLike)):
-        return as_colour(image, name), name
-    from liaam.io import read_image
-
-    path = Path(image)
-    return as_colour(read_image(path), path.name), path.name
-
-
 def fit(
-    model: AAM, image, init, method: str | Method = "li", *, camera: CameraModel | None = None, **options
+    model: AAM, image, init=None, method: str | Method = "li", *, camera: CameraModel | None = None, **options
 ) -> FitResult:
     """Fit a model to one image; for many images make a :class:`Fitter` once.
 
@@ -345,7 +380,8 @@ def fit(
     ----------
     model : AAM
     image : (h, w, 3) uint8, uint16 or float array, or path
-    init : (n, 2) shape, (x0, y0, x1, y1) box, or (x, y, diagonal)
+    init : (n, 2) shape, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
+        Where to start, image pixels; if left out, the object is searched for.
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
     camera : CameraModel, optional

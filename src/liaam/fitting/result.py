@@ -5,6 +5,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from liaam.fitting.search import Candidate
 from liaam.shape import Similarity
 
 
@@ -119,6 +120,8 @@ class FitResult:
         Covariance of each landmark, image pixels squared: that of p carried to the landmarks, and what even the best
         fit leaves of a person's landmarks, as learnt by leaving training shapes out.
     method : str
+    found : Candidate, optional
+        What the search gave the fit to start from; None where the start was given.
     """
 
     shape: np.ndarray
@@ -136,6 +139,7 @@ class FitResult:
     covariance: np.ndarray
     landmark_covariances: np.ndarray
     method: str
+    found: Candidate | None = None
 
     def __repr__(self) -> str:
         return f"FitResult({self.method}: {self.status}, {len(self.shape)} landmarks, {self.n_iterations} iterations)"

@@ -1,0 +1,547 @@
+"""Where a fit starts when nobody says: the object is searched for with the model's own light-invariant template.
+
+The model is made small, and the directions of luminance's gradient that it expects are correlated with those of
+the picture, at many sizes, a few rotations, and with the shape's strongest mode bent both ways. The best
+places are fitted with the small model by method ``igo``; how well that explains the directions there says which of
+them is the object. Directions are nearly blind to the light, and every model holds them, that of a grey set too.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from liaam.appearance import AppearanceModel
+from liaam.errors import MethodError
+from liaam.fitting.methods import get_method
+from liaam.fitting.objective import FitProblem, Objective, make_objectives
+from liaam.fitting.picture import load_picture
+from liaam.fitting.solver import Solution, SolverOptions, solve
+from liaam.mesh import ReferenceFrame, signed_areas
+from liaam.model import AAM, Level
+from liaam.photometry import LUMINANCE, Response, encode
+from liaam.shape import ShapeModel, Similarity, align, diagonal_of, rotation
+
+TEMPLATE = 40.0
+"""Diagonal of the small model, pixels. Measured on ``imm``: 48 finds no more and takes half as long again, 32 loses
+turned faces."""
+
+SMALLEST, LARGEST = 0.15, 1.25
+"""Diagonals of the objects searched for, as shares of the image's shorter side."""
+
+STEP = 1.2
+"""Ratio of neighbouring sizes."""
+
+LEAST_PIXELS = 20.0
+"""Diagonal below which an object is not searched for, pixels of the image."""
+
+TURNS = (-20.0, -10.0, 0.0, 10.0, 20.0)
+"""Rotations of the mean shape, degrees."""
+
+BENT_TURNS = (-10.0, 0.0, 10.0)
+"""Rotations of the bent shapes, degrees."""
+
+BEND = 1.5
+"""How far the strongest shape mode is bent, standard deviations. In sets of faces it is the turn of the head;
+measured on ``imm``: without it, one face in sixty is not found, a turned one."""
+
+BEND_WORTH = 0.4
+"""Root mean square movement of the landmarks by a bend that is worth templates of its own, small pixels."""
+
+SOFTNESS = 0.02
+"""Gradient of luminance per small pixel, as a share of the picture's contrast, about which its direction counts. Noise
+in flat regions has no direction, and smooth shading follows any smooth model. Measured, with models of three sets of
+faces: so the scores of the faces and those of other objects hardly overlap; with plain directions they do."""
+
+CONTRASTS = (0.3, 1.0)
+"""Contrasts of a picture that count as such: a flatter one is not stretched further."""
+
+PADDING = 0.25
+"""How far an object may stick out of the image, as a share of its diagonal."""
+
+MODES = 15
+"""Appearance modes of the small model: with more, it explains what is no object too."""
+
+SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)
+"""Of the fits that judge places."""
+
+STRANGENESS = 0.05
+"""What a shape costs, in units of the score, whose modes lie one standard deviation from the mean on average."""
+
+DOUBTFUL = 0.52
+"""Score below which it is doubtful that the picture shows the object. Measured with generic models of three sets of
+faces: no face of 252 scores less, nor do generated ones under hard light from the side (0.55). Of pictures of cats,
+owls, rocks and balls, one in four scores more, nearly all under the model that has learnt heads turned far."""
+
+MOST = 20
+"""Objects in a picture at most."""
+
+GROWTH = (0.5, 2.0)
+"""Change of size beyond which the fit of a place has lost it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A place where the object may be.
+
+    Attributes
+    ----------
+    shape : (n, 2) float64
+        Landmarks of a coarse fit, image pixels.
+    score : float
+        How well the model explains the directions of the gradient there, 0 to 1; see :attr:`doubtful`.
+    rotation : float
+        Of the mean shape, radians, clockwise in the image.
+    scale : float
+        Pixels of the image for one of the model's reference frame.
+    """
+
+    shape: np.ndarray
+    score: float
+    rotation: float
+    scale: float
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether this is as likely something else."""
+        return self.score < DOUBTFUL
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """Directions of the gradient that the small model expects.
+
+    Attributes
+    ----------
+    field : (h, w) complex64
+        Cosine and sine as real and imaginary part, shorter than 1 where the direction varies; 0 outside the mesh.
+    origin : (2,) float64
+        Position of its first pixel from the shape's centre, pixels.
+    turn : float
+        Rotation, radians.
+    p : (m + 4,) float64
+        Shape parameters of the small model.
+    """
+
+    field: np.ndarray
+    origin: np.ndarray
+    turn: float
+    p: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Directions of a picture's gradient, at a resolution.
+
+    Attributes
+    ----------
+    values : (h, w) complex64
+        Cosine and sine as real and imaginary part, shorter than 1 where the gradient is weak.
+    length : (2,) float64
+        Width and height of a pixel of the field, image pixels.
+    """
+
+    values: np.ndarray
+    length: np.ndarray
+
+    @property
+    def scale(self) -> float:
+        """Image pixels for one of the field."""
+        return float(np.sqrt(self.length.prod()))
+
+    def to_image(self, points: np.ndarray) -> np.ndarray:
+        """Image pixels of pixels of the field, (k, 2) float64."""
+        return (points + 0.5) * self.length - 0.5
+
+    def strength(self, points: np.ndarray) -> np.ndarray:
+        """How far the direction at image points (k, 2) counts, (k,) float32; 0 outside."""
+        import cv2  # heavy: imported when first needed
+
+        x, y = ((points + 0.5) / self.length - 0.5).astype(np.float32).T[:, :, None]
+        return cv2.remap(np.abs(self.values), x, y, cv2.INTER_LINEAR)[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Peaks:
+    """Places where a template responds.
+
+    Attributes
+    ----------
+    centres : (k, 2) float64
+        Of the shape, image pixels.
+    scales : (k,) float64
+        Image pixels for one of the small model.
+    fields : (k,) int
+        Which field of the picture it is.
+    templates : (k,) int
+    responses : (k,) float64
+        Mean cosine between expected and found direction, weighted by the template's reliability.
+    """
+
+    centres: np.ndarray
+    scales: np.ndarray
+    fields: np.ndarray
+    templates: np.ndarray
+    responses: np.ndarray
+
+    @property
+    def columns(self) -> tuple[np.ndarray, ...]:
+        return self.centres, self.scales, self.fields, self.templates, self.responses
+
+    def take(self, which: np.ndarray) -> "_Peaks":
+        return _Peaks(*(column[which] for column in self.columns))
+
+    @staticmethod
+    def join(parts: list["_Peaks"]) -> "_Peaks":
+        return _Peaks(*(np.concatenate(column) for column in zip(*(part.columns for part in parts), strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class Finder:
+    """A model ready to be found in many pictures.
+
+    Attributes
+    ----------
+    model : AAM
+
+    Examples
+    --------
+    >>> finder = Finder(model)                              # doctest: +SKIP
+    >>> best = [finder.find(image)[0] for image in images]  # doctest: +SKIP
+    """
+
+    model: AAM
+
+    @cached_property
+    def small(self) -> AAM:
+        """The model's coarsest level, made small."""
+        return shrink(self.model)
+
+    @cached_property
+    def templates(self) -> tuple[Template, ...]:
+        """All templates of the small model."""
+        return make_templates(self.small)
+
+    @cached_property
+    def objective(self) -> Objective:
+        """What the fits that judge places minimise."""
+        return make_objectives(self.small, get_method("igo"))[0]
+
+    def find(
+        self,
+        image,
+        *,
+        limit: int | None = 1,
+        least: float = 0.0,
+        response: Response | None = None,
+        name: str = "image",
+    ) -> list[Candidate]:
+        """Find the object in a picture; see :func:`find`."""
+        if limit is not None and limit < 1:
+            raise MethodError(f"limit {limit}: look for at least one object, or give None for all of them")
+        image = load_picture(image, name)[0]
+        response = self.model.response if response is None else response
+        most = MOST if limit is None else min(limit, MOST)
+        fields = fields_of(image, response, self.small)
+        peaks = self._peaks(fields, 6 + 4 * most)
+        fitted = [self._fitted(image, response, fields, peaks.take(np.array([i]))) for i in range(len(peaks.scales))]
+        seen = [candidate for candidate in fitted if _is_inside(candidate.shape, image)]
+        seen = seen or [self._in_the_middle(image)]
+        chosen = _apart(sorted(seen, key=lambda candidate: -candidate.score), most)
+        return [candidate for candidate in chosen if candidate.score >= least]
+
+    def _peaks(self, fields: list[Field], count: int) -> _Peaks:
+        """Best places by correlation alone."""
+        found = _Peaks.join([part for i in range(len(fields)) for part in self._responses(fields, i, count)])
+        return found.take(_strongest(found, 0.2 * self.small.diagonal, count))
+
+    def _responses(self, fields: list[Field], which: int, count: int) -> list[_Peaks]:
+        """Local maxima of every template's correlation with a field, the best few of each template."""
+        import cv2  # heavy: imported when first needed
+        from scipy import fft
+
+        field, pad = fields[which].values, int(PADDING * self.small.diagonal)
+        size = [max(n + 2 * pad, *(t.field.shape[axis] for t in self.templates)) for axis, n in enumerate(field.shape)]
+        fast = tuple(fft.next_fast_len(n) or n for n in size)
+        spectrum = _spectrum(np.pad(field, pad), fast)
+        parts = []
+        for number, template in enumerate(self.templates):
+            # Re(z conj(t)) is the cosine between two directions times their lengths.
+            product = np.asarray(fft.ifft2(spectrum * np.conj(_spectrum(template.field, fast))))
+            cosine = np.real(product) / max(float(np.abs(template.field).sum()), 1e-9)
+            height, width = template.field.shape
+            cosine = np.ascontiguousarray(cosine[: size[0] - height + 1, : size[1] - width + 1])
+            rows, columns = np.nonzero((cosine >= cv2.dilate(cosine, np.ones((5, 5), np.uint8))) & (cosine > 1e-3))
+            best = np.argsort(-cosine[rows, columns], kind="stable")[:count]
+            rows, columns = rows[best], columns[best]
+            centres = fields[which].to_image(np.column_stack([columns, rows]) - pad - template.origin)
+            scales, same, numbers = (np.full(len(best), value) for value in (fields[which].scale, which, number))
+            parts.append(_Peaks(centres, scales, same, numbers, cosine[rows, columns]))
+        return parts
+
+    def _fitted(self, image: np.ndarray, response: Response, fields: list[Field], peak: _Peaks) -> Candidate:
+        """Fit the small model at one place and judge what came out."""
+        template, warp = self.templates[int(peak.templates[0])], self.small.warp
+        pose = Similarity(rotation(template.turn) * peak.scales[0], peak.centres[0])
+        start, blur = pose(warp.shape(template.p)), self.small.levels[0].blur
+        problem = FitProblem.at(image, start, pose, self.objective.method, response, blur)
+        solution = solve(self.objective, problem, self.objective.start(template.p), SETTINGS)
+        shape = pose(warp.shape(solution.state.p))
+        sane = np.isfinite(shape).all() and GROWTH[0] < diagonal_of(shape) / diagonal_of(start) < GROWTH[1]
+        if not sane:
+            return self._candidate(start, 0.0)
+        strength = fields[int(peak.fields[0])].strength(warp.interpolate(shape))
+        return self._candidate(shape, self._score(solution, strength))
+
+    def _score(self, solution: Solution, strength: np.ndarray) -> float:
+        """Cosine between picture and fitted appearance over all of the model's pixels, less for a strange shape."""
+        weights = self.objective.appearance.usable[:, None].astype(np.float64)
+        seen = solution.last.values[:, :2]
+        expected = seen - solution.last.residual
+        # What lies outside the image counts as not explained: else half an object on the border is as good as one.
+        product = float((weights * (solution.last.weights * strength)[:, None] * seen * expected).sum())
+        power = float((weights * np.square(expected)).sum() * weights.sum())
+        variance = np.maximum(self.small.shape_model.eigenvalues, 1e-12)
+        strange = float((np.square(solution.state.p[:-4]) / variance).mean()) if len(variance) else 0.0
+        score = product / np.sqrt(power) - STRANGENESS * strange if power > 0 else 0.0
+        return float(np.clip(score, 0.0, 1.0)) if np.isfinite(score) else 0.0
+
+    def _candidate(self, shape: np.ndarray, score: float) -> Candidate:
+        pose = align(self.model.shape_model.mean, shape)
+        return Candidate(shape, score, float(np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0])), pose.scale)
+
+    def _in_the_middle(self, image: np.ndarray) -> Candidate:
+        """Give the answer for a picture that shows nothing: the mean shape in the middle, with score 0."""
+        size = np.array(image.shape[1::-1])
+        mean = self.model.shape_model.mean
+        return self._candidate(mean * (0.8 * size.min() / diagonal_of(mean)) + 0.5 * (size - 1), 0.0)
+
+
+def find(
+    model: AAM, image, *, limit: int | None = 1, least: float = 0.0, response: Response | None = None
+) -> list[Candidate]:
+    """Find the model's object in a picture; for many pictures make a :class:`Finder` once.
+
+    Parameters
+    ----------
+    model : AAM
+    image : (h, w, 3) or (h, w) uint8, uint16 or float array, or path
+    limit : int or None
+        How many objects to look for; None for as many as there are, up to :data:`MOST`.
+    least : float
+        Score that an object must have; :data:`DOUBTFUL` is a sensible one.
+    response : Response, optional
+        Of the image's camera; the training camera's if left out.
+
+    Returns
+    -------
+    list of Candidate
+        The best first, without overlap. Never empty unless ``least`` is above 0: a picture without anything gives
+        the mean shape in its middle with score 0.
+
+    Raises
+    ------
+    ImageError
+        For an array or a file that is no image.
+    MethodError
+        For a model of an early version, without orientations.
+    """
+    return Finder(model).find(image, limit=limit, least=least, response=response)
+
+
+def _spectrum(field: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """Fourier transform of a field, padded to a size, complex64."""
+    from scipy import fft
+
+    return np.asarray(fft.fft2(field, size))
+
+
+def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
+    """Coarsest orientations of a model on a smaller reference frame.
+
+    Parameters
+    ----------
+    model : AAM
+    diagonal : float
+        Of the mean shape's box, pixels; a model that is smaller keeps its size.
+    n_modes : int
+        Appearance modes to keep at most.
+
+    Returns
+    -------
+    AAM
+        With one level, which holds ``orientation`` only.
+
+    Raises
+    ------
+    MethodError
+        If the model has not learnt orientations.
+    """
+    level = model.levels[0]
+    if "orientation" not in level.appearances:
+        raise MethodError(
+            "the model has not learnt orientations of gradients, which the search needs; train it again, or give a "
+            "start (--init)"
+        )
+    own, shapes = level.appearances["orientation"], model.shape_model
+    factor = min(1.0, diagonal / model.diagonal)
+    frame = ReferenceFrame(shapes.mean * factor, model.triangles)
+    at = (frame.pixels[:, ::-1] + frame.origin) / factor
+
+    def reduced(values: np.ndarray) -> np.ndarray:
+        return _read(model.frame, values, at, 1.0 / factor)
+
+    appearance = AppearanceModel(
+        mean=reduced(own.mean),
+        modes=np.array([reduced(mode) for mode in own.modes[:n_modes]], np.float32).reshape(-1, len(at), 2),
+        eigenvalues=own.eigenvalues[:n_modes],
+        usable=np.clip(reduced(own.usable[:, None])[:, 0], 0.0, 1.0),
+    )
+    return replace(
+        model,
+        shape_model=ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2),
+        levels=(Level(level.blur * factor, {"orientation": appearance}),),
+    )
+
+
+def _read(frame: ReferenceFrame, values: np.ndarray, at: np.ndarray, width: float) -> np.ndarray:
+    """Per-pixel values (n_pixels, c) read off at points (m, 2) of the shape, averaged over some pixels, (m, c)."""
+    import cv2  # heavy: imported when first needed
+
+    # A channel of ones tells what share of an average lies inside the mesh.
+    picture = frame.picture(np.column_stack([values, np.ones(len(values))]))
+    if width > 1.0:
+        picture = cv2.GaussianBlur(picture, (0, 0), 0.5 * width, borderType=cv2.BORDER_CONSTANT)
+    x, y = (at - frame.origin).astype(np.float32).T[:, :, None]
+    channels = [
+        cv2.remap(np.ascontiguousarray(part), x, y, cv2.INTER_LINEAR)[:, 0] for part in np.moveaxis(picture, 2, 0)
+    ]
+    return (np.stack(channels[:-1], axis=1) / np.maximum(channels[-1], 1e-6)[:, None]).astype(np.float32)
+
+
+def make_templates(small: AAM) -> tuple[Template, ...]:
+    """Templates of a small model: its mean in some rotations, and its strongest shape mode bent both ways."""
+    shapes = small.shape_model
+    straight = np.zeros(len(shapes.basis))
+    templates = [_template(small, np.deg2rad(turn), straight) for turn in TURNS]
+    if not len(shapes.eigenvalues) or BEND * np.sqrt(shapes.eigenvalues[0] / shapes.n_points) < BEND_WORTH:
+        return tuple(templates)
+    for bend in (-BEND, BEND):
+        p = straight.copy()
+        p[0] = bend * np.sqrt(shapes.eigenvalues[0])
+        if (signed_areas(shapes.shape(p), small.triangles) > 0).all():
+            templates += [_template(small, np.deg2rad(turn), p) for turn in BENT_TURNS]
+    return tuple(templates)
+
+
+def _template(small: AAM, turn: float, p: np.ndarray) -> Template:
+    frame = ReferenceFrame(small.shape_model.shape(p) @ rotation(turn).T, small.triangles)
+    at = np.einsum("nv,nvc->nc", frame.weights, small.shape_model.mean[frame.vertices])
+    mean = _read(small.frame, small.levels[0].appearances["orientation"].mean, at, 0.0)
+    picture = frame.picture(mean)
+    field = (picture[..., 0] + 1j * picture[..., 1]) * np.exp(1j * turn)
+    return Template(field.astype(np.complex64), frame.origin, turn, p)
+
+
+def fields_of(image: np.ndarray, response: Response, small: AAM) -> list[Field]:
+    """Directions of a picture, so that objects of growing size are as large as the small model.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, uint16 or float32
+    response : Response
+    small : AAM
+
+    Returns
+    -------
+    list of Field
+    """
+    shorter = min(image.shape[:2])
+    sizes = search_sizes(shorter)
+    reduce = max(1, min(int(sizes[0] / small.diagonal), shorter // 8))
+    # Sixteen samples of a block are as good as all; large pictures need not be decoded in full.
+    stride = max(1, reduce // 4)
+    reduce //= stride
+    sparse = image[stride // 2 :: stride, stride // 2 :: stride]
+    grey = encode(sparse, "value", response, reduce=reduce)[..., :3] @ LUMINANCE[0].astype(np.float32)
+    low, high = np.percentile(grey[::2, ::2], [1, 99])
+    grey = (np.clip(grey, low, high) / np.clip(high - low, *CONTRASTS)).astype(np.float32)
+    return [_field(grey, reduce * stride, size, small) for size in sizes]
+
+
+def _field(grey: np.ndarray, reduce: int, size: float, small: AAM) -> Field:
+    """Field of a picture, blocks of whose pixels were averaged, for objects of a size in image pixels."""
+    import cv2  # heavy: imported when first needed
+
+    covered = np.array(grey.shape[::-1]) * reduce  # a rest at the border was dropped
+    width, height = np.maximum(np.rint(covered * (small.diagonal / size)), 8).astype(int)
+    how = cv2.INTER_AREA if width <= grey.shape[1] else cv2.INTER_LINEAR
+    resized = cv2.resize(grey, (int(width), int(height)), interpolation=how)
+    return Field(soft_directions(resized, small.levels[0].blur), covered / (width, height))
+
+
+def search_sizes(shorter_side: int) -> np.ndarray:
+    """Diagonals of objects to search for in an image, pixels, growing by :data:`STEP`."""
+    low, high = max(SMALLEST * shorter_side, LEAST_PIXELS), LARGEST * shorter_side
+    if low >= high:
+        return np.array([high])
+    return low * STEP ** np.arange(int(np.log(high / low) / np.log(STEP)) + 1)
+
+
+def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
+    """Direction of the gradient of a picture, fading where it is weak: g / sqrt(|g|^2 + softness^2).
+
+    Parameters
+    ----------
+    grey : (h, w) float32
+    blur : float
+        Standard deviation of a blur before, pixels.
+
+    Returns
+    -------
+    (h, w) complex64
+    """
+    import cv2  # heavy: imported when first needed
+
+    if blur > 0.3:
+        grey = cv2.GaussianBlur(grey, (0, 0), float(blur), borderType=cv2.BORDER_REPLICATE)
+    down, right = np.gradient(grey)
+    length = np.sqrt(np.square(right) + np.square(down) + SOFTNESS**2)
+    return ((right + 1j * down) / length).astype(np.complex64)
+
+
+def _strongest(peaks: _Peaks, apart: float, count: int) -> np.ndarray:
+    """Indices of the strongest peaks, none near a stronger one of about its size."""
+    left, chosen = peaks.responses.copy(), []
+    logs = np.log(peaks.scales)
+    while len(chosen) < count and left.size and left.max() > 0:
+        best = int(left.argmax())
+        chosen.append(best)
+        near = np.linalg.norm(peaks.centres - peaks.centres[best], axis=1) < apart * np.minimum(
+            peaks.scales, peaks.scales[best]
+        )
+        left[near & (np.abs(logs - logs[best]) < 0.3)] = 0.0
+        left[best] = 0.0
+    return np.array(chosen, dtype=int)
+
+
+def _is_inside(shape: np.ndarray, image: np.ndarray) -> bool:
+    """Tell whether at least half of the landmarks lie in the image."""
+    inside = ((shape >= 0) & (shape <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
+    return bool(inside.mean() >= 0.5)
+
+
+def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
+    """First candidates whose boxes do not overlap those before them."""
+    chosen: list[Candidate] = []
+    for candidate in candidates:
+        if len(chosen) < most and all(_overlap(candidate.shape, other.shape) < 0.3 for other in chosen):
+            chosen.append(candidate)
+    return chosen
+
+
+def _overlap(a: np.ndarray, b: np.ndarray) -> float:
+    """Share of the smaller of two shapes' boxes that lies in the other."""
+    sides = np.minimum(a.max(axis=0), b.max(axis=0)) - np.maximum(a.min(axis=0), b.min(axis=0))
+    smaller = min(float(np.prod(np.ptp(a, axis=0))), float(np.prod(np.ptp(b, axis=0))))
+    return float(np.prod(np.maximum(sides, 0.0))) / max(smaller, 1e-9)

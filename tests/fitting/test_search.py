@@ -1,0 +1,278 @@
+"""Finding the object without a start: by the model's own directions of gradients, in generated scenes."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import liaam
+from liaam.datasets.scenes import DIFFUSE, Head, Pose, lateral, narrow_band_camera, render
+from liaam.errors import ImageError, MethodError, StartError
+from liaam.fitting import Candidate, Finder, FitStatus, Fitter, find
+from liaam.fitting.search import (
+    DOUBTFUL,
+    LARGEST,
+    LEAST_PIXELS,
+    SMALLEST,
+    STEP,
+    TEMPLATE,
+    make_templates,
+    search_sizes,
+    shrink,
+    soft_directions,
+)
+from liaam.model import AAM, Level
+from liaam.shape import diagonal_of, rotation
+from setups import model_pixels
+
+WIDE = (320, 420)
+
+
+@pytest.fixture(scope="module")
+def finder(model) -> Finder:
+    return Finder(model)
+
+
+def photograph(pose: Pose, lights=DIFFUSE, size=WIDE):
+    return render(Head(7), pose, lights=lights, camera=narrow_band_camera(), size=size, mixing="planckian")
+
+
+def error(candidate: Candidate, truth: np.ndarray) -> float:
+    """Mean distance from the truth as a share of the object's diagonal."""
+    return float(np.linalg.norm(candidate.shape - truth, axis=1).mean()) / diagonal_of(truth)
+
+
+@pytest.mark.parametrize("lights", [DIFFUSE, lateral("left"), lateral("right")], ids=["diffuse", "left", "right"])
+@pytest.mark.parametrize(
+    "pose",
+    [
+        Pose(scale=0.9),
+        Pose(scale=0.35, x=110, y=-70),
+        Pose(scale=0.5, x=-90, y=30, roll=np.deg2rad(15)),
+        Pose(scale=0.6, roll=np.deg2rad(-15)),
+    ],
+    ids=["large", "small", "clockwise", "anticlockwise"],
+)
+def test_the_object_is_found_under_any_light(finder, lights, pose):
+    scene = photograph(pose, lights)
+    (best,) = finder.find(scene.image)
+    assert error(best, scene.landmarks) < 0.06
+    assert best.rotation == pytest.approx(pose.roll, abs=np.deg2rad(6))
+    assert best.scale * finder.model.diagonal == pytest.approx(diagonal_of(scene.landmarks), rel=0.15)
+    assert not best.doubtful
+
+
+def test_two_objects_in_one_picture(finder):
+    left = photograph(Pose(scale=0.8), lateral("left"), size=(240, 200))
+    right = photograph(Pose(scale=0.6, roll=np.deg2rad(10)), size=(240, 200))
+    picture = np.concatenate([left.image, right.image], axis=1)
+    truths = [left.landmarks, right.landmarks + np.array([200, 0])]
+    found = finder.find(picture, limit=None, least=DOUBTFUL)
+    assert len(found) == 2
+    assert [candidate.score for candidate in found] == sorted((c.score for c in found), reverse=True)
+    for truth in truths:
+        assert min(error(candidate, truth) for candidate in found) < 0.06
+    assert len(finder.find(picture, limit=1)) == 1
+
+
+def test_a_large_picture(finder):
+    scene = photograph(Pose(scale=0.6, x=-40, y=20))
+    large = np.repeat(np.repeat(scene.image, 7, axis=0), 7, axis=1)
+    (found,) = finder.find(large)
+    truth = 7 * (scene.landmarks + 0.5) - 0.5
+    assert error(found, truth) < 0.06
+
+
+def smooth_noise(rng: np.random.Generator, size: tuple[int, int], blur: float) -> np.ndarray:
+    noise = cv2.GaussianBlur(rng.normal(size=(*size, 3)), (0, 0), blur)
+    return (0.5 + 0.15 * noise / noise.std()).clip(0.05, 0.95).astype(np.float32)
+
+
+GRID = np.stack(np.meshgrid(np.linspace(5, 114, 4), np.linspace(5, 84, 4)), axis=-1).reshape(-1, 2)
+
+
+def pattern_picture(rng: np.random.Generator, pattern: np.ndarray, scale: float, turn: float, light: np.ndarray):
+    """A patterned cloth, a little stretched, on another, and its landmarks."""
+    stretch = np.eye(2) + rng.normal(0, 0.02, (2, 2))
+    matrix = scale * rotation(np.deg2rad(turn)) @ stretch
+    offset = rng.uniform([140, 110], [180, 130]) - matrix @ [60, 45]
+    whole = np.column_stack([matrix, offset])
+    cloth = cv2.warpAffine(pattern, whole, (320, 240), flags=cv2.INTER_AREA)
+    mask = cv2.warpAffine(np.ones(pattern.shape[:2], np.float32), whole, (320, 240))[..., None]
+    ramp = np.linspace(0, 1, 320, dtype=np.float32)[None, :, None] * (light[1] - light[0]) + light[0]
+    picture = (mask * cloth + (1 - mask) * smooth_noise(rng, (240, 320), 4.0)) * ramp
+    return picture.astype(np.float32), GRID @ matrix.T + offset
+
+
+@pytest.mark.parametrize(("scale", "turn"), [(0.6, -12.0), (1.6, 8.0)])
+def test_the_object_need_not_be_a_face(rng, scale, turn):
+    pattern, light = smooth_noise(rng, (90, 120), 4.0), np.array([[1.0, 1.0, 1.0], [1.0, 0.95, 0.9]])
+    model = liaam.train([pattern_picture(rng, pattern, 1.2, rng.normal(0, 3), light) for _ in range(6)], diagonal=80.0)
+    other = np.array([[0.15, 0.2, 0.3], [1.0, 0.9, 0.7]])
+    picture, truth = pattern_picture(rng, pattern, scale, turn, other)
+    (found,) = find(model, picture)
+    assert error(found, truth) < 0.03
+    assert not found.doubtful
+
+
+@pytest.mark.parametrize("method", ["li", "igo", "grey"])
+def test_a_fit_without_a_start_searches(model, same_light_scene, method):
+    result = liaam.fit(model, same_light_scene.image, method=method)
+    assert result.status.ok
+    assert model_pixels(model, result.shape, same_light_scene.landmarks) < 1.0
+    assert result.found is not None
+    assert result.found.score > DOUBTFUL
+    np.testing.assert_allclose(result.start, result.found.shape, atol=0.5)  # of other modes
+
+
+def test_a_fit_under_lateral_light_searches(model, lit_scene):
+    result = Fitter(model, "li").fit(lit_scene.image)
+    assert result.status == FitStatus.CONVERGED
+    assert model_pixels(model, result.shape, lit_scene.landmarks) < 1.0
+
+
+def test_a_candidate_is_a_start(model, lit_scene):
+    fitter = Fitter(model, "li")
+    (candidate,) = fitter.find(lit_scene.image)
+    result = fitter.fit(lit_scene.image, candidate)
+    assert result.found is candidate
+    given = fitter.fit(lit_scene.image, candidate.shape)
+    assert given.found is None
+    np.testing.assert_array_equal(result.shape, given.shape)
+
+
+def test_types_of_picture_make_no_difference(finder):
+    scene = photograph(Pose(scale=0.5))
+    stored = np.clip(scene.image, 0, 1)
+    (reference,) = finder.find(stored)
+    for dtype in (np.uint8, np.uint16):
+        (found,) = finder.find(np.round(stored * np.iinfo(dtype).max).astype(dtype))
+        assert np.abs(found.shape - reference.shape).max() < 0.5
+    (grey,) = finder.find(stored.mean(axis=2))
+    assert error(grey, scene.landmarks) < 0.06
+
+
+def test_exposure_makes_no_difference(finder):
+    scene = photograph(Pose(scale=0.5))
+    (dark,) = finder.find(0.1 * scene.image)
+    assert error(dark, scene.landmarks) < 0.06
+    assert not dark.doubtful
+
+
+def test_holes_do_not_hurt(finder):
+    scene = photograph(Pose(scale=0.6))
+    image = scene.image.copy()
+    image[:60, :60] = np.nan
+    image[-40:, -40:] = np.inf
+    (found,) = finder.find(image)
+    assert error(found, scene.landmarks) < 0.06
+
+
+def test_a_model_of_grey_pictures_is_found(scenes):
+    pairs = [(scene.image.mean(axis=2), scene.landmarks) for scene in scenes]
+    model = liaam.train(pairs, diagonal=80.0, response="linear")
+    assert not model.is_colour
+    scene = photograph(Pose(scale=0.5), lateral("left"))
+    assert error(find(model, scene.image)[0], scene.landmarks) < 0.06
+
+
+FLAT = {
+    "black": np.zeros((120, 160, 3), np.uint8),
+    "white": np.full((120, 160, 3), 65535, np.uint16),
+    "plain": np.full((120, 160), 0.4, np.float32),
+    "nothing": np.full((120, 160, 3), np.nan, np.float32),
+    "tiny": np.zeros((8, 8, 3), np.uint8),
+    "strip": np.zeros((8, 900, 3), np.uint8),
+}
+
+
+@pytest.mark.parametrize("image", FLAT.values(), ids=FLAT)
+def test_a_picture_without_anything_gives_the_middle_and_score_0(finder, image):
+    (found,) = finder.find(image)
+    assert found.score == 0
+    assert found.doubtful
+    middle = 0.5 * (np.array(image.shape[1::-1]) - 1)
+    assert np.abs(found.shape.mean(axis=0) - middle).max() < 0.05 * diagonal_of(found.shape)
+    assert finder.find(image, limit=None, least=DOUBTFUL) == []
+
+
+def test_noise_is_doubtful(finder, rng):
+    for shape in [(8, 8, 3), (40, 300, 3), (160, 200, 3)]:
+        (found,) = finder.find(rng.integers(0, 256, shape, dtype=np.uint8))
+        assert np.isfinite(found.shape).all()
+        assert found.doubtful
+
+
+def test_a_flat_picture_fails_with_a_status(model):
+    result = Fitter(model, "grey").fit(FLAT["plain"])
+    assert result.status == FitStatus.NO_TEXTURE
+    assert result.found is not None
+    assert result.found.score == 0
+
+
+def test_finding_all_of_nothing_is_an_error(model):
+    with pytest.raises(StartError, match=r"wall\.png: the search finds no object .*0\.00.*--init"):
+        Fitter(model, "grey").find_all(FLAT["plain"], name="wall.png")
+
+
+def test_a_file_is_a_picture(model, tmp_path):
+    scene = photograph(Pose(scale=0.5))
+    path = tmp_path / "portrait.png"
+    liaam.write_image(path, np.round(255 * scene.image.clip(0, 1)).astype(np.uint8))
+    assert error(find(model, path)[0], scene.landmarks) < 0.06
+    with pytest.raises(ImageError, match=r"missing\.png"):
+        find(model, tmp_path / "missing.png")
+
+
+def test_bad_input_is_refused(model, finder):
+    with pytest.raises(ImageError, match="too small"):
+        finder.find(np.zeros((7, 30), np.uint8))
+    with pytest.raises(MethodError, match="at least one object"):
+        finder.find(FLAT["black"], limit=0)
+    with pytest.raises(MethodError, match=r"train it again, or give a start \(--init\)"):
+        find(without_orientations(model), FLAT["black"])
+
+
+def without_orientations(model: AAM) -> AAM:
+    levels = tuple(
+        Level(level.blur, {name: kept for name, kept in level.appearances.items() if name != "orientation"})
+        for level in model.levels
+    )
+    return replace(model, levels=levels)
+
+
+def test_the_small_model_is_the_model_made_small(model):
+    small = shrink(model)
+    assert small.diagonal == pytest.approx(TEMPLATE)
+    appearance = small.levels[0].appearances["orientation"]
+    assert appearance.mean.shape == (small.n_pixels, 2)
+    assert np.linalg.norm(appearance.mean, axis=1).max() <= 1.001
+    assert shrink(model, diagonal=1000.0).diagonal == model.diagonal
+
+
+def test_templates_turn_with_their_directions(model):
+    small = shrink(model)
+    templates = make_templates(small)
+    straight = {round(np.rad2deg(t.turn)): t for t in templates if not t.p.any()}
+    assert sorted(straight) == [-20, -10, 0, 10, 20]
+    # The sum of all vectors turns with the object.
+    sums = {turn: complex(template.field.sum()) for turn, template in straight.items()}
+    for turn, total in sums.items():
+        # Pixels in and out of the mesh at its border change the sum a little.
+        assert abs(total * np.exp(-1j * np.deg2rad(turn)) - sums[0]) < 0.03 * np.abs(straight[0].field).sum()
+
+
+def test_soft_directions_fade_in_flat_regions():
+    x = np.tile(np.arange(40, dtype=np.float32), (30, 1))
+    steep, flat = soft_directions(0.5 * x, 0.0), soft_directions(1e-4 * x, 0.0)
+    assert np.abs(steep[5:-5, 5:-5] - 1).max() < 0.01
+    assert np.abs(flat).max() < 0.01
+
+
+def test_sizes_cover_the_range():
+    sizes = search_sizes(480)
+    assert sizes[0] == pytest.approx(SMALLEST * 480)
+    assert LARGEST * 480 / STEP < sizes[-1] <= LARGEST * 480 * 1.001
+    assert search_sizes(40)[0] == LEAST_PIXELS
+    np.testing.assert_allclose(search_sizes(8), [8 * LARGEST])
