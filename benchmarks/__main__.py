@@ -2,9 +2,9 @@
 
 import sys
 
-from benchmarks import iteration
+from benchmarks import iteration, search
 
-BENCHMARKS = {"iteration": iteration.main}
+BENCHMARKS = {"iteration": iteration.main, "search": search.main}
 """Benchmark by name; each prints its metrics."""
 
 

@@ -1,6 +1,6 @@
 """Benchmarks use the engine's inside, which no one promises to keep: they have to run at least."""
 
-from benchmarks import iteration
+from benchmarks import iteration, search
 
 
 def test_the_benchmark_of_an_iteration_runs(monkeypatch, capsys):
@@ -8,3 +8,9 @@ def test_the_benchmark_of_an_iteration_runs(monkeypatch, capsys):
     monkeypatch.setattr(iteration, "WARM_UP", 0)
     iteration.main()
     assert "iteration_ratio" in capsys.readouterr().out
+
+
+def test_the_benchmark_of_the_search_runs(monkeypatch, capsys):
+    monkeypatch.setattr(search, "N_HEADS", 3)
+    search.main()
+    assert "search_found_percent" in capsys.readouterr().out

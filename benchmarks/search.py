@@ -1,0 +1,89 @@
+"""How often a search without a start finds faces of persons that the model has not seen, and how long it takes.
+
+The pictures of a folder are parted into two halves by the person, that is by what their names begin with; each half
+is searched with a model of the other. Found means: the start that comes out lies within a quarter of the
+distance between the eyes, on average over the landmarks; where the eyes are is not known for every set, and 0.3 of
+the landmarks' diagonal stands for it, as on frontal faces.
+"""
+
+from pathlib import Path
+from time import process_time
+
+import cv2
+import numpy as np
+
+from liaam.datasets import Dataset, Sample, load_folder
+from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
+from liaam.fitting import Finder
+from liaam.shape import diagonal_of
+from liaam.training import train
+
+EYES = 0.3
+LIMIT = 0.25
+N_HEADS = 6
+SIZE = (240, 180)
+
+Picture = tuple[np.ndarray, np.ndarray]
+
+
+def scenes() -> tuple[list[Picture], list[Picture]]:
+    """Give generated pictures of some heads under diffuse light, and of others with light from either side too."""
+
+    def picture(seed: int, lights) -> Picture:
+        rng = np.random.default_rng(seed)
+        scene = render(Head(seed), random_pose(rng, SIZE), random_expression(rng), lights, size=SIZE)
+        return scene.image, scene.landmarks
+
+    training = [picture(seed, DIFFUSE) for seed in range(N_HEADS)]
+    lamps = (DIFFUSE, lateral("left"), lateral("right"))
+    return training, [picture(seed, lights) for seed in range(100, 100 + N_HEADS) for lights in lamps]
+
+
+def halves(folder: Path, letters: int) -> list[tuple[list[Picture], list[Picture]]]:
+    """Part a folder by the person, into what to train on and what to search, both ways round."""
+    data = load_folder(folder)
+    persons = sorted({sample.name[:letters] for sample in data})
+
+    def half(which: int) -> Dataset:
+        return data.select(lambda sample: persons.index(sample.name[:letters]) % 2 == which)
+
+    def pictures(samples: Dataset) -> list[Picture]:
+        return [_picture(sample) for sample in samples]
+
+    return [(pictures(half(which)), pictures(half(1 - which))) for which in (0, 1)]
+
+
+def _picture(sample: Sample) -> Picture:
+    return sample.read_image(), sample.landmarks.points
+
+
+def measure(training: list[Picture], tests: list[Picture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors as shares of the distance between the eyes, seconds of one core, and scores, (n,) each."""
+    finder = Finder(train(training))
+    finder.find(tests[0][0])  # compiles, and makes the templates
+    rows = []
+    for image, truth in tests:
+        before = process_time()
+        (found,) = finder.find(image)
+        seconds = process_time() - before
+        error = np.linalg.norm(found.shape - truth, axis=1).mean() / (EYES * diagonal_of(truth))
+        rows.append((error, seconds, found.score))
+    errors, seconds, scores = np.array(rows).T
+    return errors, seconds, scores
+
+
+def main(folder: str | None = None, letters: int = 2) -> None:
+    """Print the metrics, of generated pictures or of a folder; ``letters`` of a name tell the person."""
+    cv2.setNumThreads(1)
+    folds = [scenes()] if folder is None else halves(Path(folder), letters)
+    errors, seconds, scores = np.concatenate([measure(*fold) for fold in folds], axis=1)
+    print(f"search_found_percent {100 * (errors < LIMIT).mean():.1f} of {len(errors)}")
+    print(f"search_error {np.median(errors):.3f} worst {errors.max():.3f}")
+    print(f"search_seconds {np.median(seconds):.3f} worst {seconds.max():.3f}")
+    print(f"search_score {np.median(scores):.2f} lowest {scores.min():.2f}")
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(sys.argv[1] if len(sys.argv) > 1 else None, int(sys.argv[2]) if len(sys.argv) > 2 else 2)
