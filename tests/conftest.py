@@ -22,8 +22,7 @@ from liaam.datasets.scenes import (
     render,
 )
 from liaam.model import AAM
-from liaam.training import train
-from setups import between
+from setups import between, train_on
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / "data"))
@@ -97,12 +96,6 @@ def model(scenes, varied_scenes) -> AAM:
 def fine_model(scenes) -> AAM:
     """Give a model (diagonal 150) of the scenes that keeps all modes."""
     return train_on(scenes, diagonal=150.0, variance=1.0)
-
-
-def train_on(scenes: list[Scene], **options) -> AAM:
-    """Train on scenes with what is true of their camera."""
-    pairs = [(scene.image, scene.landmarks) for scene in scenes]
-    return train(pairs, theta=scenes[0].theta, response="linear", **options)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Helpers shared by tests: scenes between scenes, disturbed starts, model pixels, fit problems, a person's pictures."""
+"""Helpers shared by tests: training, scenes between scenes, disturbed starts, model pixels, fit problems, persons."""
 
 import shutil
 from dataclasses import fields
@@ -6,12 +6,19 @@ from pathlib import Path
 
 import numpy as np
 
-from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
+from liaam.datasets.scenes import DIFFUSE, Head, Scene, lateral, random_expression, random_pose, render
 from liaam.fitting import get_method
 from liaam.fitting.objective import FitProblem, Objective, make_objectives
 from liaam.io import write_image, write_landmarks
 from liaam.model import AAM
 from liaam.shape import align, diagonal_of
+from liaam.training import train
+
+
+def train_on(scenes: list[Scene], **options) -> AAM:
+    """Train on scenes with what is true of their camera."""
+    pairs = [(scene.image, scene.landmarks) for scene in scenes]
+    return train(pairs, **{"theta": scenes[0].theta, "response": "linear", "leave_out": False, **options})
 
 
 def between(a, b):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 from liaam.errors import TrainingError
 from liaam.mesh import (
@@ -12,6 +13,7 @@ from liaam.mesh import (
     delaunay,
     folded_share,
     signed_areas,
+    surroundings,
     triangles_from_edges,
 )
 
@@ -139,3 +141,26 @@ def test_the_gradient_is_that_of_smooth_values(model):
     np.testing.assert_allclose(gradient[deep, 1, 1], wave[deep], atol=0.03)
     assert np.isfinite(gradient).all()
     assert gradient.shape == (frame.n_pixels, 2, 2)
+
+
+def test_surroundings_follow_every_affine_map_of_the_landmarks(rng):
+    points = rng.normal(size=(12, 2)) * 30
+    around = surroundings(points, delaunay(points), 0.1)
+    matrix, offset = rng.normal(size=(2, 2)), rng.normal(size=2)
+    moved = around.extension @ (points @ matrix.T + offset)
+    np.testing.assert_allclose(moved, (around.extension @ points) @ matrix.T + offset)
+    np.testing.assert_array_equal(around.extension[:12], np.eye(12))
+
+
+def test_surroundings_widen_the_mesh_all_around(rng):
+    points = rng.normal(size=(12, 2)) * 30
+    triangles = delaunay(points)
+    around = surroundings(points, triangles, 0.1)
+    wide = ReferenceFrame(around.extension @ points, around.triangles)
+    plain = ReferenceFrame(points, triangles)
+    hull = points[ConvexHull(points).vertices] - points.mean(axis=0)
+    own = 0.5 * np.abs(np.cross(np.c_[hull, 0 * hull[:, :1]], np.c_[np.roll(hull, -1, 0), 0 * hull[:, :1]])[:, 2]).sum()
+    assert wide.n_pixels == pytest.approx(1.21 * own, rel=0.05)
+    assert plain.n_pixels < wide.n_pixels
+    own_pixels = {tuple(p) for p in plain.pixels + plain.origin[::-1].astype(int)}
+    assert own_pixels <= {tuple(p) for p in wide.pixels + wide.origin[::-1].astype(int)}

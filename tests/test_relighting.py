@@ -25,14 +25,14 @@ def subject() -> Subject:
 
 @pytest.fixture(scope="module")
 def own_model(subject) -> AAM:
-    return train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=(BLUR,))
+    return train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=(BLUR,), leave_out=False)
 
 
 @pytest.fixture(scope="module")
 def lit_model(subject) -> AAM:
     """A model whose appearance holds shadows, which L(theta) cannot see."""
     shadowed = [(simulated_shadow(image, shape, side)[0], shape) for image, shape in subject.pairs for side in SIDES]
-    return train(subject.pairs + shadowed, variance=1.0, theta=PAPER_THETA, blurs=(BLUR,))
+    return train(subject.pairs + shadowed, variance=1.0, theta=PAPER_THETA, blurs=(BLUR,), leave_out=False)
 
 
 def log_texture(model: AAM, image: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +109,9 @@ def test_no_deviation_is_lost_to_rounding(subject):
     shadowed = [
         (simulated_shadow(image, shape, SIDES[i % 2])[0], shape) for i, (image, shape) in enumerate(subject.pairs)
     ]
-    model = train(subject.pairs + shadowed, variance=1.0, theta=PAPER_THETA, blurs=(BLUR,), diagonal=100.0)
+    model = train(
+        subject.pairs + shadowed, variance=1.0, theta=PAPER_THETA, blurs=(BLUR,), leave_out=False, diagonal=100.0
+    )
     fitter = Fitter(model, "li")
     image, shape = shadowed[0]
     deviations = shadow_free(fitter, image, fitter.fit(image, shape), prior=0.0).deviations

@@ -5,7 +5,6 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from conftest import train_on
 from liaam.datasets import Sample
 from liaam.errors import ImageError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
@@ -13,7 +12,7 @@ from liaam.io import Contour, Landmarks
 from liaam.mesh import delaunay, signed_areas
 from liaam.photometry import invariant
 from liaam.training import train
-from setups import disturb, model_pixels
+from setups import disturb, model_pixels, train_on
 
 
 @pytest.fixture
@@ -92,7 +91,8 @@ def test_landmarks_just_beyond_the_border_are_no_fault(scenes):
 def test_progress_is_told(pairs):
     seen = []
     train(pairs, diagonal=40.0, response="linear", progress=lambda *step: seen.append(step))
-    assert seen == [(0, 3, "image 1"), (1, 3, "image 2"), (2, 3, "image 3"), (3, 3, "appearance")]
+    assert seen[:4] == [(0, 3, "image 1"), (1, 3, "image 2"), (2, 3, "image 3"), (3, 3, "appearance")]
+    assert seen[4:] == [*((i, 3, f"leaving out image {i + 1}") for i in range(3)), (3, 3, "reliability")]
 
 
 def test_every_method_has_its_appearance(model):

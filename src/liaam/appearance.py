@@ -85,7 +85,9 @@ def _fill(vectors: np.ndarray, seen: np.ndarray, variance: float | int) -> tuple
     return filled, components
 
 
-def train_appearance_model(textures: np.ndarray, usable: np.ndarray, variance: float | int) -> AppearanceModel:
+def train_appearance_model(
+    textures: np.ndarray, usable: np.ndarray, variance: float | int, leave_out: bool = True
+) -> AppearanceModel:
     """Learn an appearance model.
 
     Parameters
@@ -95,6 +97,8 @@ def train_appearance_model(textures: np.ndarray, usable: np.ndarray, variance: f
         Where channels differ, a pixel counts as usable where any of them is.
     variance : float or int
         Fraction of variance or number of modes to keep.
+    leave_out : bool
+        Find out what each image has that the others do not explain.
     """
     n, n_pixels, c = textures.shape
     if usable.ndim == 2:
@@ -107,7 +111,9 @@ def train_appearance_model(textures: np.ndarray, usable: np.ndarray, variance: f
         modes=components.modes.reshape(-1, n_pixels, c).astype(np.float32),
         eigenvalues=components.eigenvalues,
         usable=usable.mean(axis=0).astype(np.float32),
-        unexplained=_covariance(unexplained_by_others(filled, variance).reshape(textures.shape), usable),
+        unexplained=_covariance(unexplained_by_others(filled, variance).reshape(textures.shape), usable)
+        if leave_out
+        else None,
     )
 
 

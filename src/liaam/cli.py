@@ -2,6 +2,7 @@
 
 import io
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -83,6 +84,12 @@ def train(
         Path | None,
         typer.Option(help="Folder of further landmarked images under other lights, for methods 'varied' and 'aia'."),
     ] = None,
+    leave_out: Annotated[
+        bool,
+        typer.Option(
+            help="Leave pictures out in turn and fit them, to learn how far fits can be trusted; several times as slow."
+        ),
+    ] = True,
     name: Annotated[str | None, typer.Option(help="What the model shows, for 'liaam info'.")] = None,
 ) -> None:
     """Train a model on a folder of landmarked images.
@@ -120,12 +127,20 @@ def train(
             diagonal=diagonal,
             lit=others,
             name=name or folder.name,
+            leave_out=leave_out,
             progress=tell,
             **options,
         )
     model.save(output)
     modes = f"{len(model.shape_model.modes)} shape and {model.levels[-1].appearances['value'].n_modes} appearance modes"
     say(f"{output}: {modes} from {model.n_images} images, {model.n_pixels} pixels")
+    bound = model.shape_model.left_out_bound
+    say(
+        f"left-out bound: even a perfect fit to a new picture is {bound:.1f} pixels off "
+        f"({bound / model.diagonal:.1%} of the object's size)"
+    )
+    if leave_out and model.reliability is None:
+        complain("too few fits to pictures left out were right to tell right fits from wrong ones: give more pictures")
 
 
 def parse_variance(text: str) -> float | int:
@@ -150,10 +165,13 @@ def fit(
     every: Annotated[
         bool, typer.Option("--all", help="Fit every object that the search finds; results are numbered NAME_1 and on.")
     ] = False,
-    method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "li",
+    method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "soft-li",
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
     iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
     history: Annotated[bool, typer.Option("--history", help="Also write each iteration's cost and shape.")] = False,
+    ellipses: Annotated[
+        bool, typer.Option("--ellipses", help="Draw the ellipse that holds each landmark with 95 % probability.")
+    ] = False,
     camera_file: Annotated[
         Path | None, typer.Option("--camera", help="Camera file of these images' camera, if not the training camera's.")
     ] = None,
@@ -172,14 +190,14 @@ def fit(
     camera = camera_for(images, camera_file, response, model.camera)
     fitter = Fitter(model, method, options, camera=camera)
     make_folder(output)
-    table = table_of("image", "start", "status", "iterations", "cost", "theta")
+    table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
     advice: dict[str, list[str]] = {}
     failed = 0
     with progress_bar() as tell:
         for i, (image, stem) in enumerate(zip(images, unique_stems(images), strict=True)):
             tell(i, len(images), image.name)
             try:
-                results = fit_file(fitter, image, init, every, output, stem, history)
+                results = fit_file(fitter, image, init, every, Writing(output, history, ellipses), stem)
             except LiaamError as error:
                 failed += 1
                 complain(f"error: {error}")
@@ -208,37 +226,48 @@ DOUBT = (
 
 
 def row_of(result: "FitResult") -> tuple[str, ...]:
-    """Start, status, iterations, cost and angle of a fit, for the table."""
+    """Start, status, quality, typical error of a landmark, iterations and angle of a fit, for the table."""
+    import numpy as np
+
     start = "given" if result.found is None else f"found, {result.found.score:.2f}"
     angle = f"{angle_degrees(result):.1f}°" if angle_degrees(result) is not None else "–"
-    return start, str(result.status), str(result.n_iterations), f"{result.cost:.3g}", angle
+    quality = "–" if np.isnan(result.quality) else f"{result.quality:.2f}"
+    error = f"{np.median(result.deviations):.1f} px" if result.status.ok else "–"
+    return start, str(result.status), quality, error, str(result.n_iterations), angle
+
+
+@dataclass(frozen=True)
+class Writing:
+    """Where results of fits go, and what is written beside landmarks and picture."""
+
+    folder: Path
+    history: bool = False
+    ellipses: bool = False
 
 
 def fit_file(
-    fitter: "Fitter", image: Path, init: str | None, every: bool, output: Path, stem: str, history: bool
+    fitter: "Fitter", image: Path, init: str | None, every: bool, writing: Writing, stem: str
 ) -> "list[FitResult]":
     """Fit one image file, from the start that is given, the one that is found, or all of these."""
     from liaam.io import read_image
 
     if not every:
-        refuse_to_overwrite(output, stem)
+        refuse_to_overwrite(writing.folder, stem)
         pixels = read_image(image)
         start = None if init is None else read_init(init, image, pixels.shape[1::-1])
-        return [fit_one(fitter, pixels, start, image, output, stem, history)]
+        return [fit_one(fitter, pixels, start, image, writing, stem)]
     pixels = read_image(image)
     found = fitter.find_all(pixels, name=image.name)
     stems = [f"{stem}_{i}" for i in range(1, len(found) + 1)]
     for name in stems:
-        refuse_to_overwrite(output, name)
-    return [
-        fit_one(fitter, pixels, start, image, output, name, history) for start, name in zip(found, stems, strict=True)
-    ]
+        refuse_to_overwrite(writing.folder, name)
+    return [fit_one(fitter, pixels, start, image, writing, name) for start, name in zip(found, stems, strict=True)]
 
 
-def fit_one(
-    fitter: "Fitter", pixels: "np.ndarray", start, image: Path, output: Path, stem: str, history: bool
-) -> "FitResult":
+def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, writing: Writing, stem: str) -> "FitResult":
     """Fit one object of an image and write what belongs to it."""
+    import numpy as np
+
     from liaam.io import Contour, Landmarks, write_fit, write_image
     from liaam.plotting import overlay
 
@@ -256,12 +285,15 @@ def fit_one(
         "theta_deg": angle_degrees(result),
         "cost": result.cost,
         "iterations": result.n_iterations,
+        "quality": None if np.isnan(result.quality) else round(result.quality, 4),
+        "landmark_deviations_px": [round(float(v), 3) for v in result.deviations],
         "liaam": __version__,
     }
-    write_fit(output, stem, Landmarks(result.shape, contours), facts)
-    write_image(output / f"{stem}_fit.png", overlay(pixels, result.shape, model))
-    if history:
-        write_history(output / f"{stem}_history.csv", result)
+    write_fit(writing.folder, stem, Landmarks(result.shape, contours), facts)
+    drawn = result.landmark_covariances if writing.ellipses else None
+    write_image(writing.folder / f"{stem}_fit.png", overlay(pixels, result.shape, model, covariances=drawn))
+    if writing.history:
+        write_history(writing.folder / f"{stem}_history.csv", result)
     return result
 
 
@@ -280,7 +312,10 @@ def angle_degrees(result: "FitResult") -> float | None:
     """Estimated angle of the image's camera in degrees, or None for methods without one."""
     import numpy as np
 
-    return float(np.rad2deg(result.theta)) if np.isfinite(result.theta) else None
+    from liaam.fitting import get_method
+
+    estimated = get_method(result.method).free_angles != "none"
+    return float(np.rad2deg(result.theta)) if estimated and np.isfinite(result.theta) else None
 
 
 def write_history(path: Path, result: "FitResult") -> None:

@@ -41,7 +41,7 @@ Strength = Annotated[
 ]
 
 SIMULATED = "grey,rgb,li,li-lit,li-pc,li-pcs"
-COMPARED = "rgb,grey,li,igo"
+COMPARED = "rgb,grey,li,igo,soft-li"
 
 SpotFolder = Annotated[
     Path, typer.Option("--data", help="Folder with pictures NN-1 … NN-6 of each person and their landmarks.")

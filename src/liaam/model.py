@@ -42,6 +42,27 @@ class Level:
 
 
 @dataclass(frozen=True, eq=False)
+class Reliability:
+    """What fits of the default method to pictures left out of training tell of those to come.
+
+    Attributes
+    ----------
+    landmarks : (n, 2, 2) float64
+        Covariance of each landmark beyond what a fit states of itself, square pixels of the reference frame.
+    weights : (3,) float64
+        Log odds that a fit is right: of 1, of the share of the picture it explains, and of its shape's strangeness.
+    """
+
+    landmarks: np.ndarray
+    weights: np.ndarray
+
+    def quality(self, evidence: np.ndarray) -> float:
+        """Probability, 0 to 1, that a fit of some evidence (2,) is right, where right and wrong are as likely."""
+        odds = self.weights[0] + self.weights[1:] @ evidence
+        return float(1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))) if np.isfinite(odds) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class AAM:
     """An active appearance model.
 
@@ -63,6 +84,8 @@ class AAM:
         What the model was trained on, for people.
     soft_levels : tuple of Level
         The ``soft`` appearance, coarse to fine, on the pixels of ``surrounded``; none in files of earlier versions.
+    reliability : Reliability, optional
+        What tells right fits from wrong ones, where training has found out.
     """
 
     shape_model: ShapeModel
@@ -73,6 +96,7 @@ class AAM:
     contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
     name: str = ""
     soft_levels: tuple[Level, ...] = ()
+    reliability: Reliability | None = None
 
     def __repr__(self) -> str:
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
@@ -171,6 +195,9 @@ def _tensors(model: AAM) -> dict[str, np.ndarray]:
     }
     if shape.unexplained is not None:
         tensors["shape.unexplained"] = shape.unexplained
+    if model.reliability is not None:
+        tensors["reliability.landmarks"] = model.reliability.landmarks
+        tensors["reliability.weights"] = model.reliability.weights
     for prefix, levels in (("level", model.levels), ("soft_level", model.soft_levels)):
         for i, level in enumerate(levels):
             for name, appearance in level.appearances.items():
@@ -264,6 +291,7 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
         triangles=triangles,
         levels=tuple(_level(tensors, i, blur, frame.n_pixels) for i, blur in enumerate(_blurs(header["blurs"]))),
         soft_levels=_soft_levels(tensors, header.get("soft_blurs", []), shape_model, triangles),
+        reliability=_reliability(tensors, n),
         camera=_camera(header),
         n_images=int(header["n_images"]),
         contours=_contours(header["contours"], n),
@@ -290,6 +318,15 @@ def _level(tensors: dict[str, np.ndarray], i: int, blur: float, n_pixels: int) -
     if "value" not in names or "log" not in names:
         raise ValueError("an appearance is missing")
     return Level(blur, {name: _appearance(tensors, f"level{i}.{name}", name, n_pixels) for name in names})
+
+
+def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
+    if "reliability.weights" not in tensors:
+        return None
+    landmarks = _tensor(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
+    if (np.diagonal(landmarks, axis1=1, axis2=2) < 0).any():
+        raise ValueError("reliability.landmarks has variances below 0")
+    return Reliability(landmarks, _tensor(tensors, "reliability.weights", np.float64, (3,)))
 
 
 def _soft_levels(

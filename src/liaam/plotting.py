@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = {
+    "soft-li": "#7b2ff2",
     "grey": "#9a9a9a",
     "rgb": "#e8743b",
     "li": "#19a979",
@@ -45,6 +46,7 @@ MARKERS = {
     "varied": "<",
     "aia": ">",
     "igo": "*",
+    "soft-li": "h",
 }
 """One marker per method."""
 
@@ -115,8 +117,35 @@ def mesh_edges(triangles: np.ndarray) -> np.ndarray:
     return np.unique(pairs, axis=0)
 
 
+def ellipses(points: np.ndarray, covariances: np.ndarray, share: float = 0.95, n: int = 32) -> np.ndarray:
+    """Ellipses that hold a share of Gaussian points.
+
+    Parameters
+    ----------
+    points : (m, 2) float
+    covariances : (m, 2, 2) float
+    share : float
+    n : int
+        Points on each ellipse.
+
+    Returns
+    -------
+    (m, n, 2) float64
+    """
+    values, axes = np.linalg.eigh(np.nan_to_num(covariances))
+    # The square of a distance in standard deviations is chi-squared with two degrees of freedom.
+    radii = np.sqrt(-2.0 * np.log(1.0 - share) * np.maximum(values, 0.0))
+    turn = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return points[:, None] + np.einsum("mab,mb,nb->mna", axes, radii, circle)
+
+
 def overlay(
-    image: np.ndarray, shape: np.ndarray, model: AAM, colour: tuple[int, int, int] = (64, 255, 140)
+    image: np.ndarray,
+    shape: np.ndarray,
+    model: AAM,
+    colour: tuple[int, int, int] = (64, 255, 140),
+    covariances: np.ndarray | None = None,
 ) -> np.ndarray:
     """Draw a fitted shape on its picture.
 
@@ -129,6 +158,8 @@ def overlay(
         Gives the mesh (drawn faintly) and the contours (drawn strongly).
     colour : (int, int, int)
         RGB of contours and landmarks.
+    covariances : (n, 2, 2) float, optional
+        Of the landmarks, image pixels squared: their 95 % ellipses are drawn.
 
     Returns
     -------
@@ -153,6 +184,10 @@ def overlay(
     picture = cv2.addWeighted(faint, weight, picture, 1 - weight, 0)
     for indices, closed in model.contours:
         cv2.polylines(picture, [fixed[list(indices)].reshape(-1, 1, 2)], closed, colour, thick, cv2.LINE_AA, 4)
+    if covariances is not None:
+        rings = ellipses(points, zoom**2 * np.asarray(covariances))
+        rings = np.clip(np.rint(rings * 16), -(2**30), 2**30).astype(np.int32)
+        cv2.polylines(picture, list(rings), True, (255, 220, 64), thick, cv2.LINE_AA, 4)
     radius = int(16 * max(1.2, size / 180))
     for x, y in fixed:
         cv2.circle(picture, (int(x), int(y)), radius, (0, 0, 0), -1, cv2.LINE_AA, 4)

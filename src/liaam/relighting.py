@@ -1,6 +1,6 @@
 """Shadow-free appearance: what the fitted object looks like under the light of training (paper eq 11)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,7 +50,8 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     Parameters
     ----------
     fitter : Fitter
-        The one that made the fit; its method has to compare logarithms with the model's ``log`` appearance.
+        The one that made the fit; its method has to compare logarithms with the model's ``log`` appearance, or be
+        ``soft-li``.
     image : (h, w, 3) array
         The picture fitted.
     result : FitResult
@@ -66,14 +67,16 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     MethodError
         For a method without the log appearance, and for another fitter than the fit's.
     """
-    if fitter.objectives[-1].method.appearance != "log":
+    method = fitter.objectives[-1].method
+    if method.appearance not in ("log", "soft"):
         raise MethodError(
             f"method {result.method} does not fit the appearance of log-RGB, so nothing can be rebuilt from it; "
-            "fit with 'li', 'li-pc', 'li-pcs' or 'chroma'"
+            "fit with 'soft-li', 'li', 'li-pc', 'li-pcs' or 'chroma'"
         )
-    if fitter.objectives[-1].method.name != result.method:
-        own = fitter.objectives[-1].method.name
-        raise MethodError(f"the fit was made with method {result.method}, not {own}; give its own fitter")
+    if method.name != result.method:
+        raise MethodError(f"the fit was made with method {result.method}, not {method.name}; give its own fitter")
+    if method.appearance == "soft":  # of what it measures, the invariant tells the appearance
+        fitter = replace(fitter, method="li")
     objective, equations, lam = fitter.equations_at(image, result)
     n, eigenvalues = objective.appearance.n_modes, objective.appearance.eigenvalues
     if not equations.weight > 0:  # nothing of the picture can be used: what training says

@@ -207,13 +207,17 @@ def train_shape_model(shapes: np.ndarray, diagonal: float, variance: float | int
         Fraction of variance or number of modes to keep.
     """
     mean = procrustes_mean(shapes)
-    mean = mean * (diagonal / diagonal_of(mean))
+    return shape_model_on(mean * (diagonal / diagonal_of(mean)), shapes, variance)
+
+
+def shape_model_on(mean: np.ndarray, shapes: np.ndarray, variance: float | int) -> ShapeModel:
+    """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2)."""
     aligned = np.array([align(shape, mean)(shape) for shape in shapes])
     rigid = similarity_modes(mean)
     deviations = (aligned - mean).reshape(len(shapes), -1)
     # Modes live in the space orthogonal to the similarities, so that p and pose do not trade off.
     deviations -= deviations @ rigid.T @ rigid
-    deviations[np.abs(deviations) < 1e-9 * diagonal] = 0.0  # rounding is no mode
+    deviations[np.abs(deviations) < 1e-9 * diagonal_of(mean)] = 0.0  # rounding is no mode
     components = principal_components(deviations, variance)
     modes = components.modes - components.modes @ rigid.T @ rigid
     left = unexplained_by_others(deviations, variance).astype(np.float64).reshape(len(shapes), -1, 2)

@@ -1,7 +1,7 @@
 """Training: from landmarked images to an active appearance model."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from liaam.appearance import CHANNELS, SURROUNDED, AppearanceModel, train_appearance_model, train_illumination
 from liaam.errors import TrainingError
+from liaam.fitting.reliability import LeftOut, calibrate
 from liaam.mesh import (
     FOLD_TOLERANCE,
     ReferenceFrame,
@@ -17,12 +18,12 @@ from liaam.mesh import (
     signed_areas,
     triangles_from_edges,
 )
-from liaam.model import AAM, MAX_DIAGONAL, Level
+from liaam.model import AAM, MAX_DIAGONAL, Level, Reliability
 from liaam.pca import check_variance
 from liaam.photometry import ENCODINGS, CameraModel, Response, exposure_faults, invariant_row, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
 from liaam.sampling import make_patch, sample_texture
-from liaam.shape import ShapeModel, align, train_shape_model
+from liaam.shape import ShapeModel, align, shape_model_on, train_shape_model
 from liaam.warp import PiecewiseAffineWarp, surrounded_warp
 
 BLURS_DEFAULT = (3.0, 0.5)
@@ -55,6 +56,7 @@ def train(
     soft_blurs: tuple[float, ...] = SOFT_BLURS,
     triangles: np.ndarray | None = None,
     lit: Iterable | None = None,
+    leave_out: bool = True,
     name: str = "",
     progress: Callable[[int, int, str], None] | None = None,
 ) -> AAM:
@@ -86,6 +88,9 @@ def train(
     lit : Dataset or iterable, optional
         Further pictures of the same kind of object under other lights, for the methods that learn what light
         does (``varied``, ``aia``). Shapes and all other appearances are learnt from ``data`` alone.
+    leave_out : bool
+        Leave pictures out in turn and fit them, to learn how far the default method's fits can be trusted
+        (``FitResult.quality`` and ``landmark_covariances``). Without it training is several times as fast.
     name : str
         What the model shows, for people.
     progress : callable, optional
@@ -116,7 +121,7 @@ def train(
         by_encoding = dict.fromkeys(LIT_ENCODINGS, blurs)
         lit_sampled = _sample_lit(lit, entries, shape_model, frame, camera, by_encoding, progress, sampled.grey)
     kept = variance if appearance_variance is None else appearance_variance
-    return AAM(
+    model = AAM(
         shape_model=shape_model,
         triangles=triangles,
         levels=tuple(
@@ -132,6 +137,9 @@ def train(
         contours=contours,
         name=name,
     )
+    if not leave_out:
+        return model
+    return replace(model, reliability=_reliability(model, entries, shapes, sampled, (variance, kept), progress))
 
 
 LIT_ENCODINGS: tuple[str, ...] = ("value", "log")
@@ -423,10 +431,67 @@ def _appearances(
     return appearances
 
 
-def _soft_appearance(texture: _Texture, theta: float, variance: float | int) -> AppearanceModel:
-    """Learn gradient and invariant together: what a person changes in one, it changes in the other."""
-    direction, log_rgb, known = np.split(texture.values, [2, 5], axis=2)
+def _soft_appearance(
+    texture: _Texture, theta: float, variance: float | int, kept: np.ndarray | None = None
+) -> AppearanceModel:
+    """Learn gradient and invariant together, from all or the samples kept: what changes one changes the other."""
+    values, usable = (texture.values, texture.usable) if kept is None else (texture.values[kept], texture.usable[kept])
+    direction, log_rgb, known = np.split(values, [2, 5], axis=2)
     rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=2)
-    seen = np.repeat(texture.usable[..., None], 3, axis=2)
+    seen = np.repeat(usable[..., None], 3, axis=2)
     seen[..., 2:] *= known > 0.99
-    return train_appearance_model(rows, seen, variance)
+    return train_appearance_model(rows, seen, variance, leave_out=kept is None)
+
+
+LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
+"""Models to train without some of the samples, and pictures to fit with them, at most."""
+
+
+def _reliability(
+    model: AAM,
+    entries: list[_Entry],
+    shapes: np.ndarray,
+    sampled: _Sampled,
+    variances: tuple[float | int, float | int],
+    progress: Callable | None,
+) -> Reliability | None:
+    """Fit models of some of the samples to others, to learn what right and wrong fits look like.
+
+    Neighbours are left out together: pictures of one object often are, and one of them would give the others away.
+    """
+    folds = [fold for fold in np.array_split(np.arange(len(entries)), min(len(entries), LEFT_OUT_FOLDS)) if len(fold)]
+    each = max(1, LEFT_OUT_PICTURES // len(folds))
+    total = sum(min(each, len(fold)) for fold in folds)
+
+    def pictures() -> Iterator[LeftOut]:
+        done = 0
+        for fold in folds:
+            part = _without(model, fold, shapes, sampled, variances)
+            for i in fold[np.linspace(0, len(fold) - 1, min(each, len(fold))).astype(int)]:
+                if progress:
+                    progress(done, total, f"leaving out {entries[i].name}")
+                done += 1
+                image = model.camera.flatten(as_colour(entries[i].read_image(), entries[i].name))
+                yield LeftOut(part, image, shapes[i])
+
+    found = calibrate(pictures())
+    if progress:
+        progress(total, total, "reliability")
+    return found
+
+
+def _without(
+    model: AAM,
+    fold: np.ndarray,
+    shapes: np.ndarray,
+    sampled: _Sampled,
+    variances: tuple[float | int, float | int],
+) -> AAM:
+    """Model of all samples but a fold's, on the frame of the model of all."""
+    others = np.setdiff1d(np.arange(len(shapes)), fold)
+    levels = tuple(
+        Level(level.blur, {"soft": _soft_appearance(texture, model.theta, variances[1], others)})
+        for level, texture in zip(model.soft_levels, sampled.textures["soft"], strict=True)
+    )
+    part = shape_model_on(model.shape_model.mean, shapes[others], variances[0])
+    return replace(model, shape_model=part, soft_levels=levels)

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conftest import train_on
 from liaam.errors import ImageError, LiaamError, MethodError, StartError
 from liaam.fitting import METHODS, FitStatus, Fitter
 from liaam.training import train
-from setups import disturb, model_pixels
+from setups import disturb, model_pixels, train_on
 
 COLOUR = ("li", "li-lit", "li-pc", "li-pcs", "chroma")
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from conftest import train_on
 from liaam.fitting import FitStatus, Fitter, SolverOptions, fit
 from liaam.io import write_image
 from liaam.shape import diagonal_of
-from setups import disturb, model_pixels
+from setups import disturb, model_pixels, train_on
 
 STARTS = [(1.03, (0.02, -0.015)), (0.97, (-0.02, 0.02)), (1.0, (0.03, 0.0))]
 

@@ -17,7 +17,7 @@ from liaam.training import train
 if TYPE_CHECKING:
     from liaam.datasets.scenes import Scene
 
-METHODS = ("grey", "rgb", "li")
+METHODS = ("grey", "rgb", "li", "soft-li")
 
 N_TRAINING = 12
 
@@ -67,7 +67,7 @@ def run_demo(folder: Path, progress: Callable[[int, int, str], None] | None = No
         training += make_set(1, head=head, seed=i)
     test = render(head, Pose(yaw=0.06, x=3.0), Expression(smile=0.3, mouth_open=0.15), lights=lateral("left"), seed=99)
     tell(N_TRAINING, total, "training")
-    model = train([(scene.image, scene_landmarks(scene)) for scene in training], name="demo head")
+    model = train([(scene.image, scene_landmarks(scene)) for scene in training], name="demo head", leave_out=False)
     start = disturbed(test.landmarks, model.shape_model.mean)
     rows = []
     for i, method in enumerate(METHODS):

@@ -8,7 +8,7 @@ from liaam.experiments.simulated import METHODS, Sweep, simulated_experiment
 from liaam.experiments.subjects import STRENGTH
 
 SIGMAS = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0)
-NOISE_METHODS = (*METHODS, "li+noise")
+NOISE_METHODS = (*METHODS, "li+noise", "soft-li")
 
 SWEEP = Sweep(
     name="noise",

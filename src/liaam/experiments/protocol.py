@@ -24,7 +24,7 @@ from liaam.photometry import is_grey
 from liaam.photometry.encoding import as_colour
 from liaam.shape import diagonal_of
 
-METHODS = ("rgb", "grey", "li", "igo")
+METHODS = ("rgb", "grey", "li", "igo", "soft-li")
 """Methods that are compared if none are named."""
 
 VARIANCE = 0.98

@@ -37,7 +37,8 @@ class Solver:
 
     def train(self, data: Iterable, **options: Any) -> AAM:
         """Train a model as this solver wants it; ``options`` are those of :func:`liaam.train`."""
-        return train(data, **{"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal, **options})
+        own = {"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal, "leave_out": False}
+        return train(data, **{**own, **options})
 
 
 PAPER = Solver(

@@ -30,7 +30,7 @@ from liaam.shape import rotation
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-METHODS = ("rgb", "grey", "li", "li-lit", "li-pc", "li-pcs")
+METHODS = ("rgb", "grey", "li", "li-lit", "li-pc", "li-pcs", "soft-li")
 
 TRAINING_CONDITIONS = ("1", "2", "3", "4", "6")
 SPOT_CONDITION = "5"

@@ -8,7 +8,7 @@ import numpy as np
 
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting.angles import best_image_angle
-from liaam.fitting.methods import Method, get_method
+from liaam.fitting.methods import DEFAULT_METHOD, Method, get_method
 from liaam.fitting.normal_equations import NormalEquations
 from liaam.fitting.objective import FitProblem, Objective, State, make_objectives
 from liaam.fitting.picture import load_picture
@@ -17,7 +17,7 @@ from liaam.fitting.search import DOUBTFUL, Candidate, Finder
 from liaam.fitting.solver import Solution, SolverOptions, settle_lambda, solve
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
-from liaam.model import AAM, Level
+from liaam.model import AAM, Level, Reliability
 from liaam.photometry import CameraModel, NoiseModel, Response, exposure_faults, is_grey
 from liaam.shape import Similarity, align, diagonal_of
 
@@ -33,6 +33,9 @@ COARSE = 10.0
 SHAPE_LIMIT = 5.0
 """Standard deviations of a shape mode beyond which a fit has diverged; half a model pixel is granted on top,
 since a few training images understate the variance."""
+
+LEAST_QUALITY = 0.5
+"""Quality below which a fit that has settled is doubtful."""
 
 USABLE_LIMIT = 0.25
 """Share of the object's pixels that must be usable."""
@@ -134,12 +137,12 @@ class Fitter:
 
     Examples
     --------
-    >>> fitter = Fitter(model, "li")                                    # doctest: +SKIP
+    >>> fitter = Fitter(model)                                          # doctest: +SKIP
     >>> results = [fitter.fit(image, box) for image, box in pictures]   # doctest: +SKIP
     """
 
     model: AAM
-    method: str | Method = "li"
+    method: str | Method = DEFAULT_METHOD
     options: SolverOptions = field(default_factory=SolverOptions)
     kernel: str = "fast"
     camera: CameraModel | None = None
@@ -278,10 +281,15 @@ class Fitter:
         history = trace(stages)
         state, last = solution.state, solution.last
         spread = covariance(stages[-1].objective, solution, self.options.shape_prior)
-        n_p = len(state.p)
+        n_p, seen = len(state.p), evidence(stages[-1])
+        known = self.model.reliability if self._method.name == DEFAULT_METHOD else None
+        quality = np.nan if known is None else known.quality(seen)
+        status = self._status(image, history, solution)
+        if status.ok and quality < LEAST_QUALITY:
+            status = FitStatus.DOUBTFUL
         return FitResult(
             shape=history[-1].shape,
-            status=self._status(image, history, solution),
+            status=status,
             theta=float(state.angles[1]) if has_angle else np.nan,
             theta_model=float(state.angles[0]) if has_angle else np.nan,
             p=state.p,
@@ -293,7 +301,9 @@ class Fitter:
             residual=last.residual * last.weights[:, None],
             usable=last.weights,
             covariance=spread,
-            landmark_covariances=landmark_covariances(self.model, stages[-1].pose, spread[:n_p, :n_p]),
+            landmark_covariances=landmark_covariances(self.model, stages[-1].pose, spread[:n_p, :n_p], known),
+            evidence=seen,
+            quality=quality,
             method=self._method.name,
         )
 
@@ -353,7 +363,33 @@ def covariance(objective: Objective, solution: Solution, strength: float = 1.0) 
     return (vectors * inverse) @ vectors.T
 
 
-def landmark_covariances(model: AAM, pose: Similarity, spread: np.ndarray) -> np.ndarray:
+def evidence(stage: Stage) -> np.ndarray:
+    """What tells a right fit from a wrong one, (2,) float64.
+
+    The share of the picture's contrast under the model that the fit explains, at most 1, and how strange its shape is:
+    log(1 + mean squared mode in standard deviations).
+    """
+    objective, solution = stage.objective, stage.solution
+    seen, warp = solution.last, objective.warp
+    weights = seen.weights * objective.appearance.usable
+    samples = seen.values @ objective.method.image_metric(solution.state.angles[1]).T.astype(np.float32)
+    rows = slice(0, 2) if objective.method.soft else slice(None)  # of soft methods the gradient, always there
+    samples, residual = samples[:, rows].astype(np.float64), seen.residual[:, rows].astype(np.float64)
+    if objective.method.encoding in ("value", "log"):
+        samples -= np.average(samples, axis=0, weights=weights) if weights.any() else 0.0
+    contrast = float(weights @ np.square(samples).sum(axis=1))
+    left = float(weights @ np.square(residual).sum(axis=1))
+    explained = 1.0 - left / contrast if contrast > 0 else -1.0
+    modes = np.square(solution.state.p) * objective.prior
+    strange = modes[: warp.n_parameters - 4].mean() if warp.n_parameters > 4 else 0.0
+    return (
+        np.array([max(explained, -1.0), np.log1p(min(strange, 1e6))]) if np.isfinite(left) else np.array([-1.0, 14.0])
+    )
+
+
+def landmark_covariances(
+    model: AAM, pose: Similarity, spread: np.ndarray, reliability: Reliability | None = None
+) -> np.ndarray:
     """Covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit, and of what no fit can reach.
 
     Parameters
@@ -363,16 +399,18 @@ def landmark_covariances(model: AAM, pose: Similarity, spread: np.ndarray) -> np
         Model pixels to image pixels.
     spread : (n_p, n_p) float64
         Covariance of p.
+    reliability : Reliability, optional
+        How far fits to pictures left out erred; what the shape model left of such pictures' landmarks if left out.
     """
     basis = model.shape_model.basis.reshape(len(spread), -1, 2)
     fitted = np.einsum("ina,ij,jnb->nab", basis, spread, basis, optimize=True)
-    unexplained = model.shape_model.unexplained
+    unexplained = model.shape_model.unexplained if reliability is None else reliability.landmarks
     own = fitted if unexplained is None else fitted + unexplained
     return pose.matrix @ own @ pose.matrix.T
 
 
 def fit(
-    model: AAM, image, init=None, method: str | Method = "li", *, camera: CameraModel | None = None, **options
+    model: AAM, image, init=None, method: str | Method = DEFAULT_METHOD, *, camera: CameraModel | None = None, **options
 ) -> FitResult:
     """Fit a model to one image; for many images make a :class:`Fitter` once.
 

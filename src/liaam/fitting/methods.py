@@ -295,6 +295,9 @@ METHODS: dict[str, Method] = {
 """The methods by name, in the order of the table."""
 
 
+DEFAULT_METHOD = "soft-li"
+"""For any picture, whatever is known of its light."""
+
 NOISE_SUFFIX = "noise"
 
 

@@ -503,6 +503,8 @@ class Objective:
         """
         tied = tied_together(problem.blur)
         noise = _soft_noise(seen.values.astype(np.float64), problem)
+        if not self.appearance.mean[:, 2].any():  # learnt from grey pictures
+            noise[:, 2:5] = UNKNOWN
         by_noise = noise @ np.square(metric).T
         squares = np.square(seen.residual, dtype=np.float64)
         model, found = np.empty_like(by_noise), []

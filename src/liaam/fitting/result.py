@@ -14,6 +14,7 @@ class FitStatus(StrEnum):
 
     CONVERGED = "converged"
     LIGHT_UNOBSERVABLE = "light unobservable"
+    DOUBTFUL = "doubtful"
     MAX_ITERATIONS = "max iterations"
     DIVERGED = "diverged"
     LEFT_IMAGE = "left the image"
@@ -37,6 +38,10 @@ _MESSAGES = {
     FitStatus.LIGHT_UNOBSERVABLE: (
         "The fit settled. The light's colour differs too little from training, for what the model leaves "
         "unexplained, to tell the cameras' angle, so it was held."
+    ),
+    FitStatus.DOUBTFUL: (
+        "The fit settled, but explains the picture no better than fits that were wrong when pictures were left out of "
+        "training; look at it, and start nearer to the object if it is wrong."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit was still moving when its iterations ran out; start nearer to the object or allow more iterations."
@@ -119,6 +124,11 @@ class FitResult:
     landmark_covariances : (n, 2, 2) float64
         Covariance of each landmark, image pixels squared: that of p carried to the landmarks, and what even the best
         fit leaves of a person's landmarks, as learnt by leaving training shapes out.
+    evidence : (2,) float64
+        Share of the picture's contrast under the model that the fit explains, and strangeness of its shape.
+    quality : float
+        Probability, 0 to 1, that the fit is right, calibrated on pictures left out of training; NaN for other methods
+        than ``soft-li`` and for models trained without leaving out.
     method : str
     found : Candidate, optional
         What the search gave the fit to start from; None where the start was given.
@@ -138,6 +148,8 @@ class FitResult:
     usable: np.ndarray
     covariance: np.ndarray
     landmark_covariances: np.ndarray
+    evidence: np.ndarray
+    quality: float
     method: str
     found: Candidate | None = None
 
@@ -148,6 +160,11 @@ class FitResult:
     def message(self) -> str:
         """What happened, and what to do about it."""
         return self.status.message
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviation of each landmark, image pixels: root of the mean variance of x and y, (n,) float64."""
+        return np.sqrt(0.5 * np.trace(self.landmark_covariances, axis1=1, axis2=2))
 
     @property
     def start(self) -> np.ndarray:

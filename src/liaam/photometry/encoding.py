@@ -193,6 +193,8 @@ def _encode_soft(
 ) -> np.ndarray:
     """Encode for ``soft``: gradients of log luminance, softly normalised, and log RGB with its own weight."""
     stored, known = _stored_and_usable(image, "log")
+    if is_grey(image):  # there is no invariant to know
+        known = np.zeros_like(known)
     finite = _stored_and_usable(image, "value")[1]
     linear = _linear(image, stored, response)
     if reduce > 1:

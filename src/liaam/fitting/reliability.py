@@ -1,0 +1,126 @@
+"""How far a fit can be trusted: its quality, calibrated on pictures left out of training.
+
+A fit that settles need not be right. What tells is how much of the picture it explains, and how strange a shape it
+takes to do so; where the line runs between right and wrong depends on the object and on how well the model knows it.
+So models are fitted, at training, to pictures that they have not seen, from starts near and far.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from liaam.fitting.fitter import Fitter
+from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.fitting.solver import SolverOptions
+from liaam.model import AAM, Reliability
+from liaam.shape import align, diagonal_of, rotation
+
+RIGHT, WRONG = 0.03, 0.06
+"""Mean distance from the landmarks, as a share of the shape's diagonal, up to which a fit counts as right and beyond
+which as wrong; what lies between teaches nothing."""
+
+OPTIONS = SolverOptions(max_iterations=20)
+"""Right fits settle sooner, and wrong ones need not settle."""
+
+SHRINK = 5.0
+"""Left-out pictures that the average over all landmarks counts as, where each landmark's own spread is estimated."""
+
+TAIL = 4.0
+"""How much few left-out pictures widen the spread, in pictures: what is to come lies further out than a moment of few
+errors says."""
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """A picture, its landmarks, and a model that has not seen it (on the frame of the model that has)."""
+
+    model: AAM
+    image: np.ndarray
+    points: np.ndarray
+
+
+def calibrate(pictures: Iterable[LeftOut], progress: Callable[[], None] | None = None) -> Reliability | None:
+    """Learn what right and wrong fits look like, and how far right ones err.
+
+    Parameters
+    ----------
+    pictures : iterable of LeftOut
+    progress : callable, optional
+        Called after each picture.
+
+    Returns
+    -------
+    Reliability or None
+        None where there is nothing to learn from: too few right fits.
+    """
+    seen, right, errors, spreads = [], [], [], []
+    for i, picture in enumerate(pictures):
+        rng = np.random.default_rng([7, i])
+        fitter = Fitter(replace(picture.model, reliability=None), DEFAULT_METHOD, OPTIONS)
+        for start in (_near(picture, rng), _far(picture, rng)):
+            result = fitter.fit(picture.image, start)
+            error = float(np.linalg.norm(result.shape - picture.points, axis=1).mean()) / diagonal_of(picture.points)
+            if RIGHT < error <= WRONG or not np.isfinite(result.evidence).all():
+                continue
+            seen.append(result.evidence)
+            right.append(error <= RIGHT)
+            if right[-1]:
+                unposed = result.pose.inverse()
+                errors.append((picture.points - result.shape) @ unposed.matrix.T)
+                spreads.append(unposed.matrix @ result.landmark_covariances @ unposed.matrix.T)
+        if progress:
+            progress()
+    if sum(right) < 3:
+        return None
+    return Reliability(_landmarks(np.array(errors), np.array(spreads)), _weights(np.array(seen), np.array(right)))
+
+
+def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
+    mean = picture.model.shape_model.mean
+    return _moved(align(mean, picture.points)(mean), rng, turn=4.0, shift=0.02)
+
+
+def _far(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
+    """A start so far away that no fit should find back, inside the picture where that can be."""
+    start = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
+    return np.clip(start, 0.0, np.array(picture.image.shape[1::-1]) - 1.0)
+
+
+def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:
+    centre, towards = shape.mean(axis=0), rng.uniform(0.0, 2.0 * np.pi)
+    angle = np.deg2rad(rng.choice([-1, 1]) * turn * rng.uniform(0.5, 1.0))
+    step = shift * diagonal_of(shape) * np.array([np.cos(towards), np.sin(towards)])
+    return (shape - centre) @ rotation(angle).T + centre + step
+
+
+def _landmarks(errors: np.ndarray, spreads: np.ndarray) -> np.ndarray:
+    """Covariance (n, 2, 2) that explains the errors (m, n, 2) beyond the spreads (m, n, 2, 2) stated by the fits."""
+    m = len(errors)
+    beyond = np.einsum("mna,mnb->nab", errors, errors) / m - spreads.mean(axis=0)
+    values, vectors = np.linalg.eigh(beyond)
+    beyond = np.einsum("nai,ni,nbi->nab", vectors, np.maximum(values, 0.0), vectors)
+    pooled = 0.5 * float(np.trace(beyond, axis1=1, axis2=2).mean()) * np.eye(2)
+    return (m * beyond + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / m)
+
+
+def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Log odds (3,) by the evidence (m, 2); a strange shape may not speak for a fit, which chance can have it do."""
+    weights = _logistic(evidence, right)
+    return weights if weights[2] <= 0 else np.append(_logistic(evidence[:, :1], right), 0.0)
+
+
+def _logistic(features: np.ndarray, right: np.ndarray, ridge: float = 0.5, steps: int = 50) -> np.ndarray:
+    """Weights (1 + k,) of a logistic regression on (1, features (m, k)), both answers counted alike, with a ridge."""
+    middle, scale = features.mean(axis=0), features.std(axis=0) + 1e-6
+    x = np.column_stack([np.ones(len(right)), (features - middle) / scale])
+    # As if of as many wrong as right ones, and with a wrong one at least: pessimistic where all went well.
+    share = np.where(right, 0.5 / max(right.sum(), 1), 0.5 / max((~right).sum(), 1)) * len(right)
+    w = np.zeros(x.shape[1])
+    penalty = ridge * np.diag([1e-3] + [1.0] * features.shape[1])
+    for _ in range(steps):
+        p = 1.0 / (1.0 + np.exp(-np.clip(x @ w, -30, 30)))
+        hessian = (x * (share * p * (1 - p) + 1e-9)[:, None]).T @ x + penalty
+        w = w - np.linalg.solve(hessian, x.T @ (share * (p - right)) + penalty @ w)
+    slopes = w[1:] / scale
+    return np.concatenate([[w[0] - slopes @ middle], slopes])

@@ -1,0 +1,83 @@
+"""Quality of fits: calibrated on pictures left out, it tells right from wrong."""
+
+import numpy as np
+import pytest
+
+from liaam.fitting import FitStatus, Fitter
+from liaam.fitting.reliability import _landmarks, _logistic, _weights
+from liaam.model import load_model
+from liaam.shape import diagonal_of
+from setups import disturb, train_on
+
+
+@pytest.fixture(scope="module")
+def judged(scenes):
+    """Give a model that has learnt how far its fits can be trusted."""
+    return train_on(scenes, diagonal=60.0, leave_out=True)
+
+
+def test_it_tells_right_fits_from_wrong_ones(judged, lit_scene, same_light_scene):
+    fitter = Fitter(judged)
+    for scene in (lit_scene, same_light_scene):
+        right = fitter.fit(scene.image, disturb(scene.landmarks))
+        away = scene.landmarks - scene.landmarks.mean(axis=0) + 0.25 * np.array(scene.image.shape[1::-1])
+        wrong = fitter.fit(scene.image, 0.5 * away)
+        assert right.quality > 0.5
+        assert right.status.ok
+        if np.linalg.norm(wrong.shape - scene.landmarks, axis=1).mean() > 0.1 * diagonal_of(scene.landmarks):
+            assert wrong.quality < 0.5
+            assert not wrong.status.ok
+
+
+def test_a_settled_fit_of_low_quality_is_doubtful(judged, rng):
+    import cv2
+
+    blots = cv2.GaussianBlur(rng.random((180, 240, 3)).astype(np.float32), (0, 0), 6.0)
+    blots = (blots - blots.min()) / np.ptp(blots)
+    result = Fitter(judged).fit(blots, (60, 40, 180, 150))
+    assert not result.status.ok
+    assert result.quality < 0.5
+
+
+def test_other_methods_have_no_quality(judged, lit_scene):
+    result = Fitter(judged, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert np.isnan(result.quality)
+    assert result.status is not FitStatus.DOUBTFUL
+
+
+def test_it_is_kept_in_the_model_file(judged, tmp_path):
+    judged.save(tmp_path / "m.liaam")
+    loaded = load_model(tmp_path / "m.liaam").reliability
+    assert loaded is not None
+    np.testing.assert_array_equal(loaded.landmarks, judged.reliability.landmarks)
+    np.testing.assert_array_equal(loaded.weights, judged.reliability.weights)
+
+
+def test_the_covariance_of_landmarks_makes_up_for_what_fits_do_not_state(rng):
+    true = np.array([[4.0, 1.0], [1.0, 2.0]])
+    errors = rng.multivariate_normal(np.zeros(2), true, (4000, 3))
+    stated = np.broadcast_to(0.5 * np.eye(2), (4000, 3, 2, 2))
+    np.testing.assert_allclose(_landmarks(errors, stated) + stated[0], np.broadcast_to(true, (3, 2, 2)), atol=0.3)
+
+
+def test_few_pictures_widen_it(rng):
+    errors = rng.standard_normal((5, 40, 2))
+    few = _landmarks(errors, np.zeros((5, 40, 2, 2)))
+    assert np.trace(few, axis1=1, axis2=2).mean() > 1.5 * np.square(errors).sum(axis=2).mean()
+    assert (np.linalg.eigvalsh(few) > 0).all()
+
+
+def test_the_logistic_regression_separates_and_does_not_care_how_many_of_each():
+    features = np.array([[0.8], [0.7], [0.75], [-0.2], [-0.3]])
+    right = np.array([True, True, True, False, False])
+    weights = _logistic(features, right)
+    odds = weights[0] + features @ weights[1:]
+    assert ((odds > 0) == right).all()
+    assert -weights[0] / weights[1] == pytest.approx(0.25, abs=0.15)
+
+
+def test_a_strange_shape_never_speaks_for_a_fit(rng):
+    evidence = np.column_stack([np.repeat([0.7, -0.2], 10), np.repeat([1.0, 0.0], 10)]) + 0.01 * rng.random((20, 2))
+    weights = _weights(evidence, np.repeat([True, False], 10))
+    assert weights[1] > 0
+    assert weights[2] == 0

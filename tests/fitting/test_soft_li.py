@@ -1,0 +1,99 @@
+"""soft-li: gradients and the invariant, each as far as the picture lets it be trusted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.fitting import FitStatus, Fitter, SolverOptions
+from liaam.fitting.objective import SOFT_ROWS
+from liaam.photometry import linear_to_srgb, srgb_to_linear
+from liaam.photometry.invariant import LUMINANCE
+from setups import disturb, finest_objective, make_problem, model_pixels, train_on
+
+
+@pytest.mark.parametrize("picture", ["lit_scene", "same_light_scene"])
+def test_it_finds_the_object_under_both_lights(fine_model, picture, request):
+    scene = request.getfixturevalue(picture)
+    result = Fitter(fine_model).fit(scene.image, disturb(scene.landmarks))
+    assert result.method == "soft-li"
+    assert result.status is FitStatus.CONVERGED
+    assert model_pixels(fine_model, result.shape, scene.landmarks) < 0.5
+
+
+def test_where_it_starts_does_not_matter(fine_model, lit_scene):
+    fitter = Fitter(fine_model, options=SolverOptions(tolerance=1e-4))
+    near, far = (fitter.fit(lit_scene.image, disturb(lit_scene.landmarks, scale)) for scale in (1.02, 0.85))
+    assert np.abs(near.shape - far.shape).max() < 0.05
+
+
+@pytest.mark.parametrize("gain", [0.3, 2.0])
+def test_exposure_hardly_moves_it(fine_model, same_light_scene, gain):
+    start = disturb(same_light_scene.landmarks)
+    plain = Fitter(fine_model).fit(same_light_scene.image, start)
+    exposed = np.clip(gain * same_light_scene.image.astype(np.float32), 0.0, 1.0)
+    found = Fitter(fine_model).fit(exposed, start)
+    assert model_pixels(fine_model, found.shape, plain.shape) < 0.25
+
+
+def test_grey_pictures_are_fitted_by_their_gradients(fine_model, lit_scene):
+    grey = np.repeat(lit_scene.image @ LUMINANCE[0].astype(np.float32)[:, None], 3, axis=2)
+    result = Fitter(fine_model).fit(grey, disturb(lit_scene.landmarks))
+    assert result.status.ok
+    assert model_pixels(fine_model, result.shape, lit_scene.landmarks) < 1.0
+
+
+def test_a_model_of_grey_pictures_fits_colour(scenes, lit_scene):
+    luminance = LUMINANCE[0].astype(np.float32)[:, None]
+    grey = [replace(scene, image=np.repeat(scene.image @ luminance, 3, axis=2)) for scene in scenes]
+    model = train_on(grey, diagonal=100.0, variance=1.0)
+    result = Fitter(model).fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert result.status.ok
+    assert model_pixels(model, result.shape, lit_scene.landmarks) < 1.0
+
+
+def trust_in(model, image: np.ndarray, shape: np.ndarray):
+    """Weights of gradient and invariant, averaged over the pixels, once lambda has settled at a shape."""
+    objective = finest_objective(model, "soft-li")
+    problem, p = make_problem(model, image, shape, objective, blur=1.0)
+    state = objective.start(p)
+    trust = None
+    for _ in range(3):
+        seen = objective.linearise(problem, state, trust=trust)
+        state = replace(state, lam=state.lam + seen.equations.best_lambda_step())
+        seen = objective.linearise(problem, state, trust=trust)
+        trust = objective.trust(problem, state, seen)
+    assert trust is not None
+    absolute = 1.0 / trust.variance(objective.method.image_metric(model.theta))
+    return [float(absolute[:, rows].mean()) for rows, _ in SOFT_ROWS]
+
+
+def test_noise_costs_trust(fine_model, same_light_scene, rng):
+    shape, image = same_light_scene.landmarks, same_light_scene.image
+    noise = 0.06 * rng.standard_normal(image.shape)
+    stored = np.clip(linear_to_srgb(image.astype(np.float64)) + noise, 0, 1)
+    noisy = srgb_to_linear(stored).astype(np.float32)
+    gradient, invariant = trust_in(fine_model, image, shape)
+    noisy_gradient, noisy_invariant = trust_in(fine_model, noisy, shape)
+    assert noisy_gradient < 0.7 * gradient
+    assert noisy_invariant < 0.7 * invariant
+
+
+def test_colours_out_of_place_cost_the_invariant_its_trust(fine_model, same_light_scene, rng):
+    import cv2
+
+    shape, image = same_light_scene.landmarks, same_light_scene.image
+    tint = cv2.GaussianBlur(rng.standard_normal(image.shape).astype(np.float32), (0, 0), 12.0)
+    tint -= tint @ LUMINANCE[0].astype(np.float32)[:, None]
+    tinted = np.clip(image * np.exp(0.3 * tint / tint.std()), 0, 1).astype(np.float32)
+    plain, changed = trust_in(fine_model, image, shape), trust_in(fine_model, tinted, shape)
+    assert changed[1] / plain[1] < 0.5 * changed[0] / plain[0]
+
+
+def test_every_landmark_has_its_covariance(fine_model, lit_scene):
+    result = Fitter(fine_model).fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert result.landmark_covariances.shape == (fine_model.n_points, 2, 2)
+    np.testing.assert_allclose(result.landmark_covariances, result.landmark_covariances.transpose(0, 2, 1))
+    assert (np.linalg.eigvalsh(result.landmark_covariances) > 0).all()
+    assert np.isnan(result.quality)  # trained without leaving out
+    assert 0.5 < result.evidence[0] <= 1.0
