@@ -11,7 +11,7 @@ from liaam.fitting import METHODS, Fitter, SolverOptions
 from liaam.io import Contour, Landmarks
 from liaam.mesh import delaunay, signed_areas
 from liaam.photometry import invariant
-from liaam.training import train
+from liaam.training import _folds, train
 from setups import disturb, model_pixels, train_on
 
 
@@ -289,3 +289,17 @@ def test_lit_pictures_may_not_be_grey_where_the_others_are_in_colour(pairs, lit_
     grey = [(np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2), points) for image, points in lit_pairs]
     with pytest.raises(TrainingError, match=r"under other lights are grey .* unlike those to learn from"):
         train(pairs, lit=grey)
+
+
+def test_pictures_of_one_object_are_left_out_together():
+    names = [f"{person:02d}-{i}m" for person in range(4) for i in range(3)]
+    assert [fold.tolist() for fold in _folds(names)] == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
+    shuffled = ["anna1", "bob1", "carl1", "anna2", "bob2", "carl2"]
+    assert [fold.tolist() for fold in _folds(shuffled)] == [[0, 3], [1, 4], [2, 5]]
+
+
+def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_folds():
+    assert [fold.tolist() for fold in _folds(["face1", "face2", "face3"])] == [[0], [1], [2]]
+    folds = _folds([f"face{i}" for i in range(50)])
+    assert len(folds) == 5
+    assert sorted(np.concatenate(folds)) == list(range(50))

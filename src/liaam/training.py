@@ -1,9 +1,11 @@
 """Training: from landmarked images to an active appearance model."""
 
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -457,9 +459,9 @@ def _reliability(
 ) -> Reliability | None:
     """Fit models of some of the samples to others, to learn what right and wrong fits look like.
 
-    Neighbours are left out together: pictures of one object often are, and one of them would give the others away.
+    Pictures whose names say that they show the same object are left out together: one would give the others away.
     """
-    folds = [fold for fold in np.array_split(np.arange(len(entries)), min(len(entries), LEFT_OUT_FOLDS)) if len(fold)]
+    folds = _folds([entry.name for entry in entries])
     each = max(1, LEFT_OUT_PICTURES // len(folds))
     total = sum(min(each, len(fold)) for fold in folds)
 
@@ -474,10 +476,20 @@ def _reliability(
                 image = model.camera.flatten(as_colour(entries[i].read_image(), entries[i].name))
                 yield LeftOut(part, image, shapes[i])
 
-    found = calibrate(pictures())
+    found = calibrate(model, pictures())
     if progress:
         progress(total, total, "reliability")
     return found
+
+
+def _folds(names: list[str]) -> list[np.ndarray]:
+    """Samples to leave out together: by object, where names such as 07-1, 07-2 or anna1, anna2 tell."""
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        groups.setdefault(re.sub(r"([-_. ][^-_. /]*|\d+)$", "", str(Path(name).with_suffix(""))), []).append(i)
+    members = list(groups.values()) if len(groups) >= 3 else [[i] for i in range(len(names))]
+    parts = np.array_split(np.arange(len(members)), min(len(members), LEFT_OUT_FOLDS))
+    return [np.array(sorted(i for member in part for i in members[member])) for part in parts]
 
 
 def _without(

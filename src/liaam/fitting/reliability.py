@@ -5,7 +5,7 @@ takes to do so; where the line runs between right and wrong depends on the objec
 So models are fitted, at training, to pictures that they have not seen, from starts near and far.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,14 +40,14 @@ class LeftOut:
     points: np.ndarray
 
 
-def calibrate(pictures: Iterable[LeftOut], progress: Callable[[], None] | None = None) -> Reliability | None:
+def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     """Learn what right and wrong fits look like, and how far right ones err.
 
     Parameters
     ----------
+    model : AAM
+        Of all pictures.
     pictures : iterable of LeftOut
-    progress : callable, optional
-        Called after each picture.
 
     Returns
     -------
@@ -61,19 +61,19 @@ def calibrate(pictures: Iterable[LeftOut], progress: Callable[[], None] | None =
         for start in (_near(picture, rng), _far(picture, rng)):
             result = fitter.fit(picture.image, start)
             error = float(np.linalg.norm(result.shape - picture.points, axis=1).mean()) / diagonal_of(picture.points)
-            if RIGHT < error <= WRONG or not np.isfinite(result.evidence).all():
+            if not np.isfinite(error) or not np.isfinite(result.evidence).all():
                 continue
-            seen.append(result.evidence)
-            right.append(error <= RIGHT)
-            if right[-1]:
+            if error <= WRONG:  # all that are not lost: those in doubt err, too
                 unposed = result.pose.inverse()
                 errors.append((picture.points - result.shape) @ unposed.matrix.T)
                 spreads.append(unposed.matrix @ result.landmark_covariances @ unposed.matrix.T)
-        if progress:
-            progress()
+            if not RIGHT < error <= WRONG:
+                seen.append(result.evidence)
+                right.append(error <= RIGHT)
     if sum(right) < 3:
         return None
-    return Reliability(_landmarks(np.array(errors), np.array(spreads)), _weights(np.array(seen), np.array(right)))
+    landmarks = _landmarks(np.array(errors), np.array(spreads))
+    return Reliability(_larger(landmarks, _by_shape(model)), _weights(np.array(seen), np.array(right)))
 
 
 def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
@@ -96,12 +96,28 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
 
 def _landmarks(errors: np.ndarray, spreads: np.ndarray) -> np.ndarray:
     """Covariance (n, 2, 2) that explains the errors (m, n, 2) beyond the spreads (m, n, 2, 2) stated by the fits."""
-    m = len(errors)
-    beyond = np.einsum("mna,mnb->nab", errors, errors) / m - spreads.mean(axis=0)
+    beyond = np.einsum("mna,mnb->nab", errors, errors) / len(errors) - spreads.mean(axis=0)
     values, vectors = np.linalg.eigh(beyond)
-    beyond = np.einsum("nai,ni,nbi->nab", vectors, np.maximum(values, 0.0), vectors)
-    pooled = 0.5 * float(np.trace(beyond, axis1=1, axis2=2).mean()) * np.eye(2)
-    return (m * beyond + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / m)
+    return _widened(np.einsum("nai,ni,nbi->nab", vectors, np.maximum(values, 0.0), vectors), len(errors))
+
+
+def _widened(moments: np.ndarray, m: int) -> np.ndarray:
+    """Second moments (n, 2, 2) of m errors, drawn towards those of all landmarks and widened for what is to come."""
+    pooled = 0.5 * float(np.trace(moments, axis1=1, axis2=2).mean()) * np.eye(2)
+    return (m * moments + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / m)
+
+
+def _by_shape(model: AAM) -> np.ndarray:
+    """Covariance (n, 2, 2) that shapes left out tell; of pictures whose fits are lost, fits themselves tell nothing."""
+    unexplained = model.shape_model.unexplained
+    nothing = np.zeros((model.n_points, 2, 2))
+    return nothing if unexplained is None else _widened(unexplained, model.n_images)
+
+
+def _larger(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The one of two covariances (n, 2, 2) with the larger trace, landmark by landmark."""
+    traces = [np.trace(each, axis1=1, axis2=2) for each in (a, b)]
+    return np.where((traces[0] >= traces[1])[:, None, None], a, b)
 
 
 def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:
