@@ -69,9 +69,22 @@ def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tm
     assert np.linalg.norm(found - truth, axis=1).mean() < 1.5
     assert np.allclose(found, read_landmarks(out / "new.csv").points, atol=1e-3)
     facts = json.loads((out / "new.json").read_text())
-    assert facts["method"] == "li"
-    assert 90 < facts["theta_deg"] < 150
+    assert facts["method"] == "soft-li"
+    assert facts["theta_deg"] is None  # taken from the camera, not estimated
+    assert 0.5 < facts["quality"] <= 1.0
+    assert all(0 < deviation < 20 for deviation in facts["landmark_deviations_px"])
     assert len((out / "new_history.csv").read_text().splitlines()) >= 3
+
+
+def test_fit_with_li_tells_the_angle(run, portraits, model_file, tmp_path):
+    truth = read_landmarks(portraits[2]).points
+    code, *_ = run(
+        "fit", model_file, portraits[1], "--init", box_around(truth), "-o", tmp_path, "-m", "li", "--ellipses"
+    )
+    assert code == 0
+    facts = json.loads((tmp_path / "new.json").read_text())
+    assert 90 < facts["theta_deg"] < 150
+    assert facts["quality"] is None
 
 
 def test_fit_searches_without_a_start(run, portraits, model_file, tmp_path):

@@ -10,7 +10,7 @@ from liaam.errors import ImageError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
 from liaam.io import Contour, Landmarks
 from liaam.mesh import delaunay, signed_areas
-from liaam.photometry import invariant
+from liaam.photometry import CameraModel, invariant
 from liaam.training import _folds, train
 from setups import disturb, model_pixels, train_on
 
@@ -303,3 +303,16 @@ def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_f
     folds = _folds([f"face{i}" for i in range(50)])
     assert len(folds) == 5
     assert sorted(np.concatenate(folds)) == list(range(50))
+
+
+def test_pictures_left_out_are_given_as_they_are(pairs, monkeypatch):
+    """The fit itself takes vignetting off; twice would be once too often."""
+    seen = []
+    monkeypatch.setattr("liaam.training.calibrate", lambda model, pictures: seen.extend(pictures))
+    camera = CameraModel(response="linear", vignetting=(-0.3,))
+    train(pairs, diagonal=40.0, camera=camera)
+    assert len(seen) == len(pairs)
+    for left_out, (image, points) in zip(seen, pairs, strict=True):
+        np.testing.assert_array_equal(left_out.image, image)
+        np.testing.assert_array_equal(left_out.points, points)
+        assert len(left_out.model.soft_levels) == 3

@@ -10,7 +10,7 @@ from liaam.fitting.objective import tied_together
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.model import AAM
 from liaam.photometry import Response, from_linear, to_linear
-from liaam.photometry.encoding import as_colour, stored_values
+from liaam.photometry.encoding import as_colour, refuse_grey, stored_values
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
 """Of a residual: at least what rounding to 8 bits leaves of the brightest pixel's logarithm. A fit of a picture
@@ -76,7 +76,8 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     if method.name != result.method:
         raise MethodError(f"the fit was made with method {result.method}, not {method.name}; give its own fitter")
     if method.appearance == "soft":  # of what it measures, the invariant tells the appearance
-        fitter = replace(fitter, method="li")
+        refuse_grey(as_colour(image), "image", "the appearance without shadows is rebuilt from colours", MethodError)
+        fitter, result = replace(fitter, method="li"), replace(result, theta=np.nan)
     objective, equations, lam = fitter.equations_at(image, result)
     n, eigenvalues = objective.appearance.n_modes, objective.appearance.eigenvalues
     if not equations.weight > 0:  # nothing of the picture can be used: what training says

@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -82,9 +81,10 @@ def train(
     camera : CameraModel, optional
         What is known of the training camera; 122 degrees and sRGB if nothing is.
     blurs : tuple of float
-        Blur of the levels a fit goes through, from coarse to fine, pixels of the reference frame.
+        Blur of the levels a fit goes through, from coarse to fine, pixels of the reference frame; of all methods but
+        ``soft-li``.
     soft_blurs : tuple of float
-        The same for ``soft-li``.
+        The same for ``soft-li``, the default method.
     triangles : (t, 3) int, optional
         The mesh. If left out: the files' connectivity where it is a mesh, else Delaunay of the mean shape.
     lit : Dataset or iterable, optional
@@ -442,6 +442,8 @@ def _soft_appearance(
     rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=2)
     seen = np.repeat(usable[..., None], 3, axis=2)
     seen[..., 2:] *= known > 0.99
+    if not seen[..., 2].any():  # grey pictures: nothing to compare, and not by rounding either
+        rows[..., 2] = 0.0
     return train_appearance_model(rows, seen, variance, leave_out=kept is None)
 
 
@@ -473,7 +475,7 @@ def _reliability(
                 if progress:
                     progress(done, total, f"leaving out {entries[i].name}")
                 done += 1
-                image = model.camera.flatten(as_colour(entries[i].read_image(), entries[i].name))
+                image = as_colour(entries[i].read_image(), entries[i].name)
                 yield LeftOut(part, image, shapes[i])
 
     found = calibrate(model, pictures())
@@ -486,8 +488,9 @@ def _folds(names: list[str]) -> list[np.ndarray]:
     """Samples to leave out together: by object, where names such as 07-1, 07-2 or anna1, anna2 tell."""
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(names):
-        groups.setdefault(re.sub(r"([-_. ][^-_. /]*|\d+)$", "", str(Path(name).with_suffix(""))), []).append(i)
-    members = list(groups.values()) if len(groups) >= 3 else [[i] for i in range(len(names))]
+        groups.setdefault(re.sub(r"([-_. ][^-_. /]*|\d+)$", "", re.sub(r"\.[A-Za-z]{2,4}\d?$", "", name)), []).append(i)
+    several = len(groups) >= 3 and max(map(len, groups.values())) <= len(names) / 2
+    members = list(groups.values()) if several else [[i] for i in range(len(names))]
     parts = np.array_split(np.arange(len(members)), min(len(members), LEFT_OUT_FOLDS))
     return [np.array(sorted(i for member in part for i in members[member])) for part in parts]
 

@@ -97,3 +97,21 @@ def test_every_landmark_has_its_covariance(fine_model, lit_scene):
     assert (np.linalg.eigvalsh(result.landmark_covariances) > 0).all()
     assert np.isnan(result.quality)  # trained without leaving out
     assert 0.5 < result.evidence[0] <= 1.0
+
+
+def test_the_angle_of_the_picture_is_that_of_its_camera(fine_model, lit_scene):
+    start, camera = disturb(lit_scene.landmarks), replace(fine_model.camera, theta=2.0)
+    assert Fitter(fine_model).fit(lit_scene.image, start).theta == fine_model.theta
+    assert Fitter(fine_model, camera=camera).fit(lit_scene.image, start).theta == 2.0
+
+
+def test_a_fit_that_explains_nothing_is_doubtful(fine_model, rng):
+    noise = rng.integers(0, 255, (240, 180, 3), dtype=np.uint8)
+    assert not Fitter(fine_model).fit(noise, (40, 40, 140, 200)).status.ok
+
+
+def test_its_residual_is_a_picture_of_the_surrounded_frame(fine_model, lit_scene):
+    result = Fitter(fine_model).fit(lit_scene.image, disturb(lit_scene.landmarks))
+    picture = fine_model.surrounded.frame.picture(result.residual)
+    assert picture.shape[2] == 3
+    assert picture.any()

@@ -85,13 +85,22 @@ def test_soft_gradients_hardly_see_a_gain(gain):
 
 
 def test_soft_directions_work_where_the_log_says_nothing():
-    image = np.tile(np.linspace(0, 255, 64).astype(np.uint8)[None, :, None], (16, 1, 3))
+    ramp = np.linspace(0, 255, 64)[:, None] * [1.0, 0.95, 0.98]
+    image = np.tile(ramp.astype(np.uint8)[None], (16, 1, 1))
     encoded = encode(image, "soft")
     assert encoded[..., -1].all()
     assert not encoded[:, 0, 5].any()
     assert not encoded[:, -1, 5].any()
     assert encoded[:, 20, 5].all()
     assert (encoded[:, 1, 0] > 0.3).all()
+
+
+def test_grey_pictures_have_no_invariant_to_know(picture):
+    grey = np.repeat(picture[..., :1], 3, axis=2)
+    assert not encode(grey, "soft")[..., 5].any()
+    holed = np.where(np.arange(20)[None, :, None] == 7, np.nan, grey / 255).astype(np.float32)
+    assert is_grey(holed)
+    assert not encode(holed, "soft")[..., 5].any()
 
 
 def test_blurring_the_log_blurs_the_invariant(rng):

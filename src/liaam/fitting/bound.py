@@ -101,7 +101,10 @@ def cramer_rao_bound(
     """
     method, response = get_method(method), model.response if response is None else response
     if method.encoding in ("orientation", "soft"):
-        raise MethodError(f"method {method.name}: the noise of gradient orientations is not known, so no bound is")
+        raise MethodError(
+            f"method {method.name}: the noise of gradient orientations is not known, so no bound is; "
+            "take 'li' or another method of values or logarithms"
+        )
     objective = make_objectives(model, method)[-1]
     pose = align(model.shape_model.mean, shape)
     problem = FitProblem.at(as_colour(image), shape, pose, method, response, blur=0.0)

@@ -19,6 +19,7 @@ from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
 from liaam.model import AAM, Level, Reliability
 from liaam.photometry import CameraModel, NoiseModel, Response, exposure_faults, is_grey
+from liaam.photometry.encoding import stored_values
 from liaam.shape import Similarity, align, diagonal_of
 
 SCALE_LIMITS = (1 / 3, 3.0)
@@ -61,6 +62,7 @@ def solve_levels(
     response: Response,
     options: SolverOptions,
     noise: NoiseModel | None = None,
+    theta: float | None = None,
 ) -> list[Stage]:
     """Solve from the coarsest level to the finest, each from where the one before it stopped.
 
@@ -76,6 +78,8 @@ def solve_levels(
     options : SolverOptions
     noise : NoiseModel, optional
         Of the image's camera; measured in the image if left out.
+    theta : float, optional
+        Angle of the image's camera where the method does not estimate it, radians; the model's if left out.
 
     Returns
     -------
@@ -90,7 +94,9 @@ def solve_levels(
         pose = align(warp.rest, shape)
         problem = FitProblem.at(image, shape, pose, objective.method, response, blur, noise)
         state = objective.start(warp.parameters(pose.inverse()(shape)))
-        angles = stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options)
+        angles = (
+            stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options, theta)
+        )
         finest = objective is levels[-1][0]
         sparing = options if finest else replace(options, tolerance=COARSE * options.tolerance, scoring=0)
         stages.append(Stage(objective, pose, solve(objective, problem, replace(state, angles=angles), sparing)))
@@ -100,8 +106,12 @@ def solve_levels(
     return stages
 
 
-def _first_angles(objective: Objective, problem: FitProblem, state: State, options: SolverOptions) -> np.ndarray:
-    if objective.method.free_angles != "image" or options.angle_start == "model":
+def _first_angles(
+    objective: Objective, problem: FitProblem, state: State, options: SolverOptions, theta: float | None
+) -> np.ndarray:
+    if theta is not None and objective.method.free_angles == "none":
+        return np.array([state.angles[0], theta])
+    if objective.method.free_angles != "image" or objective.method.soft or options.angle_start == "model":
         return state.angles
     return np.array([state.angles[0], best_image_angle(objective, problem, state)])
 
@@ -132,8 +142,8 @@ class Fitter:
     options : SolverOptions
     kernel : {"fast", "reference"}
     camera : CameraModel, optional
-        Camera of the images to be fitted, which gives response, vignetting and noise (its angle is estimated); the
-        training camera if left out.
+        Camera of the images to be fitted, which gives response, vignetting, noise, and the angle where the
+        method does not estimate it; the training camera if left out.
 
     Examples
     --------
@@ -225,7 +235,7 @@ class Fitter:
         """
         image, name = load_picture(image, name)
         # A picture of one value (black, white) is not refused: its status says more.
-        if self._method.needs_colour and is_grey(image) and image.min() != image.max():
+        if self._method.needs_colour and is_grey(image) and np.ptp(stored_values(image)) > 0:
             raise ImageError(
                 f"{name}: the picture is grey (three equal channels), but method {self._method.name} "
                 "compares colours; use method 'grey'"
@@ -258,15 +268,19 @@ class Fitter:
             camera.flatten(image), result.shape, result.pose, self._method, camera.response, blur, camera.noise
         )
         state = objective.start(result.p)
-        if self._method.has_angles:
+        if self._method.has_angles and np.isfinite(result.theta):
             state = replace(state, angles=np.array([result.theta_model, result.theta]))
+        elif self._method.free_angles == "image":
+            state = replace(state, angles=np.array([state.angles[0], best_image_angle(objective, problem, state)]))
         state, seen = settle_lambda(objective, problem, state, self.options)
         return objective, seen.equations, state.lam
 
     def _solve_levels(self, image: np.ndarray, start: np.ndarray) -> list[Stage]:
         """Solve from the coarsest level to the finest (see :func:`solve_levels`)."""
         levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
-        return solve_levels(levels, image, start, self._camera.response, self.options, self._camera.noise)
+        return solve_levels(
+            levels, image, start, self._camera.response, self.options, self._camera.noise, self._camera.theta
+        )
 
     @property
     def _levels(self) -> tuple[Level, ...]:
@@ -285,7 +299,9 @@ class Fitter:
         known = self.model.reliability if self._method.name == DEFAULT_METHOD else None
         quality = np.nan if known is None else known.quality(seen)
         status = self._status(image, history, solution)
-        if status.ok and quality < LEAST_QUALITY:
+        # Without calibration, too, what explains nothing is no fit.
+        doubtful = quality < LEAST_QUALITY or (self._method.soft and seen[0] <= 0.0)
+        if status.ok and doubtful:
             status = FitStatus.DOUBTFUL
         return FitResult(
             shape=history[-1].shape,
@@ -387,6 +403,13 @@ def evidence(stage: Stage) -> np.ndarray:
     )
 
 
+def fitted_covariances(model: AAM, spread: np.ndarray) -> np.ndarray:
+    """Covariance of each landmark by that of p (first in ``spread``), (n, 2, 2) float64, model pixels squared."""
+    basis = model.shape_model.basis.reshape(-1, model.n_points, 2)
+    n_p = len(basis)
+    return np.einsum("ina,ij,jnb->nab", basis, spread[:n_p, :n_p], basis, optimize=True)
+
+
 def landmark_covariances(
     model: AAM, pose: Similarity, spread: np.ndarray, reliability: Reliability | None = None
 ) -> np.ndarray:
@@ -402,8 +425,7 @@ def landmark_covariances(
     reliability : Reliability, optional
         How far fits to pictures left out erred; what the shape model left of such pictures' landmarks if left out.
     """
-    basis = model.shape_model.basis.reshape(len(spread), -1, 2)
-    fitted = np.einsum("ina,ij,jnb->nab", basis, spread, basis, optimize=True)
+    fitted = fitted_covariances(model, spread)
     unexplained = model.shape_model.unexplained if reliability is None else reliability.landmarks
     own = fitted if unexplained is None else fitted + unexplained
     return pose.matrix @ own @ pose.matrix.T

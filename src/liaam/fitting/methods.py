@@ -115,6 +115,8 @@ class Method:
         for name in ("orientation", "soft"):
             if (self.metric == name) != (self.encoding == name):
                 raise MethodError(f"method {self.name}: metric {self.metric} does not suit encoding {self.encoding}")
+        if self.soft and self.loss == "learnt":
+            raise MethodError(f"method {self.name}: soft weights hold the model's own errors already; leave learnt out")
         if self.soft and (self.encoding != "soft" or self.noise_weights):
             raise MethodError(f"method {self.name}: soft weights are for encoding soft, and hold the noise already")
         if self.noise_weights and self.encoding != "log":

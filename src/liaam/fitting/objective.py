@@ -454,7 +454,7 @@ class Objective:
             trust = replace(trust, **self._variances(problem, state, seen, usable))
         if method.soft:
             trust = replace(trust, **self._soft_variances(problem, metric, seen, usable))
-            if before is not None and method.loss == "squares" and _alike(before.unexplained, trust.unexplained):
+            if before is not None and method.loss == "squares" and _alike(before, trust):
                 return before
         if method.loss != "squares":
             trust = replace(trust, weights=self._robust_weights(seen.residual, trust.variance(metric), usable))
@@ -501,7 +501,8 @@ class Objective:
         hand has beyond noise: where the light is as in training the invariant is precise, where it is not, or where
         colours carry JPEG's errors, it steps back behind the gradient, and the other way round in noise.
         """
-        tied = tied_together(problem.blur)
+        # Pixels of a picture smaller than the model's frame are spread over several of the frame's.
+        tied = max(tied_together(problem.blur), 1.0 / problem.pose.scale**2)
         noise = _soft_noise(seen.values.astype(np.float64), problem)
         if not self.appearance.mean[:, 2].any():  # learnt from grey pictures
             noise[:, 2:5] = UNKNOWN
@@ -509,7 +510,7 @@ class Objective:
         squares = np.square(seen.residual, dtype=np.float64)
         model, found = np.empty_like(by_noise), []
         for rows, correlated in SOFT_ROWS:
-            known = usable[:, None] & (by_noise[:, rows] < UNKNOWN)
+            known = usable[:, None] & (by_noise[:, rows] < 0.5 * UNKNOWN)
             unexplained = _mean(squares[:, rows] - by_noise[:, rows], known)
             floor = LEAST_UNEXPLAINED * _mean(squares[:, rows], known) + 1e-9
             found.append(max(unexplained, floor))
@@ -608,8 +609,17 @@ ALIKE = 0.1
 """Relative change of a variance below which pixels are not weighed anew."""
 
 
-def _alike(before: tuple[float, ...], now: tuple[float, ...]) -> bool:
-    return len(before) == len(now) and bool((np.abs(np.log(np.array(now) / np.array(before))) < ALIKE).all())
+MOVED = 0.02
+"""Share of the pixels that may have come to say something, or ceased to, before they are weighed anew."""
+
+
+def _alike(before: Trust, now: Trust) -> bool:
+    """Tell whether soft weights have hardly changed: what is unexplained, and which pixels' logarithm says nothing."""
+    if before.noise is None or now.noise is None or len(before.unexplained) != len(now.unexplained):
+        return False
+    changed = (before.noise[:, 2] >= UNKNOWN) != (now.noise[:, 2] >= UNKNOWN)
+    growth = np.log(np.array(now.unexplained) / np.array(before.unexplained))
+    return bool((np.abs(growth) < ALIKE).all()) and float(changed.mean()) < MOVED
 
 
 def _mean(values: np.ndarray, kept: np.ndarray) -> float:
@@ -679,7 +689,7 @@ def _check_holds(model: AAM, method: Method) -> None:
     if not model.levels_of(method.appearance):
         raise MethodError(
             f"method {method.name}: the model was trained by an earlier version of liaam, which did not learn what it "
-            "compares; train it again, or use method 'li'"
+            f"compares; train it again, or use method '{'li' if model.is_colour else 'grey'}'"
         )
     for level in model.levels_of(method.appearance):
         if method.illumination and "illumination" not in level.appearances:

@@ -6,12 +6,13 @@ So models are fitted, at training, to pictures that they have not seen, from sta
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from liaam.fitting.fitter import Fitter
+from liaam.fitting.fitter import Fitter, fitted_covariances
 from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.fitting.result import FitStatus
 from liaam.fitting.solver import SolverOptions
 from liaam.model import AAM, Reliability
 from liaam.shape import align, diagonal_of, rotation
@@ -54,26 +55,31 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     Reliability or None
         None where there is nothing to learn from: too few right fits.
     """
-    seen, right, errors, spreads = [], [], [], []
+    seen, right, errors, spreads, fitter = [], [], [], [], None
     for i, picture in enumerate(pictures):
         rng = np.random.default_rng([7, i])
-        fitter = Fitter(replace(picture.model, reliability=None), DEFAULT_METHOD, OPTIONS)
-        for start in (_near(picture, rng), _far(picture, rng)):
+        if fitter is None or fitter.model is not picture.model:
+            fitter = Fitter(picture.model, DEFAULT_METHOD, OPTIONS)
+        for near, start in ((True, _near(picture, rng)), (False, _far(picture, rng))):
             result = fitter.fit(picture.image, start)
+            if not (result.status.ok or result.status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
+                continue  # its status says it all
             error = float(np.linalg.norm(result.shape - picture.points, axis=1).mean()) / diagonal_of(picture.points)
             if not np.isfinite(error) or not np.isfinite(result.evidence).all():
                 continue
-            if error <= WRONG:  # all that are not lost: those in doubt err, too
+            if near and error <= WRONG:  # all that are not lost: those in doubt err, too
                 unposed = result.pose.inverse()
                 errors.append((picture.points - result.shape) @ unposed.matrix.T)
-                spreads.append(unposed.matrix @ result.landmark_covariances @ unposed.matrix.T)
+                spreads.append(fitted_covariances(picture.model, result.covariance))
             if not RIGHT < error <= WRONG:
                 seen.append(result.evidence)
                 right.append(error <= RIGHT)
-    if sum(right) < 3:
+    if sum(right) < 3 or not errors:
         return None
-    landmarks = _landmarks(np.array(errors), np.array(spreads))
-    return Reliability(_larger(landmarks, _by_shape(model)), _weights(np.array(seen), np.array(right)))
+    weights = _weights(np.array(seen), np.array(right))
+    if not weights[1] > 0:  # what is explained has to speak for a fit
+        return None
+    return Reliability(_larger(_landmarks(np.array(errors), np.array(spreads)), _by_shape(model)), weights)
 
 
 def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
@@ -82,9 +88,10 @@ def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
 
 
 def _far(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
-    """A start so far away that no fit should find back, inside the picture where that can be."""
+    """A start so far away that no fit should find back, shifted into the picture as far as it can be."""
     start = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
-    return np.clip(start, 0.0, np.array(picture.image.shape[1::-1]) - 1.0)
+    room = np.array(picture.image.shape[1::-1]) - 1.0
+    return start - np.minimum(start.min(axis=0), 0.0) - np.maximum(start.max(axis=0) - room, 0.0)
 
 
 def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:
@@ -95,7 +102,7 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
 
 
 def _landmarks(errors: np.ndarray, spreads: np.ndarray) -> np.ndarray:
-    """Covariance (n, 2, 2) that explains the errors (m, n, 2) beyond the spreads (m, n, 2, 2) stated by the fits."""
+    """Covariance (n, 2, 2) that explains the errors (m, n, 2) beyond what fits state, the spreads (m, n, 2, 2)."""
     beyond = np.einsum("mna,mnb->nab", errors, errors) / len(errors) - spreads.mean(axis=0)
     values, vectors = np.linalg.eigh(beyond)
     return _widened(np.einsum("nai,ni,nbi->nab", vectors, np.maximum(values, 0.0), vectors), len(errors))
@@ -122,6 +129,9 @@ def _larger(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Log odds (3,) by the evidence (m, 2); a strange shape may not speak for a fit, which chance can have it do."""
+    # A fit that explains nothing is wrong, whether or not one was seen.
+    evidence = np.concatenate([evidence, [[0.0, float(np.median(evidence[:, 1]))]]])
+    right = np.append(right, False)
     weights = _logistic(evidence, right)
     return weights if weights[2] <= 0 else np.append(_logistic(evidence[:, :1], right), 0.0)
 
@@ -130,7 +140,7 @@ def _logistic(features: np.ndarray, right: np.ndarray, ridge: float = 0.5, steps
     """Weights (1 + k,) of a logistic regression on (1, features (m, k)), both answers counted alike, with a ridge."""
     middle, scale = features.mean(axis=0), features.std(axis=0) + 1e-6
     x = np.column_stack([np.ones(len(right)), (features - middle) / scale])
-    # As if of as many wrong as right ones, and with a wrong one at least: pessimistic where all went well.
+    # As if of as many wrong as right ones.
     share = np.where(right, 0.5 / max(right.sum(), 1), 0.5 / max((~right).sum(), 1)) * len(right)
     w = np.zeros(x.shape[1])
     penalty = ridge * np.diag([1e-3] + [1.0] * features.shape[1])

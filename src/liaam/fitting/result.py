@@ -98,7 +98,8 @@ class FitResult:
     status : FitStatus
         How the fit ended; ``status.ok`` says whether to use it, ``message`` what to do.
     theta : float
-        Angle of this image's camera (theta_2), radians; NaN for methods without angles.
+        Angle of this image's camera (theta_2), radians: as estimated, or for ``soft-li`` the camera's as it was given;
+        NaN for methods without angles.
     theta_model : float
         Angle of the training camera (theta_1), radians; NaN for methods without angles.
     p : (m + 4,) float64
@@ -115,15 +116,15 @@ class FitResult:
         Each level's start and every accepted step; the last is the result.
     residual : (n_pixels, k) float32
         Image minus model per model pixel and row of the metric, 0 where not usable;
-        ``model.frame.picture(result.residual)`` is its image.
+        ``model.frame.picture(result.residual)`` is its image (of ``soft-li``: ``model.surrounded.frame.picture``).
     usable : (n_pixels,) float32
         1 where the image could be used, else 0.
     covariance : (n_q, n_q) float64
         Covariance of (p, free angles), by the picture and the prior. What blur and (for ``soft-li``) the model's errors
         tie together is counted once.
     landmark_covariances : (n, 2, 2) float64
-        Covariance of each landmark, image pixels squared: that of p carried to the landmarks, and what even the best
-        fit leaves of a person's landmarks, as learnt by leaving training shapes out.
+        Covariance of each landmark, image pixels squared: that of p carried to the landmarks, and what fits leave of
+        landmarks placed by hand, as learnt by leaving training pictures out.
     evidence : (2,) float64
         Share of the picture's contrast under the model that the fit explains, and strangeness of its shape.
     quality : float

@@ -401,6 +401,8 @@ def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
         model,
         shape_model=ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2),
         levels=(Level(level.blur * factor, {"orientation": appearance}),),
+        soft_levels=(),
+        reliability=None,
     )
 
 

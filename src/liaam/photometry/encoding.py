@@ -92,7 +92,8 @@ def is_grey(image: np.ndarray) -> bool:
     sparse = image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
     # Most colour pictures are told by a few pixels; only a suspect is looked at in full.
     for part in (sparse, image):
-        if not (np.array_equal(part[..., 0], part[..., 1]) and np.array_equal(part[..., 1], part[..., 2])):
+        nan = part.dtype.kind == "f"
+        if not all(np.array_equal(part[..., i], part[..., i + 1], equal_nan=nan) for i in (0, 1)):
             return False
     return True
 
