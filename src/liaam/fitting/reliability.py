@@ -27,9 +27,9 @@ OPTIONS = SolverOptions(max_iterations=20)
 SHRINK = 5.0
 """Left-out pictures that the average over all landmarks counts as, where each landmark's own spread is estimated."""
 
-TAIL = 4.0
-"""How much few left-out pictures widen the spread, in pictures: what is to come lies further out than a moment of few
-errors says."""
+TAIL, STEADY = 12.0, 10.0
+"""How much few left-out pictures m widen the spread: by 1 + TAIL / (m + STEADY). What is to come lies further out than
+a moment of few errors says; on generated scenes, 20 left out, the ellipses hold 93 % so, and 91 % with half of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def _landmarks(errors: np.ndarray, spreads: np.ndarray) -> np.ndarray:
 def _widened(moments: np.ndarray, m: int) -> np.ndarray:
     """Second moments (n, 2, 2) of m errors, drawn towards those of all landmarks and widened for what is to come."""
     pooled = 0.5 * float(np.trace(moments, axis1=1, axis2=2).mean()) * np.eye(2)
-    return (m * moments + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / m)
+    return (m * moments + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / (m + STEADY))
 
 
 def _by_shape(model: AAM) -> np.ndarray:
