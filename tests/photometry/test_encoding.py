@@ -100,6 +100,7 @@ def test_grey_pictures_have_no_invariant_to_know(picture):
     assert not encode(grey, "soft")[..., 5].any()
     holed = np.where(np.arange(20)[None, :, None] == 7, np.nan, grey / 255).astype(np.float32)
     assert is_grey(holed)
+    assert not is_grey(np.full_like(holed, np.nan))
     assert not encode(holed, "soft")[..., 5].any()
 
 

@@ -95,7 +95,7 @@ def is_grey(image: np.ndarray) -> bool:
         nan = part.dtype.kind == "f"
         if not all(np.array_equal(part[..., i], part[..., i + 1], equal_nan=nan) for i in (0, 1)):
             return False
-    return True
+    return bool(np.isfinite(image).any())  # a picture of holes is nothing, not grey
 
 
 def refuse_grey(image: np.ndarray, name: str, need: str, error: type[LiaamError] = ImageError) -> None:
