@@ -105,10 +105,15 @@ def run_protocol(
     table: Callable[[dict[str, Any]], tuple[list[str], list[list[str]]]],
     out: Path,
     jobs: int | None,
+    request: tuple[Path, str, int, int, str],
     **options: Any,
 ) -> None:
-    """Run an experiment on a folder of persons and print the table of its report."""
-    summary = execute(make(**options), out, jobs)
+    """Run an experiment on a folder of persons and print the table of its report.
+
+    The request is what all of them ask: folder, methods, trials, seed and solver.
+    """
+    data, methods, *rest = request
+    summary = execute(make(data, names_in(methods), *rest, **options), out, jobs)
     header, rows = table(summary)
     shown = table_of(*header)
     for row in rows:
@@ -319,8 +324,7 @@ def generic(
     """What does another light cost a generic model, on persons it has never seen?"""
     from liaam.experiments import generic as module
 
-    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
-    run_protocol(module.generic_experiment, module.table, out, jobs, **options)
+    run_protocol(module.generic_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
 
 
 @experiments.command()
@@ -339,8 +343,7 @@ def peer(
     """How do we compare with menpofit's published figures, on its own protocol?"""
     from liaam.experiments import peer as module
 
-    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
-    run_protocol(module.peer_experiment, module.table, out, jobs, **options, unseen=unseen)
+    run_protocol(module.peer_experiment, module.table, out, jobs, (data, methods, trials, seed, solver), unseen=unseen)
 
 
 @experiments.command()
@@ -358,8 +361,7 @@ def basin(
     """From how far away do fits still find the object?"""
     from liaam.experiments import basin as module
 
-    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
-    run_protocol(module.basin_experiment, module.table, out, jobs, **options)
+    run_protocol(module.basin_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
 
 
 @experiments.command()
@@ -375,8 +377,7 @@ def occlusion(
     """What does a textured patch over a fifth of the face cost?"""
     from liaam.experiments import occlusion as module
 
-    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
-    run_protocol(module.occlusion_experiment, module.table, out, jobs, **options)
+    run_protocol(module.occlusion_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
 
 
 @experiments.command()
@@ -392,8 +393,7 @@ def unchanged(
     """What does invariance cost where the light has not changed? (Leave-one-out on diffuse pictures.)"""
     from liaam.experiments import unchanged as module
 
-    options = {"data": data, "methods": names_in(methods), "trials": trials, "seed": seed, "solver": solver}
-    run_protocol(module.unchanged_experiment, module.table, out, jobs, **options)
+    run_protocol(module.unchanged_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
 
 
 def reproduce(

@@ -12,7 +12,7 @@ from liaam.appearance import AppearanceModel
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
 from liaam.fitting.fitter import Stage, covariance, is_sane, solve_levels
-from liaam.fitting.objective import Objective, tied_together
+from liaam.fitting.objective import Objective, slope_left, tied_together
 from liaam.fitting.picture import load_picture
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
@@ -280,9 +280,7 @@ def _significance(luminance: np.ndarray, noise: float, blur: float) -> np.ndarra
     import cv2  # heavy: imported when first needed
 
     down, right = np.gradient(cv2.GaussianBlur(luminance, (0, 0), blur))
-    # Variance of a central difference of white noise under a Gaussian blur of deviation s.
-    left = np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))
-    return np.hypot(down, right) / (noise * left)
+    return np.hypot(down, right) / (noise * slope_left(blur))
 
 
 def _judged(

@@ -289,8 +289,9 @@ def _sample_all(
     progress: Callable | None,
 ) -> _Sampled:
     """Sample the textures of all entries in every encoding asked for, at each of its blurs."""
-    plain, surrounded = PiecewiseAffineWarp(frame, shape_model), surrounded_warp(shape_model, frame.triangles)
-    warps = {encoding: surrounded if encoding in SURROUNDED else plain for encoding in blurs}
+    plain = PiecewiseAffineWarp(frame, shape_model)
+    around = surrounded_warp(shape_model, frame.triangles) if set(SURROUNDED) & set(blurs) else plain
+    warps = {encoding: around if encoding in SURROUNDED else plain for encoding in blurs}
     textures: dict[str, list[_Texture]] = {
         encoding: [_empty(len(entries), warps[encoding], encoding) for _ in blurs[encoding]] for encoding in blurs
     }
@@ -468,6 +469,7 @@ def _reliability(
     total = sum(min(each, len(fold)) for fold in folds)
 
     def pictures() -> Iterator[LeftOut]:
+        """Give some pictures of each fold with the model of the others, one model at a time."""
         done = 0
         for fold in folds:
             part = _without(model, fold, shapes, sampled, variances)

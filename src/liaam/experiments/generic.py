@@ -27,8 +27,8 @@ from liaam.experiments.protocol import (
     Trained,
     columns_of,
     eight_bit,
-    in_percent,
     median_bound,
+    medians_by_light,
     ratio,
     select,
     statistics,
@@ -188,11 +188,7 @@ def table(summary: dict[str, Any]) -> tuple[Header, Table]:
 
 def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
     """Median errors as bars, a panel for each light."""
-    methods = summary["methods"]
-    groups = {
-        light: in_percent({method: cells[light]["nme_median"] for method, cells in methods.items()}) for light in LIGHTS
-    }
-    return figure_of_bars(groups, "median error, % of inter-ocular distance")
+    return figure_of_bars(medians_by_light(summary, LIGHTS), "median error, % of inter-ocular distance")
 
 
 def draw_pictures(request: Request) -> "Figure":

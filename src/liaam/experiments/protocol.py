@@ -250,6 +250,14 @@ def median_bound(rows: Sequence[Row]) -> float | None:
     return finite_or_none(np.median([row["bound"] for row in rows if row["method"] == first]))
 
 
+def medians_by_light(summary: Mapping[str, Any], lights: Sequence[str]) -> dict[str, dict[str, float | None]]:
+    """Median errors in per cent by light and method, for bars."""
+    methods = summary["methods"]
+    return {
+        light: in_percent({method: cells[light]["nme_median"] for method, cells in methods.items()}) for light in lights
+    }
+
+
 def in_percent(values: Mapping[str, float | None]) -> dict[str, float | None]:
     """Shares by method in per cent, for bars."""
     return {method: None if value is None else 100 * value for method, value in values.items()}

@@ -295,7 +295,7 @@ class Fitter:
         history = trace(stages)
         state, last = solution.state, solution.last
         spread = covariance(stages[-1].objective, solution, self.options.shape_prior)
-        n_p, seen = len(state.p), evidence(stages[-1])
+        seen = evidence(stages[-1])
         known = self.model.reliability if self._method.name == DEFAULT_METHOD else None
         quality = np.nan if known is None else known.quality(seen)
         status = self._status(image, history, solution)
@@ -317,7 +317,7 @@ class Fitter:
             residual=last.residual * last.weights[:, None],
             usable=last.weights,
             covariance=spread,
-            landmark_covariances=landmark_covariances(self.model, stages[-1].pose, spread[:n_p, :n_p], known),
+            landmark_covariances=landmark_covariances(self.model, stages[-1].pose, spread, known),
             evidence=seen,
             quality=quality,
             method=self._method.name,
@@ -395,12 +395,12 @@ def evidence(stage: Stage) -> np.ndarray:
         samples -= np.average(samples, axis=0, weights=weights) if weights.any() else 0.0
     contrast = float(weights @ np.square(samples).sum(axis=1))
     left = float(weights @ np.square(residual).sum(axis=1))
+    if not np.isfinite(left):
+        return np.array([-1.0, 14.0])
     explained = 1.0 - left / contrast if contrast > 0 else -1.0
     modes = np.square(solution.state.p) * objective.prior
     strange = modes[: warp.n_parameters - 4].mean() if warp.n_parameters > 4 else 0.0
-    return (
-        np.array([max(explained, -1.0), np.log1p(min(strange, 1e6))]) if np.isfinite(left) else np.array([-1.0, 14.0])
-    )
+    return np.array([max(explained, -1.0), np.log1p(min(strange, 1e6))])
 
 
 def fitted_covariances(model: AAM, spread: np.ndarray) -> np.ndarray:
@@ -420,8 +420,8 @@ def landmark_covariances(
     model : AAM
     pose : Similarity
         Model pixels to image pixels.
-    spread : (n_p, n_p) float64
-        Covariance of p.
+    spread : (n_q, n_q) float64
+        Covariance of p, and of what follows it.
     reliability : Reliability, optional
         How far fits to pictures left out erred; what the shape model left of such pictures' landmarks if left out.
     """

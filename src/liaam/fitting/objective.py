@@ -131,12 +131,14 @@ def tied_together(blur: float) -> float:
     return max(1.0, 4.0 * np.pi * blur**2)
 
 
+def slope_left(blur: float) -> float:
+    """Standard deviation of a central difference of white noise of unit deviation under a Gaussian blur, pixels."""
+    return float(np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))) if blur > 0.3 else np.sqrt(0.5)
+
+
 def _noise_left(scale: float, blur: float) -> tuple[float, float]:
     """What a blur (model pixels; ``scale`` patch pixels each) leaves of noise, and of its gradient per model pixel."""
-    spread = scale * blur
-    # Variance of a central difference of white noise under a Gaussian blur.
-    slope = (1.0 - np.exp(-1.0 / spread**2)) / (8.0 * np.pi * spread**2) if spread > 0.3 else 0.5
-    return 1.0 / np.sqrt(tied_together(spread)), scale * float(np.sqrt(slope))
+    return 1.0 / np.sqrt(tied_together(scale * blur)), scale * slope_left(scale * blur)
 
 
 def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel | None) -> float | NoiseModel:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from liaam.evaluation import point_error
 from liaam.fitting.fitter import Fitter, fitted_covariances
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitStatus
@@ -64,7 +65,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
             result = fitter.fit(picture.image, start)
             if not (result.status.ok or result.status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
                 continue  # its status says it all
-            error = float(np.linalg.norm(result.shape - picture.points, axis=1).mean()) / diagonal_of(picture.points)
+            error = point_error(result.shape, picture.points) / diagonal_of(picture.points)
             if not np.isfinite(error) or not np.isfinite(result.evidence).all():
                 continue
             if near and error <= WRONG:  # all that are not lost: those in doubt err, too

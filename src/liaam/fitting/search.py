@@ -20,6 +20,7 @@ from liaam.fitting.solver import Solution, SolverOptions, solve
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.model import AAM, Level
 from liaam.photometry import LUMINANCE, Response, encode
+from liaam.photometry.encoding import soft_direction
 from liaam.shape import ShapeModel, Similarity, align, diagonal_of, rotation
 
 TEMPLATE = 40.0
@@ -507,9 +508,8 @@ def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
 
     if blur > 0.3:
         grey = cv2.GaussianBlur(grey, (0, 0), float(blur), borderType=cv2.BORDER_REPLICATE)
-    down, right = np.gradient(grey)
-    length = np.sqrt(np.square(right) + np.square(down) + SOFTNESS**2)
-    return ((right + 1j * down) / length).astype(np.complex64)
+    right, down = np.moveaxis(soft_direction(grey, SOFTNESS), 2, 0)
+    return (right + 1j * down).astype(np.complex64)
 
 
 def _strongest(peaks: _Peaks, apart: float, count: int) -> np.ndarray:

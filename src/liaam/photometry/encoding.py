@@ -205,7 +205,7 @@ def _encode_soft(
     colour = _encode_linear(linear, "log", response)
     if blur > 0.0:
         luminance, colour = _blurred(luminance, finite, blur), _blurred(colour, known, blur)
-    direction = _normalised(_gradient(luminance, turn), SOFTNESS * pixel)
+    direction = soft_direction(luminance, SOFTNESS * pixel, turn)
     masks = np.stack([known, finite], axis=-1).astype(np.float32)
     return np.concatenate([direction, colour, masks], axis=2, dtype=np.float32)
 
@@ -263,19 +263,28 @@ def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
 
 def _orientation(luminance: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
     """Direction of the gradient as a unit vector in the first two of three channels, (h, w, 3) float32."""
-    direction = _normalised(_gradient(luminance, turn), FLAT)
-    return np.dstack([direction, np.zeros_like(luminance)]).astype(np.float32)
+    return np.dstack([soft_direction(luminance, FLAT, turn), np.zeros_like(luminance)]).astype(np.float32)
 
 
-def _gradient(luminance: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
-    """Gradient per pixel in the object's axes, (h, w, 2) float32."""
+def soft_direction(luminance: np.ndarray, softness: float, turn: np.ndarray | None = None) -> np.ndarray:
+    """Direction of the gradient, fading where it is weak: g / sqrt(|g|^2 + softness^2).
+
+    Parameters
+    ----------
+    luminance : (h, w) float32
+    softness : float
+        Gradient per pixel at which half of its square is normalised away.
+    turn : (2, 2) float, optional
+        Rotation from the image's to the object's axes; none if left out.
+
+    Returns
+    -------
+    (h, w, 2) float32
+    """
     down, right = np.gradient(luminance)
     gradient = np.stack([right, down], axis=-1)
-    return gradient if turn is None else gradient @ np.asarray(turn, dtype=np.float32).T
-
-
-def _normalised(gradient: np.ndarray, softness: float) -> np.ndarray:
-    """Give g / sqrt(|g|^2 + softness^2), (h, w, 2) float32."""
+    if turn is not None:
+        gradient = gradient @ np.asarray(turn, dtype=np.float32).T
     length = np.sqrt(np.square(gradient).sum(axis=-1) + np.float32(softness**2))
     return gradient / length[..., None]
 
