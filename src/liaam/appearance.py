@@ -54,6 +54,17 @@ class AppearanceModel:
         """Number of modes kept."""
         return len(self.modes)
 
+    def at(self, kept: np.ndarray) -> "AppearanceModel":
+        """Give the same appearances at some pixels only, by their numbers; modes are no longer of unit length."""
+        unexplained = None if self.unexplained is None else self.unexplained[kept]
+        return AppearanceModel(
+            self.mean[kept],
+            np.ascontiguousarray(self.modes[:, kept]),
+            self.eigenvalues,
+            self.usable[kept],
+            unexplained,
+        )
+
     def texture(self, lam: np.ndarray) -> np.ndarray:
         """Appearance at coordinates lambda, (n_pixels, c) float32."""
         return self.mean + np.tensordot(np.asarray(lam, dtype=np.float32), self.modes, axes=1)

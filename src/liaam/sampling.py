@@ -54,23 +54,42 @@ def make_patch(
     margin : float
         Surroundings to include, as a share of the shape's diagonal.
     """
-    height, width = image.shape[:2]
-    scale = pose.scale
-    # Never coarser than the model's pixels.
-    reduce = max(1, int(scale))
-    pad = margin * diagonal_of(shape) + 2 * reduce
-    low = np.clip(np.floor(shape.min(axis=0) - pad), 0, [width - 2, height - 2]).astype(int)
-    high = np.clip(np.ceil(shape.max(axis=0) + pad) + 1, low + 2, [width, height]).astype(int)
-    reduce = max(1, min(reduce, int((high - low).min()) // 2))
+    limits = np.array(image.shape[1::-1])
+    size = block_size(encoding, pose.scale, blur)
+    pad = margin * diagonal_of(shape) + 2 * size
+    low, high = shape.min(axis=0) - pad, shape.max(axis=0) + pad
+    low = np.clip(np.floor(low), 0, limits - 2)
+    high = np.clip(np.ceil(high) + 1, low + 2, limits)
+    size = max(1.0, min(size, (high - low).min() // 3))
     # Blocks are those of the whole image, whatever the margin: training and fitting see the same ones.
-    low = low // reduce * reduce
-    crop = image[low[1] : high[1], low[0] : high[0]]
-    turn, pixel = pose.matrix.T / scale, reduce / scale
-    channels = encode(crop, encoding, response, blur * scale / reduce, reduce, turn, pixel)
-    # The centre of the first block of pixels is at low + (reduce - 1) / 2.
-    matrix = np.eye(2) / reduce
-    offset = -(low + (reduce - 1) / 2.0) / reduce
-    return Patch(channels, Similarity(matrix, offset))
+    first = np.ceil(np.floor(low / size) if size == int(size) else low / size)
+    begin, end = np.floor(first * size).astype(int), high.astype(int)
+    crop = image[begin[1] : end[1], begin[0] : end[0]]
+    start = first * size - begin
+    turn, pixel = pose.matrix.T / pose.scale, size / pose.scale
+    channels = encode(crop, encoding, response, blur / pixel, size, turn, pixel, (start[0], start[1]))
+    # The centre of the first block of pixels is at first * size + (size - 1) / 2.
+    return Patch(channels, Similarity(np.eye(2) / size, -first - 0.5 * (size - 1) / size))
+
+
+def block_size(encoding: str, scale: float, blur: float) -> float:
+    """Image pixels across that are averaged into one of a patch, at least 1.
+
+    Parameters
+    ----------
+    encoding : str
+    scale : float
+        Image pixels per model pixel.
+    blur : float
+        Model pixels.
+    """
+    if encoding != "soft":  # whole pixels, never coarser than the model's
+        return float(max(1, int(scale)))
+    return max(1.0, FINENESS * scale * blur)
+
+
+FINENESS = 0.5
+"""Size of a patch's pixels, in standard deviations of the blur that it gets, where that is larger than the model's."""
 
 
 def sample_texture(patch: Patch, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ A warp gives the points, their derivative and the update. Derivatives are with r
 own coordinates; the fitting problem adds the constant similarity between model and image pixels.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -51,9 +51,43 @@ class Warp(Protocol):
         """Parameters after a Gauss-Newton step."""
         ...
 
-    def pulled_gradient(self, values: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Gradient at W(x; p) of what has the given values (n_pixels, k) at x, (n_pixels, 2, k), model pixels."""
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives of per-pixel values (n_pixels, k) along x and y at rest, (n_pixels, 2, k)."""
         ...
+
+    def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2), model pixels."""
+        ...
+
+    def mesh_pixels(self) -> "MeshPixels | None":
+        """Where the pixels lie in a mesh; None if they do not move with one, or not in the order of its triangles."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPixels:
+    """Pixels in the order of their triangles, for sparse products (:func:`liaam.kernels.reference.mesh_products`).
+
+    Attributes
+    ----------
+    beta : (n, 3) float32
+        Barycentric weights.
+    starts : (t + 1,) int64
+        First pixel of each triangle, and the end.
+    triangles : (t, 3) int64
+    modes : (2 n_vertices, n_parameters) float64
+        Derivative of the vertices' coordinates (x and y in turn) by the warp's parameters.
+    """
+
+    beta: np.ndarray
+    starts: np.ndarray
+    triangles: np.ndarray
+    modes: np.ndarray
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices."""
+        return len(self.modes) // 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +104,14 @@ class PiecewiseAffineWarp:
     shape_model : ShapeModel
     extension : (n_vertices, n_points) float64, optional
         Takes landmarks to the frame's vertices (:class:`liaam.mesh.Surroundings`); they are the same if left out.
+    kept : (n_pixels,) int64, optional
+        Those of the frame's pixels that count, in the order they are wanted in; all in raster order if left out.
     """
 
     frame: ReferenceFrame
     shape_model: ShapeModel
     extension: np.ndarray | None = None
+    kept: np.ndarray | None = None
 
     @property
     def n_parameters(self) -> int:
@@ -101,30 +138,69 @@ class PiecewiseAffineWarp:
 
     def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
         """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""
-        vertices = self.shape_model.shape(p)
-        # Barycentric weights sum to 1, so carrying the few vertices carries all pixels.
-        return self.interpolate(vertices if pose is None else pose(vertices))
+        landmarks = self.shape_model.shape(p)
+        # Barycentric weights sum to 1, so carrying the few landmarks carries all pixels.
+        return self.interpolate(landmarks if pose is None else pose(landmarks))
 
-    def interpolate(self, vertices: np.ndarray) -> np.ndarray:
-        """Carry (n_points, 2) vertex positions to all model pixels, (n_pixels, 2) float64."""
-        return self._interpolation @ np.asarray(vertices, dtype=np.float64)
+    def interpolate(self, landmarks: np.ndarray) -> np.ndarray:
+        """Carry (n_points, 2) positions of the landmarks to all model pixels, (n_pixels, 2) float64."""
+        from liaam.kernels import fast  # numba: imported when first needed
+
+        return fast.carry(self._vertices(landmarks), *self._corners)
+
+    def _vertices(self, landmarks: np.ndarray) -> np.ndarray:
+        """Positions of the frame's vertices, (n_vertices, 2), for those of the landmarks."""
+        return landmarks if self.extension is None else self.extension @ landmarks
 
     @cached_property
-    def _interpolation(self):
-        from scipy.sparse import csr_array
+    def _owners(self) -> np.ndarray:
+        return self.frame.owners if self.kept is None else self.frame.owners[self.kept]
 
-        n = self.frame.n_pixels
-        starts = np.arange(0, 3 * n + 1, 3)
-        data = (self.frame.weights.ravel(), self.frame.vertices.ravel(), starts)
-        by_vertex = csr_array(data, shape=(n, len(self.frame.points)))
-        return by_vertex if self.extension is None else csr_array(by_vertex @ csr_array(self.extension))
+    @cached_property
+    def _corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices around each pixel, (n_pixels, 3) int32, and their weights, (n_pixels, 3) float64."""
+        weights = self.frame.weights if self.kept is None else self.frame.weights[self.kept]
+        return self.frame.triangles[self._owners], np.ascontiguousarray(weights)
+
+    @cached_property
+    def _vertex_modes(self) -> np.ndarray:
+        """Movement of the frame's vertices by each parameter, (n_parameters, n_vertices, 2) float64."""
+        modes = self.shape_model.basis.reshape(self.n_parameters, -1, 2)
+        return modes if self.extension is None else np.einsum("vn,ina->iva", self.extension, modes, optimize=True)
+
+    def mesh_pixels(self) -> MeshPixels | None:
+        """Where the pixels lie in the mesh; None if they are not in the order of its triangles."""
+        return self._mesh_pixels
+
+    @cached_property
+    def _mesh_pixels(self) -> MeshPixels | None:
+        if (np.diff(self._owners) < 0).any():
+            return None
+        triangles = self.frame.triangles.astype(np.int64)
+        return MeshPixels(
+            self._corners[1].astype(np.float32),
+            np.searchsorted(self._owners, np.arange(len(triangles) + 1)).astype(np.int64),
+            triangles,
+            np.ascontiguousarray(self._vertex_modes.reshape(self.n_parameters, -1).T),
+        )
+
+    def every(self, spacing: float) -> np.ndarray:
+        """Numbers of pixels so far apart: all, every other, or a square grid; in the order of the triangles."""
+        rows, columns = self.frame.pixels.T
+        if spacing < 1.75:
+            kept = np.flatnonzero((rows + columns) % 2 < (2 if spacing < 1.25 else 1))
+        else:
+            kept = np.flatnonzero((rows % round(spacing) == 0) & (columns % round(spacing) == 0))
+        return kept[np.argsort(self.frame.owners[kept], kind="stable")]
+
+    def at(self, kept: np.ndarray) -> "PiecewiseAffineWarp":
+        """Give the same warp of some of the frame's pixels only."""
+        return replace(self, kept=kept)
 
     @cached_property
     def _jacobian(self) -> np.ndarray:
-        modes = self.shape_model.basis.reshape(self.n_parameters, -1, 2)
-        if self.extension is not None:
-            modes = np.einsum("vn,ina->iva", self.extension, modes, optimize=True)
-        carried = np.einsum("nv,inva->nai", self.frame.weights, modes[:, self.frame.vertices])
+        corners, beta = self._corners
+        carried = np.einsum("nv,inva->nai", beta, self._vertex_modes[:, corners], optimize=True)
         return np.ascontiguousarray(carried, dtype=np.float32)
 
     def jacobian(self, p: np.ndarray) -> np.ndarray:
@@ -135,15 +211,21 @@ class PiecewiseAffineWarp:
         """Forward-additive update p + step."""
         return p + step
 
-    def pulled_gradient(self, values: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Gradient at W(x; p) of what has the given values (n_pixels, k) at x, (n_pixels, 2, k) float32.
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives of values (n, k) at *all* of the frame's pixels along x and y, at those that count."""
+        slopes = self.frame.gradient(values)
+        return slopes if self.kept is None else slopes[self.kept]
+
+    def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2) float32.
 
         If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Triangles of next to no area give 0.
         """
-        shape = self.shape_model.shape(p)
-        vertices = shape if self.extension is None else self.extension @ shape
+        from liaam.kernels import fast  # numba: imported when first needed
+
+        vertices = self._vertices(self.shape_model.shape(p))
         inverse = _inverse_affinities(self.frame.points, vertices, self.frame.triangles)
-        return np.einsum("nba,nbk->nak", inverse[self.frame.owners], self.frame.gradient(values)).astype(np.float32)
+        return fast.pull(np.asarray(slopes, np.float32), inverse, self._owners)
 
 
 def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
@@ -280,14 +362,22 @@ class HomographyWarp:
         columns = (moved[..., :2] - shape * moved[..., 2:]).reshape(self.n_parameters, -1)
         return np.linalg.lstsq(columns.T, (shape - self.rest).ravel(), rcond=None)[0]
 
-    def pulled_gradient(self, values: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Gradient at W(x; p) of what has the given values (n_pixels, k) at x, (n_pixels, 2, k) float32.
+    def mesh_pixels(self) -> MeshPixels | None:
+        """None: the pixels do not move with a mesh."""
+        return None
+
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives of per-pixel values (n_pixels, k) along x and y at rest, (n_pixels, 2, k) float32.
 
         Central differences where both neighbours count, else the difference to the one that does, else 0.
         """
         picture = np.full((*self.kept.shape, values.shape[1]), np.nan)
         picture[self.kept] = values
-        here = np.stack([_differences(picture, axis)[self.kept] for axis in (1, 0)], axis=1) / self.stride
+        slopes = np.stack([_differences(picture, axis)[self.kept] for axis in (1, 0)], axis=1) / self.stride
+        return slopes.astype(np.float32)
+
+    def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2) float32."""
         matrix, x = self.matrix(p), _homogeneous(self.pixels)
         depth = np.maximum(x @ matrix[2], NEAREST)
         carried = apply_homography(matrix, self.pixels)
@@ -297,7 +387,7 @@ class HomographyWarp:
         slope[flat] = np.eye(2)
         back = np.linalg.inv(slope)
         back[flat] = 0.0
-        return np.einsum("nba,nbk->nak", back, here).astype(np.float32)
+        return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
 
 
 def _generators(group: str) -> np.ndarray:

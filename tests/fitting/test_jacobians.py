@@ -48,14 +48,10 @@ class Setting:
         return self.objective._root_weights(theta, self.trust)[0]
 
     def weighted_residual(self, state) -> np.ndarray:
-        workspace = self.objective.workspace()
-        self.objective.linearise(self.problem, state, workspace, self.trust)
-        return workspace[:, -1].astype(np.float64)
+        return self.objective.columns(self.problem, state, self.trust)[:, -1].astype(np.float64)
 
     def columns(self) -> np.ndarray:
-        workspace = self.objective.workspace()
-        self.objective.linearise(self.problem, self.state, workspace, self.trust)
-        return workspace
+        return self.objective.columns(self.problem, self.state, self.trust)
 
     def cells(self, p: np.ndarray) -> np.ndarray:
         return np.floor(self.problem.pose(self.objective.warp.points(p)))
@@ -102,7 +98,7 @@ def test_columns_of_lambda(model, lit_scene, method, kernel, rng):
     modes = objective.design(float(setting.state.angles[0])).modes
     assert_jacobian(
         lambda lam: setting.weighted_residual(replace(setting.state, lam=lam)),
-        -modes * root.reshape(-1, 1),
+        -modes.T * root.reshape(-1, 1),
         setting.state.lam,
         steps=1.0,
         tolerance=1e-3,
@@ -113,12 +109,12 @@ def test_columns_of_lambda(model, lit_scene, method, kernel, rng):
 def test_columns_carry_the_root_of_the_weights(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
     objective = setting.objective
-    workspace = objective.workspace()
-    seen = objective.linearise(setting.problem, setting.state, workspace, setting.trust)
+    columns = setting.columns()
+    seen = objective.linearise(setting.problem, setting.state, setting.trust)
     root = setting.root(setting.state.angles[1]) * seen.weights[:, None]
-    np.testing.assert_allclose(workspace[:, -1], (root * seen.residual).ravel(), rtol=1e-6)
-    assert not workspace[np.repeat(seen.weights == 0, objective.method.n_rows)].any()
-    rr = np.square(workspace[:, -1].astype(np.float64)).sum()
+    np.testing.assert_allclose(columns[:, -1], (root * seen.residual).ravel(), rtol=1e-6)
+    assert not columns[np.repeat(seen.weights == 0, objective.method.n_rows)].any()
+    rr = np.square(columns[:, -1].astype(np.float64)).sum()
     assert seen.equations.rr == pytest.approx(rr, rel=1e-5)
 
 
@@ -129,13 +125,13 @@ def test_gram_matrices_leave_out_pixels_without_weight(model, lit_scene, method,
     channels = setting.problem.patch.channels.copy()
     channels[: len(channels) // 2, :, -1] = 0
     problem = replace(setting.problem, patch=replace(setting.problem.patch, channels=channels))
-    workspace = objective.workspace()
-    seen = objective.linearise(problem, setting.state, workspace, setting.trust)
+    columns = objective.columns(problem, setting.state, setting.trust)
+    seen = objective.linearise(problem, setting.state, setting.trust)
     assert 0.05 < (seen.weights == 0).mean() < 0.95
     weights = np.repeat(seen.weights, objective.method.n_rows)[:, None].astype(np.float64)
     root = setting.root(setting.state.angles[1]).reshape(-1, 1)
-    A = objective.design(float(setting.state.angles[0])).modes * root * weights
-    J = workspace[:, :-1].astype(np.float64)
+    A = objective.design(float(setting.state.angles[0])).modes.T * root * weights
+    J = columns[:, :-1].astype(np.float64)
     scale = np.abs(A.T @ A).max()
     np.testing.assert_allclose(seen.equations.aa, A.T @ A, rtol=1e-5, atol=1e-5 * scale)
     np.testing.assert_allclose(seen.equations.aj, A.T @ J, atol=1e-5 * np.abs(A.T @ J).max())

@@ -11,17 +11,17 @@ from liaam.fitting.normal_equations import BLOCK, NormalEquations, gram
 @given(rows=st.sampled_from([1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 5]), seed=st.integers(0, 9))
 def test_gram_is_the_float64_product(rows, seed):
     rng = np.random.default_rng(seed)
-    left, right = (rng.normal(3, 1, (rows, n)).astype(np.float32) for n in (3, 4))
-    exact = left.astype(np.float64).T @ right.astype(np.float64)
+    left, right = (rng.normal(3, 1, (n, rows)).astype(np.float32) for n in (3, 4))
+    exact = left.astype(np.float64) @ right.astype(np.float64).T
     found = gram(left, right)
     assert found.dtype == np.float64
     np.testing.assert_allclose(found, exact, rtol=3e-6)
 
 
 def test_gram_keeps_what_float32_would_lose():
-    column = np.ones((10 * BLOCK + 1, 1), np.float32)
-    column[:BLOCK] = np.sqrt(2**24 / BLOCK)  # reaches 2**24, where a float32 sum stops to feel a one
-    assert gram(column, column)[0, 0] == 2**24 + 9 * BLOCK + 1
+    row = np.ones((1, 10 * BLOCK + 1), np.float32)
+    row[:, :BLOCK] = np.sqrt(2**24 / BLOCK)  # reaches 2**24, where a float32 sum stops to feel a one
+    assert gram(row, row)[0, 0] == 2**24 + 9 * BLOCK + 1
 
 
 class Dense:

@@ -36,8 +36,8 @@ def best_image_angle(objective: Objective, problem: FitProblem, state: State) ->
     root = objective.root_weights[:, 0] * seen.weights
     log_r, log_g, log_b = seen.values.T
     design = objective.design(float(state.angles[0]))
-    columns = np.stack([log_r - log_b, log_g - log_b, design.mean[:, 0]], axis=1) * root[:, None]
-    modes = design.weighted * seen.weights[:, None]
+    columns = np.stack([log_r - log_b, log_g - log_b, design.mean[:, 0]]) * root
+    modes = design.modes * root
     cross = gram(modes, columns)
     inner = gram(columns, columns) - cross.T @ regular_inverse(gram(modes, modes)) @ cross
     if not np.isfinite(inner).all() or inner[0, 0] + inner[1, 1] <= 0:

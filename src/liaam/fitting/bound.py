@@ -105,7 +105,7 @@ def cramer_rao_bound(
             f"method {method.name}: the noise of gradient orientations is not known, so no bound is; "
             "take 'li' or another method of values or logarithms"
         )
-    objective = make_objectives(model, method)[-1]
+    objective = make_objectives(model, method)[-1].of_all_pixels
     pose = align(model.shape_model.mean, shape)
     problem = FitProblem.at(as_colour(image), shape, pose, method, response, blur=0.0)
     p = model.shape_model.parameters(pose.inverse()(shape))
@@ -134,31 +134,29 @@ def _covariance(
     """Inverse Fisher information of (p, free angles) with the appearance's coordinates marginalised."""
     method, warp = objective.method, objective.warp
     n, n_p = len(density), warp.n_parameters
-    columns = np.empty((3 * n, n_p), np.float32)
-    values, _, usable = get_kernel(objective.kernel).linearise(
-        problem.patch.channels, warp.points(p, problem.pose), warp.jacobian(p), problem.pose.matrix, np.eye(3),
-        np.ones((n, 3), np.float32), columns,
-    )  # fmt: skip
+    values, _, steep, usable = get_kernel(objective.kernel).steepest(
+        problem.patch.channels, warp.points(p, problem.pose), problem.pose.matrix, np.eye(3)
+    )
     metric = method.image_metric(angles[1])
     whitening = _whitening(_channel_noise(values, method.encoding, problem.response, sigma), metric)
     whitening *= np.sqrt(density * usable * (objective.appearance.usable > 0))[:, None, None]
     state = replace(objective.start(p), angles=angles)
     lam = objective.linearise(problem, state).equations.best_lambda_step()
-    by_angle = objective.angle_columns(state, values, lam.astype(np.float32), np.ones((n, 1), np.float32))
-    by_warp = np.einsum("rc,ncj->nrj", metric, columns.reshape(n, 3, n_p), optimize=True)
+    by_angle = objective.look(problem, replace(state, lam=lam)).by_angles.reshape(-1, n, method.n_rows)
+    by_warp = np.einsum("rc,nca,naj->nrj", metric, steep, warp.jacobian(p), optimize=True)
     modes = objective.design(float(angles[0])).modes
 
     def whitened(rows: np.ndarray) -> np.ndarray:
-        return np.einsum("nkr,nrj->nkj", whitening, rows, optimize=True).reshape(n * method.n_rows, -1)
+        return np.einsum("nkr,jnr->jnk", whitening, rows, optimize=True).reshape(len(rows), -1)
 
-    J = whitened(np.concatenate([by_warp, by_angle.reshape(n, method.n_rows, -1)], axis=2))
-    A = whitened(modes.reshape(n, method.n_rows, -1))
-    nothing = np.zeros(J.shape[1])
-    equations = NormalEquations(gram(J, J), nothing, gram(A, J), gram(A, A), np.zeros(A.shape[1]), 0.0, 1.0)
+    J = whitened(np.concatenate([by_warp.transpose(2, 0, 1), by_angle]))
+    A = whitened(modes.reshape(-1, n, method.n_rows))
+    nothing = np.zeros(len(J))
+    equations = NormalEquations(gram(J, J), nothing, gram(A, J), gram(A, A), np.zeros(len(A)), 0.0, 1.0)
     scale = np.diag(equations.jj).copy()
     if scale[n_p:].size:
         # One angle for both cameras: its column is what the light's change shows, which may be rounding only.
-        by_image = whitened((values @ method.image_metric_derivative(angles[1]).T)[:, :, None])
+        by_image = whitened((values @ method.image_metric_derivative(angles[1]).T)[None])
         scale[n_p:] = np.maximum(scale[n_p:], np.square(method.angle_directions[1]) * gram(by_image, by_image)[0, 0])
     return _inverse(equations.reduced()[0], scale)
 

@@ -10,7 +10,7 @@ from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.methods import DEFAULT_METHOD, Method, get_method
 from liaam.fitting.normal_equations import NormalEquations
-from liaam.fitting.objective import FitProblem, Objective, State, make_objectives
+from liaam.fitting.objective import MARGIN, NEAR, FitProblem, Objective, State, make_objectives, noise_around
 from liaam.fitting.picture import load_picture
 from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.search import DOUBTFUL, Candidate, Finder
@@ -47,12 +47,19 @@ class Stage:
     """One level's solution, with the similarity from model pixels to image pixels it was found in."""
 
     objective: Objective
+    problem: FitProblem
     pose: Similarity
     solution: Solution
 
     def shape(self, state: State) -> np.ndarray:
         """Shape of a state, (n, 2) float64, image pixels."""
         return self.pose(self.objective.warp.shape(state.p))
+
+    def picture(self) -> tuple[np.ndarray, np.ndarray]:
+        """Residual (n_pixels, k), and where the image was usable (n_pixels,), at all of the frame's pixels."""
+        whole = self.objective.whole
+        look = self.solution.last.look if whole is None else whole.look(self.problem, self.solution.state)
+        return look.residual * look.weights[:, None], look.weights
 
 
 def solve_levels(
@@ -61,7 +68,7 @@ def solve_levels(
     start: np.ndarray,
     response: Response,
     options: SolverOptions,
-    noise: NoiseModel | None = None,
+    noise: NoiseModel | float | None = None,
     theta: float | None = None,
 ) -> list[Stage]:
     """Solve from the coarsest level to the finest, each from where the one before it stopped.
@@ -92,14 +99,19 @@ def solve_levels(
         # belongs where the object is now, not where the start was.
         warp = objective.warp
         pose = align(warp.rest, shape)
-        problem = FitProblem.at(image, shape, pose, objective.method, response, blur, noise)
+        if noise is None and objective.method.weighs_noise:
+            noise = noise_around(image, shape)  # once for all levels
+        margin = NEAR if stages else MARGIN
+        problem = FitProblem.at(image, shape, pose, objective.method, response, blur, noise, margin)
         state = objective.start(warp.parameters(pose.inverse()(shape)))
         angles = (
             stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options, theta)
         )
         finest = objective is levels[-1][0]
         sparing = options if finest else replace(options, tolerance=COARSE * options.tolerance, scoring=0)
-        stages.append(Stage(objective, pose, solve(objective, problem, replace(state, angles=angles), sparing)))
+        stages.append(
+            Stage(objective, problem, pose, solve(objective, problem, replace(state, angles=angles), sparing))
+        )
         shape = stages[-1].shape(stages[-1].solution.state)
         if not is_sane(shape, start):
             break
@@ -294,11 +306,12 @@ class Fitter:
         solution, has_angle = stages[-1].solution, self._method.has_angles
         history = trace(stages)
         state, last = solution.state, solution.last
+        residual, usable = stages[-1].picture()
         spread = covariance(stages[-1].objective, solution, self.options.shape_prior)
         seen = evidence(stages[-1])
         known = self.model.reliability if self._method.name == DEFAULT_METHOD else None
         quality = np.nan if known is None else known.quality(seen)
-        status = self._status(image, history, solution)
+        status = self._status(image, history, stages[-1])
         # Without calibration, too, what explains nothing is no fit.
         doubtful = quality < LEAST_QUALITY or (self._method.soft and seen[0] <= 0.0)
         if status.ok and doubtful:
@@ -314,8 +327,8 @@ class Fitter:
             cost=last.equations.cost,
             n_iterations=sum(stage.solution.n_iterations for stage in stages),
             history=history,
-            residual=last.residual * last.weights[:, None],
-            usable=last.weights,
+            residual=residual,
+            usable=usable,
             covariance=spread,
             landmark_covariances=landmark_covariances(self.model, stages[-1].pose, spread, known),
             evidence=seen,
@@ -323,11 +336,11 @@ class Fitter:
             method=self._method.name,
         )
 
-    def _status(self, image: np.ndarray, history: tuple[Iteration, ...], solution: Solution) -> FitStatus:
-        shape = history[-1].shape
+    def _status(self, image: np.ndarray, history: tuple[Iteration, ...], stage: Stage) -> FitStatus:
+        shape, objective, solution = history[-1].shape, stage.objective, stage.solution
         if not is_sane(shape, history[0].shape):
             return FitStatus.DIVERGED
-        points = self.model.warp_of(self._method.appearance).interpolate(shape)
+        points = stage.pose(objective.warp.points(solution.state.p))
         inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
         if inside.mean() < 0.5:
             return FitStatus.LEFT_IMAGE

@@ -13,21 +13,20 @@ from functools import cached_property
 
 import numpy as np
 
-BLOCK = 1024
-"""Rows whose products are summed in float32 before they are added up in float64. Two blocks of 26 and 20
-columns then fit the first-level caches: measured a quarter faster than all 10,000 rows at once."""
+BLOCK = 4096
+"""Residuals whose products are summed in float32 before they are added up in float64."""
 
 RIDGE = 1e-8
 """Relative ridge on A'A, far below any mode that can be seen; it keeps unseen modes from exploding."""
 
 
 def gram(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Give left' right of two tall float32 matrices, (a, b) float64: BLAS in blocks, summed in float64."""
-    total = np.zeros((left.shape[1], right.shape[1]))
-    for i in range(0, len(left), BLOCK):
+    """Products of the rows of two wide float32 matrices, (a, b) float64: BLAS in blocks, summed in float64."""
+    total = np.zeros((len(left), len(right)))
+    for i in range(0, left.shape[1], BLOCK):
         # The same array twice goes to BLAS's symmetric product, at half the work.
-        block = left[i : i + BLOCK]
-        total += block.T @ (block if right is left else right[i : i + BLOCK])
+        block = left[:, i : i + BLOCK]
+        total += block @ (block if right is left else right[:, i : i + BLOCK]).T
     return total
 
 

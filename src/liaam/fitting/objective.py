@@ -20,7 +20,7 @@ from liaam.fitting.losses import LOSSES, robust_scale
 from liaam.fitting.methods import Method
 from liaam.fitting.normal_equations import NormalEquations, gram, regular_inverse
 from liaam.kernels import get_kernel
-from liaam.model import AAM
+from liaam.model import AAM, Level
 from liaam.photometry import LUMINANCE, NoiseModel, Response, from_linear, log_slope, noise_deviation
 from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS
 from liaam.sampling import Patch, make_patch
@@ -49,6 +49,9 @@ class State:
 
 MARGIN = 0.6
 """Surroundings of the start that a fit may visit, as a share of the object's diagonal."""
+
+NEAR = 0.25
+"""The same for levels that start where a coarser one stopped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +85,11 @@ class FitProblem:
     slope_left: float = 1.0
     blur: float = 0.0
 
+    @cached_property
+    def relative_noise(self) -> np.ndarray:
+        """Standard deviation of the logarithm by noise, at evenly spaced logarithms over :data:`LOGS`."""
+        return _relative_noise(np.exp(np.linspace(*LOGS, 512)), self)
+
     @classmethod
     def at(
         cls,
@@ -91,7 +99,8 @@ class FitProblem:
         method: Method,
         response: Response,
         blur: float,
-        noise: NoiseModel | None = None,
+        noise: NoiseModel | float | None = None,
+        margin: float | None = None,
     ) -> "FitProblem":
         """Cut and encode an image around a shape.
 
@@ -107,10 +116,13 @@ class FitProblem:
             Of the image's camera.
         blur : float
             Model pixels.
-        noise : NoiseModel, optional
-            Of the image's camera; measured in the image if left out.
+        noise : NoiseModel or float, optional
+            Of the image's camera, or as measured in the image; measured here if left out.
+        margin : float, optional
+            Surroundings that the fit may visit, as a share of the object's diagonal; :data:`MARGIN` if left out.
         """
-        patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=MARGIN)
+        margin = MARGIN if margin is None else margin
+        patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=margin)
         to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
         if not method.weighs_noise:
             return cls(patch, to_patch, response, blur=blur)
@@ -141,14 +153,19 @@ def _noise_left(scale: float, blur: float) -> tuple[float, float]:
     return 1.0 / np.sqrt(tied_together(scale * blur)), scale * slope_left(scale * blur)
 
 
-def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel | None) -> float | NoiseModel:
+def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel | float | None) -> float | NoiseModel:
     """Noise around a shape after a patch's averaging."""
     reduce = 1.0 / patch.from_image.scale
-    if known is not None:
+    if isinstance(known, NoiseModel):
         return NoiseModel(known.slope / reduce**2, known.offset / reduce**2)
+    return (noise_around(image, shape) if known is None else known) / reduce
+
+
+def noise_around(image: np.ndarray, shape: np.ndarray) -> float:
+    """Standard deviation of the noise around a shape, in stored values of [0, 1]."""
     low = np.maximum(shape.min(axis=0).astype(int), 0)
     high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
-    return noise_deviation(image[low[1] : high[1], low[0] : high[0]]) / reduce
+    return noise_deviation(image[low[1] : high[1], low[0] : high[0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +176,6 @@ class _Weighted:
     ----------
     root : (n_pixels, k) float32
         Root of the weights.
-    modes : (n_pixels * k, m) float32
     aa : (m, m) float64
         Gram matrix of the weighted modes.
     inverse : (m, m) float64
@@ -167,7 +183,6 @@ class _Weighted:
     """
 
     root: np.ndarray
-    modes: np.ndarray
     aa: np.ndarray
     inverse: np.ndarray
 
@@ -211,46 +226,71 @@ class Trust:
 
 
 @dataclass(frozen=True, eq=False)
+class Look:
+    """What a picture shows at a state, before it is weighed.
+
+    Attributes
+    ----------
+    values : (n_pixels, c) float32
+        Encoded samples of the image.
+    residual : (n_pixels, k) float32
+        P E(I) - P A.
+    steep : (n_pixels, k, 2) float32
+        Derivative of the residual by the place, x and y in the model's pixels.
+    by_angles : (n_free, n_pixels * k) float32
+        Derivative of the residual by the free angles.
+    weights : (n_pixels,) float32
+        Image weight in {0, 1}.
+    """
+
+    values: np.ndarray
+    residual: np.ndarray
+    steep: np.ndarray
+    by_angles: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Linearisation:
     """Normal equations at a state, and what the pixels looked like there.
 
     Attributes
     ----------
     equations : NormalEquations
-    residual : (n_pixels, k) float32
-        P E(I) - P A, unweighted.
-    values : (n_pixels, c) float32
-        Encoded samples of the image.
-    weights : (n_pixels,) float32
-        Image weight in {0, 1}.
+    look : Look
     """
 
     equations: NormalEquations
-    residual: np.ndarray
-    values: np.ndarray
-    weights: np.ndarray
+    look: Look
+
+    @property
+    def residual(self) -> np.ndarray:
+        """P E(I) - P A, unweighted, (n_pixels, k) float32."""
+        return self.look.residual
+
+    @property
+    def values(self) -> np.ndarray:
+        """Encoded samples of the image, (n_pixels, c) float32."""
+        return self.look.values
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Image weight in {0, 1}, (n_pixels,) float32."""
+        return self.look.weights
 
 
 @dataclass(frozen=True, eq=False)
 class _Design:
-    """Model side of the residual at one theta_1: weighted columns, ready for BLAS.
+    """Model side of the residual at one theta_1.
 
     Attributes
     ----------
-    mean : (n, k) float32, unweighted
-    modes : (n * k, m) float32, unweighted
-    weighted : (n * k, m) float32
-    aa : (m, m) float64
-        Gram matrix of the weighted modes.
-    inverse : (m, m) float64
-        Its inverse.
+    mean : (n_pixels, k) float32
+    modes : (m, n_pixels * k) float32
     """
 
     mean: np.ndarray
     modes: np.ndarray
-    weighted: np.ndarray
-    aa: np.ndarray
-    inverse: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,6 +312,10 @@ class Objective:
         Illumination basis, for methods that add one.
     tied : float
         Pixels that stand for one independent residual, where the weights do not know it themselves.
+    density : float
+        Share of the frame's pixels that are looked at.
+    whole : Objective, optional
+        The same over all of the frame's pixels; this one itself if left out.
     """
 
     method: Method
@@ -282,12 +326,19 @@ class Objective:
     kernel: str = "fast"
     illumination: AppearanceModel | None = None
     tied: float = 1.0
+    density: float = 1.0
+    whole: "Objective | None" = None
 
     def unit(self, equations: NormalEquations) -> float:
         """Variance, correlation included, that a residual of weight 1 stands for: the weights' own, or the cost's."""
         if np.isfinite(equations.unit):
             return equations.unit
         return self.tied * equations.cost if np.isfinite(equations.cost) else 0.0
+
+    @property
+    def of_all_pixels(self) -> "Objective":
+        """The same objective over all of the frame's pixels in raster order."""
+        return self if self.whole is None else self.whole
 
     @cached_property
     def root_weights(self) -> np.ndarray:
@@ -302,11 +353,7 @@ class Objective:
     @property
     def n_lambda(self) -> int:
         """Appearance modes plus extra modes."""
-        return self._fixed_design.modes.shape[1]
-
-    @cached_property
-    def _fixed_design(self) -> _Design:
-        return self._make_design(self.theta_model)
+        return len(self._fixed_design.modes)
 
     def design(self, theta: float) -> _Design:
         """Model side at an angle theta_1; made once where the method keeps it fixed."""
@@ -314,28 +361,47 @@ class Objective:
             return self._fixed_design
         return self._make_design(theta)
 
+    @cached_property
+    def _fixed_design(self) -> _Design:
+        return self._make_design(self.theta_model)
+
     def _make_design(self, theta: float) -> _Design:
         metric = self.method.model_metric(theta).astype(np.float32)
         mean = self.appearance.mean @ metric.T
-        modes = np.einsum("mnc,kc->nkm", self.appearance.modes, metric)
-        modes = np.concatenate([modes, *self._extra_modes(mean, metric)], axis=2)
-        modes = np.ascontiguousarray(modes.reshape(mean.size, -1), dtype=np.float32)
-        weighted = modes * self.root_weights.reshape(-1, 1)
-        aa = gram(weighted, weighted)
-        return _Design(mean, modes, weighted, aa, regular_inverse(aa))
+        modes = np.concatenate([self.appearance.modes @ metric.T, *self._extra_modes(mean, metric)])
+        return _Design(mean, np.ascontiguousarray(modes.reshape(-1, mean.size), dtype=np.float32))
 
     def _extra_modes(self, mean: np.ndarray, metric: np.ndarray) -> list[np.ndarray]:
         n, k = mean.shape
         extra = []
         if self.method.illumination and self.illumination is not None:
-            extra.append(np.einsum("mnc,kc->nkm", self.illumination.modes, metric))
+            extra.append(self.illumination.modes @ metric.T)
         if self.method.gain:
-            extra.append(mean[:, :, None])
+            extra.append(mean[None])
         if self.method.bias == "common":
-            extra.append(np.ones((n, k, 1), np.float32))
+            extra.append(np.ones((1, n, k), np.float32))
         if self.method.bias == "rows":
-            extra.append(np.broadcast_to(np.eye(k, dtype=np.float32), (n, k, k)))
+            extra.append(np.broadcast_to(np.eye(k, dtype=np.float32)[:, None], (k, n, k)))
         return extra
+
+    @cached_property
+    def _slopes(self) -> np.ndarray:
+        """Slopes at rest of the mean, the appearance and the illumination modes, (1 + m, n_pixels * 2 * c) float32."""
+        of = self.of_all_pixels
+        textures = [of.appearance.mean[None], of.appearance.modes]
+        if self.method.illumination and of.illumination is not None:
+            textures.append(of.illumination.modes)
+        slopes = [self.warp.slopes(texture).ravel() for texture in np.concatenate(textures)]
+        return np.stack(slopes, dtype=np.float32, casting="same_kind")
+
+    def model_gradient(self, state: State) -> np.ndarray:
+        """Derivative of the fitted appearance, as the picture shows it, by the place: (n_pixels, k, 2) float32."""
+        n_own = len(self._slopes) - 1
+        scale = 1.0 + (state.lam[n_own] if self.method.gain else 0.0)  # a gain's mode is the mean
+        coordinates = np.concatenate([[scale], state.lam[:n_own]]).astype(np.float32)
+        slopes = (coordinates @ self._slopes).reshape(-1, self.appearance.mean.shape[1])
+        slopes = slopes @ self.method.model_metric(state.angles[0]).T.astype(np.float32)
+        return self.warp.pulled(slopes.reshape(len(self.appearance.mean), 2, -1), state.p)
 
     def start(self, p: np.ndarray) -> State:
         """State with mean appearance and the model's own angle for both cameras."""
@@ -350,72 +416,119 @@ class Objective:
             state.lam + lambda_step,
         )
 
-    def linearise(
-        self,
-        problem: FitProblem,
-        state: State,
-        workspace: np.ndarray | None = None,
-        trust: Trust | None = None,
-        own_gradient: bool = False,
-    ) -> Linearisation:
-        """Residual and normal equations at a state.
+    def linearise(self, problem: FitProblem, state: State, trust: Trust | None = None) -> Linearisation:
+        """Look at a picture at a state, and weigh what is seen there.
 
         Parameters
         ----------
         problem : FitProblem
         state : State
-        workspace : (n_pixels * k, n_q + 1) float32, optional
-            Overwritten with the weighted columns [J | r]; pass the same array every time to allocate
-            nothing large in the loop.
         trust : Trust, optional
             Of :meth:`trust` at an earlier state, for methods that re-weigh.
-        own_gradient : bool
-            Take the gradient of the model's appearance instead of the image's: the same where they agree,
-            and free of the image's noise.
         """
-        theta_model, theta_image = state.angles
-        design = self.design(theta_model)
-        metric = self.method.image_metric(theta_image)
-        columns = self.workspace() if workspace is None else workspace
+        return self.weighed(self.look(problem, state, trust), state, trust)
+
+    def look(self, problem: FitProblem, state: State, trust: Trust | None = None) -> Look:
+        """Residual and derivatives at a state, before they are weighed; of a trust only its gain and offset count."""
+        design, metric = self.design(state.angles[0]), self.method.image_metric(state.angles[1])
         gain, offset = (1.0, 0.0) if trust is None else (trust.gain, trust.offset)
-        own_root, root_slope = self._root_weights(theta_image, trust)
-        values, projected, weights = get_kernel(self.kernel).linearise(
-            problem.patch.channels,
-            self.warp.points(state.p, problem.pose),
-            self.warp.jacobian(state.p),
-            problem.pose.matrix if gain == 1.0 else gain * problem.pose.matrix,
-            metric,
-            own_root,
-            columns,
+        points = self.warp.points(state.p, problem.pose)
+        turn = problem.pose.matrix if gain == 1.0 else gain * problem.pose.matrix
+        values, projected, steep, weights = get_kernel(self.kernel).steepest(
+            problem.patch.channels, points, turn, metric
         )
-        lam = state.lam.astype(np.float32)
         residual = projected - design.mean
+        lam = state.lam.astype(np.float32)
         with np.errstate(over="ignore", invalid="ignore"):  # a fit that blows up; its cost says so
-            residual -= (design.modes @ lam).reshape(residual.shape)
+            residual -= (lam @ design.modes).reshape(residual.shape)
         if (gain, offset) != (1.0, 0.0):  # rows of P see a common offset by their sum
             residual += (gain - 1.0) * projected + (offset * metric.sum(axis=1)).astype(np.float32)
-        root = own_root * weights[:, None]
-        n_p = self.warp.n_parameters
-        if own_gradient:
-            columns[:, :n_p] = self._model_columns(state, design, root)
-        if self.n_q > n_p:
-            columns[:, n_p : self.n_q] = self.angle_columns(state, values, lam, root)
-        if root_slope is not None:
-            by_weight = root_slope * weights[:, None] * residual
-            columns[:, n_p : self.n_q] += by_weight.reshape(-1, 1) * self.method.angle_directions[1].astype(np.float32)
-        columns[:, -1] = (root * residual).ravel()
-        equations = self._equations(columns, design, weights, own_root, trust)
-        return Linearisation(equations, residual, values, weights)
+        return Look(values, residual, steep, self._by_angles(state, values), weights)
 
-    def _model_columns(self, state: State, design: _Design, root: np.ndarray) -> np.ndarray:
-        """Weighted dr/dp by the gradient of the fitted appearance instead of the image's, (n * k, n_p)."""
-        predicted = design.mean + (design.modes @ state.lam.astype(np.float32)).reshape(design.mean.shape)
-        slope = root[:, None, :] * self.warp.pulled_gradient(predicted, state.p)
-        columns = np.einsum("nak,naj->nkj", slope, self.warp.jacobian(state.p), optimize=True)
-        return columns.reshape(predicted.size, -1)
+    def own_gradient(self, look: Look, state: State) -> Look:
+        """The same with the gradient of the fitted appearance instead of the image's.
+
+        They agree where the model does, and the model's is free of the image's noise.
+        """
+        return replace(look, steep=self.model_gradient(state))
+
+    def moved(self, look: Look, state: State, step: np.ndarray) -> Look:
+        """The same after a step of lambda."""
+        change = (step.astype(np.float32) @ self.design(state.angles[0]).modes).reshape(look.residual.shape)
+        return replace(look, residual=look.residual - change)
+
+    def weighed(self, look: Look, state: State, trust: Trust | None = None) -> Linearisation:
+        """Normal equations of what is seen at a state, under weights worked out at this or an earlier one."""
+        theta_model, theta_image = state.angles
+        own_root, slope = self._root_weights(theta_image, trust)
+        root = own_root * look.weights[:, None]
+        right = np.concatenate([look.by_angles, look.residual.reshape(1, -1)])
+        if slope is not None:  # weights that turn with the image's angle
+            directions = self.method.angle_directions[1].astype(np.float32)
+            right[:-1] += directions[:, None] * (slope * look.residual).reshape(1, -1)
+        design = self.design(theta_model)
+        known = self._weighted_of(design, own_root, trust)
+        equations = self._equations(look, state.p, design, root, right, known)
+        weight = float(np.square(root).sum(dtype=np.float64))
+        unit = trust.unit if trust is not None and self.method.soft else np.nan
+        return Linearisation(replace(equations, weight=weight, unit=unit), look)
+
+    def _weighted_of(self, design: _Design, own_root: np.ndarray, trust: Trust | None) -> _Weighted:
+        """Gram matrix of the modes under the model's and the trust's weights, all pixels of the image usable."""
+        if trust is not None and trust.weighted is not None:
+            return trust.weighted
+        return self._fixed_weighted if trust is None and design is self._fixed_design else weigh(design.modes, own_root)
+
+    @cached_property
+    def _fixed_weighted(self) -> _Weighted:
+        return weigh(self._fixed_design.modes, self.root_weights)
+
+    def _equations(
+        self, look: Look, p: np.ndarray, design: _Design, root: np.ndarray, right: np.ndarray, known: _Weighted
+    ) -> NormalEquations:
+        """Normal equations of (p, angles) and lambda; the last of ``right`` is the residual."""
+        jj, aj, rj = self._warp_products(look.steep, root, design.modes, right, p)
+        squares = np.square(root).reshape(-1)
+        weighted_right = right * squares
+        rr, ar = gram(right, weighted_right), gram(design.modes, weighted_right)
+        aa, inverse = known.aa, known.inverse
+        blind = look.weights == 0
+        if blind.any():
+            unseen = known.root[blind].reshape(-1) * design.modes[:, np.repeat(blind, root.shape[1])]
+            aa, inverse = aa - gram(unseen, unseen), None
+        n = len(right) - 1
+        jj = np.block([[jj, rj[:n].T], [rj[:n], rr[:n, :n]]]) if n else jj
+        jr = np.concatenate([rj[n], rr[n, :n]])
+        aj = np.concatenate([aj, ar[:, :n]], axis=1) if n else aj
+        return NormalEquations(jj, jr, aj, aa, ar[:, n], float(rr[n, n]), 0.0, inverse)
+
+    def _warp_products(
+        self, steep: np.ndarray, root: np.ndarray, modes: np.ndarray, right: np.ndarray, p: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Give J'J, A'J and right'J for the warp's parameters: sparse where pixels move with a mesh."""
+        mesh = self.warp.mesh_pixels()
+        if mesh is None:
+            columns = _rows_of(steep, root, self.warp.jacobian(p))
+            by_root = root.reshape(-1)
+            return gram(columns, columns), gram(modes * by_root, columns), gram(right * by_root, columns)
+        products = get_kernel(self.kernel).mesh_products
+        jj, aj, rj = products(steep, root, modes, right, mesh.beta, mesh.starts, mesh.triangles, mesh.n_vertices)
+        return mesh.modes.T @ (jj @ mesh.modes), aj @ mesh.modes, rj @ mesh.modes
+
+    def columns(self, problem: FitProblem, state: State, trust: Trust | None = None) -> np.ndarray:
+        """Weighted columns [J | r] in full, (n_pixels * k, n_q + 1) float32: what the products are made of."""
+        look = self.look(problem, state, trust)
+        own_root, slope = self._root_weights(state.angles[1], trust)
+        root = own_root * look.weights[:, None]
+        by_angles = look.by_angles.T.copy()
+        if slope is not None:
+            turned = (slope * look.residual).reshape(-1, 1)
+            by_angles += turned * self.method.angle_directions[1].astype(np.float32)
+        own = np.concatenate([by_angles, look.residual.reshape(-1, 1)], axis=1) * root.reshape(-1, 1)
+        return np.concatenate([_rows_of(look.steep, root, self.warp.jacobian(state.p)).T, own], axis=1)
 
     def _root_weights(self, theta: float, trust: Trust | None) -> tuple[np.ndarray, np.ndarray | None]:
-        """Root of the weights (n, k), and its derivative by theta_2 where noise makes it depend on that.
+        """Root of the weights (n, k), and its relative derivative by theta_2 where noise makes it depend on that.
 
         Whitening by the noise is differentiated along with the residual: var L(theta) depends on the angle, and
         a weight frozen at the old angle leaves the plain sum of squares' pull towards angles of little noise.
@@ -433,7 +546,7 @@ class Objective:
         if not self.method.angle_directions[1].any():
             return root, None
         growth = trust.noise @ (2.0 * metric * self.method.image_metric_derivative(theta)).T
-        return root, (-0.5 * root * growth / variance).astype(np.float32)
+        return root, (-0.5 * growth / variance).astype(np.float32)
 
     def trust(
         self, problem: FitProblem, state: State, seen: Linearisation, before: Trust | None = None
@@ -465,10 +578,7 @@ class Objective:
         return trust if turns or method.angle_directions[0].any() else replace(trust, weighted=self._weighted(trust))
 
     def _weighted(self, trust: Trust) -> _Weighted:
-        root = self._root_weights(self.theta_model, trust)[0]
-        modes = self._fixed_design.modes * root.reshape(-1, 1)
-        aa = gram(modes, modes)
-        return _Weighted(root, modes, aa, regular_inverse(aa))
+        return weigh(self._fixed_design.modes, self._root_weights(self.theta_model, trust)[0])
 
     def _normalisation(self, samples: np.ndarray, usable: np.ndarray) -> tuple[float, float]:
         """Gain and offset that bring samples to the mean and deviation of the model's mean."""
@@ -504,12 +614,22 @@ class Objective:
         colours carry JPEG's errors, it steps back behind the gradient, and the other way round in noise.
         """
         # Pixels of a picture smaller than the model's frame are spread over several of the frame's.
-        tied = max(tied_together(problem.blur), 1.0 / problem.pose.scale**2)
-        noise = _soft_noise(seen.values.astype(np.float64), problem)
+        tied = max(1.0, self.density * max(tied_together(problem.blur), 1.0 / problem.pose.scale**2))
+        noise = get_kernel(self.kernel).soft_noise(
+            seen.values,
+            problem.relative_noise,
+            LOGS,
+            (problem.noise_left, problem.slope_left),
+            SOFTNESS,
+            LOG_FLOOR,
+            LUMINANCE[0],
+            UNKNOWN,
+            MOST_DIRECTION_NOISE,
+        )
         if not self.appearance.mean[:, 2].any():  # learnt from grey pictures
             noise[:, 2:5] = UNKNOWN
-        by_noise = noise @ np.square(metric).T
-        squares = np.square(seen.residual, dtype=np.float64)
+        by_noise = noise @ np.square(metric).T.astype(np.float32)
+        squares = np.square(seen.residual)
         model, found = np.empty_like(by_noise), []
         for rows, correlated in SOFT_ROWS:
             known = usable[:, None] & (by_noise[:, rows] < 0.5 * UNKNOWN)
@@ -544,45 +664,31 @@ class Objective:
         u = sizes if variance is None else np.sqrt((squares / variance).mean(axis=1))
         return loss(u / max(robust_scale(u[usable], residual.shape[1]), 1e-9)).astype(np.float32)
 
-    def workspace(self) -> np.ndarray:
-        """Give an array for the columns [J | r] of one linearisation."""
-        n = len(self.appearance.mean) * self.method.n_rows
-        return np.empty((n, self.n_q + 1), dtype=np.float32)
-
-    def angle_columns(self, state: State, values: np.ndarray, lam: np.ndarray, root: np.ndarray) -> np.ndarray:
-        """Weighted dr/d(free angles), (n * k, n_free): the angle terms of paper eq 10."""
+    def _by_angles(self, state: State, values: np.ndarray) -> np.ndarray:
+        """dr/d(free angles), (n_free, n_pixels * k): the angle terms of paper eq 10."""
         directions = self.method.angle_directions.astype(np.float32)
+        if not directions.size:
+            return np.empty((0, len(values) * self.method.n_rows), np.float32)
         by_image = values @ self.method.image_metric_derivative(state.angles[1]).T.astype(np.float32)
-        columns = (root * by_image).reshape(-1, 1) * directions[1]
+        columns = directions[1][:, None] * by_image.reshape(1, -1)
         if directions[0].any():
-            texture = self.appearance.texture(lam[: self.appearance.n_modes])
+            texture = self.appearance.texture(state.lam[: self.appearance.n_modes])
             by_model = texture @ self.method.model_metric_derivative(state.angles[0]).T.astype(np.float32)
-            columns -= (root * by_model).reshape(-1, 1) * directions[0]
+            columns -= directions[0][:, None] * by_model.reshape(1, -1)
         return columns
 
-    def _equations(
-        self, columns: np.ndarray, design: _Design, weights: np.ndarray, root: np.ndarray, trust: Trust | None
-    ) -> NormalEquations:
-        """Normal equations of the weighted columns; ``root`` gives the pixels' own weights."""
-        rows = self.method.n_rows
-        weighted, aa, inverse, own_weights = design.weighted, design.aa, design.inverse, rows * self.appearance.usable
-        if trust is not None:
-            own_weights = np.square(root).sum(axis=1)
-            if trust.weighted is not None:
-                weighted, aa, inverse = trust.weighted.modes, trust.weighted.aa, trust.weighted.inverse
-            else:
-                weighted = design.modes * root.reshape(-1, 1)
-                aa, inverse = gram(weighted, weighted), None
-        own, cross = gram(columns, columns), gram(columns, weighted).T
-        blind = weights == 0
-        if blind.any():
-            unseen = weighted[np.repeat(blind, rows)]
-            aa, inverse = aa - gram(unseen, unseen), None
-        weight = float(own_weights @ weights)
-        unit = trust.unit if trust is not None and self.method.soft else np.nan
-        return NormalEquations(
-            own[:-1, :-1], own[:-1, -1], cross[:, :-1], aa, cross[:, -1], float(own[-1, -1]), weight, inverse, unit
-        )
+
+def weigh(modes: np.ndarray, root: np.ndarray) -> _Weighted:
+    """Gram matrix of modes (m, n * k) under weights (n, k), and its inverse."""
+    weighted = modes * root.reshape(-1)
+    aa = gram(weighted, weighted)
+    return _Weighted(root, aa, regular_inverse(aa))
+
+
+def _rows_of(steep: np.ndarray, root: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """Rows root * steep . dW/dp of J', (n_p, n * k) float32."""
+    columns = np.einsum("nka,naj->jnk", root[:, :, None] * steep, jacobian, optimize=True)
+    return columns.reshape(jacobian.shape[2], -1)
 
 
 def _relative_noise(linear: np.ndarray, problem: FitProblem) -> np.ndarray:
@@ -592,6 +698,9 @@ def _relative_noise(linear: np.ndarray, problem: FitProblem) -> np.ndarray:
     stored = np.maximum(from_linear(linear, problem.response), 1e-3)
     return problem.noise * log_slope(stored, problem.response)
 
+
+LOGS = (-7.0, 0.5)
+"""Logarithms of linear light between which its noise is worked out: from black to highlights."""
 
 SOFT_ROWS = ((slice(0, 2), 8.0), (slice(2, 3), 30.0))
 """Rows of the metric ``soft`` whose unexplained part is alike, and by how much more it is correlated than the blur
@@ -628,25 +737,6 @@ def _mean(values: np.ndarray, kept: np.ndarray) -> float:
     return float(values[kept].mean()) if kept.any() else 0.0
 
 
-def _soft_noise(values: np.ndarray, problem: FitProblem) -> np.ndarray:
-    """Variance of the six channels of ``soft`` by the image's noise, (n, 6) float64, to first order.
-
-    With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the root follows from |o| itself.
-    """
-    direction, log_rgb, known = values[:, :2], values[:, 2:5], values[:, 5]
-    linear = np.exp(log_rgb)
-    relative = _relative_noise(linear, problem)
-    luminance = linear @ LUMINANCE[0] + LOG_FLOOR
-    slope = np.square(problem.slope_left * relative * linear) @ np.square(LUMINANCE[0]) / np.square(luminance)
-    left = np.maximum(1.0 - np.square(direction).sum(axis=1), 0.0)
-    by_component = 1.0 - np.square(direction) * (1.0 + left[:, None])
-    noise = np.zeros(values.shape)
-    noise[:, :2] = np.minimum((slope * left / SOFTNESS**2)[:, None] * by_component, MOST_DIRECTION_NOISE)
-    noise[:, 2:5] = np.square(problem.noise_left * relative) + np.square(0.5 * np.square(relative))
-    noise[known < 0.99, 2:5] = UNKNOWN
-    return noise
-
-
 FACTORS = np.concatenate([[0.0], np.geomspace(1e-3, 30.0, 19)])
 
 
@@ -655,6 +745,12 @@ def _likeliest_factor(squares: np.ndarray, by_noise: np.ndarray, by_model: np.nd
     variances = by_noise + FACTORS[:, None] * by_model + 1e-300
     cost = (np.log(variances) + squares / variances).mean(axis=1)
     return float(FACTORS[cost.argmin()])
+
+
+THINNING = 1.5
+"""Distance between the pixels that are looked at, in standard deviations of a level's blur: closer ones say the same
+again. Measured on the spot protocol with ``soft-li``: a median of 4.03 % with all pixels, 4.05 with half of the
+sharpest level's, 4.11 with a quarter, and a 90th percentile of 5.6 with each."""
 
 
 def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[Objective, ...]:
@@ -671,18 +767,24 @@ def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[O
         )
     _check_holds(model, method)
     get_kernel(kernel)
-    return tuple(
-        Objective(
-            method,
-            model.warp_of(method.appearance),
-            level.appearances[method.appearance],
-            model.theta,
-            _shape_prior(model),
-            kernel,
-            level.appearances.get("illumination"),
-            tied_together(level.blur),
-        )
-        for level in model.levels_of(method.appearance)
+    return tuple(_objective(model, method, kernel, level) for level in model.levels_of(method.appearance))
+
+
+def _objective(model: AAM, method: Method, kernel: str, level: Level) -> Objective:
+    """One level seen through a method, at as many pixels as its blur leaves worth looking at."""
+    appearance, illumination = level.appearances[method.appearance], level.appearances.get("illumination")
+    warp = model.warp_of(method.appearance)
+    whole = Objective(method, warp, appearance, model.theta, _shape_prior(model), kernel, illumination)
+    kept = warp.every(THINNING * level.blur)
+    density = len(kept) / len(appearance.mean)
+    return replace(
+        whole,
+        warp=warp.at(kept),
+        appearance=appearance.at(kept),
+        illumination=None if illumination is None else illumination.at(kept),
+        tied=max(1.0, density * tied_together(level.blur)),
+        density=density,
+        whole=whole,
     )
 
 

@@ -282,7 +282,7 @@ class Finder:
 
     def _fitted(self, image: np.ndarray, response: Response, fields: list[Field], peak: _Peaks) -> Candidate:
         """Fit the small model at one place and judge what came out."""
-        template, warp = self.templates[int(peak.templates[0])], self.small.warp
+        template, warp = self.templates[int(peak.templates[0])], self.objective.warp
         pose = Similarity(rotation(template.turn) * peak.scales[0], peak.centres[0])
         start, blur = pose(warp.shape(template.p)), self.small.levels[0].blur
         problem = FitProblem.at(image, start, pose, self.objective.method, response, blur)
@@ -291,7 +291,7 @@ class Finder:
         sane = np.isfinite(shape).all() and GROWTH[0] < diagonal_of(shape) / diagonal_of(start) < GROWTH[1]
         if not sane:
             return self._candidate(start, 0.0)
-        strength = fields[int(peak.fields[0])].strength(warp.interpolate(shape))
+        strength = fields[int(peak.fields[0])].strength(pose(warp.points(solution.state.p)))
         return self._candidate(shape, self._score(solution, strength))
 
     def _score(self, solution: Solution, strength: np.ndarray) -> float:

@@ -112,11 +112,10 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
     Never raises for a fit that goes wrong and never loops beyond ``max_iterations``, and at most
     ``SCORING_STEPS`` more for methods that weigh by noise.
     """
-    workspace = objective.workspace()
-    state, last, trust = _begin(objective, problem, start, options, workspace)
+    state, last, trust = _begin(objective, problem, start, options)
     path = [(last.equations.cost, state)]
     damping, settled, flat, iteration = options.damping, False, False, 0
-    free, held = _free_directions(objective, state, last.equations, options.observable)
+    free = _free_directions(objective, state, last.equations, options.observable)
     for iteration in range(1, options.max_iterations + 1):  # noqa: B007 (reported)
         precision = _prior_precision(objective, last.equations, options.shape_prior)
         steps = _step(last.equations, state, precision, free, damping)
@@ -126,7 +125,7 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
         step, lambda_step = steps
         moved = objective.warp.movement(step[: objective.warp.n_parameters])
         moved_to = objective.update(state, step, lambda_step)
-        new, there = _evaluate(objective, problem, moved_to, options, workspace, trust, start_up=False)
+        new, there = _evaluate(objective, problem, moved_to, options, trust)
         worse = not _merit(there.equations, new, precision) <= _merit(last.equations, state, precision)
         if options.damping > 0 and worse:
             if moved < options.tolerance or damping >= DAMPING_RANGE[1]:
@@ -134,22 +133,22 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
                 break
             damping = min(max(damping, 1e-4) * 10, DAMPING_RANGE[1])
             continue
-        state, last, trust = _weigh_anew(objective, problem, new, there, options, workspace, trust)
+        state, last, trust = _weigh_anew(objective, problem, new, there, options, trust)
         path.append((last.equations.cost, state))
         damping = max(damping / 10, DAMPING_RANGE[0]) if options.damping > 0 else 0.0
-        free, held = _free_directions(objective, state, last.equations, options.observable)
+        free = _free_directions(objective, state, last.equations, options.observable)
         if moved < options.tolerance and damping <= TRUSTED_DAMPING:  # small of itself, not by damping
             settled = True
             break
         if not np.isfinite(last.equations.cost):
             break
     if (options.scoring or (trust is not None and trust.noise is not None)) and not flat:
-        scored = _score(objective, problem, state, options, workspace, trust, free)
+        scored = _score(objective, problem, state, last, options, trust, free)
         if scored and scored[-1][1].equations.cost <= SCORING_RISE * last.equations.cost:
             state, last = scored[-1]
             path += [(seen.equations.cost, there) for there, seen in scored]
             iteration += len(scored)
-    return Solution(state, last, tuple(path), iteration, settled, held, flat)
+    return Solution(state, last, tuple(path), iteration, settled, not free.all(), flat)
 
 
 SCORING_STEPS = 5
@@ -164,8 +163,8 @@ def _score(
     objective: Objective,
     problem: FitProblem,
     state: State,
+    last: Linearisation,
     options: SolverOptions,
-    workspace: np.ndarray,
     trust: Trust | None,
     free: np.ndarray,
 ) -> list[tuple[State, Linearisation]]:
@@ -178,17 +177,15 @@ def _score(
     """
     scored: list[tuple[State, Linearisation]] = []
     for _ in range(min(options.scoring or SCORING_STEPS, options.max_iterations)):
-        seen = objective.linearise(problem, state, workspace, trust, own_gradient=True)
-        precision = _prior_precision(objective, seen.equations, options.shape_prior)
-        steps = _step(seen.equations, state, precision, free, damping=0.0)
+        expected = objective.weighed(objective.own_gradient(last.look, state), state, trust).equations
+        precision = _prior_precision(objective, expected, options.shape_prior)
+        steps = _step(expected, state, precision, free, damping=0.0)
         if steps is None:
             break
-        state, seen = _evaluate(
-            objective, problem, objective.update(state, *steps), options, workspace, trust, start_up=False
-        )
+        state, last = _evaluate(objective, problem, objective.update(state, *steps), options, trust)
         if options.scoring:  # asked for more than a step or two: the weights move along
-            state, seen, trust = _weigh_anew(objective, problem, state, seen, options, workspace, trust)
-        scored.append((state, seen))
+            state, last, trust = _weigh_anew(objective, problem, state, last, options, trust)
+        scored.append((state, last))
         if objective.warp.movement(steps[0][: objective.warp.n_parameters]) < options.tolerance:
             break
     return scored
@@ -198,17 +195,17 @@ def settle_lambda(
     objective: Objective, problem: FitProblem, state: State, options: SolverOptions
 ) -> tuple[State, Linearisation]:
     """Give a state its best appearance, under the weights that go with it, and linearise there."""
-    state, last, _ = _begin(objective, problem, state, options, objective.workspace())
+    state, last, _ = _begin(objective, problem, state, options)
     return state, last
 
 
 def _begin(
-    objective: Objective, problem: FitProblem, start: State, options: SolverOptions, workspace: np.ndarray
+    objective: Objective, problem: FitProblem, start: State, options: SolverOptions
 ) -> tuple[State, Linearisation, Trust | None]:
-    state, last = _evaluate(objective, problem, start, options, workspace, None, start_up=True)
+    state, last = _solve_lambda(objective, start, objective.linearise(problem, start))
     # Twice: what the weights are worked out from depends on the weights.
-    state, last, _ = _weigh_anew(objective, problem, state, last, options, workspace)
-    return _weigh_anew(objective, problem, state, last, options, workspace)
+    state, last, trust = _weigh_anew(objective, problem, state, last, options, None)
+    return _weigh_anew(objective, problem, state, last, options, trust)
 
 
 def _weigh_anew(
@@ -217,8 +214,7 @@ def _weigh_anew(
     state: State,
     seen: Linearisation,
     options: SolverOptions,
-    workspace: np.ndarray,
-    trust: Trust | None = None,
+    trust: Trust | None,
 ) -> tuple[State, Linearisation, Trust | None]:
     """Weigh the pixels by what they look like now; variable projection solves lambda again under the new weights.
 
@@ -228,27 +224,28 @@ def _weigh_anew(
     new = objective.trust(problem, state, seen, trust)
     if new is None or new is trust:
         return state, seen, trust
-    return *_evaluate(objective, problem, state, options, workspace, new, start_up=trust is None), new
+    look = objective.look(problem, state, new) if objective.method.normalise else seen.look
+    seen = objective.weighed(look, state, new)
+    if options.elimination == "joint" and trust is not None:
+        return state, seen, new
+    return *_solve_lambda(objective, state, seen), new
 
 
 def _evaluate(
-    objective: Objective,
-    problem: FitProblem,
-    state: State,
-    options: SolverOptions,
-    workspace: np.ndarray,
-    trust: Trust | None,
-    start_up: bool,
+    objective: Objective, problem: FitProblem, state: State, options: SolverOptions, trust: Trust | None
 ) -> tuple[State, Linearisation]:
-    """Linearise at a state; variable projection (and any start) also solves lambda there."""
-    seen = objective.linearise(problem, state, workspace, trust)
-    if options.elimination == "joint" and not start_up:
-        return state, seen
+    """Linearise at a state; variable projection also solves lambda there."""
+    seen = objective.linearise(problem, state, trust)
+    return (state, seen) if options.elimination == "joint" else _solve_lambda(objective, state, seen)
+
+
+def _solve_lambda(objective: Objective, state: State, seen: Linearisation) -> tuple[State, Linearisation]:
+    """Give a state the lambda that fits best there, by the products alone."""
     if not seen.equations.weight > 0:
         return state, seen
     step = seen.equations.best_lambda_step()
-    state = replace(state, lam=state.lam + step)
-    return state, replace(seen, equations=seen.equations.after_lambda_step(step))
+    look = objective.moved(seen.look, state, step)
+    return replace(state, lam=state.lam + step), Linearisation(seen.equations.after_lambda_step(step), look)
 
 
 def _prior_precision(objective: Objective, equations: NormalEquations, strength: float) -> np.ndarray:
@@ -276,39 +273,33 @@ def _step(
         return None
     gradient = gradient.copy()  # the equations keep theirs
     gradient[: len(state.p)] += precision[: len(state.p)] * state.p
-    hessian, gradient = free.T @ (hessian + np.diag(precision)) @ free, free.T @ gradient
-    diagonal = np.diag(hessian)
+    hessian = hessian[np.ix_(free, free)]  # a copy
+    on_diagonal = np.diag_indices_from(hessian)
+    hessian[on_diagonal] += precision[free]
+    diagonal = hessian[on_diagonal]
     floor = 1e-9 * diagonal.max()
-    damped = hessian + np.diag(damping * np.maximum(diagonal, floor) + floor)
+    hessian[on_diagonal] += damping * np.maximum(diagonal, floor) + floor
+    step = np.zeros(len(free))
     try:
-        step = free @ np.linalg.solve(damped, -gradient)
+        step[free] = np.linalg.solve(hessian, -gradient[free])
     except np.linalg.LinAlgError:
         return None
     return step, equations.lambda_step(step)
 
 
-def _free_directions(
-    objective: Objective, state: State, equations: NormalEquations, observable: float
-) -> tuple[np.ndarray, bool]:
-    """Directions of q that may move: all of p, and the angles that the image can tell.
+def _free_directions(objective: Objective, state: State, equations: NormalEquations, observable: float) -> np.ndarray:
+    """Which entries of q may move, (n_q,) bool: all of p, and the angles that the image can tell.
 
     Where the light has not changed, turning both angles together changes nothing but noise: the energy of
     dr/dtheta is that of the residual itself, scaled by |L'|^2 / |L|^2. With less than ``observable`` times that
     they are not turned together, so that noise cannot make them drift; ``li-pc`` then keeps theta_1 and moves
     theta_2 only, as ``li`` does.
-
-    Returns
-    -------
-    free : (n_q, n_free) float64
-        Columns of the identity.
-    held : bool
-        Whether an angle is held.
     """
     n_p, n_q = objective.warp.n_parameters, objective.n_q
     free = np.ones(n_q, dtype=bool)
     if n_q > n_p:
         free[n_p:] = _observable_angles(objective, state, equations, observable)
-    return np.eye(n_q)[:, free], not free.all()
+    return free
 
 
 def _observable_angles(objective: Objective, state: State, equations: NormalEquations, observable: float) -> list[bool]:

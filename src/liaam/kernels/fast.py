@@ -1,73 +1,219 @@
-"""Fast kernel: numba, one pass over the model's pixels, no temporaries (contract: ``reference``)."""
+"""Fast kernels: numba, one pass over the model's pixels, no large temporaries (contract: ``reference``)."""
 
 import numba
 import numpy as np
 
 # fastmath without "no NaNs": images are finite by contract, but points of a diverging fit need not be.
 _jit = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+_F = np.float32
 
 
 @_jit
-def _linearise(channels, points, warp_jacobian, turn, metric, root_weights, columns, values, projected, weights):
+def _carry(positions, corners, beta, points):
+    for i in range(len(corners)):
+        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+        points[i, 0] = beta[i, 0] * positions[a, 0] + beta[i, 1] * positions[b, 0] + beta[i, 2] * positions[c, 0]
+        points[i, 1] = beta[i, 0] * positions[a, 1] + beta[i, 1] * positions[b, 1] + beta[i, 2] * positions[c, 1]
+
+
+def carry(positions: np.ndarray, corners: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """See :func:`liaam.kernels.reference.carry`."""
+    points = np.empty((len(corners), 2))
+    _carry(np.ascontiguousarray(positions, dtype=np.float64), corners, beta, points)
+    return points
+
+
+@_jit
+def _pull(slopes, inverse, owners, pulled):
+    for i in range(len(slopes)):
+        t = owners[i]
+        for r in range(slopes.shape[2]):
+            x, y = slopes[i, 0, r], slopes[i, 1, r]
+            pulled[i, r, 0] = inverse[t, 0, 0] * x + inverse[t, 1, 0] * y
+            pulled[i, r, 1] = inverse[t, 0, 1] * x + inverse[t, 1, 1] * y
+
+
+def pull(slopes: np.ndarray, inverse: np.ndarray, owners: np.ndarray) -> np.ndarray:
+    """See :func:`liaam.kernels.reference.pull`."""
+    pulled = np.empty((len(slopes), slopes.shape[2], 2), np.float32)
+    _pull(slopes, inverse.astype(np.float32), owners, pulled)
+    return pulled
+
+
+@_jit
+def _steepest(channels, points, turn, metric, values, projected, steep, weights):
     height, width = channels.shape[0], channels.shape[1]
-    n, n_p, k, n_c = points.shape[0], warp_jacobian.shape[2], metric.shape[0], metric.shape[1]
+    n, k, n_c = points.shape[0], metric.shape[0], metric.shape[1]
+    along_x, along_y = np.empty(n_c, np.float32), np.empty(n_c, np.float32)
     for i in range(n):
         px, py = points[i, 0], points[i, 1]
         # Written so that NaN counts as outside.
-        inside = px >= 0.0 and py >= 0.0 and px <= width - 1 and py <= height - 1
-        weight = np.float32(0.0)
-        if inside:
-            x, y = min(int(px), width - 2), min(int(py), height - 2)
-            weight = min(
-                min(channels[y, x, n_c], channels[y, x + 1, n_c]),
-                min(channels[y + 1, x, n_c], channels[y + 1, x + 1, n_c]),
-            )
-        weights[i] = weight
-        if not inside:
-            values[i, :] = 0.0
-            projected[i, :] = 0.0
-            for r in range(k):
-                for j in range(n_p):
-                    columns[i * k + r, j] = 0.0
+        if not (px >= 0.0 and py >= 0.0 and px <= width - 1 and py <= height - 1):
+            weights[i] = _F(0.0)
+            values[i, :] = _F(0.0)
+            projected[i, :] = _F(0.0)
+            steep[i, :, :] = _F(0.0)
             continue
-        u, v = px - x, py - y
-        w00, w10, w01, w11 = (1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v
+        x, y = min(int(px), width - 2), min(int(py), height - 2)
+        u, v = _F(px - x), _F(py - y)
+        left, above = _F(1.0) - u, _F(1.0) - v
+        weights[i] = min(
+            min(channels[y, x, n_c], channels[y, x + 1, n_c]),
+            min(channels[y + 1, x, n_c], channels[y + 1, x + 1, n_c]),
+        )
+        for c in range(n_c):
+            c00, c10, c01, c11 = (
+                channels[y, x, c],
+                channels[y, x + 1, c],
+                channels[y + 1, x, c],
+                channels[y + 1, x + 1, c],
+            )
+            top, bottom = left * c00 + u * c10, left * c01 + u * c11
+            values[i, c] = above * top + v * bottom
+            along_x[c] = above * (c10 - c00) + v * (c11 - c01)
+            along_y[c] = bottom - top
         for r in range(k):
-            projected[i, r] = 0.0
-        for r in range(k):
-            root = np.float64(root_weights[i, r] * weight)
-            value = gx = gy = 0.0
+            value = gx = gy = _F(0.0)
             for c in range(n_c):
-                c00, c10 = np.float64(channels[y, x, c]), np.float64(channels[y, x + 1, c])
-                c01, c11 = np.float64(channels[y + 1, x, c]), np.float64(channels[y + 1, x + 1, c])
-                sampled = w00 * c00 + w10 * c10 + w01 * c01 + w11 * c11
-                values[i, c] = sampled
                 m = metric[r, c]
-                value += m * sampled
-                gx += m * ((1 - v) * (c10 - c00) + v * (c11 - c01))
-                gy += m * ((1 - u) * (c01 - c00) + u * (c11 - c10))
+                value += m * values[i, c]
+                gx += m * along_x[c]
+                gy += m * along_y[c]
             projected[i, r] = value
-            a = np.float32(root * (gx * turn[0, 0] + gy * turn[1, 0]))
-            b = np.float32(root * (gx * turn[0, 1] + gy * turn[1, 1]))
-            row = i * k + r
-            for j in range(n_p):
-                columns[row, j] = a * warp_jacobian[i, 0, j] + b * warp_jacobian[i, 1, j]
+            steep[i, r, 0] = gx * turn[0, 0] + gy * turn[1, 0]
+            steep[i, r, 1] = gx * turn[0, 1] + gy * turn[1, 1]
 
 
-def linearise(
-    channels: np.ndarray,
-    points: np.ndarray,
-    warp_jacobian: np.ndarray,
-    turn: np.ndarray,
-    metric: np.ndarray,
-    root_weights: np.ndarray,
-    columns: np.ndarray,
+def steepest(
+    channels: np.ndarray, points: np.ndarray, turn: np.ndarray, metric: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """See :func:`liaam.kernels.reference.steepest`."""
+    n, (k, c) = len(points), metric.shape
+    values, projected = np.empty((n, c), np.float32), np.empty((n, k), np.float32)
+    steep, weights = np.empty((n, k, 2), np.float32), np.empty(n, np.float32)
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    turn, metric = (np.ascontiguousarray(a, dtype=np.float32) for a in (turn, metric))
+    _steepest(channels, points, turn, metric, values, projected, steep, weights)
+    return values, projected, steep, weights
+
+
+@_jit
+def _mesh_products(steep, root, modes, right, beta, starts, triangles, jj, aj, rj):
+    k = root.shape[1]
+    longest = 0
+    for t in range(len(triangles)):
+        longest = max(longest, starts[t + 1] - starts[t])
+    # Slices rather than indices in the inner loops: only then does the compiler see that they never wrap around.
+    rows, weight = np.empty((6, longest * k), np.float32), np.empty(longest * k, np.float32)
+    p0, p1, p2, p3, p4, p5 = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    at = np.empty(6, np.int64)
+    for t in range(len(triangles)):
+        first, last = starts[t], starts[t + 1]
+        size, e = (last - first) * k, 0
+        for i in range(first, last):
+            b0, b1, b2 = beta[i, 0], beta[i, 1], beta[i, 2]
+            for r in range(k):
+                w = root[i, r]
+                sx, sy = w * steep[i, r, 0], w * steep[i, r, 1]
+                p0[e], p1[e], p2[e] = b0 * sx, b0 * sy, b1 * sx
+                p3[e], p4[e], p5[e] = b1 * sy, b2 * sx, b2 * sy
+                weight[e] = w
+                e += 1
+        for a in range(3):
+            at[2 * a], at[2 * a + 1] = 2 * triangles[t, a], 2 * triangles[t, a] + 1
+        for a in range(6):
+            own = rows[a]
+            for b in range(a, 6):
+                other = rows[b]
+                total = _F(0.0)
+                for e in range(size):
+                    total += own[e] * other[e]
+                jj[at[a], at[b]] += total
+                if b > a:
+                    jj[at[b], at[a]] += total
+        for a in range(6):
+            own = rows[a]
+            for e in range(size):
+                own[e] *= weight[e]
+        for j in range(len(right)):
+            column = right[j, first * k : last * k]
+            for a in range(6):
+                own = rows[a]
+                total = _F(0.0)
+                for e in range(size):
+                    total += own[e] * column[e]
+                rj[j, at[a]] += total
+        for j in range(len(modes)):
+            mode = modes[j, first * k : last * k]
+            s0 = s1 = s2 = s3 = s4 = s5 = _F(0.0)
+            for e in range(size):
+                m = mode[e]
+                s0 += p0[e] * m
+                s1 += p1[e] * m
+                s2 += p2[e] * m
+                s3 += p3[e] * m
+                s4 += p4[e] * m
+                s5 += p5[e] * m
+            aj[j, at[0]] += s0
+            aj[j, at[1]] += s1
+            aj[j, at[2]] += s2
+            aj[j, at[3]] += s3
+            aj[j, at[4]] += s4
+            aj[j, at[5]] += s5
+
+
+def mesh_products(
+    steep: np.ndarray,
+    root: np.ndarray,
+    modes: np.ndarray,
+    right: np.ndarray,
+    beta: np.ndarray,
+    starts: np.ndarray,
+    triangles: np.ndarray,
+    n_vertices: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """See :func:`liaam.kernels.reference.linearise`."""
-    n = len(points)
-    values = np.empty((n, metric.shape[1]), dtype=np.float32)
-    projected = np.empty((n, len(metric)), dtype=np.float32)
-    weights = np.empty(n, dtype=np.float32)
-    points, turn, metric = (np.ascontiguousarray(a, dtype=np.float64) for a in (points, turn, metric))
-    _linearise(channels, points, warp_jacobian, turn, metric, root_weights, columns, values, projected, weights)
-    return values, projected, weights
+    """See :func:`liaam.kernels.reference.mesh_products`."""
+    jj = np.zeros((2 * n_vertices, 2 * n_vertices))
+    aj, rj = np.zeros((len(modes), 2 * n_vertices)), np.zeros((len(right), 2 * n_vertices))
+    _mesh_products(steep, root, modes, right, beta, starts, triangles, jj, aj, rj)
+    return jj, aj, rj
+
+
+@_jit
+def _soft_noise(values, relative, span, left, softness, floor, luminance, unknown, most, noise):
+    steps, last = (len(relative) - 1) / (span[1] - span[0]), len(relative) - 1
+    for i in range(len(values)):
+        known, spread, total = values[i, 5] >= 0.99, 0.0, floor
+        for c in range(3):
+            value = values[i, 2 + c]
+            at = min(max((value - span[0]) * steps, 0.0), float(last))
+            below = min(int(at), last - 1)
+            deviation = relative[below] + (at - below) * (relative[below + 1] - relative[below])
+            linear = luminance[c] * np.exp(value)
+            total += linear
+            spread += (left[1] * deviation * linear) ** 2
+            square = deviation * deviation
+            noise[i, 2 + c] = left[0] * left[0] * square + 0.25 * square * square if known else unknown
+        x, y = values[i, 0] * values[i, 0], values[i, 1] * values[i, 1]
+        rest = max(1.0 - x - y, 0.0)
+        slope = spread * rest / (total * total * softness * softness)
+        noise[i, 0] = min(slope * (1.0 - x * (1.0 + rest)), most)
+        noise[i, 1] = min(slope * (1.0 - y * (1.0 + rest)), most)
+        noise[i, 5] = 0.0
+
+
+def soft_noise(
+    values: np.ndarray,
+    relative: np.ndarray,
+    span: tuple[float, float],
+    left: tuple[float, float],
+    softness: float,
+    floor: float,
+    luminance: np.ndarray,
+    unknown: float,
+    most: float,
+) -> np.ndarray:
+    """See :func:`liaam.kernels.reference.soft_noise`."""
+    noise = np.empty(values.shape, np.float32)
+    _soft_noise(values, relative, span, left, softness, floor, luminance, unknown, most, noise)
+    return noise

@@ -94,3 +94,180 @@ def linearise(
     jacobian = np.einsum("nrb,nbp->nrp", steepest, warp_jacobian.astype(np.float64))
     columns[:, :n_p] = jacobian.reshape(n * len(metric), n_p)
     return values, projected.astype(np.float32), weights
+
+
+def carry(positions: np.ndarray, corners: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """Carry vertices to the pixels of a mesh: W(x; p) = sum_v beta_v(x) s_v.
+
+    Parameters
+    ----------
+    positions : (n_vertices, 2) float
+    corners : (n, 3) int32
+        The three vertices around each pixel.
+    beta : (n, 3) float64
+        Their barycentric weights.
+
+    Returns
+    -------
+    (n, 2) float64
+    """
+    return np.einsum("nv,nva->na", beta, np.asarray(positions, np.float64)[corners])
+
+
+def pull(slopes: np.ndarray, inverse: np.ndarray, owners: np.ndarray) -> np.ndarray:
+    """Carry gradients along with the triangles: grad V = (dW/dx)^-T grad values.
+
+    Parameters
+    ----------
+    slopes : (n, 2, k) float32
+        Derivatives along x and y at rest.
+    inverse : (t, 2, 2) float
+        (dW/dx)^-1 of each triangle.
+    owners : (n,) int32
+        Triangle of each pixel.
+
+    Returns
+    -------
+    (n, k, 2) float32
+    """
+    return np.einsum("nba,nbk->nka", inverse[owners], slopes).astype(np.float32)
+
+
+def steepest(
+    channels: np.ndarray, points: np.ndarray, turn: np.ndarray, metric: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Sample an encoded image, project it by a metric, and differentiate by the place.
+
+    Parameters
+    ----------
+    channels : (h, w, c + 1) float32
+        Encoded image.
+    points : (n, 2) float64
+        W(x; p) in the image's pixels.
+    turn : (2, 2) float
+        Linear part of the similarity from the model's to the image's pixels.
+    metric : (k, c) float
+        Rows of P.
+
+    Returns
+    -------
+    values : (n, c) float32
+        Samples of the encoded image.
+    projected : (n, k) float32
+        P times the samples.
+    steep : (n, k, 2) float32
+        P dE/dx, x in the model's pixels; zero outside the image.
+    weights : (n,) float32
+        Image weight in {0, 1} of each pixel.
+    """
+    values, gradients, weights = sample(channels, points)
+    projected = values.astype(np.float64) @ metric.T
+    steep = np.einsum("nac,rc,ab->nrb", gradients.astype(np.float64), metric, turn)
+    return values, projected.astype(np.float32), steep.astype(np.float32), weights
+
+
+def mesh_products(
+    steep: np.ndarray,
+    root: np.ndarray,
+    modes: np.ndarray,
+    right: np.ndarray,
+    beta: np.ndarray,
+    starts: np.ndarray,
+    triangles: np.ndarray,
+    n_vertices: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weighted products of the derivatives by a mesh's vertices with themselves and with other columns.
+
+    A pixel moves with the three vertices around it only, so that of its row of derivatives,
+
+        dr(x) / d(vertex v) = beta_v(x) steep(x),
+
+    all but six entries are zero: this is the sparse form of J'J and A'J, before the vertices are made to follow
+    the shape modes.
+
+    Parameters
+    ----------
+    steep : (n, k, 2) float32
+        Derivative of each pixel's residuals by the place.
+    root : (n, k) float32
+        Root of the weights, the image's included.
+    modes : (m, n * k) float32
+        A, unweighted.
+    right : (b, n * k) float32
+        Further columns, unweighted: of the angles, and the residual.
+    beta : (n, 3) float32
+        Barycentric weights of the triangle's vertices; pixels in the order of their triangles.
+    starts : (t + 1,) int64
+        First pixel of each triangle, and the end.
+    triangles : (t, 3) int64
+    n_vertices : int
+
+    Returns
+    -------
+    jj : (2 n_vertices, 2 n_vertices) float64
+        Vertices' coordinates x and y in turn.
+    aj : (m, 2 n_vertices) float64
+    rj : (b, 2 n_vertices) float64
+    """
+    n, k = root.shape
+    owners = np.repeat(np.arange(len(triangles)), np.diff(starts))
+    columns = np.zeros((n, k, n_vertices, 2))
+    for corner in range(3):
+        columns[np.arange(n), :, triangles[owners, corner]] = (beta[:, corner, None] * root)[..., None] * steep
+    columns = columns.reshape(n * k, 2 * n_vertices)
+    by_root = root.reshape(-1, 1) * columns
+    return columns.T @ columns, modes @ by_root, right @ by_root
+
+
+def soft_noise(
+    values: np.ndarray,
+    relative: np.ndarray,
+    span: tuple[float, float],
+    left: tuple[float, float],
+    softness: float,
+    floor: float,
+    luminance: np.ndarray,
+    unknown: float,
+    most: float,
+) -> np.ndarray:
+    """Variance of the six channels of ``soft`` by the image's noise, to first order.
+
+    With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the root follows from |o| itself.
+
+    Parameters
+    ----------
+    values : (n, 6) float32
+        Samples: o, log R, G and B, and how far those are known.
+    relative : (s,) float64
+        Standard deviation of the logarithm by noise, at evenly spaced logarithms.
+    span : (lowest, highest)
+        Of these logarithms; beyond them the nearest counts.
+    left : (values, slopes)
+        Share of the noise's deviation that the blur leaves, and deviation of a slope by noise of unit deviation.
+    softness, floor : float
+        Those of the encoding.
+    luminance : (3,) float64
+        Weights of R, G and B.
+    unknown : float
+        Variance of a logarithm that is not known.
+    most : float
+        Largest variance of a component of o.
+
+    Returns
+    -------
+    (n, 6) float32
+    """
+    values = values.astype(np.float64)
+    direction, logs = values[:, :2], values[:, 2:5]
+    linear = np.exp(logs)
+    deviation = np.interp(logs, np.linspace(*span, len(relative)), relative)
+    total = linear @ luminance + floor
+    slope = np.square(left[1] * deviation * linear) @ np.square(luminance) / np.square(total)
+    rest = np.maximum(1.0 - np.square(direction).sum(axis=1), 0.0)
+    by_component = 1.0 - np.square(direction) * (1.0 + rest[:, None])
+    noise = np.zeros(values.shape, np.float32)
+    noise[:, :2] = np.minimum((slope * rest / softness**2)[:, None] * by_component, most)
+    # A blur averages noise away, but not what the logarithm's curvature makes of it.
+    noise[:, 2:5] = np.square(left[0] * deviation) + np.square(0.5 * np.square(deviation))
+    noise[values[:, 5] < 0.99, 2:5] = unknown
+    return noise

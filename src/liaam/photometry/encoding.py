@@ -6,6 +6,7 @@ get a defined answer here and nowhere else.
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -132,9 +133,10 @@ def encode(
     encoding: str,
     response: Response = "srgb",
     blur: float = 0.0,
-    reduce: int = 1,
+    reduce: float = 1.0,
     turn: np.ndarray | None = None,
     pixel: float = 1.0,
+    start: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray:
     """Encode an image for fitting.
 
@@ -151,18 +153,20 @@ def encode(
         none. Blurring a logarithm keeps shading additive, so the invariant of a blurred image is the blurred
         invariant; blurring linear light mixes lit with shadowed pixels and loses that (measured on the spot
         protocol: at 2 pixels, ``li`` has a median of 5.4 % this way and 6.3 % the other).
-    reduce : int
-        Average blocks of this many pixels across into one, in linear light; a rest at the right and lower
-        border is dropped.
+    reduce : float
+        Average blocks of this many pixels across into one, in linear light (at least 1; blocks may cut through
+        pixels); a rest at the right and lower border is dropped.
     turn : (2, 2) float, optional
         Rotation from the image's to the object's axes, in which directions are given; none if left out.
     pixel : float
         Size of a pixel, after reduction, in pixels of the object's own frame; gradients of ``soft`` are per pixel of
         that frame, so that their normalisation does not depend on the object's size in the picture.
+    start : (x, y)
+        Where the first block begins, pixels; 0 is the border of the first pixel.
 
     Returns
     -------
-    (h // reduce, w // reduce, c + 1) float32
+    ((h - y) // reduce, (w - x) // reduce, c + 1) float32
         Encoded channels, always finite, and the usable weight in {0, 1}: not NaN, and for
         ``log`` neither dark nor saturated in any channel. For ``soft`` the six channels are the gradient's two
         components g / sqrt(|g|^2 + SOFTNESS^2), log R, log G, log B, and how far these three may be trusted (0 to 1);
@@ -171,13 +175,12 @@ def encode(
     if encoding not in ENCODINGS:
         raise MethodError(f"encoding {encoding!r} does not exist; there are {', '.join(ENCODINGS)}")
     if encoding == "soft":
-        return _encode_soft(image, response, blur, reduce, turn, pixel)
-    stored, usable = _stored_and_usable(image, encoding)
+        return _encode_soft(image, response, blur, _Blocks.of(image, reduce, start), turn, pixel)
     if reduce > 1:
-        linear = _block_mean(_linear(image, stored, response), reduce)
-        usable = _block_mean(usable.astype(np.float32), reduce) > 0.999
-        colour = _encode_linear(linear, encoding, response)
+        means = _block_means(image, encoding, response, _Blocks.of(image, reduce, start))
+        colour, usable = _encode_linear(means[..., :3], encoding, response), means[..., 3] > ALL
     else:
+        stored, usable = _stored_and_usable(image, encoding)
         is_integer = image.dtype.kind == "u"
         colour = (
             _table(image.dtype.str, encoding, response)[image] if is_integer else _encode(stored, encoding, response)
@@ -189,42 +192,86 @@ def encode(
     return np.concatenate([colour, usable[..., None].astype(np.float32)], axis=2)
 
 
+ALL = 0.999
+"""Share of a block's pixels above which all are meant."""
+
+
+class _Blocks(NamedTuple):
+    """Blocks of pixels to be averaged: where the first begins, their size in pixels, and how many rows and columns."""
+
+    start: tuple[float, float]
+    size: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, image: np.ndarray, size: float, start: tuple[float, float]) -> "_Blocks":
+        """As many as the image holds."""
+        rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
+        return cls(start, size, (rows, columns))
+
+
+def _block_means(image: np.ndarray, encoding: str, response: Response, blocks: _Blocks) -> np.ndarray:
+    """Mean linear R, G and B of blocks, and the shares of their pixels usable for the encoding, and finite.
+
+    Returns
+    -------
+    (rows, columns, 5) float32
+    """
+    from liaam.photometry import averaging  # numba: imported when first needed
+
+    if image.dtype.kind == "u":
+        low, high = _usable_range(image.dtype) if encoding == "log" else (0, np.iinfo(image.dtype).max)
+        table = _table(image.dtype.str, "linear", response)
+        means = averaging.stored_means(np.ascontiguousarray(image), table, (low, high), *blocks)
+        return np.concatenate([means, np.ones((*blocks.shape, 1), np.float32)], axis=2)
+    stored, usable = _stored_and_usable(image, encoding)
+    masks = np.stack([usable, _stored_and_usable(image, "value")[1]], axis=-1)
+    return averaging.value_means(
+        np.concatenate([_linear(image, stored, response), masks], axis=2, dtype=np.float32), *blocks
+    )
+
+
 def _encode_soft(
-    image: np.ndarray, response: Response, blur: float, reduce: int, turn: np.ndarray | None, pixel: float
+    image: np.ndarray, response: Response, blur: float, blocks: _Blocks, turn: np.ndarray | None, pixel: float
 ) -> np.ndarray:
     """Encode for ``soft``: gradients of log luminance, softly normalised, and log RGB with its own weight."""
-    stored, known = _stored_and_usable(image, "log")
-    if is_grey(image):  # there is no invariant to know
-        known = np.zeros_like(known)
-    finite = _stored_and_usable(image, "value")[1]
-    linear = _linear(image, stored, response)
-    if reduce > 1:
-        linear = _block_mean(linear, reduce)
-        known, finite = (_block_mean(mask.astype(np.float32), reduce) > 0.999 for mask in (known, finite))
-    luminance = np.log(linear @ LUMINANCE[0].astype(np.float32) + np.float32(LOG_FLOOR))
-    colour = _encode_linear(linear, "log", response)
-    if blur > 0.0:
-        luminance, colour = _blurred(luminance, finite, blur), _blurred(colour, known, blur)
-    direction = soft_direction(luminance, SOFTNESS * pixel, turn)
-    masks = np.stack([known, finite], axis=-1).astype(np.float32)
-    return np.concatenate([direction, colour, masks], axis=2, dtype=np.float32)
-
-
-def _block_mean(image: np.ndarray, size: int) -> np.ndarray:
     import cv2  # heavy: imported when first needed
 
-    height, width = image.shape[0] // size, image.shape[1] // size
-    cut = image[: height * size, : width * size]
-    return cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA)
+    from liaam.photometry import averaging
+
+    means = _block_means(image, "log", response, blocks)
+    masks = (means[..., 3:] > ALL).astype(np.float32)
+    if is_grey(image):  # there is no invariant to know
+        masks[..., 0] = 0.0
+    linear = np.ascontiguousarray(means[..., :3])
+    luminance = cv2.transform(linear, LUMINANCE.astype(np.float32)) + np.float32(LOG_FLOOR)
+    logs = cv2.log(cv2.merge([luminance, np.maximum(linear, _floor(response))]))
+    if blur > 0.0:
+        logs = _blurred_by_masks(logs, masks, blur)
+    return averaging.soft_channels(logs, masks, np.eye(2) if turn is None else turn, SOFTNESS * pixel)
+
+
+def _blurred_by_masks(logs: np.ndarray, masks: np.ndarray, blur: float) -> np.ndarray:
+    """Blur log luminance by where it is finite, and log RGB by where it is known."""
+    if masks.all():
+        return _blurred(logs, masks[..., 0] > 0, blur)
+    luminance, colour = logs[..., 0], np.ascontiguousarray(logs[..., 1:])
+    blurred = _blurred(luminance, masks[..., 1] > 0, blur), _blurred(colour, masks[..., 0] > 0, blur)
+    return np.dstack(blurred)
+
+
+def _usable_range(dtype: np.dtype) -> tuple[int, int]:
+    """Lowest and highest stored value whose logarithm says something."""
+    top = np.iinfo(dtype).max
+    return int(np.ceil(DARK * top)), int(np.floor(SATURATED * top))
 
 
 def _stored_and_usable(image: np.ndarray, encoding: str) -> tuple[np.ndarray, np.ndarray]:
     """Finite stored values in [0, 1] and the mask of usable pixels."""
     if image.dtype.kind == "u":
-        top = np.iinfo(image.dtype).max
         if encoding != "log":
             return image, np.ones(image.shape[:2], dtype=bool)
-        low, high = int(np.ceil(DARK * top)), int(np.floor(SATURATED * top))
+        low, high = _usable_range(image.dtype)
         return image, np.asarray(((image >= low) & (image <= high)).all(axis=-1))
     finite = np.asarray(np.isfinite(image).all(axis=-1))
     stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, 1e6), np.float32(0.0))
@@ -249,9 +296,12 @@ def _encode(stored: np.ndarray, encoding: str, response: Response) -> np.ndarray
 def _encode_linear(linear: np.ndarray, encoding: str, response: Response) -> np.ndarray:
     if encoding != "log":  # orientations are those of values, taken after the blur
         return linear_to_srgb(linear).astype(np.float32)
-    # The floor keeps black finite and lies below every usable pixel, whatever the response.
-    floor = 0.5 * float(to_linear(np.array(DARK), response))
-    return np.log(np.maximum(linear, floor)).astype(np.float32)
+    return np.log(np.maximum(linear, _floor(response))).astype(np.float32)
+
+
+def _floor(response: Response) -> np.float32:
+    """Linear light that keeps black's logarithm finite and lies below every usable pixel, whatever the response."""
+    return np.float32(0.5 * float(to_linear(np.array(DARK), response)))
 
 
 @lru_cache(maxsize=16)

@@ -22,6 +22,9 @@ from liaam.photometry.response import Response, log_slope, to_linear
 ENOUGH = 600
 """Pixels across that :func:`noise_deviation` looks at."""
 
+SPARSE = 20_000
+"""Pixels within them that it looks at, in rows evenly apart; the median of as many is right to half a per cent."""
+
 STEP = 1 / 255
 """The step between stored values of 8 bits."""
 
@@ -126,8 +129,10 @@ def noise_deviation(image: np.ndarray) -> float:
     # The middle of a large picture tells enough.
     y, x = (max(0, (size - ENOUGH) // 2) for size in image.shape[:2])
     image = image[y : y + ENOUGH, x : x + ENOUGH]
-    values = stored_values(image)
-    bent = values[:-2] - 2 * values[1:-1] + values[2:]
+    # So do some of its rows.
+    rows = np.arange(1, image.shape[0] - 1, max(1, image.shape[0] * image.shape[1] // SPARSE))
+    above, own, below = (stored_values(image[rows + shift]) for shift in (-1, 0, 1))
+    bent = above - 2 * own + below
     bent = bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]
     return max(float(1.4826 * np.median(np.abs(bent)) / 6.0), least)
 
