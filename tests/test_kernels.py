@@ -98,6 +98,14 @@ def test_fast_knows_the_noise_that_reference_says(seed):
     assert found.dtype == expected.dtype == np.float32
 
 
+@given(n=st.integers(0, 20), seed=st.integers(0, 99))
+def test_fast_counts_beyond_noise_as_reference_says(n, seed):
+    rng = np.random.default_rng(seed)
+    residual, by_noise = rng.normal(size=(n, 3)).astype(np.float32), rng.random((n, 3)).astype(np.float32)
+    arguments = residual, by_noise, rng.random(n) > 0.3, 0.7
+    np.testing.assert_allclose(fast.beyond_noise(*arguments), reference.beyond_noise(*arguments), rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("name", KERNELS)
 @given(seed=st.integers(0, 99), on_line=st.booleans())
 def test_linear_ramps_are_sampled_exactly(name, seed, on_line):

@@ -195,9 +195,9 @@ class Trust:
     ----------
     weights : (n_pixels,) float32
         By the robust loss; 1 without one.
-    noise : (n_pixels, c) float64, optional
+    noise : (n_pixels, c) float, optional
         Variance of the encoded channels by the image's noise.
-    model : (n_pixels, k) or (n_pixels, 1) float64, optional
+    model : (n_pixels, 1) or (1, k) float, optional
         Variance of the residual by the model's errors; goes with ``noise``.
     unit : float
         Variance that weighs 1: weights are 1 on average, so that a cost is the variance of such a residual.
@@ -219,10 +219,10 @@ class Trust:
     weighted: _Weighted | None = None
 
     def variance(self, metric: np.ndarray) -> np.ndarray | None:
-        """Variance of the residual in each row of P, (n_pixels, k) float64; None where it is not modelled."""
+        """Variance of the residual in each row of P, (n_pixels, k); None where it is not modelled."""
         if self.noise is None or self.model is None:
             return None
-        return self.noise @ np.square(metric).T + self.model
+        return self.noise @ np.square(metric).T.astype(self.noise.dtype) + self.model
 
 
 @dataclass(frozen=True, eq=False)
@@ -629,18 +629,14 @@ class Objective:
         if not self.appearance.mean[:, 2].any():  # learnt from grey pictures
             noise[:, 2:5] = UNKNOWN
         by_noise = noise @ np.square(metric).T.astype(np.float32)
-        squares = np.square(seen.residual)
-        model, found = np.empty_like(by_noise), []
+        sums = get_kernel(self.kernel).beyond_noise(seen.residual, by_noise, usable, 0.5 * UNKNOWN)
+        model, found = np.empty((1, len(metric)), np.float32), []
         for rows, correlated in SOFT_ROWS:
-            known = usable[:, None] & (by_noise[:, rows] < 0.5 * UNKNOWN)
-            unexplained = _mean(squares[:, rows] - by_noise[:, rows], known)
-            floor = LEAST_UNEXPLAINED * _mean(squares[:, rows], known) + 1e-9
-            found.append(max(unexplained, floor))
+            count, squares, beyond = sums[rows].sum(axis=0) / max(sums[rows, 0].sum(), 1.0)
+            found.append(max(beyond, LEAST_UNEXPLAINED * squares + 1e-9) if count else 1e-9)
             model[:, rows] = correlated * tied * found[-1]
-        noise *= tied
-        variance = (noise @ np.square(metric).T + model)[usable]
-        unit = float(1.0 / np.mean(1.0 / variance))
-        return {"noise": noise, "model": model, "unit": unit, "unexplained": tuple(found)}
+        unit = 1.0 / float(np.reciprocal(tied * by_noise + model)[usable].mean(dtype=np.float64))
+        return {"noise": tied * noise, "model": model, "unit": unit, "unexplained": tuple(found)}
 
     def _unexplained(self, theta: float) -> np.ndarray:
         """Variance of the model's errors in rows of P on average, (n_pixels,) float64; 0 where it is not known."""
@@ -731,10 +727,6 @@ def _alike(before: Trust, now: Trust) -> bool:
     changed = (before.noise[:, 2] >= UNKNOWN) != (now.noise[:, 2] >= UNKNOWN)
     growth = np.log(np.array(now.unexplained) / np.array(before.unexplained))
     return bool((np.abs(growth) < ALIKE).all()) and float(changed.mean()) < MOVED
-
-
-def _mean(values: np.ndarray, kept: np.ndarray) -> float:
-    return float(values[kept].mean()) if kept.any() else 0.0
 
 
 FACTORS = np.concatenate([[0.0], np.geomspace(1e-3, 30.0, 19)])

@@ -217,3 +217,23 @@ def soft_noise(
     noise = np.empty(values.shape, np.float32)
     _soft_noise(values, relative, span, left, softness, floor, luminance, unknown, most, noise)
     return noise
+
+
+@_jit
+def _beyond_noise(residual, by_noise, usable, limit, sums):
+    for i in range(len(residual)):
+        if not usable[i]:
+            continue
+        for r in range(residual.shape[1]):
+            if by_noise[i, r] < limit:
+                square = np.float64(residual[i, r]) * residual[i, r]
+                sums[r, 0] += 1.0
+                sums[r, 1] += square
+                sums[r, 2] += square - by_noise[i, r]
+
+
+def beyond_noise(residual: np.ndarray, by_noise: np.ndarray, usable: np.ndarray, limit: float) -> np.ndarray:
+    """See :func:`liaam.kernels.reference.beyond_noise`."""
+    sums = np.zeros((residual.shape[1], 3))
+    _beyond_noise(residual, by_noise, usable, limit, sums)
+    return sums

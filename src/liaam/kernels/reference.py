@@ -271,3 +271,25 @@ def soft_noise(
     noise[:, 2:5] = np.square(left[0] * deviation) + np.square(0.5 * np.square(deviation))
     noise[values[:, 5] < 0.99, 2:5] = unknown
     return noise
+
+
+def beyond_noise(residual: np.ndarray, by_noise: np.ndarray, usable: np.ndarray, limit: float) -> np.ndarray:
+    """Squares of residuals, and what they have beyond noise, summed over the pixels where noise says something.
+
+    Parameters
+    ----------
+    residual, by_noise : (n, k) float32
+        Residuals, and their variance by noise.
+    usable : (n,) bool
+    limit : float
+        Variance from which on a residual says nothing.
+
+    Returns
+    -------
+    (k, 3) float64
+        Of each row: how many count, their squares, and these less the variance by noise.
+    """
+    known = usable[:, None] & (by_noise < limit)
+    squares = np.where(known, np.square(residual.astype(np.float64)), 0.0)
+    beyond = np.where(known, squares - by_noise, 0.0)
+    return np.column_stack([known.sum(axis=0), squares.sum(axis=0), beyond.sum(axis=0)])
