@@ -13,7 +13,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 
 LAYERS = (
     ("__main__",),
-    ("cli", "cli_experiments", "cli_inputs", "cli_photometry", "terminal", "studio"),
+    ("cli", "cli_batch", "cli_experiments", "cli_inputs", "cli_photometry", "terminal", "studio"),
     ("experiments", "batch", "tracking"),
     ("plotting", "plotting_photometry"),
     ("calibration",),
@@ -27,7 +27,7 @@ LAYERS = (
     ("datasets",),
     ("photometry",),
     ("io",),
-    ("evaluation",),
+    ("evaluation", "workers"),
     ("errors",),
 )
 """Units from high to low. Units of one row may import each other, but not in a circle."""

@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from liaam import __version__
+from liaam.cli_batch import batch
 from liaam.cli_experiments import experiments, reproduce
 from liaam.cli_inputs import camera_for, check_output, read_init, unique_stems
 from liaam.cli_photometry import calibrate, invariant, register_command
@@ -33,6 +34,7 @@ app = typer.Typer(
 )
 app.add_typer(experiments, name="experiment")
 app.add_typer(calibrate, name="calibrate")
+app.command()(batch)
 app.command()(invariant)
 app.command("register")(register_command)
 app.command()(reproduce)
@@ -310,12 +312,9 @@ def refuse_to_overwrite(output: Path, stem: str) -> None:
 
 def angle_degrees(result: "FitResult") -> float | None:
     """Estimated angle of the image's camera in degrees, or None for methods without one."""
-    import numpy as np
+    from liaam.fitting.angles import angle_degrees as degrees
 
-    from liaam.fitting import get_method
-
-    estimated = get_method(result.method).free_angles != "none"
-    return float(np.rad2deg(result.theta)) if estimated and np.isfinite(result.theta) else None
+    return degrees(result)
 
 
 def write_history(path: Path, result: "FitResult") -> None:

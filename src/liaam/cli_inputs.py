@@ -1,11 +1,10 @@
 """What the commands read: starts, pictures, cameras, lists of numbers; and names for what they write."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from liaam.errors import CameraError, LiaamError, StartError
+from liaam.errors import CameraError, LiaamError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,26 +14,9 @@ if TYPE_CHECKING:
 
 def read_init(text: str, image: Path, size: tuple[int, int]):
     """Read --init for one image: numbers, a landmark file, or a folder of them."""
-    from liaam.io import LANDMARK_SUFFIXES, read_landmarks
+    from liaam.io import read_start
 
-    path = Path(text)
-    if path.is_file():
-        return read_landmarks(path, size)
-    if path.is_dir():
-        found = [path / f"{image.stem}{suffix}" for suffix in LANDMARK_SUFFIXES]
-        for candidate in found:
-            if candidate.is_file():
-                return read_landmarks(candidate, size)
-        raise StartError(f"{image.name}: {path} holds no landmark file for it ({image.stem}.pts or the like)")
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise StartError(
-            f"--init {text}: there is no such file or folder, and it is no box x0,y0,x1,y1 and no x,y,size either"
-        ) from None
-    if len(numbers) not in (3, 4):
-        raise StartError(f"--init {text}: give four numbers x0,y0,x1,y1 (a box) or three x,y,size, not {len(numbers)}")
-    return numbers
+    return read_start(text, image, size)
 
 
 def unique_stems(images: list[Path]) -> list[str]:
@@ -75,16 +57,12 @@ def camera_for(
 ) -> "CameraModel":
     """Camera of pictures: a file's, or another if there is none; RAW files are linear unless told otherwise."""
     from liaam.io import is_raw
-    from liaam.photometry import parse_response
 
     raw = [is_raw(path) for path in paths]
     if any(raw) and not all(raw):
         raise CameraError("RAW files and others have different responses; give them apart")
     camera = starting_camera(start) if start or otherwise is None else otherwise
-    if response is not None:
-        return replace(camera, response=parse_response(response))
-    # A response that was measured is known better; srgb or a gamma in a file speaks of the camera's finished pictures.
-    return replace(camera, response="linear") if any(raw) and isinstance(camera.response, str | float) else camera
+    return camera.suited_to(raw=any(raw), response=response)
 
 
 def numbers_in(text: str, count: int, option: str) -> "np.ndarray":

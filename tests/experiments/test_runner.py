@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
-from liaam.experiments.runner import Experiment, all_cores, run_experiment
+from liaam.experiments.runner import Experiment, run_experiment
 from liaam.plotting import Panel, figure_of_curves
+from liaam.workers import all_cores
 
 FILES = ["figure.png", "figure.svg", "report.md", "results.csv", "summary.json"]
 

@@ -17,14 +17,8 @@ import csv
 import hashlib
 import io
 import json
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -34,6 +28,7 @@ from liaam import __version__
 from liaam.errors import LiaamError
 from liaam.io import make_folder, write_text_atomically
 from liaam.plotting import save_figure
+from liaam.workers import WorkerDied, all_cores, in_workers, one_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -221,11 +216,6 @@ def finished(experiment: Experiment, out: Path) -> dict[str, Any] | None:
     return summary if same else None
 
 
-def all_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 class Journal:
     """Finished tasks on disk, a line each.
 
@@ -316,50 +306,13 @@ def _in_turn(experiment: Experiment, tasks: list[Task], _jobs: int) -> Finished:
 
 def _in_workers(experiment: Experiment, tasks: list[Task], jobs: int) -> Finished:
     """Do tasks in worker processes; they come in the order in which they finish."""
-    others = set(multiprocessing.active_children())
-    # A fresh interpreter per worker, on every system: a fork copies threads' locks in whatever state they are.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, context, initializer=_end_with_parent)
-    perform = partial(_perform_alone, experiment.work, experiment.skips_faults)
     try:
-        with _deaf_to_interrupts():
-            futures = {pool.submit(perform, task): task for task in tasks}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    except BrokenProcessPool:
+        yield from in_workers(partial(_perform_alone, experiment.work, experiment.skips_faults), tasks, jobs)
+    except WorkerDied:
         raise LiaamError(
             "a worker process died (killed, or out of memory); the same command goes on where it stopped, and needs "
             "less memory with fewer jobs"
         ) from None
-    except BaseException:  # also a Ctrl-C: nobody waits for what the workers have in hand
-        for worker in set(multiprocessing.active_children()) - others:
-            worker.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Ignore Ctrl-C for a moment, so that processes started meanwhile ignore it for good.
-
-    It reaches all processes of a terminal, but is for the one that can say something about it.
-    """
-    if threading.current_thread() is not threading.main_thread():  # where Python lets nobody set this
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _end_with_parent() -> None:
-    """Make this worker end when its parent is killed; it would wait for more work for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
 def _perform_alone(work: Callable[[Any], list[Row]], skips_faults: bool, task: Task) -> Outcome:
@@ -375,25 +328,6 @@ def _perform(work: Callable[[Any], list[Row]], skips_faults: bool, task: Task) -
         if not skips_faults:
             raise
         return Outcome([], f"{task.key}: {error}")
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Hold BLAS, OpenMP and OpenCV to one thread.
-
-    Sums then come in one order wherever they are made, and workers leave each other's cores alone.
-    """
-    import cv2
-    import scipy.linalg  # noqa: F401 (it brings a BLAS of its own, which has to be there to be held)
-    from threadpoolctl import threadpool_limits
-
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with threadpool_limits(limits=1):
-            yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def _write_results(experiment: Experiment, outcomes: list[Outcome], out: Path) -> dict[str, Any]:

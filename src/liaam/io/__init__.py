@@ -14,6 +14,7 @@ from liaam.io.landmarks import (
 )
 from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
 from liaam.io.results import write_fit
+from liaam.io.starts import check_start, read_start
 
 __all__ = [
     "IMAGE_SUFFIXES",
@@ -22,6 +23,7 @@ __all__ = [
     "Contour",
     "Landmarks",
     "atomic_path",
+    "check_start",
     "image_size",
     "is_raw",
     "make_folder",
@@ -29,6 +31,7 @@ __all__ = [
     "read_image",
     "read_landmarks",
     "read_raw",
+    "read_start",
     "write_bytes_atomically",
     "write_collection",
     "write_fit",

@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +110,13 @@ class CameraModel:
         flat = np.clip(from_linear(light, self.response), DARK, SATURATED).astype(np.float32)
         flat = np.where((stored < DARK) | (stored > SATURATED), stored, flat)
         return np.where(np.isfinite(image), flat, np.float32(np.nan)) if image.dtype.kind == "f" else flat
+
+    def suited_to(self, *, raw: bool, response: str | None = None) -> "CameraModel":
+        """Camera with the response of some pictures: the one given, or linear for RAW files."""
+        if response is not None:
+            return replace(self, response=parse_response(response))
+        # A response that was measured is known better; srgb or a gamma speaks of the camera's finished pictures.
+        return replace(self, response="linear") if raw and isinstance(self.response, str | float) else self
 
     def describe(self) -> dict:
         """Facts as JSON knows them; :func:`camera_from` reads them back."""

@@ -1,0 +1,112 @@
+"""Chunks on a Dask cluster that is there already. Needs the extra ``cluster``."""
+
+import threading
+import uuid
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
+
+from liaam import __version__
+from liaam.batch.pools import Chunk, Finished, deadly
+from liaam.batch.work import Job, KeptRow
+from liaam.errors import LiaamError
+from liaam.workers import AHEAD, flow, one_thread
+
+PATIENCE = 30
+"""Seconds to wait for the scheduler, and for its first worker."""
+
+
+class _Ready(WorkerPlugin):
+    """The job on each worker of the cluster: sent once, and to workers that join later too."""
+
+    def __init__(self, job: Job) -> None:
+        self.job, self.version = job, __version__
+
+    def setup(self, worker: Worker) -> None:
+        if self.version != __version__:
+            raise RuntimeError(f"worker {worker.address} has liaam {__version__}, and this is {self.version}")
+        self.turn = threading.Lock()
+
+    def rows(self, chunk: Chunk) -> list[KeptRow]:
+        """Do a chunk; threads of one worker take turns, as the hold on BLAS's threads is on the whole process."""
+        with self.turn, one_thread():
+            return self.job.rows(chunk)
+
+
+def _fit_chunk(name: str, chunk: Chunk) -> list[KeptRow]:
+    ready: Any = get_worker().plugins[name]
+    return ready.rows(chunk)
+
+
+def on_cluster(job: Job, chunks: Iterable[Chunk], address: str) -> Finished:
+    """Do chunks on the workers of a scheduler; those of a worker that is lost are done by another.
+
+    Raises
+    ------
+    LiaamError
+        If the scheduler or a first worker cannot be reached, is lost, or has another liaam.
+    """
+    with _connected(address) as client, _prepared(client, job) as name:
+        executor = client.get_executor(pure=False)
+        alone: list[Chunk] = []  # pictures that were with workers when these died, filled by the first round
+        try:
+            for items, room in ((chunks, lambda: _room(client)), (alone, lambda: 1)):
+                for chunk, future in flow(lambda chunk: executor.submit(_fit_chunk, name, chunk), items, room):
+                    if future.cancelled():
+                        raise LiaamError(f"{address}: the scheduler is lost; the same command goes on where it stopped")
+                    error = future.exception()
+                    if error is None:
+                        yield chunk, future.result()
+                    elif not isinstance(error, KilledWorker):
+                        raise LiaamError(f"{address}: the work fails there ({error}); {_REMEDY}") from error
+                    elif items is not alone:
+                        alone += [(path,) for path in chunk]
+                    else:
+                        yield chunk, [deadly(*chunk)]
+        finally:
+            executor.shutdown(wait=False)  # takes back what nobody waits for any more
+
+
+_REMEDY = f"its workers need liaam {__version__} and this Python's version of distributed"
+
+
+def _room(client: Client) -> int:
+    """Chunks that may be under way: enough for the workers that there are now."""
+    threads: Any = client.nthreads()
+    return AHEAD * max(1, sum(threads.values()))
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Client]:
+    try:
+        client = Client(address, timeout=PATIENCE, set_as_default=False, name="liaam-batch")
+    except (OSError, ValueError, ImportError) as error:  # a time-out is an OSError
+        raise LiaamError(
+            f"{address}: no scheduler answers there ({error}); start one with 'dask scheduler' and give the address "
+            "that it prints, such as tcp://host:8786"
+        ) from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except OSError:
+            raise LiaamError(
+                f"{address}: the scheduler has no workers; start some with 'dask worker {address} --nthreads 1'"
+            ) from None
+        yield client
+
+
+@contextmanager
+def _prepared(client: Client, job: Job) -> Iterator[str]:
+    """Give the job to all workers, once; they know it by the name that is given."""
+    name = f"liaam-{uuid.uuid4().hex}"
+    try:
+        client.register_plugin(_Ready(job), name=name)
+    except Exception as error:  # whatever the workers raise
+        raise LiaamError(f"the cluster's workers cannot be made ready ({error}); {_REMEDY}") from error
+    try:
+        yield name
+    finally:
+        if client.status == "running":
+            client.unregister_worker_plugin(name)

@@ -1,0 +1,211 @@
+"""What is to be done and what is done, on disk: one SQLite file in a folder beside the output.
+
+Rows are committed chunk by chunk, so that a kill at any point loses no more than the chunks under way. The file stays
+locked while a batch works on it, and the system takes the lock off when the process ends, however it ends.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LiaamError
+
+PAGE = 1000
+"""Pictures that are read from the journal at a time."""
+
+_TABLES = """
+CREATE TABLE IF NOT EXISTS facts (text TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS pictures (
+    place BLOB NOT NULL, path BLOB NOT NULL, size INTEGER, modified INTEGER, seen INTEGER, status TEXT, row TEXT,
+    UNIQUE (place, path)
+);
+"""
+_LIST = """
+INSERT INTO pictures (place, path, size, modified, seen) VALUES (?, ?, ?, ?, 1)
+ON CONFLICT (place, path) DO UPDATE SET
+    seen = 1,
+    status = CASE WHEN size = excluded.size AND modified = excluded.modified THEN status END,
+    row = CASE WHEN size = excluded.size AND modified = excluded.modified THEN row END,
+    size = excluded.size,
+    modified = excluded.modified
+"""
+
+
+def place_of(path: str) -> bytes:
+    """Sort key of a path: in natural order, 2 before 10, whatever the case of the letters.
+
+    Examples
+    --------
+    >>> sorted(["img10.png", "img2.png"], key=place_of)
+    ['img2.png', 'img10.png']
+    """
+
+    def padded(found: re.Match) -> str:
+        digits = found.group().lstrip("0")
+        return f"{len(digits):03d}{digits}"
+
+    return os.fsencode(re.sub("[0-9]+", padded, path.casefold()))
+
+
+class Journal:
+    """Pictures in their order, and the rows of those that are done.
+
+    Attributes
+    ----------
+    folder : Path
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._file = folder / "journal.sqlite"
+        with self._explained():
+            folder.mkdir(exist_ok=True)
+            self._base = sqlite3.connect(self._file, timeout=0.0, isolation_level=None)
+            try:
+                # Exclusive before the first access: then no shared memory is needed, which network disks lack.
+                for pragma in ("locking_mode = EXCLUSIVE", "journal_mode = WAL", "synchronous = NORMAL"):
+                    self._base.execute(f"PRAGMA {pragma}").fetchall()
+                self._base.executescript(f"BEGIN EXCLUSIVE; {_TABLES} COMMIT;")
+            except BaseException:
+                self._base.close()
+                raise
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._base.close()
+
+    @property
+    def facts(self) -> dict[str, Any] | None:
+        """Settings that the rows were made with; None in a journal that is new."""
+        found = self._ask("SELECT text FROM facts").fetchone()
+        return None if found is None else json.loads(found[0])
+
+    def restart(self, facts: dict[str, Any]) -> None:
+        """Forget all rows, and note the settings of those to come."""
+        with self._change():
+            self._base.execute("DELETE FROM pictures")
+            self._base.execute("DELETE FROM facts")
+            self._base.execute("INSERT INTO facts VALUES (?)", (json.dumps(facts),))
+
+    def list(self, pictures: Iterable[str]) -> None:
+        """Note which pictures there are, each once; rows stay of those that were there, and are the same file still."""
+        with self._change():
+            self._base.execute("UPDATE pictures SET seen = 0")
+            self._base.executemany(_LIST, map(_entry, pictures))
+            self._base.execute("DELETE FROM pictures WHERE NOT seen")
+
+    @property
+    def total(self) -> int:
+        """Number of pictures."""
+        return self._ask("SELECT count(*) FROM pictures").fetchone()[0]
+
+    @property
+    def statuses(self) -> dict[str, int]:
+        """Number of rows by status."""
+        return dict(
+            self._ask("SELECT status, count(*) FROM pictures WHERE row IS NOT NULL GROUP BY status ORDER BY status")
+        )
+
+    def todo(self, size: int) -> Iterator[tuple[str, ...]]:
+        """Pictures without a row, in chunks, in their order."""
+        chunk: list[str] = []
+        for (path,) in self._pages("path", "row IS NULL"):
+            chunk.append(os.fsdecode(path))
+            if len(chunk) == size:
+                yield tuple(chunk)
+                chunk = []
+        if chunk:
+            yield tuple(chunk)
+
+    def keep(self, chunk: Iterable[str], rows: Iterable[tuple[str, str]]) -> None:
+        """Keep (status, row) of each picture of a chunk; they are on disk when this returns."""
+        entries = [(*row, place_of(path), os.fsencode(path)) for path, row in zip(chunk, rows, strict=True)]
+        with self._change():
+            self._base.executemany("UPDATE pictures SET status = ?, row = ? WHERE place = ? AND path = ?", entries)
+
+    def rows(self) -> Iterator[str]:
+        """All rows, in the order of the pictures."""
+        return (row for (row,) in self._pages("row", "row IS NOT NULL"))
+
+    def digest(self) -> str:
+        """Digest of which pictures there are, of what size and age."""
+        digest = hashlib.sha256()
+        for entry in self._pages("path, size, modified", "TRUE"):
+            digest.update(repr(entry).encode())
+        return digest.hexdigest()
+
+    def remove(self) -> None:
+        """Forget everything: the table is written."""
+        self._base.close()
+        for path in self.folder.glob("journal.sqlite*"):
+            path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # somebody has put something there
+            self.folder.rmdir()
+
+    def _pages(self, columns: str, which: str) -> Iterator[tuple]:
+        """Read pictures page by page: rows are changed meanwhile, and there may be any number."""
+        last = (b"", b"")
+        while True:
+            page = self._ask(
+                f"SELECT place, path, {columns} FROM pictures WHERE (place, path) > (?, ?) AND {which} "
+                f"ORDER BY place, path LIMIT {PAGE}",
+                last,
+            ).fetchall()
+            if not page:
+                return
+            last = page[-1][:2]
+            yield from (entry[2:] for entry in page)
+
+    def _ask(self, question: str, values: tuple = ()) -> sqlite3.Cursor:
+        with self._explained():
+            return self._base.execute(question, values)
+
+    @contextmanager
+    def _change(self) -> Iterator[None]:
+        """All of a change or nothing."""
+        with self._explained():
+            self._base.execute("BEGIN")
+            try:
+                yield
+            except BaseException:
+                self._base.execute("ROLLBACK")
+                raise
+            self._base.execute("COMMIT")
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise LiaamError(
+                f"{self.folder} cannot be written ({error.strerror or error}): check the rights and the free space"
+            ) from error
+        except sqlite3.Error as error:
+            if "locked" in str(error):
+                raise LiaamError(
+                    f"{self.folder} is in use: another batch works on the same output; wait for it, or give another "
+                    "name with -o"
+                ) from None
+            raise LiaamError(
+                f"{self._file} cannot be read or written ({error}): check the rights and the free space; if it is "
+                f"damaged, remove {self.folder} and begin anew"
+            ) from error
+
+
+def _entry(path: str) -> tuple[bytes, bytes, int, int]:
+    path = os.path.normpath(path)
+    try:
+        found = Path(path).stat()
+        size, modified = found.st_size, found.st_mtime_ns
+    except (OSError, ValueError):  # it becomes a row that says why
+        size, modified = -1, 0
+    return place_of(path), os.fsencode(path), size, modified

@@ -1,0 +1,123 @@
+"""Tables of results, written row by row: Parquet, CSV, or JSON lines."""
+
+import csv
+import importlib
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LiaamError
+from liaam.io import atomic_path
+
+GROUP = 1000
+"""Rows of a row group of Parquet, which are in memory together."""
+
+COLUMNS = {
+    "path": "string",
+    "status": "string",
+    "message": "string",
+    "quality": "float32",
+    "found": "float32",
+    "theta_deg": "float32",
+    "cost": "float64",
+    "iterations": "int32",
+    "landmarks": "list<float32>",
+    "covariance": "list<float32>",
+    "seconds": "float32",
+}
+"""Columns and their types. The one that differs from run to run is the last."""
+
+_PARTS = {"landmarks": ("x", "y"), "covariance": ("xx", "xy", "yy")}
+
+
+@dataclass(frozen=True)
+class Table:
+    """What is written.
+
+    Attributes
+    ----------
+    rows : iterable of str
+        JSON, one for each picture.
+    n_points : int
+        Landmarks of the model.
+    covariance : bool
+        Whether the rows have it.
+    facts : dict
+        Settings, kept in the file where the format has a place for them.
+    """
+
+    rows: Iterable[str]
+    n_points: int
+    covariance: bool
+    facts: dict[str, Any]
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns."""
+        return [name for name in COLUMNS if self.covariance or name != "covariance"]
+
+
+def check_format(output: Path) -> None:
+    """Complain about a format that cannot be written, before the work."""
+    if output.suffix.lower() not in _WRITERS:
+        raise LiaamError(f"{output}: give a table that ends in {', '.join(_WRITERS)}")
+    if output.suffix.lower() == ".parquet" and find_spec("pyarrow") is None:
+        raise LiaamError(
+            f'{output}: Parquet needs pyarrow; run pip install "liaam[batch]", or give a name that ends in .csv or '
+            ".jsonl"
+        )
+
+
+def write_table(output: Path, table: Table) -> None:
+    """Write a table in the format of the name's ending, all or nothing."""
+    with atomic_path(output) as temp:
+        _WRITERS[output.suffix.lower()](temp, table)
+
+
+def _write_parquet(path: Path, table: Table) -> None:
+    pa, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    types = {name: pa.type_for_alias(name) for name in ("string", "float32", "float64", "int32")}
+    types["list<float32>"] = pa.list_(pa.float32())
+    schema = pa.schema([(name, types[COLUMNS[name]]) for name in table.columns], {"liaam": json.dumps(table.facts)})
+    with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+        for group in _groups(table.rows):
+            writer.write_table(pa.Table.from_pylist([json.loads(row) for row in group], schema))
+
+
+def _write_csv(path: Path, table: Table) -> None:
+    """Flat columns: x0, y0, x1 ... and the covariance xx0, xy0, yy0, xx1 ..."""
+    widths = {name: table.n_points * len(parts) for name, parts in _PARTS.items()}
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header for name in table.columns for header in _headers(name, table.n_points))
+        for text in table.rows:
+            row = json.loads(text)
+            writer.writerow(cell for name in table.columns for cell in _cells(row[name], widths.get(name)))
+
+
+def _write_lines(path: Path, table: Table) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.writelines(f"{row}\n" for row in table.rows)
+
+
+def _headers(name: str, n_points: int) -> list[str]:
+    return [f"{part}{i}" for i in range(n_points) for part in _PARTS[name]] if name in _PARTS else [name]
+
+
+def _cells(value: Any, width: int | None) -> list[Any]:
+    if width is None:
+        return [value]
+    return [None] * width if value is None else value
+
+
+def _groups(rows: Iterable[str]) -> Iterator[list[str]]:
+    rest = iter(rows)
+    while group := list(islice(rest, GROUP)):
+        yield group
+
+
+_WRITERS = {".parquet": _write_parquet, ".csv": _write_csv, ".jsonl": _write_lines}

@@ -1,0 +1,239 @@
+"""From a picture to its row: the work itself, the same in this process, in a worker, and on a cluster."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from liaam.errors import LiaamError
+from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.io import check_start, is_raw, read_image, read_start
+from liaam.photometry import CameraModel
+from liaam.workers import one_thread
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from liaam.fitting import FitResult, Fitter
+    from liaam.model import AAM
+
+BESIDE = "beside"
+"""Start: the landmark file beside each picture."""
+
+ERROR = "error"
+"""Status of a picture that could not be fitted, beside those of :class:`liaam.fitting.FitStatus`."""
+
+Row = dict[str, Any]
+KeptRow = tuple[str, str]
+"""Status, and the row as JSON: only what JSON keeps, bit for bit, whether a run was stopped meanwhile or not."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What decides the rows, beside model and pictures.
+
+    Attributes
+    ----------
+    method : str
+        See :data:`liaam.fitting.METHODS`.
+    init : str, optional
+        Where fits start: a box ``x0,y0,x1,y1`` or ``x,y,size`` for all; a landmark file for all; a folder with a
+        landmark file or ``.box`` file of each picture's name; or ``beside`` for such files beside the pictures. The
+        object is searched for if left out.
+    iterations : int
+        At most, at each sharpness.
+    camera : CameraModel, optional
+        Of the pictures, if not the training camera.
+    response : str, optional
+        Of the pictures' camera, if not the training camera's; RAW files are linear unless told otherwise.
+    covariance : bool
+        Whether rows hold the covariance of each landmark.
+    """
+
+    method: str = DEFAULT_METHOD
+    init: str | None = None
+    iterations: int = 50
+    camera: CameraModel | None = None
+    response: str | None = None
+    covariance: bool = True
+
+    def describe(self) -> dict[str, Any]:
+        """Settings as JSON knows them."""
+        camera = None if self.camera is None else {**self.camera.describe(), "history": []}
+        return {
+            "method": self.method,
+            "init": self.init,
+            "iterations": self.iterations,
+            "camera": camera,
+            "response": self.response,
+            "covariance": self.covariance,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """All that a worker has to know; it travels to workers as it is.
+
+    Attributes
+    ----------
+    model_file : bytes
+        Content of the model file: the file itself may be changed meanwhile, and a cluster need not see it.
+    settings : Settings
+    folder : str
+        What relative paths are relative to.
+    """
+
+    model_file: bytes
+    settings: Settings
+    folder: str
+
+    def __reduce__(self) -> tuple:
+        """Travel without what is made of the file."""
+        return type(self), (self.model_file, self.settings, self.folder)
+
+    def check(self) -> None:
+        """Find out, before the work, whether model, method and start go together."""
+        self.fitter(raw=False)
+        if self.settings.init not in (None, BESIDE):
+            check_start(self.absolute(str(self.settings.init)))
+
+    @cached_property
+    def model(self) -> "AAM":
+        """The model, read from a file, as all models are."""
+        from liaam.model import load_model
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "model.liaam"
+            path.write_bytes(self.model_file)
+            return load_model(path)
+
+    def fitter(self, raw: bool) -> "Fitter":
+        """What fits RAW files, or other pictures."""
+        return self._raw_fitter if raw else self._fitter
+
+    @cached_property
+    def _fitter(self) -> "Fitter":
+        return self._make_fitter(raw=False)
+
+    @cached_property
+    def _raw_fitter(self) -> "Fitter":
+        return self._make_fitter(raw=True)
+
+    def _make_fitter(self, raw: bool) -> "Fitter":
+        from liaam.fitting import Fitter, SolverOptions
+
+        settings = self.settings
+        camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
+        return Fitter(self.model, settings.method, SolverOptions(max_iterations=settings.iterations), camera=camera)
+
+    def absolute(self, path: str) -> str:
+        """Path of a file, or the text itself if there is no such file (it may be numbers)."""
+        there = os.path.join(self.folder, path)  # noqa: PTH118
+        return there if os.path.lexists(there) else path
+
+    def rows(self, chunk: Iterable[str]) -> list[KeptRow]:
+        """Fit pictures; gives status and row of each."""
+        return [kept(self.row(path)) for path in chunk]
+
+    def row(self, path: str) -> Row:
+        """Fit one picture. Whatever is wrong with it is said in its row: the others do not suffer."""
+        begin = perf_counter()
+        try:
+            result = self._fit(path)
+        except LiaamError as fault:
+            row = failed_row(path, self._as_named(str(fault), path))
+        except Exception as fault:
+            row = failed_row(path, f"unexpected {type(fault).__name__} ({fault}); please report it with the picture")
+        else:
+            row = _row_of(path, result)
+        if not self.settings.covariance:
+            del row["covariance"]
+        return {**row, "seconds": round(perf_counter() - begin, 4)}
+
+    def _fit(self, path: str) -> "FitResult":
+        picture = Path(self.folder, path)
+        pixels, init = read_image(picture), self.settings.init
+        if init is None:
+            start = None
+        elif init == BESIDE:
+            start = read_start(str(picture.parent), picture, pixels.shape[1::-1])
+        else:
+            start = read_start(self.absolute(init), picture, pixels.shape[1::-1])
+        return self.fitter(is_raw(picture)).fit(pixels, start, picture.name)
+
+    def _as_named(self, message: str, path: str) -> str:
+        """Message with the picture's path as it was given, wherever the work was done."""
+        return message.replace(str(Path(self.folder, path)), path)
+
+
+_job: Job | None = None
+
+
+def prepare(job: Job) -> None:
+    """Make this worker process ready for chunks of a job."""
+    global _job
+    _job = job
+
+
+def fit_chunk(chunk: tuple[str, ...]) -> list[KeptRow]:
+    """Do a chunk in a worker process."""
+    assert _job is not None
+    with one_thread():
+        return _job.rows(chunk)
+
+
+def kept(row: Row) -> KeptRow:
+    """Status and text of a row."""
+    return row["status"], json.dumps(row, allow_nan=False)
+
+
+def failed_row(path: str, message: str) -> Row:
+    """Row of a picture that could not be fitted."""
+    row = dict.fromkeys(("quality", "found", "theta_deg", "cost", "iterations", "landmarks", "covariance", "seconds"))
+    return {"path": _printable(path), "status": ERROR, "message": _printable(message), **row}
+
+
+def _row_of(path: str, result: "FitResult") -> Row:
+    from liaam.fitting.angles import angle_degrees
+
+    spread = result.landmark_covariances
+    return {
+        "path": _printable(path),
+        "status": str(result.status),
+        "message": result.message,
+        "quality": _short(result.quality),
+        "found": None if result.found is None else _short(result.found.score),
+        "theta_deg": _short(angle_degrees(result)),
+        "cost": _finite(float(result.cost)),
+        "iterations": result.n_iterations,
+        "landmarks": _shorts(result.shape),
+        "covariance": _shorts(spread[:, (0, 0, 1), (0, 1, 1)]),
+    }
+
+
+def _printable(text: str) -> str:
+    """Text without what no table can hold: bytes of a file name that are no UTF-8."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _finite(value: float) -> float | None:
+    return value if abs(value) < float("inf") else None
+
+
+def _short(value: float | None) -> float | None:
+    import numpy as np
+
+    return None if value is None else _shorts(np.array([value]))[0]
+
+
+def _shorts(values: "np.ndarray") -> list[float | None]:
+    """Values as the shortest decimals that give the same float32."""
+    import numpy as np
+
+    with np.errstate(over="ignore"):  # beyond float32 is not finite, and becomes None
+        return [_finite(float(text)) for text in values.ravel().astype(np.float32).astype(str)]

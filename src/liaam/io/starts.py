@@ -1,0 +1,68 @@
+"""Where fits of image files start, as people say it: numbers, a landmark file, or a folder with a file for each."""
+
+from pathlib import Path
+
+from liaam.errors import StartError
+from liaam.io.files import existing_file, read_bytes
+from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
+
+BOX_SUFFIX = ".box"
+"""Ending of a text file that holds a box x0,y0,x1,y1 or x,y,size, as detectors give them."""
+
+
+def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | list[float]:
+    """Read the start of one image.
+
+    Parameters
+    ----------
+    text : str
+        A box ``x0,y0,x1,y1``; a centre and a size ``x,y,size``; a landmark file, or a text file ``.box`` of such
+        numbers; or a folder that holds such a file of the image's name.
+    image : Path
+    size : (int, int)
+        Width and height of the image.
+
+    Returns
+    -------
+    Landmarks or list of float
+        A start for :meth:`liaam.fitting.Fitter.fit`.
+    """
+    path = Path(text)
+    if path.is_file():
+        return _read(path, size)
+    if path.is_dir():
+        return _read(_file_for(path, image), size)
+    return _numbers(text, f"--init {text}: there is no such file or folder, and it")
+
+
+def check_start(text: str) -> None:
+    """Complain about a start that is none for any image: no file or folder, and no numbers either."""
+    if not Path(text).exists():
+        read_start(text, Path(), (1, 1))
+
+
+def _read(path: Path, size: tuple[int, int]) -> Landmarks | list[float]:
+    if path.suffix.lower() != BOX_SUFFIX:
+        return read_landmarks(path, size)
+    text = read_bytes(existing_file(path, StartError, "box"), StartError, limit=1000).decode("utf-8-sig", "replace")
+    return _numbers(",".join(text.replace(",", " ").split()), f"{path}: it")
+
+
+def _file_for(folder: Path, image: Path) -> Path:
+    for suffix in (*LANDMARK_SUFFIXES, BOX_SUFFIX):
+        candidate = folder / f"{image.stem}{suffix}"
+        if candidate.is_file():
+            return candidate
+    raise StartError(f"{image.name}: {folder} holds no landmark file for it ({image.stem}.pts or the like)")
+
+
+def _numbers(text: str, what: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise StartError(f"{what} is no box x0,y0,x1,y1 and no x,y,size either") from None
+    if len(numbers) not in (3, 4):
+        raise StartError(
+            f"{what.partition(':')[0]}: give four numbers x0,y0,x1,y1 (a box) or three x,y,size, not {len(numbers)}"
+        )
+    return numbers

@@ -1,0 +1,49 @@
+"""Starts as people say them."""
+
+from pathlib import Path
+
+import pytest
+
+from liaam.errors import StartError
+from liaam.io import check_start, read_start, write_landmarks
+
+IMAGE, SIZE = Path("faces/anna.png"), (100, 80)
+
+
+def test_reads_numbers_files_and_folders(tmp_path):
+    assert read_start("1,2,30,40", IMAGE, SIZE) == [1, 2, 30, 40]
+    assert read_start("5, 6,20", IMAGE, SIZE) == [5, 6, 20]
+    (tmp_path / "anna.box").write_text("1 2\t30, 40\n")
+    assert read_start(str(tmp_path), IMAGE, SIZE) == [1, 2, 30, 40]
+    assert read_start(str(tmp_path / "anna.box"), IMAGE, SIZE) == [1, 2, 30, 40]
+    write_landmarks(tmp_path / "anna.pts", [[1, 2], [3, 4], [5, 7]])
+    start = read_start(str(tmp_path), IMAGE, SIZE)  # landmarks say more than a box
+    assert not isinstance(start, list)
+    assert start.points.tolist() == [[1, 2], [3, 4], [5, 7]]
+    check_start("1,2,3")
+    check_start(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("nowhere", "--init nowhere: there is no such file or folder, and it is no box"),
+        ("1,2", "--init 1,2: give four numbers .* not 2"),
+        ("{folder}", r"anna.png: .* holds no landmark file for it \(anna.pts or the like\)"),
+        ("{folder}/words.box", r"words.box: it is no box"),
+        ("{folder}/five.box", r"five.box: give four numbers .* not 5"),
+        ("{folder}/empty.box", r"empty.box is empty"),
+    ],
+)
+def test_refuses_what_is_no_start(tmp_path, text, message):
+    (tmp_path / "words.box").write_text("left, right")
+    (tmp_path / "five.box").write_text("1 2 3 4 5")
+    (tmp_path / "empty.box").touch()
+    with pytest.raises(StartError, match=message):
+        read_start(text.format(folder=tmp_path), IMAGE, SIZE)
+
+
+@pytest.mark.parametrize("text", ["nowhere", "1,2", "a,b,c"])
+def test_checks_a_start_before_there_is_a_picture(text):
+    with pytest.raises(StartError):
+        check_start(text)
