@@ -2,9 +2,9 @@
 
 import sys
 
-from benchmarks import iteration, search
+from benchmarks import batch, iteration, search
 
-BENCHMARKS = {"iteration": iteration.main, "search": search.main}
+BENCHMARKS = {"batch": batch.main, "iteration": iteration.main, "search": search.main}
 """Benchmark by name; each prints its metrics."""
 
 

@@ -1,6 +1,6 @@
 """Benchmarks use the engine's inside, which no one promises to keep: they have to run at least."""
 
-from benchmarks import iteration, search
+from benchmarks import batch, iteration, search
 
 
 def test_the_benchmark_of_an_iteration_runs(monkeypatch, capsys):
@@ -14,3 +14,10 @@ def test_the_benchmark_of_the_search_runs(monkeypatch, capsys):
     monkeypatch.setattr(search, "N_HEADS", 3)
     search.main()
     assert "search_found_percent" in capsys.readouterr().out
+
+
+def test_the_benchmark_of_a_batch_runs(monkeypatch, capsys):
+    monkeypatch.setattr(batch, "DISTINCT", 6)
+    monkeypatch.setattr(batch, "MEASURES", ((batch.measure_memory, 20),))
+    batch.main()
+    assert "batch_memory_growth_percent" in capsys.readouterr().out
