@@ -34,3 +34,7 @@ class MethodError(LiaamError):
 
 class CameraError(LiaamError):
     """A camera file cannot be read or written, or a camera cannot be calibrated from this material."""
+
+
+class VideoError(LiaamError):
+    """A video or camera cannot be read, or a video cannot be written."""

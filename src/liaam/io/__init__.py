@@ -1,4 +1,4 @@
-"""Reading and writing: images, landmark files, and files in general that are either complete or not there."""
+"""Reading and writing: images, videos, landmark files, and files in general that are either complete or not there."""
 
 from liaam.io.atomic import atomic_path, write_bytes_atomically, write_text_atomically
 from liaam.io.files import make_folder
@@ -15,13 +15,18 @@ from liaam.io.landmarks import (
 from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
 from liaam.io.results import write_fit
 from liaam.io.starts import check_start, read_start
+from liaam.io.video import VIDEO_SUFFIXES, VideoFrame, VideoReader, VideoWriter, video_writer
 
 __all__ = [
     "IMAGE_SUFFIXES",
     "LANDMARK_SUFFIXES",
     "RAW_SUFFIXES",
+    "VIDEO_SUFFIXES",
     "Contour",
     "Landmarks",
+    "VideoFrame",
+    "VideoReader",
+    "VideoWriter",
     "atomic_path",
     "check_start",
     "image_size",
@@ -32,6 +37,7 @@ __all__ = [
     "read_landmarks",
     "read_raw",
     "read_start",
+    "video_writer",
     "write_bytes_atomically",
     "write_collection",
     "write_fit",

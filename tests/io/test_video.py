@@ -1,0 +1,233 @@
+"""Videos: what is written can be read, and what cannot be read is said."""
+
+import importlib
+import threading
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from liaam.errors import LiaamError, VideoError
+from liaam.io import VideoReader, video_writer, write_image
+
+N = 30
+
+
+def picture(i: int, height: int = 48, width: int = 64) -> np.ndarray:
+    """A smooth picture that tells its number by its brightness."""
+    y, x = np.mgrid[:height, :width]
+    smooth = np.stack([x / width, y / height, 0.5 * np.ones((height, width))], axis=2)
+    return np.rint(60 + 4 * i + 60 * smooth).astype(np.uint8)
+
+
+def write(path: Path, images, rate: float = 25) -> Path:
+    with video_writer(path, rate) as writer:
+        for image in images:
+            writer.write(image)
+    return path
+
+
+def read(path, *arguments) -> list:
+    with VideoReader(path, *arguments) as video:
+        return list(video)
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory) -> Path:
+    return write(tmp_path_factory.mktemp("video") / "film.mp4", map(picture, range(N)), Fraction(25))
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".mov", ".avi", ".webm"])
+def test_what_is_written_comes_back(tmp_path, suffix):
+    path = write(tmp_path / f"film{suffix}", map(picture, range(N)), 12.5)
+    with VideoReader(path) as video:
+        assert float(video.rate) == pytest.approx(12.5)
+        frames = list(video)
+        assert video.fault == ""
+    assert [frame.index for frame in frames] == list(range(N))
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(N) / 12.5, atol=1e-2)
+    for i, frame in enumerate(frames):
+        assert frame.image.dtype == np.uint8
+        assert np.abs(frame.image.astype(int) - picture(i)).mean() < 4
+
+
+def test_a_file_says_how_long_and_what_it_is(video):
+    with VideoReader(video) as reader:
+        assert (reader.n_frames, reader.live, reader.name) == (N, False, str(video))
+
+
+def test_odd_sizes_lose_no_pixel(tmp_path):
+    (frame,) = read(write(tmp_path / "odd.mp4", [picture(3, 47, 63)]))
+    assert frame.image.shape == (48, 64, 3)
+    assert np.abs(frame.image[:47, :63].astype(int) - picture(3, 47, 63)).mean() < 4
+
+
+def test_frames_of_other_sizes_are_fitted_in(tmp_path):
+    frames = read(write(tmp_path / "sizes.mp4", [picture(0), picture(1, 96, 128), picture(2, 24, 32)]))
+    assert {frame.image.shape for frame in frames} == {(48, 64, 3)}
+    assert np.abs(frames[1].image.astype(int) - picture(1)).mean() < 4
+
+
+def test_grey_stays_grey(tmp_path):
+    grey = [np.repeat(picture(i).mean(axis=2, keepdims=True), 3, axis=2).astype(np.uint8) for i in range(4)]
+    for frame in read(write(tmp_path / "grey.mp4", grey)):
+        assert np.ptp(frame.image.astype(int), axis=2).max() == 0
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "expected"), [(0, 5, range(5)), (7, 9, (7, 8)), (28, None, (28, 29)), (28, 99, (28, 29))]
+)
+def test_a_part_of_a_video(video, start, stop, expected):
+    with VideoReader(video, start, stop) as reader:
+        assert reader.n_frames == len(expected)
+        frames = list(reader)
+    assert [frame.index for frame in frames] == list(expected)
+    assert np.abs(frames[0].image.astype(int) - picture(expected[0])).mean() < 4
+    assert reader.fault == ""
+
+
+def test_a_video_of_changing_size_is_read(tmp_path):
+    path, data = tmp_path / "sizes.mjpeg", b""
+    for i, size in enumerate([(48, 64), (48, 64), (96, 128), (48, 64)]):
+        write_image(tmp_path / f"{i}.jpg", picture(i, *size))
+        data += (tmp_path / f"{i}.jpg").read_bytes()
+    path.write_bytes(data)
+    assert [frame.image.shape[:2] for frame in read(path)] == [(48, 64), (48, 64), (96, 128), (48, 64)]
+
+
+def test_leaving_early_ends_the_thread(video):
+    before = threading.active_count()
+    with VideoReader(video) as reader:
+        assert next(iter(reader)).index == 0
+    assert threading.active_count() == before
+
+
+# What cannot be read
+
+
+def test_a_video_cut_short_gives_what_it_has(tmp_path):
+    path = write(
+        tmp_path / "film.mkv", (np.random.default_rng(i).integers(0, 255, (48, 64, 3), np.uint8) for i in range(60))
+    )
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    frames = read(path)
+    assert 5 < len(frames) < 60
+
+
+def test_a_video_that_announces_more_than_it_has_says_so(tmp_path, video):
+    import av
+
+    path = tmp_path / "fast.mp4"  # with its index before the pictures, as for the web
+    with av.open(str(path), "w", options={"movflags": "faststart"}) as out:
+        stream = out.add_stream("mpeg4", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        rng = np.random.default_rng(3)
+        for _ in range(60):
+            noise = rng.integers(0, 255, (48, 64, 3), np.uint8)
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(noise, format="rgb24")))
+        out.mux(stream.encode())
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with VideoReader(path) as reader:
+        frames = list(reader)
+    assert 5 < len(frames) < 60
+    assert "cut short" in reader.fault or "damaged" in reader.fault
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "complaint"),
+    [
+        ("no.mp4", None, "does not exist"),
+        ("empty.mp4", b"", "is empty"),
+        ("text.mp4", b"no video at all " * 50, "no video"),
+        ("text.txt", b"no video at all " * 50, "no moving picture|no video"),
+        ("zeros.avi", bytes(5000), "no video"),
+    ],
+)
+def test_no_video(tmp_path, name, content, complaint):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(VideoError, match=complaint) as error:
+        read(tmp_path / name)
+    assert name in str(error.value)
+
+
+def test_an_mp4_without_its_index_is_no_video(tmp_path, video):
+    (tmp_path / "cut.mp4").write_bytes(video.read_bytes()[:2000])
+    with pytest.raises(VideoError, match="cut short before its index"):
+        read(tmp_path / "cut.mp4")
+
+
+def test_a_folder_is_no_video(tmp_path):
+    with pytest.raises(VideoError, match="is a folder"):
+        VideoReader(tmp_path)
+
+
+def test_sound_alone_is_no_video(tmp_path):
+    import wave
+
+    with wave.open(str(tmp_path / "sound.wav"), "wb") as sound:
+        sound.setnchannels(1)
+        sound.setsampwidth(2)
+        sound.setframerate(8000)
+        sound.writeframes(bytes(8000))
+    with pytest.raises(VideoError, match="no moving picture"):
+        VideoReader(tmp_path / "sound.wav")
+
+
+def test_a_video_without_frames_says_so(tmp_path, video):
+    """The index is there, and the pictures are zeros."""
+    data = bytearray(video.read_bytes())
+    begin = data.index(b"mdat") + 4
+    end = data.index(b"moov") - 4
+    data[begin:end] = bytes(end - begin)
+    (tmp_path / "zeros.mp4").write_bytes(data)
+    with pytest.raises(VideoError, match="no frame that can be decoded"):
+        read(tmp_path / "zeros.mp4")
+
+
+def test_a_part_that_is_not_there(video):
+    with pytest.raises(VideoError, match="has only 30 frames"):
+        read(video, 30)
+    for start, stop in ((-1, None), (5, 5), (5, 3)):
+        with pytest.raises(VideoError, match="later end"):
+            VideoReader(video, start, stop)
+
+
+def test_a_camera_that_is_not_there():
+    with pytest.raises(VideoError, match=r"camera 97 cannot be opened .*plug one in"):
+        VideoReader(97)
+
+
+def test_without_pyav(monkeypatch, tmp_path, video):
+    def missing(name):
+        raise ImportError(name)
+
+    monkeypatch.setattr(importlib, "import_module", missing)
+    with pytest.raises(VideoError, match=r'pip install "liaam\[video\]"'):
+        VideoReader(video)
+    with pytest.raises(VideoError, match=r'pip install "liaam\[video\]"'):
+        write(tmp_path / "film.mp4", [picture(0)])
+
+
+# What cannot be written
+
+
+@pytest.mark.parametrize("name", ["film.gif", "film", "film.txt"])
+def test_names_that_are_no_videos(tmp_path, name):
+    with pytest.raises(VideoError, match="name ends in"):
+        write(tmp_path / name, [picture(0)])
+
+
+def test_no_folder_to_write_to(tmp_path):
+    with pytest.raises(VideoError, match="does not exist"):
+        write(tmp_path / "none" / "film.mp4", [picture(0)])
+
+
+def test_nothing_is_left_of_a_video_that_failed(tmp_path):
+    with pytest.raises(VideoError, match="no frame to write"):
+        write(tmp_path / "film.mp4", [])
+    with pytest.raises(LiaamError, match="on purpose"), video_writer(tmp_path / "film.mp4", 25) as writer:
+        writer.write(picture(0))
+        raise LiaamError("on purpose")
+    assert list(tmp_path.iterdir()) == []
