@@ -21,8 +21,10 @@ from liaam.datasets.scenes import (
     random_pose,
     render,
 )
+from liaam.io import video_writer
 from liaam.model import AAM
-from setups import between, train_on
+from liaam.training import train
+from setups import MOVING_FRAMES, between, moving_scene, train_on
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / "data"))
@@ -96,6 +98,29 @@ def model(scenes, varied_scenes) -> AAM:
 def fine_model(scenes) -> AAM:
     """Give a model (diagonal 150) of the scenes that keeps all modes."""
     return train_on(scenes, diagonal=150.0, variance=1.0)
+
+
+@pytest.fixture(scope="session")
+def moving() -> list[Scene]:
+    """Give the frames of a head that turns and talks, as an ordinary camera sees it: 8 bits, broad sensors."""
+    return [moving_scene(i / MOVING_FRAMES) for i in range(MOVING_FRAMES)]
+
+
+@pytest.fixture(scope="session")
+def head_model() -> AAM:
+    """Give a small model of the head that moves, which has learnt how far its fits can be trusted."""
+    scenes = [*make_set(8, Head(5), size=(160, 120)), *(moving_scene(time) for time in (0.03, 0.27, 0.53, 0.78))]
+    return train([(scene.image, scene.landmarks) for scene in scenes], diagonal=60.0)
+
+
+@pytest.fixture(scope="session")
+def clip(moving, tmp_path_factory) -> Path:
+    """Give the frames of the head that moves as an mp4."""
+    path = tmp_path_factory.mktemp("clip") / "talk.mp4"
+    with video_writer(path, 25) as writer:
+        for scene in moving:
+            writer.write(scene.image)
+    return path
 
 
 @pytest.fixture

@@ -6,13 +6,32 @@ from pathlib import Path
 
 import numpy as np
 
-from liaam.datasets.scenes import DIFFUSE, Head, Scene, lateral, random_expression, random_pose, render
+from liaam.datasets.scenes import (
+    DIFFUSE,
+    Expression,
+    Head,
+    Pose,
+    Scene,
+    lateral,
+    random_expression,
+    random_pose,
+    render,
+)
 from liaam.fitting import get_method
 from liaam.fitting.objective import FitProblem, Objective, make_objectives
 from liaam.io import write_image, write_landmarks
 from liaam.model import AAM
 from liaam.shape import align, diagonal_of
 from liaam.training import train
+
+MOVING_FRAMES = 24
+
+
+def moving_scene(time: float, lights=DIFFUSE) -> Scene:
+    """Take a head that turns and talks, at a time; it is back after one unit, which has so many frames."""
+    swing, away = np.sin(2 * np.pi * time), np.cos(2 * np.pi * time)
+    pose = Pose(yaw=0.12 * swing, roll=0.05 * swing, x=6 * swing, y=3 * away, scale=0.97)
+    return render(Head(5), pose, Expression(mouth_open=0.3 + 0.25 * swing, smile=0.3), lights, size=(160, 120))
 
 
 def train_on(scenes: list[Scene], **options) -> AAM:

@@ -14,8 +14,9 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 LAYERS = (
     ("__main__",),
     ("cli", "cli_batch", "cli_experiments", "cli_inputs", "cli_photometry", "terminal", "studio"),
+    ("cli", "cli_experiments", "cli_inputs", "cli_photometry", "cli_video", "terminal", "studio"),
     ("experiments", "batch", "tracking"),
-    ("plotting", "plotting_photometry"),
+    ("plotting", "plotting_photometry", "plotting_video"),
     ("calibration",),
     ("registration", "relighting"),
     ("training", "fitting"),
@@ -74,7 +75,7 @@ def test_no_unit_imports_itself_through_others():
     TopologicalSorter(graph).prepare()  # raises CycleError
 
 
-HEAVY = ("numpy", "numba", "scipy", "cv2", "matplotlib", "PIL", "typer", "safetensors", "rich")
+HEAVY = ("numpy", "numba", "scipy", "cv2", "matplotlib", "PIL", "typer", "safetensors", "rich", "av")
 
 
 def loaded_by(statement: str) -> set[str]:

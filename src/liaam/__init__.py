@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from liaam.model import AAM, load_model
     from liaam.photometry import CameraModel, invariant_image, load_camera, theta_from_chart, theta_from_scene
     from liaam.registration import Registration, register
+    from liaam.tracking import TrackedFrame, Tracker, TrackingOptions, track_video
     from liaam.training import train
 
 __version__ = "0.1.0"
@@ -34,6 +35,9 @@ __all__ = [
     "Registration",
     "Sample",
     "SolverOptions",
+    "TrackedFrame",
+    "Tracker",
+    "TrackingOptions",
     "find",
     "fit",
     "invariant_image",
@@ -45,6 +49,7 @@ __all__ = [
     "register",
     "theta_from_chart",
     "theta_from_scene",
+    "track_video",
     "train",
     "write_image",
     "write_landmarks",
@@ -58,6 +63,7 @@ _HOMES = {
     "model": ("AAM", "load_model"),
     "photometry": ("CameraModel", "invariant_image", "load_camera", "theta_from_chart", "theta_from_scene"),
     "registration": ("Registration", "register"),
+    "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
     "training": ("train",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

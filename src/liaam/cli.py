@@ -15,6 +15,7 @@ from liaam.cli_batch import batch
 from liaam.cli_experiments import experiments, reproduce
 from liaam.cli_inputs import camera_for, check_output, read_init, unique_stems
 from liaam.cli_photometry import calibrate, invariant, register_command
+from liaam.cli_video import track
 from liaam.errors import LiaamError
 from liaam.terminal import complain, console, progress_bar, say, table_of
 
@@ -37,6 +38,7 @@ app.add_typer(calibrate, name="calibrate")
 app.command()(batch)
 app.command()(invariant)
 app.command("register")(register_command)
+app.command()(track)
 app.command()(reproduce)
 
 

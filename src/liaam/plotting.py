@@ -140,6 +140,17 @@ def ellipses(points: np.ndarray, covariances: np.ndarray, share: float = 0.95, n
     return points[:, None] + np.einsum("mab,mb,nb->mna", axes, radii, circle)
 
 
+def enlarged(image: np.ndarray) -> tuple[np.ndarray, int]:
+    """Copy of a picture to draw on, (h', w', 3) uint8, and how often its size it has: small ones are enlarged."""
+    import cv2
+
+    picture = as_picture(image)
+    zoom = max(1, round(700 / max(picture.shape[:2])))
+    if zoom == 1:
+        return picture.copy(), 1
+    return cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC), zoom
+
+
 def overlay(
     image: np.ndarray,
     shape: np.ndarray,
@@ -168,9 +179,7 @@ def overlay(
     """
     import cv2
 
-    picture = as_picture(image)
-    zoom = max(1, round(700 / max(picture.shape[:2])))
-    picture = cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC) if zoom > 1 else picture.copy()
+    picture, zoom = enlarged(image)
     size = float(np.ptp(shape, axis=0).max()) * zoom if np.isfinite(shape).all() else 100.0
     size = float(np.clip(size, 1.0, 4 * max(picture.shape[:2])))  # a lost fit may be of any size
     thick = max(1, round(size / 300))

@@ -1,0 +1,315 @@
+"""The command for videos: thin. Everything it does is a call that Python users have too."""
+
+import signal
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from liaam.cli_inputs import camera_for, check_output, read_init
+from liaam.errors import LiaamError, MethodError, VideoError
+from liaam.terminal import Progress, complain, console, progress_bar, say, table_of
+
+if TYPE_CHECKING:
+    from liaam.io import VideoFrame, VideoReader
+    from liaam.tracking import TrackedFrame, Tracker
+
+
+def track(
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+    video: Annotated[str, typer.Argument(metavar="VIDEO", help="Video file, or the number of a camera (0).")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Landmarks of every frame, .csv or .npz; VIDEO_track.csv if no output is named."
+        ),
+    ] = None,
+    annotated: Annotated[
+        Path | None, typer.Option("--video", help="Video with the landmarks drawn in to write, such as out.mp4.")
+    ] = None,
+    shading_free: Annotated[
+        Path | None,
+        typer.Option("--shading-free", help="Video with the object under the light of training to write."),
+    ] = None,
+    init: Annotated[
+        str | None,
+        typer.Option(
+            help="Where the object is in the first frame: a box x0,y0,x1,y1, a centre and the box's diagonal x,y,size, "
+            "or a landmark file. Searched for if left out."
+        ),
+    ] = None,
+    start: Annotated[int, typer.Option(help="First frame, counted from 0.", min=0)] = 0,
+    end: Annotated[int | None, typer.Option(help="Frame to stop before.", min=1)] = None,
+    frames: Annotated[int | None, typer.Option(help="Frames to track at most; instead of --end.", min=1)] = None,
+    method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "soft-li",
+    smooth: Annotated[
+        bool, typer.Option(help="Smooth the landmarks over time, as far as their covariance lets them.")
+    ] = True,
+    ellipses: Annotated[
+        bool, typer.Option("--ellipses", help="Draw the ellipse that holds each landmark with 95 % probability.")
+    ] = False,
+    camera_file: Annotated[
+        Path | None, typer.Option("--camera", help="Camera file of the video's camera, if not the training camera's.")
+    ] = None,
+    response: Annotated[
+        str | None, typer.Option(help="Response of the video's camera, if not the training camera's.")
+    ] = None,
+) -> None:
+    """Track an object through a video; writes landmarks, and videos with them or without the shading.
+
+    Ctrl-C stops, and what was done until then is written.
+    """
+    from liaam.io import VideoReader
+    from liaam.model import load_model
+    from liaam.tracking import Tracker, TrackingOptions
+
+    source, stop = source_of(video), stop_of(start, end, frames)
+    if output is None and annotated is None and shading_free is None:
+        output = default_output(source)
+    check_outputs(output, annotated, shading_free, source)
+    model = load_model(model_file)
+    camera = camera_for([], camera_file, response, model.camera)
+    tracker = Tracker(model, method, camera, TrackingOptions(smooth=smooth))
+    counts, reader = Counts(), VideoReader(source, start, stop)
+    with reader, ExitStack() as files, stop_on_interrupt() as stopped, progress_bar() as tell:
+        sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses)
+        follow(reader, tracker, init, sinks, counts, tell, stopped)
+    report(counts, [path for path in (output, annotated, shading_free) if path is not None])
+    if stopped():
+        complain(f"stopped after {counts.n} frames; they are written")
+        raise typer.Exit(130)
+    if reader.fault:
+        complain(f"error: {reader.fault}")
+    if reader.fault or not counts.n_tracked:
+        raise typer.Exit(1)
+
+
+Sink = Callable[["VideoFrame", "TrackedFrame"], None]
+"""Takes a frame and what was found in it."""
+
+
+@dataclass
+class Counts:
+    """What has come of the frames so far."""
+
+    statuses: Counter = field(default_factory=Counter)
+    qualities: list[float] = field(default_factory=list)
+    lost: list[int] = field(default_factory=list)
+    fits: Counter = field(default_factory=Counter)
+    recent: deque = field(default_factory=lambda: deque(maxlen=60))
+    began: float = field(default_factory=monotonic)
+
+    @property
+    def n(self) -> int:
+        """Frames done."""
+        return sum(self.statuses.values())
+
+    @property
+    def n_tracked(self) -> int:
+        """Frames with landmarks."""
+        return self.n - len(self.lost)
+
+    @property
+    def rate(self) -> float:
+        """Frames per second, of late."""
+        if len(self.recent) < 2:
+            return 0.0
+        return (len(self.recent) - 1) / max(self.recent[-1] - self.recent[0], 1e-9)
+
+    def add(self, frame: "TrackedFrame") -> None:
+        """Count a frame."""
+        self.recent.append(monotonic())
+        self.statuses[str(frame.status)] += 1
+        self.qualities.append(frame.quality)
+        if not frame.ok:
+            self.lost.append(frame.index)
+            self.fits[frame.fit_status] += 1
+
+
+def source_of(video: str) -> Path | int:
+    """A file, or a camera where a number is no file's name."""
+    return int(video) if video.isascii() and video.isdigit() and not Path(video).exists() else Path(video)
+
+
+def stop_of(start: int, end: int | None, frames: int | None) -> int | None:
+    """Frame to stop before."""
+    if end is not None and frames is not None:
+        raise VideoError("--end and --frames both say where to stop; give one of them")
+    if end is not None and end <= start:
+        raise VideoError(f"--end {end} is not after --start {start}; frames count from 0")
+    return start + frames if frames is not None else end
+
+
+def default_output(source: Path | int) -> Path:
+    """Name of the track where none is given."""
+    return Path(f"camera{source}_track.csv" if isinstance(source, int) else f"{source.stem}_track.csv")
+
+
+def check_outputs(output: Path | None, annotated: Path | None, shading_free: Path | None, source: Path | int) -> None:
+    """Complain about outputs before the work, not after it."""
+    from liaam.io.video import check_video_name
+    from liaam.tracking.files import check_track_name, is_track
+
+    paths = [path for path in (output, annotated, shading_free) if path is not None]
+    for path in paths:
+        check_output(path)
+    for path in (annotated, shading_free):
+        if path is not None:
+            check_video_name(path)
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise LiaamError(f"{paths[0]}: two outputs have the same name; give each its own")
+    if isinstance(source, Path) and source.resolve() in {path.resolve() for path in paths}:
+        raise LiaamError(f"{source} is the video to be read; give the output another name")
+    if output is None:
+        return
+    check_track_name(output)
+    if output.exists() and not is_track(output):
+        raise LiaamError(f"{output} exists and is no track; give another name with -o to keep it")
+
+
+def open_sinks(
+    files: ExitStack,
+    tracker: "Tracker",
+    output: Path | None,
+    annotated: Path | None,
+    shading_free: Path | None,
+    reader: "VideoReader",
+    ellipses: bool,
+) -> list[Sink]:
+    """Open what was asked for, and nothing else; each is closed by ``files``."""
+    from liaam.io import video_writer
+    from liaam.tracking.files import track_writer
+    from liaam.tracking.shading import ShadingRemover
+
+    sinks: list[Sink] = []
+    remover = None if shading_free is None else ShadingRemover(tracker.fitter)  # it may refuse: before files are made
+    if output is not None:
+        track_file = files.enter_context(track_writer(output, tracker.model.n_points))
+        sinks.append(lambda _, tracked: track_file.write(tracked))
+    if annotated is not None:
+        sinks.append(drawing(files.enter_context(video_writer(annotated, reader.rate)), tracker, ellipses))
+    if shading_free is not None and remover is not None:
+        sinks.append(unshading(files.enter_context(video_writer(shading_free, reader.rate)), tracker, remover))
+    return sinks
+
+
+def drawing(writer: Any, tracker: "Tracker", ellipses: bool) -> Sink:
+    """Give what writes annotated frames."""
+    from liaam.plotting_video import annotated
+
+    def write(frame: "VideoFrame", tracked: "TrackedFrame") -> None:
+        landmarks = tracked.landmarks if tracked.ok else None
+        covariances = tracked.covariances if ellipses and tracked.ok else None
+        writer.write(annotated(frame.image, landmarks, tracker.model, caption_of(tracked), covariances))
+
+    return write
+
+
+def unshading(writer: Any, tracker: "Tracker", remover: Any) -> Sink:
+    """Give what writes frames without shading; those without the object as they are."""
+    from liaam.tracking import TrackStatus
+
+    def write(frame: "VideoFrame", tracked: "TrackedFrame") -> None:
+        if tracked.status is not TrackStatus.TRACKED:
+            remover.reset()
+        fresh = frame.image
+        if tracker.result is not None:
+            try:
+                fresh = remover.remove(frame.image, tracker.result, tracked.landmarks)
+            except MethodError:  # grey: a whole video, or one that has faded
+                if not writer.n_frames:
+                    raise
+        writer.write(fresh)
+
+    return write
+
+
+def caption_of(tracked: "TrackedFrame") -> str:
+    """One line about a frame."""
+    parts = [f"{tracked.index}", f"{tracked.time:.2f} s", str(tracked.status)]
+    if tracked.ok and tracked.quality == tracked.quality:  # not NaN
+        parts.append(f"quality {tracked.quality:.2f}")
+    return "   ".join(parts)
+
+
+def follow(
+    reader: "VideoReader",
+    tracker: "Tracker",
+    init: str | None,
+    sinks: Sequence[Sink],
+    counts: Counts,
+    tell: Progress,
+    stopped: Callable[[], bool],
+) -> None:
+    """Track all frames and hand each to what was asked for."""
+    for frame in reader:
+        if not counts.n and init is not None:
+            tracker.init = read_init(init, Path(reader.name), frame.image.shape[1::-1])
+        tracked = tracker.update(frame.image, frame.time, frame.index)
+        for sink in sinks:
+            sink(frame, tracked)
+        counts.add(tracked)
+        tell(counts.n, reader.n_frames or counts.n, f"{counts.rate:.1f} frames/s, {tracked.status}")
+        if stopped():
+            return
+
+
+@contextmanager
+def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
+    """Take the first Ctrl-C for a wish to stop after this frame, so that files are closed well; a second one kills."""
+    wished = threading.Event()
+    if threading.current_thread() is not threading.main_thread():  # only it may take signals
+        yield wished.is_set
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def wish(*_: object) -> None:
+        wished.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, wish)
+    try:
+        yield wished.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def report(counts: Counts, outputs: Sequence[Path]) -> None:
+    """Say what came out."""
+    import numpy as np
+
+    seconds = max(monotonic() - counts.began, 1e-9)
+    table = table_of("frames", "with landmarks", "lost", "found anew", "quality", "frames/s")
+    known = [quality for quality in counts.qualities if np.isfinite(quality)]
+    again = max(0, counts.statuses["found"] - 1)
+    quality = f"{np.median(known):.2f}" if known else "–"
+    numbers = counts.n, counts.n_tracked, len(counts.lost), again
+    table.add_row(*map(str, numbers), quality, f"{counts.n / seconds:.1f}")
+    console.print(table)
+    for path in outputs:
+        say(f"written to {path}")
+    if not counts.lost:
+        return
+    reasons = ", ".join(f"{status or 'not searched'} {n}" for status, n in counts.fits.most_common())
+    complain(
+        f"lost in frames {ranges_of(counts.lost)} (last fits: {reasons}): look at them with --video; if the object is "
+        "there, say with --init where it is in the first frame, or train on frames like these"
+    )
+
+
+def ranges_of(numbers: Sequence[int], most: int = 8) -> str:
+    """Write sorted numbers as ranges, the first few."""
+    ranges: list[list[int]] = []
+    for number in numbers:
+        if ranges and number == ranges[-1][1] + 1:
+            ranges[-1][1] = number
+        else:
+            ranges.append([number, number])
+    shown = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in ranges[:most])
+    return shown + (f" and {len(ranges) - most} more stretches" if len(ranges) > most else "")

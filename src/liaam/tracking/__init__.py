@@ -1,0 +1,6 @@
+"""Following an object through a video: prediction, loss, search, and smoothing with the fits' covariances."""
+
+from liaam.tracking.tracker import TrackedFrame, Tracker, TrackingOptions, TrackStatus
+from liaam.tracking.video import track_video
+
+__all__ = ["TrackStatus", "TrackedFrame", "Tracker", "TrackingOptions", "track_video"]

@@ -1,0 +1,141 @@
+"""Tracks as files: .csv, written row by row, and .npz."""
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.io import atomic_path
+from liaam.tracking.tracker import TrackedFrame
+
+TRACK_SUFFIXES = (".csv", ".npz")
+"""Endings (lower case) of the files of tracks."""
+
+
+_HEADER = b"frame,time,status"
+
+
+class TrackWriter(Protocol):
+    """Takes frames one by one."""
+
+    def write(self, frame: TrackedFrame) -> None:
+        """Add a frame."""
+        ...
+
+
+@contextmanager
+def track_writer(path: str | os.PathLike[str], n_points: int) -> Iterator[TrackWriter]:
+    """Write a track as .csv or .npz, by the ending; the file is there once the block has ended without an error.
+
+    Rows of a .csv go to disk as they come, in a file beside it that ends in ``.part.csv``: what was done before a
+    crash can be read there.
+
+    Parameters
+    ----------
+    path : path-like
+    n_points : int
+        Landmarks of a frame.
+
+    Yields
+    ------
+    TrackWriter
+    """
+    path = Path(path)
+    check_track_name(path)
+    if path.suffix.lower() == ".csv":
+        with _table(path, n_points) as table:
+            yield table
+        return
+    collected = _Collected()
+    with atomic_path(path) as temporary:
+        yield collected
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays_of(collected.frames, n_points))
+
+
+def check_track_name(path: Path) -> None:
+    """Complain about the name of a track that cannot be written."""
+    if path.suffix.lower() not in TRACK_SUFFIXES:
+        raise LiaamError(f"{path}: a track's name ends in .csv or .npz, such as {path.stem}.csv")
+
+
+def is_track(path: Path) -> bool:
+    """Tell whether a file is a track that may be written over, as far as its beginning shows."""
+    with path.open("rb") as file:
+        return file.read(len(_HEADER)) == _HEADER if path.suffix.lower() == ".csv" else file.read(2) == b"PK"
+
+
+def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.ndarray]:
+    """Arrays of a track, one row for each frame: what a .npz holds."""
+    points, squares = (0, n_points, 2), (0, n_points, 2, 2)
+
+    def stacked(name: str, empty: tuple[int, ...]) -> np.ndarray:
+        return np.array([getattr(frame, name) for frame in frames]) if frames else np.zeros(empty)
+
+    return {
+        "frame": np.array([frame.index for frame in frames], dtype=np.int64),
+        "time": np.array([frame.time for frame in frames], dtype=np.float64),
+        "status": np.array([str(frame.status) for frame in frames], dtype=np.str_),
+        "fit_status": np.array([str(frame.fit_status or "") for frame in frames], dtype=np.str_),
+        "quality": np.array([frame.quality for frame in frames], dtype=np.float64),
+        "theta": np.array([frame.theta for frame in frames], dtype=np.float64),
+        "landmarks": stacked("landmarks", points),
+        "raw": stacked("raw", points),
+        "covariances": stacked("covariances", squares),
+        "raw_covariances": stacked("raw_covariances", squares),
+    }
+
+
+class _Collected:
+    def __init__(self) -> None:
+        self.frames: list[TrackedFrame] = []
+
+    def write(self, frame: TrackedFrame) -> None:
+        self.frames.append(frame)
+
+
+class _Table:
+    """Rows of a .csv: facts, then for each landmark x, y, its fitted x and y, and its covariance."""
+
+    def __init__(self, file, n_points: int):
+        self._file, self.n_rows = file, 0
+        names = ("x{}", "y{}", "raw_x{}", "raw_y{}", "var_x{}", "cov_xy{}", "var_y{}")
+        columns = [name.format(i) for i in range(n_points) for name in names]
+        self._numbers = ",".join(["%.3f"] * 4 + ["%.4g"] * 3)
+        self._numbers = ",".join([self._numbers] * n_points)
+        self._nothing = "," * (len(columns) - 1)
+        file.write(",".join(["frame", "time", "status", "fit_status", "quality", "theta_deg", *columns]) + "\n")
+
+    def write(self, frame: TrackedFrame) -> None:
+        facts = f"{frame.index},{_number(frame.time, 4)},{frame.status},{frame.fit_status or ''}"
+        facts += f",{_number(frame.quality, 4)},{_number(np.rad2deg(frame.theta), 3)}"
+        self._file.write(f"{facts},{self._row(frame) if frame.ok else self._nothing}\n")
+        self._file.flush()
+        self.n_rows += 1
+
+    def _row(self, frame: TrackedFrame) -> str:
+        spread = frame.covariances.reshape(-1, 4)[:, [0, 1, 3]]
+        return self._numbers % tuple(np.concatenate([frame.landmarks, frame.raw, spread], axis=1).ravel().tolist())
+
+
+@contextmanager
+def _table(path: Path, n_points: int) -> Iterator[_Table]:
+    with atomic_path(path) as temporary:
+        part = path.with_name(f"{path.stem}.part{path.suffix}")
+        with part.open("w", encoding="utf-8", newline="") as file:
+            table = _Table(file, n_points)
+            try:
+                yield table
+            except BaseException:
+                if not table.n_rows:  # nothing to save
+                    part.unlink()
+                raise
+        part.replace(temporary)
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else ""

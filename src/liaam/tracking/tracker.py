@@ -1,0 +1,360 @@
+"""Following an object through the frames of a video.
+
+Each frame is fitted from where the motion so far puts the object, at the sharpest levels of the model only, since the
+start is near. A fit that is not to be trusted is made again from there at all levels; if that fails too, the object is
+lost, and searched for, at first in every frame and then ever more rarely. What the fits give is smoothed by a Kalman
+filter (:mod:`liaam.tracking.kalman`) with their own covariances as noise.
+"""
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from liaam.errors import ImageError, MethodError, StartError
+from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
+from liaam.fitting.fitter import LEAST_QUALITY
+from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.fitting.picture import load_picture
+from liaam.model import AAM
+from liaam.photometry import CameraModel
+from liaam.shape import diagonal_of
+from liaam.tracking import kalman
+from liaam.tracking.motion import Motion, landmark_covariances, rescaled
+
+JUMP = 0.25
+"""Mean distance between start and fit, as a share of the object's diagonal, beyond which a fit that was to follow has
+run off to something else."""
+
+SLOWING = 0.7
+"""Share of its speed that an object keeps with each frame in which it is not seen."""
+
+FIRST_SPEED = 0.01
+"""Standard deviation of the speed before anything of it was seen, as a share of the diagonal, per frame."""
+
+
+class TrackStatus(StrEnum):
+    """How a frame's landmarks came about."""
+
+    FOUND = "found"
+    TRACKED = "tracked"
+    LOST = "lost"
+
+
+@dataclass(frozen=True)
+class TrackingOptions:
+    """How to follow.
+
+    Attributes
+    ----------
+    smooth : bool
+        Whether to smooth landmarks over time.
+    levels : int
+        Finest levels of the model that a frame is fitted with from the prediction; all of them are used to start.
+    iterations : int
+        Iterations at most of such a fit, at each level.
+    patience : int
+        Frames after a loss in which the object is looked for where it was last.
+    longest_wait : int
+        Frames between two searches at most: the first wait is one frame, and each is twice as long as the one before.
+    """
+
+    smooth: bool = True
+    levels: int = 1
+    iterations: int = 20
+    patience: int = 8
+    longest_wait: int = 32
+
+    def __post_init__(self) -> None:
+        """Refuse options that make no sense."""
+        if min(self.levels, self.iterations, self.longest_wait) < 1 or self.patience < 0:
+            raise MethodError("levels, iterations and longest_wait are at least 1, and patience is at least 0")
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
+    """What is known of one frame.
+
+    Attributes
+    ----------
+    index : int
+        Number of the frame, as given or counted from 0.
+    time : float
+        Seconds, as given; NaN if not.
+    status : TrackStatus
+        ``found`` by the search or by the start that was given, ``tracked`` from the frame before, or ``lost``.
+    fit_status : FitStatus or None
+        Of the last fit that was tried; None where none was.
+    quality : float
+        Of that fit, 0 to 1 (see :class:`liaam.FitResult`); NaN where unknown.
+    theta : float
+        Angle of the camera that it estimates, radians; NaN for methods that estimate none.
+    landmarks : (n, 2) float64
+        Smoothed over time if asked for, else as fitted; image pixels, NaN if lost.
+    raw : (n, 2) float64
+        As fitted.
+    covariances, raw_covariances : (n, 2, 2) float64
+        Of ``landmarks`` and of ``raw``, image pixels squared.
+    """
+
+    index: int
+    time: float
+    status: TrackStatus
+    fit_status: FitStatus | None
+    quality: float
+    theta: float
+    landmarks: np.ndarray
+    raw: np.ndarray
+    covariances: np.ndarray
+    raw_covariances: np.ndarray
+
+    @property
+    def ok(self) -> bool:
+        """Whether there are landmarks."""
+        return self.status is not TrackStatus.LOST
+
+
+@dataclass(frozen=True, eq=False)
+class _Track:
+    """An object that is being followed: belief in its coordinates, and what its motion has been like.
+
+    Attributes
+    ----------
+    belief : kalman.Belief
+    moments : kalman.Moments
+    share : float
+    drive : (k,) float64
+        Of :func:`kalman.noise_and_drive`.
+    """
+
+    belief: kalman.Belief
+    moments: kalman.Moments
+    share: float
+    drive: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Loss:
+    """How long the object has been lost, and when it is searched for next."""
+
+    frames: int = 0
+    wait: int = 0
+    due: int = 0
+
+    def next_frame(self, searched: bool, longest: int) -> "_Loss":
+        if not searched:
+            return replace(self, frames=self.frames + 1, due=self.due - 1)
+        return _Loss(self.frames + 1, min(max(1, 2 * self.wait), longest), min(max(1, 2 * self.wait), longest) - 1)
+
+
+@dataclass(eq=False)
+class Tracker:
+    """Follows one object from frame to frame.
+
+    Attributes
+    ----------
+    model : AAM
+    method : str or Method
+        As of :class:`liaam.Fitter`.
+    camera : CameraModel, optional
+        Of the video, if not the training camera's.
+    options : TrackingOptions
+    init : shape, box, or point and size, optional
+        Where the object is in the first frame; searched for if left out.
+    result : FitResult or None
+        The last frame's fit; None if it is lost.
+
+    Examples
+    --------
+    >>> tracker = Tracker(model)                                    # doctest: +SKIP
+    >>> tracked = [tracker.update(picture) for picture in pictures] # doctest: +SKIP
+    """
+
+    model: AAM
+    method: str | Method = DEFAULT_METHOD
+    camera: CameraModel | None = None
+    options: TrackingOptions = field(default_factory=TrackingOptions)
+    init: object = None
+    result: FitResult | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.fitter = Fitter(self.model, self.method, camera=self.camera)
+        near = SolverOptions(max_iterations=self.options.iterations)
+        self._near = Fitter(sharpest(self.model, self.options.levels), self.method, near, camera=self.camera)
+        self._motion = Motion(self.model.shape_model)
+        self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the object; the next frame is a first one."""
+        self.result = None
+        self._track: _Track | None = None
+        self._loss = _Loss()
+        self._count = 0
+        self._size: tuple[int, int] | None = None
+        self._last: np.ndarray | None = None
+
+    def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
+        """Find the object in the next frame.
+
+        Parameters
+        ----------
+        image : (h, w, 3) array or path
+            Frames may change their size.
+        time : float
+            Seconds, for the result.
+        index : int, optional
+            Number of the frame, for the result; counted if left out.
+
+        Returns
+        -------
+        TrackedFrame
+
+        Raises
+        ------
+        ImageError, StartError
+            For a first frame or a start that make no sense; later frames of the kind are lost.
+        """
+        index = self._count if index is None else index
+        pixels, _ = load_picture(image, f"frame {index}")
+        self._follow_size(pixels.shape[0], pixels.shape[1])
+        status, tried = self._locate(pixels, f"frame {index}")
+        self._count += 1
+        self.result = None if status is TrackStatus.LOST else tried
+        if status is TrackStatus.LOST or tried is None:
+            return _lost(self.model.n_points, index, time, tried)
+        self._loss, self._last = _Loss(), tried.shape
+        return self._seen(tried, status, index, time)
+
+    def _follow_size(self, height: int, width: int) -> None:
+        """Carry what is known over to frames of another size."""
+        before, self._size = self._size, (height, width)
+        if before in (None, self._size) or self._last is None:
+            return
+        # Its speed and scatter are others now: begin anew from where it was.
+        self._last, self._track = rescaled(self._last, before, self._size), None
+
+    def _locate(self, pixels: np.ndarray, name: str) -> tuple[TrackStatus, FitResult | None]:
+        """Status, and the fit that it rests on or the last that failed."""
+        first, tried = self._count == 0, None
+        if first and self.init is not None:
+            tried = self.fitter.fit(pixels, self.init, name)
+            if _usable(tried):
+                return TrackStatus.FOUND, tried
+        elif self._loss.frames <= self.options.patience and self._last is not None:
+            right, tried = self._follow(pixels, name)
+            if right:
+                return TrackStatus.TRACKED, tried
+        searched = self._loss.due <= 0
+        if searched:
+            right, found = self._search(pixels, name, first)
+            tried = found or tried
+            if right:
+                self._track = None  # it may be anywhere now
+                return TrackStatus.FOUND, tried
+        self._loss = self._loss.next_frame(searched, self.options.longest_wait)
+        return TrackStatus.LOST, tried
+
+    def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
+        """Fit from where the object should be."""
+        start = self._predicted()
+        fitters = (self._near, self.fitter) if self._loss.frames == 0 else (self.fitter,)
+        tried = None
+        for fitter in fitters:
+            try:
+                tried = fitter.fit(pixels, start, name)
+            except (StartError, ImageError):  # it has moved out, or the frame is grey
+                return False, tried
+            if _usable(tried) and _distance(tried.shape, start) < JUMP * diagonal_of(start):
+                return True, tried
+        return False, tried
+
+    def _predicted(self) -> np.ndarray:
+        """Where the object should be in this frame; lets the track's belief move on to it."""
+        assert self._last is not None
+        if self._track is None:
+            return self._last
+        track, motion = self._track, self._motion
+        moments, belief = track.moments, track.belief
+        if self._loss.frames:
+            moments, belief = kalman.interrupted(moments), kalman.slowed(belief, SLOWING)
+        moved = kalman.predict(belief, track.drive)
+        self._track = replace(track, belief=moved, moments=moments)
+        return motion.shape(moved.position)
+
+    def _search(self, pixels: np.ndarray, name: str, first: bool) -> tuple[bool, FitResult | None]:
+        """Look for the object in the whole frame."""
+        try:
+            (found, *_) = self.fitter.find(pixels, name=name)
+            # A doubtful place is worth a fit only where fits can tell whether they are right.
+            if found.doubtful and self.model.reliability is None:
+                return False, None
+            tried = self.fitter.fit(pixels, found, name)
+        except (StartError, ImageError):
+            if first:
+                raise
+            return False, None
+        return _usable(tried) and not (found.doubtful and np.isnan(tried.quality)), tried
+
+    def _seen(self, result: FitResult, status: TrackStatus, index: int, time: float) -> TrackedFrame:
+        """Take a fit into the track."""
+        motion, track = self._motion, self._track
+        y, own, basis = motion.measured(result)
+        variances = own.diagonal()
+        if track is None:
+            noise = kalman.FIRST_SHARE * own
+            speed = np.full(len(y), FIRST_SPEED * diagonal_of(result.shape) * np.sqrt(len(result.shape)))
+            moments, belief = kalman.first_moments(variances), kalman.first_belief(y, noise, speed)
+        else:
+            noise = track.share * own
+            moments, belief = track.moments, kalman.update(kalman.widened(track.belief, y, noise), y, noise)
+        moments = kalman.observed(moments, y)
+        self._track = _Track(belief, moments, *kalman.noise_and_drive(moments, variances))
+        landmarks, covariances = result.shape, result.landmark_covariances
+        if self.options.smooth:
+            # What the coordinates do not show of the shape stays as it was fitted.
+            landmarks = landmarks + motion.shape(belief.position) - motion.shape(y)
+            # The part of the fit's error that is the same in all frames is not smoothed away.
+            covariances = covariances + landmark_covariances(basis, belief.pp - noise)
+        return TrackedFrame(
+            index=index,
+            time=time,
+            status=status,
+            fit_status=result.status,
+            quality=result.quality,
+            theta=result.theta if self._estimates else np.nan,
+            landmarks=landmarks,
+            raw=result.shape,
+            covariances=covariances,
+            raw_covariances=result.landmark_covariances,
+        )
+
+
+def sharpest(model: AAM, levels: int) -> AAM:
+    """The model without its coarser levels, of which so many finest ones stay."""
+    return replace(model, levels=model.levels[-levels:], soft_levels=model.soft_levels[-levels:])
+
+
+def _usable(result: FitResult) -> bool:
+    """Tell whether a fit can be gone on from: settled, or nearly so, and not doubtful."""
+    return result.status.ok or (result.status is FitStatus.MAX_ITERATIONS and not result.quality < LEAST_QUALITY)
+
+
+def _distance(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.linalg.norm(a - b, axis=1).mean())
+
+
+def _lost(n: int, index: int, time: float, tried: FitResult | None) -> TrackedFrame:
+    nothing, unknown = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
+    return TrackedFrame(
+        index=index,
+        time=time,
+        status=TrackStatus.LOST,
+        fit_status=None if tried is None else tried.status,
+        quality=np.nan if tried is None else tried.quality,
+        theta=np.nan,
+        landmarks=nothing,
+        raw=nothing,
+        covariances=unknown,
+        raw_covariances=unknown,
+    )

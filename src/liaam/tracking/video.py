@@ -1,0 +1,59 @@
+"""Tracking through the frames of a file or a camera."""
+
+import os
+from collections.abc import Iterator
+
+from liaam.fitting import Method
+from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.io import VideoReader
+from liaam.model import AAM
+from liaam.photometry import CameraModel
+from liaam.tracking.tracker import TrackedFrame, Tracker, TrackingOptions
+
+
+def track_video(
+    model: AAM,
+    video: str | os.PathLike[str] | int,
+    *,
+    init=None,
+    start: int = 0,
+    stop: int | None = None,
+    method: str | Method = DEFAULT_METHOD,
+    camera: CameraModel | None = None,
+    options: TrackingOptions | None = None,
+) -> Iterator[TrackedFrame]:
+    """Track an object through a video, frame by frame.
+
+    Parameters
+    ----------
+    model : AAM
+    video : path-like or int
+        A file, or the number of a camera.
+    init : shape, box, or point and size, optional
+        Where the object is in the first frame; searched for if left out.
+    start, stop : int, optional
+        First frame, and the one after the last.
+    method : str or Method
+    camera : CameraModel, optional
+        Of the video, if not the training camera's.
+    options : TrackingOptions, optional
+
+    Yields
+    ------
+    TrackedFrame
+        One for every frame, those without the object as ``lost``.
+
+    Raises
+    ------
+    VideoError
+        If the video cannot be read.
+
+    Examples
+    --------
+    >>> for frame in track_video(model, "talk.mp4"):  # doctest: +SKIP
+    ...     print(frame.index, frame.status, frame.landmarks.mean(axis=0))
+    """
+    tracker = Tracker(model, method, camera, options or TrackingOptions(), init)
+    with VideoReader(video, start, stop) as frames:
+        for frame in frames:
+            yield tracker.update(frame.image, frame.time, frame.index)
