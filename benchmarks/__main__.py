@@ -5,6 +5,9 @@ import sys
 from benchmarks import batch, iteration, search
 
 BENCHMARKS = {"batch": batch.main, "iteration": iteration.main, "search": search.main}
+from benchmarks import iteration, search, track
+
+BENCHMARKS = {"iteration": iteration.main, "search": search.main, "track": track.main}
 """Benchmark by name; each prints its metrics."""
 
 

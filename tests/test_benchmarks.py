@@ -1,6 +1,6 @@
 """Benchmarks use the engine's inside, which no one promises to keep: they have to run at least."""
 
-from benchmarks import batch, iteration, search
+from benchmarks import batch, iteration, search, track
 
 
 def test_the_benchmark_of_an_iteration_runs(monkeypatch, capsys):
@@ -21,3 +21,18 @@ def test_the_benchmark_of_a_batch_runs(monkeypatch, capsys):
     monkeypatch.setattr(batch, "MEASURES", ((batch.measure_memory, 20),))
     batch.main()
     assert "batch_memory_growth_percent" in capsys.readouterr().out
+
+
+def test_the_benchmark_of_tracking_runs(head_model, clip, capsys, monkeypatch):
+    monkeypatch.setattr(track, "METHODS", ("soft-li",))
+    track.measure(head_model, clip, 6)
+    out = capsys.readouterr().out
+    assert "track_lost 0 of 6" in out
+    assert "track_relit_soft-li" in out
+    assert "track_flicker" in out
+
+
+def test_the_benchmark_of_tracking_says_what_it_lacks(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("LIAAM_SHARED_DATA", str(tmp_path))
+    track.main()
+    assert "left out" in capsys.readouterr().out

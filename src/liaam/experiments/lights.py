@@ -63,6 +63,34 @@ def hard_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generato
     return _lit(image, ambient + key * (shading * reaches)[..., None])
 
 
+def circling_light(image: np.ndarray, landmarks: np.ndarray, turns: float) -> np.ndarray:
+    """Light a head by a coloured lamp that swings from side to side, for videos.
+
+    The head is an ellipsoid around the landmarks with Lambert's shading. The lamp goes from 60° left to 60° right, up
+    and down a little, and from warm to cold and back; what else there is of light is dim, and of a colour of its own.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+        Under diffuse light.
+    landmarks : (n, 2) float64
+    turns : float
+        Where the lamp is on its way; 1 is once to and fro.
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    x, y = _grid(image)
+    low, high = landmarks.min(axis=0), landmarks.max(axis=0)
+    centre, radii = 0.5 * (low + high), 0.5 * HEAD * (high - low)
+    phase = 2 * np.pi * turns
+    lamp = _towards(np.deg2rad(60) * np.sin(phase), np.deg2rad(-10 + 20 * np.cos(phase)))
+    shading = np.clip(_ellipsoid((x - centre[0]) / radii[0], (y - centre[1]) / radii[1]) @ lamp, 0, None)
+    key = 0.9 * _colour(0.35 * np.cos(0.7 * phase))
+    return _lit(image, 0.2 * _colour(-0.2) + key * shading[..., None])
+
+
 def _beside_nose(x: np.ndarray, y: np.ndarray, radii: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray:
     """Share of a lamp's light that gets past a nose-like profile, (h, w); x and y count from the head's centre."""
     tilt = rng.uniform(-0.35, 0.35)

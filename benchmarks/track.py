@@ -1,0 +1,199 @@
+"""How well, how steadily and how fast a talking face is tracked, and whether a light that moves disturbs that.
+
+The video is FGnet's Talking Face, 4,800 frames without landmarks, as ``video/talking-face.mp4`` of the shared data. A
+generic model of ``imm`` is fitted to some of its frames; the best fits are the landmarks that a model of this person is
+trained on, and that one tracks.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from time import perf_counter, thread_time
+
+import cv2
+import numpy as np
+
+from liaam.datasets import load_folder
+from liaam.experiments.lights import circling_light
+from liaam.fitting import FitResult, Fitter
+from liaam.io import Contour, Landmarks, VideoFrame, VideoReader
+from liaam.model import AAM
+from liaam.tracking import TrackedFrame, Tracker
+from liaam.tracking.shading import ShadingRemover
+from liaam.training import train
+
+FRAMES = 300
+"""Frames tracked, from the first on; the argument of ``python -m benchmarks.track`` (4800: all)."""
+
+LOOKED_AT, TRAINED_ON = 48, 16
+"""Frames that the generic model is fitted to, and that the person's model learns from."""
+
+PERIOD = 72
+"""Frames in which the lamp swings to and fro once: three seconds."""
+
+EYES = (slice(13, 21), slice(21, 29))
+"""Landmarks of the two eyes."""
+
+METHODS = ("soft-li", "li", "rgb", "grey")
+"""Methods that track the relit video."""
+
+LOST = 8.0
+"""Error, percent of the distance between the eyes, beyond which a frame counts as lost."""
+
+
+def data_folder() -> Path:
+    """Where the shared data are."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return Path(os.environ.get("LIAAM_SHARED_DATA", beside))
+
+
+def generic_model(folder: Path) -> AAM:
+    """Model of many persons, from the front; the second one's pictures are grey."""
+    data = load_folder(folder / "imm").select(lambda sample: sample.name[:2] != "02" and sample.name[3] in "126")
+    return train(data, diagonal=120)
+
+
+def person_model(generic: AAM, video: Path) -> AAM:
+    """Model of the person of a video, from fits of a generic one to frames spread over it."""
+    with VideoReader(video) as frames:
+        step = max(1, (frames.n_frames or LOOKED_AT) // LOOKED_AT)
+        images = [frame.image for frame in frames if frame.index % step == step // 2]
+    fitter = Fitter(generic)
+    fits = [fitter.fit(image) for image in images]
+    # The best of each stretch, so that they are spread over the video.
+    stretches = np.array_split(np.arange(len(fits)), TRAINED_ON)
+    best = [max(stretch, key=lambda i: fits[i].quality) for stretch in stretches if len(stretch)]
+    contours = tuple(Contour(indices, closed) for indices, closed in generic.contours)
+    return train([(images[i], Landmarks(fits[i].shape, contours)) for i in best], diagonal=120)
+
+
+def run(tracker: Tracker, frames: Sequence[VideoFrame], light: Callable | None = None) -> list[TrackedFrame]:
+    """Track frames, under another light if there is one."""
+    return [tracker.update(light(frame) if light else frame.image) for frame in frames]
+
+
+def eye_distance(shapes: np.ndarray) -> np.ndarray:
+    """Distance between the eyes' centres of shapes (..., n, 2)."""
+    left, right = (shapes[..., eye, :].mean(axis=-2) for eye in EYES)
+    return np.linalg.norm(left - right, axis=-1)
+
+
+def stacked(frames: Sequence[TrackedFrame], name: str) -> np.ndarray:
+    """Landmarks of all frames, (frames, n, 2)."""
+    return np.array([getattr(frame, name) for frame in frames])
+
+
+def differences(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Mean distance of landmarks from those of b, percent of the distance between b's eyes, (frames,); lost is 100."""
+    away = 100 * np.linalg.norm(a - b, axis=2).mean(axis=1) / eye_distance(b)
+    return np.nan_to_num(away, nan=100.0)
+
+
+def trembling(shapes: np.ndarray) -> float:
+    """Root mean square second difference over time, pixels."""
+    return float(np.sqrt(np.nanmean(np.square(np.diff(shapes, 2, axis=0)))))
+
+
+def overhead(model: AAM, video: Path, results: Sequence[FitResult], n: int = 1000) -> tuple[float, float]:
+    """Milliseconds per frame of all but the fits, which are remembered ones: processor's, and those of the clock.
+
+    The first is of the tracker's thread; the second includes waiting for the decoder's.
+    """
+    tracker = Tracker(model, init=results[0].shape)
+    count = 0
+
+    def remembered(*_: object) -> FitResult:
+        nonlocal count
+        count += 1
+        back_and_forth = count % (2 * len(results) - 2)
+        return results[min(back_and_forth, 2 * len(results) - 2 - back_and_forth)]
+
+    for fitter in (tracker.fitter, tracker._near):
+        object.__setattr__(fitter, "fit", remembered)
+    with VideoReader(video, stop=n) as frames:
+        seen, before, spent = 0, perf_counter(), thread_time()
+        for frame in frames:
+            tracker.update(frame.image)
+            seen += 1
+    return 1e3 * (thread_time() - spent) / seen, 1e3 * (perf_counter() - before) / seen
+
+
+def flicker(model: AAM, pictures: Iterator[np.ndarray], shapes: np.ndarray) -> float:
+    """Median over the object's pixels of the second difference over time of grey values, of 255."""
+    inner = model.warp.interpolate
+    rows = []
+    for picture, shape in zip(pictures, shapes, strict=False):
+        x, y = inner(shape).astype(np.float32).T[:, :, None]
+        rows.append(cv2.remap(picture.mean(axis=2).astype(np.float32), x, y, cv2.INTER_LINEAR)[:, 0])
+    return float(np.median(np.abs(np.diff(np.array(rows), 2, axis=0)).mean(axis=0)))
+
+
+def relit(frames: Sequence[VideoFrame], shapes: np.ndarray) -> list[VideoFrame]:
+    """The frames under a lamp that moves."""
+    return [
+        VideoFrame(frame.index, frame.time, circling_light(frame.image, shape, i / PERIOD))
+        for i, (frame, shape) in enumerate(zip(frames, shapes, strict=True))
+    ]
+
+
+def measure(model: AAM, video: Path, n: int) -> None:
+    """Print the metrics of a model that tracks a video's first frames."""
+    with VideoReader(video, stop=n) as reader:
+        frames = list(reader)
+    results: list[FitResult] = []
+    tracker = Tracker(model)
+    tracker.update(frames[0].image)  # compiles
+    tracker.reset()
+    with VideoReader(video, stop=n) as reader:
+        before, spent, tracked = perf_counter(), thread_time(), []
+        for frame in reader:
+            tracked.append(tracker.update(frame.image, frame.time, frame.index))
+            if tracker.result is not None and len(results) < 30:
+                results.append(tracker.result)
+        seconds, busy = perf_counter() - before, thread_time() - spent
+    raw, smooth = stacked(tracked, "raw"), stacked(tracked, "landmarks")
+    lost = sum(not frame.ok for frame in tracked)
+    print(f"track_lost {lost} of {len(tracked)}")
+    print(f"track_quality {np.median([frame.quality for frame in tracked]):.3f}")
+    print(f"track_frames_per_second {len(tracked) / seconds:.1f} of one core {len(tracked) / busy:.1f}")
+    print("track_overhead_ms {:.2f} waiting included {:.2f}".format(*overhead(model, video, results)))
+    print(f"track_trembling_px {trembling(smooth):.3f} unsmoothed {trembling(raw):.3f}")
+    seen = [i for i, frame in enumerate(tracked) if frame.ok]
+    frames, smooth = [frames[i] for i in seen], smooth[seen]
+    lit = relit(frames, smooth)
+    for method in METHODS:
+        found = stacked(run(Tracker(model, method, init=smooth[0]), lit), "landmarks")
+        away = differences(found, smooth)
+        print(f"track_relit_{method} {np.median(away):.2f} lost {100 * (away > LOST).mean():.1f} %")
+    shading(model, frames[: 2 * PERIOD], lit[: 2 * PERIOD], smooth)
+
+
+def shading(model: AAM, frames: Sequence[VideoFrame], lit: Sequence[VideoFrame], smooth: np.ndarray) -> None:
+    """Print how the shading-free version of a relit video flickers, that video, and the one without the lamp."""
+    tracker = Tracker(model, init=smooth[0])
+    remover = ShadingRemover(tracker.fitter)
+
+    def fresh() -> Iterator[np.ndarray]:
+        for frame in lit:
+            tracked, result = tracker.update(frame.image), tracker.result
+            yield frame.image if result is None else remover.remove(frame.image, result, tracked.landmarks)
+
+    own, before = (flicker(model, (frame.image for frame in video), smooth) for video in (frames, lit))
+    print(f"track_flicker {flicker(model, fresh(), smooth):.2f} with shading {before:.2f} without the lamp {own:.2f}")
+
+
+def main(n: int = FRAMES) -> None:
+    """Print all metrics, or that there are no data."""
+    folder = data_folder()
+    video = folder / "video" / "talking-face.mp4"
+    if not video.exists() or not (folder / "imm").is_dir():
+        print(f"track: needs imm and video/talking-face.mp4 in {folder} (or LIAAM_SHARED_DATA); left out")
+        return
+    cv2.setNumThreads(1)
+    measure(person_model(generic_model(folder), video), video, n)
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else FRAMES)
