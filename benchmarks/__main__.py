@@ -2,12 +2,15 @@
 
 import sys
 
-from benchmarks import batch, iteration, search
+from benchmarks import batch, fit, iteration, search, track
 
-BENCHMARKS = {"batch": batch.main, "iteration": iteration.main, "search": search.main}
-from benchmarks import iteration, search, track
-
-BENCHMARKS = {"iteration": iteration.main, "search": search.main, "track": track.main}
+BENCHMARKS = {
+    "iteration": iteration.main,
+    "fit": fit.main,
+    "search": search.main,
+    "track": track.main,
+    "batch": batch.main,
+}
 """Benchmark by name; each prints its metrics."""
 
 

@@ -1,4 +1,4 @@
-"""Time of one ``li`` iteration beside the BLAS products that it cannot do without.
+"""Time of one iteration of ``li`` and of ``soft-li`` beside the BLAS products of the dense form.
 
 One iteration at 10,000 model pixels, 24 shape parameters (20 modes and 4 similarity vectors), 20 appearance
 modes and one BLAS thread: what the loop of :func:`liaam.fitting.solver.solve` does between two accepted
@@ -22,13 +22,13 @@ from liaam.kernels import get_kernel
 from liaam.mesh import ReferenceFrame, delaunay, signed_areas
 from liaam.model import AAM, Level
 from liaam.photometry import CameraModel
-from liaam.sampling import make_patch
 from liaam.shape import ShapeModel, Similarity, similarity_modes
+from liaam.warp import surrounded_warp
 
 N_PIXELS, N_SHAPE_MODES, N_APPEARANCE_MODES = 10_000, 20, 20
 N_SIDE = 8  # landmarks along each side of the grid
 IMAGE_SIZE = (480, 640)  # rows, columns
-BAR = 2.5  # times the yardstick
+BARS = {"li": 1.3, "soft-li": 2.5 * 1.3}  # times the yardstick
 ROUNDS, WARM_UP = 300, 20
 SOLVE_STEPS = 10
 HEAVY = 1e3  # damping under which the loop hardly moves, so that each of its steps costs the same
@@ -44,17 +44,23 @@ def smooth_noise(rng: np.random.Generator, height: int, width: int, sigma: float
     return noise / noise.std(axis=(1, 2), keepdims=True)
 
 
-def make_frame(rng: np.random.Generator) -> ReferenceFrame:
-    """Mesh over a jittered grid of landmarks, at the size that gives exactly N_PIXELS pixels."""
+def make_shapes(rng: np.random.Generator, method: str) -> tuple[ShapeModel, ReferenceFrame]:
+    """Shape model of a jittered grid of landmarks, and its frame, at the size that gives exactly N_PIXELS pixels.
+
+    The frame of ``soft-li`` goes around the mesh.
+    """
     grid = np.stack(np.meshgrid(*[np.arange(N_SIDE, dtype=float)] * 2), axis=-1).reshape(-1, 2)
     points = grid + rng.normal(scale=0.12, size=grid.shape)
     points -= points.mean(axis=0)
     triangles = delaunay(points)
-    about = np.sqrt(N_PIXELS / signed_areas(points, triangles).sum())
-    for scale in about * np.linspace(0.99, 1.01, 2001):
-        frame = ReferenceFrame(points * scale, triangles)
+    own = make_shape_model(points, rng)
+    about = np.sqrt(N_PIXELS / signed_areas(points, triangles).sum()) * (0.93 if method == "soft-li" else 1.0)
+    for scale in about * np.linspace(0.95, 1.05, 4001):
+        shape_model = ShapeModel(points * scale, own.modes, own.eigenvalues)
+        surrounded = surrounded_warp(shape_model, triangles).frame if method == "soft-li" else None
+        frame = ReferenceFrame(points * scale, triangles) if surrounded is None else surrounded
         if frame.n_pixels == N_PIXELS:
-            return frame
+            return shape_model, frame
     raise RuntimeError(f"no size gives {N_PIXELS} pixels")
 
 
@@ -66,8 +72,8 @@ def make_shape_model(mean: np.ndarray, rng: np.random.Generator) -> ShapeModel:
     return ShapeModel(mean, np.ascontiguousarray(modes), np.geomspace(100.0, 1.0, N_SHAPE_MODES))
 
 
-def make_appearance(frame: ReferenceFrame, rng: np.random.Generator) -> AppearanceModel:
-    """Mean and orthonormal modes that vary smoothly over the frame."""
+def make_appearance(frame: ReferenceFrame, rng: np.random.Generator, level: float = -1.5) -> AppearanceModel:
+    """Mean about a level and orthonormal modes that vary smoothly over the frame."""
     width, height = frame.size
     rows, columns = frame.pixels.T
     pictures = smooth_noise(rng, height, width, 4.0, 3 * (N_APPEARANCE_MODES + 1))
@@ -75,51 +81,49 @@ def make_appearance(frame: ReferenceFrame, rng: np.random.Generator) -> Appearan
     flat = textures[1:].reshape(N_APPEARANCE_MODES, -1)
     modes = np.linalg.qr(flat.T)[0].T.reshape(textures[1:].shape)
     return AppearanceModel(
-        mean=(0.3 * textures[0] - 1.5).astype(np.float32),
+        mean=(0.3 * textures[0] + level).astype(np.float32),
         modes=np.ascontiguousarray(modes, dtype=np.float32),
         eigenvalues=np.geomspace(300.0, 3.0, N_APPEARANCE_MODES),
         usable=np.ones(frame.n_pixels, np.float32),
     )
 
 
-def make_model(rng: np.random.Generator) -> AAM:
+def make_model(rng: np.random.Generator, method: str = "li") -> AAM:
     """A one-level model of exactly the sizes above; nothing is learnt."""
-    frame = make_frame(rng)
-    appearance = make_appearance(frame, rng)
-    # Only "log" is fitted here; "invariant" says that the model is one of colour.
-    level = Level(0.5, dict.fromkeys(("value", "log", "invariant"), appearance))
-    shape_model = make_shape_model(frame.points, rng)
-    return AAM(shape_model, frame.triangles, (level,), CameraModel(), n_images=25)
+    shape_model, frame = make_shapes(rng, method)
+    # Only one is fitted here; "invariant" says that the model is one of colour. Little blur: every pixel counts.
+    own = make_appearance(frame, rng, 0.0 if method == "soft-li" else -1.5)
+    if method == "soft-li":
+        plain = make_appearance(ReferenceFrame(shape_model.mean, delaunay(shape_model.mean)), rng)
+        level = Level(0.5, dict.fromkeys(("value", "log", "invariant"), plain))
+        soft = (Level(0.5, {"soft": own}),)
+    else:
+        level, soft = Level(0.5, dict.fromkeys(("value", "log", "invariant"), own)), ()
+    triangles = delaunay(shape_model.mean)
+    return AAM(shape_model, triangles, (level,), CameraModel(), n_images=25, soft_levels=soft)
 
 
-def make_problem(model: AAM, rng: np.random.Generator) -> FitProblem:
+def make_problem(model: AAM, rng: np.random.Generator, method: str = "li") -> FitProblem:
     """A smooth random colour picture with the model at its middle, 1.6 image pixels per model pixel."""
     height, width = IMAGE_SIZE
     picture = 0.45 + 0.09 * smooth_noise(rng, height, width, 3.0, 3).transpose(1, 2, 0)
     image = np.rint(255 * picture.clip(0.1, 0.9)).astype(np.uint8)
     pose = Similarity(1.6 * np.eye(2), np.array([width / 2 + 0.3, height / 2 - 0.2]))
-    start = pose(model.shape_model.mean)
-    patch = make_patch(image, start, pose, encoding="log", response="srgb", blur=model.levels[0].blur, margin=0.6)
-    offset = patch.from_image(pose.offset[None])[0]
-    return FitProblem(patch, Similarity(patch.from_image.matrix @ pose.matrix, offset))
+    return FitProblem.at(image, pose(model.shape_model.mean), pose, get_method(method), "srgb", 0.5)
 
 
 def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, State]:
     """One iteration from a fixed state, whole and in parts, as functions to be timed."""
     options = SolverOptions(tolerance=0.0)
-    workspace = objective.workspace()
     start = objective.start(np.zeros(objective.warp.n_parameters))
-    state, last = solver._evaluate(objective, problem, start, options, workspace, None, start_up=True)
-    precision = solver._prior_precision(objective, last.equations, options.shape_prior)
-    free, _ = solver._free_directions(objective, state, last.equations, options.observable)
+    state, last, trust = solver._begin(objective, problem, start, options)
+    free = solver._free_directions(objective, state, last.equations, options.observable)
     kernel, n_p = get_kernel(objective.kernel), objective.warp.n_parameters
-    root = objective.root_weights * last.weights[:, None]
-    design, lam = objective.design(float(state.angles[0])), state.lam.astype(np.float32)
-    metric = objective.method.image_metric(state.angles[1])
-    points = objective.warp.points(state.p, problem.pose)
-    projected = last.residual + design.mean
-    # The kernel is timed on columns of its own, so that those of the products stay valid.
-    scratch = objective.workspace()
+    design, metric = objective.design(float(state.angles[0])), objective.method.image_metric(state.angles[1])
+    points, mesh = objective.warp.points(state.p, problem.pose), objective.warp.mesh_pixels()
+    assert mesh is not None
+    root = objective._root_weights(state.angles[1], trust)[0] * last.weights[:, None]
+    right = np.concatenate([last.look.by_angles, last.residual.reshape(1, -1)])
 
     def whole() -> None:
         prior = solver._prior_precision(objective, last.equations, options.shape_prior)
@@ -128,7 +132,7 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
         step, lambda_step = steps
         objective.warp.movement(step[:n_p])
         moved = objective.update(state, step, lambda_step)
-        new, there = solver._evaluate(objective, problem, moved, options, workspace, None, start_up=False)
+        new, there = solver._evaluate(objective, problem, moved, options, trust)
         solver._merit(there.equations, new, prior)
         solver._merit(last.equations, state, prior)
         solver._free_directions(objective, new, there.equations, options.observable)
@@ -137,30 +141,31 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
         objective.warp.points(state.p, problem.pose)
 
     def sample() -> None:
-        jacobian = objective.warp.jacobian(state.p)
-        channels, turn = problem.patch.channels, problem.pose.matrix
-        kernel.linearise(channels, points, jacobian, turn, metric, objective.root_weights, scratch)
+        kernel.steepest(problem.patch.channels, points, problem.pose.matrix, metric)
 
-    def angle_and_residual() -> None:
-        residual = projected - design.mean
-        residual -= (design.modes @ lam).reshape(residual.shape)
-        scratch[:, n_p : objective.n_q] = objective.angle_columns(state, last.values, lam, root)
-        scratch[:, objective.n_q] = (root * residual).ravel()
+    def look() -> None:
+        objective.look(problem, state, trust)
+
+    def sparse_products() -> None:
+        steep = last.look.steep
+        kernel.mesh_products(steep, root, design.modes, right, mesh.beta, mesh.starts, mesh.triangles, mesh.n_vertices)
 
     def products() -> None:
-        objective._equations(workspace, design, last.weights, objective.root_weights, None)
+        objective.weighed(last.look, state, trust)
 
     def solves() -> None:
         fresh = replace(last.equations)  # without what it has worked out already
         solved = fresh.after_lambda_step(fresh.best_lambda_step())
+        precision = solver._prior_precision(objective, solved, options.shape_prior)
         solver._step(solved, state, precision, free, options.damping)
         solver._free_directions(objective, state, solved, options.observable)
 
     parts: Parts = {
         "iteration": whole,
         "points": carry_points,
-        "kernel": sample,
-        "angle_and_residual": angle_and_residual,
+        "sample": sample,
+        "look": look,
+        "sparse_products": sparse_products,
         "products": products,
         "solve": solves,
     }
@@ -198,26 +203,38 @@ def make_loops(objective: Objective, problem: FitProblem, state: State) -> Parts
     return {"one": loop(1), "more": loop(1 + SOLVE_STEPS)}
 
 
-def main() -> None:
+def measure_method(method: str) -> tuple[str, dict[str, np.ndarray]]:
+    """What was timed, and the times."""
     rng = np.random.default_rng(20080624)
-    with threadpool_limits(1):
-        model = make_model(rng)
-        problem = make_problem(model, rng)
-        (objective,) = make_objectives(model, get_method("li"))
-        parts, state = make_iteration(objective, problem)
-        loops = make_loops(objective, problem, state)
-        times = measure({"yardstick": make_yardstick(rng, objective.warp.n_parameters), **parts, **loops})
-    times["solve_loop"] = (times.pop("more") - times.pop("one")) / SOLVE_STEPS
-    print(
-        f"li iteration: {model.n_pixels} pixels, {objective.warp.n_parameters} shape parameters, "
-        f"{objective.n_lambda} appearance modes, 1 BLAS thread, {ROUNDS} rounds"
+    model = make_model(rng, method)
+    problem = make_problem(model, rng, method)
+    (objective,) = make_objectives(model, get_method(method))
+    assert len(objective.appearance.mean) == N_PIXELS, "every pixel has to count"
+    parts, state = make_iteration(objective, problem)
+    loops = make_loops(objective, problem, state) if method == "li" else {}
+    times = measure({"yardstick": make_yardstick(rng, objective.warp.n_parameters), **parts, **loops})
+    if loops:
+        times["solve_loop"] = (times.pop("more") - times.pop("one")) / SOLVE_STEPS
+    told = (
+        f"{method} iteration: {N_PIXELS} pixels, {objective.warp.n_parameters} shape parameters, "
+        f"{objective.n_lambda} appearance modes, {objective.method.n_rows} rows, 1 BLAS thread, {ROUNDS} rounds"
     )
-    for name, values in times.items():
-        low, median, high = np.percentile(values, [25, 50, 75])
-        print(f"  {name + '_ms':<24}{median:8.3f}   (quartiles {low:.3f} to {high:.3f})")
-    for name in ("iteration", "solve_loop"):
-        ratio = np.median(times[name]) / np.median(times["yardstick"])
-        print(f"  {name + '_ratio':<24}{ratio:8.2f}   (bar: at most {BAR})")
+    return told, times
+
+
+def main() -> None:
+    for method, bar in BARS.items():
+        with threadpool_limits(1):
+            told, times = measure_method(method)
+        print(told)
+        prefix = "" if method == "li" else "soft_"
+        for name, values in times.items():
+            low, median, high = np.percentile(values, [25, 50, 75])
+            print(f"  {prefix + name + '_ms':<24}{median:8.3f}   (quartiles {low:.3f} to {high:.3f})")
+        for name in ("iteration", "solve_loop"):
+            if name in times:
+                ratio = np.median(times[name]) / np.median(times["yardstick"])
+                print(f"  {prefix + name + '_ratio':<24}{ratio:8.2f}   (bar: at most {bar:g})")
 
 
 if __name__ == "__main__":

@@ -13,8 +13,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 
 LAYERS = (
     ("__main__",),
-    ("cli", "cli_batch", "cli_experiments", "cli_inputs", "cli_photometry", "terminal", "studio"),
-    ("cli", "cli_experiments", "cli_inputs", "cli_photometry", "cli_video", "terminal", "studio"),
+    ("cli", "cli_batch", "cli_experiments", "cli_inputs", "cli_photometry", "cli_video", "terminal", "studio"),
     ("experiments", "batch", "tracking"),
     ("plotting", "plotting_photometry", "plotting_video"),
     ("calibration",),

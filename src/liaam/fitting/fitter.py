@@ -275,7 +275,7 @@ class Fitter:
         lam : (m,) float64
         """
         image, camera = load_picture(image, "image")[0], self._camera
-        objective, blur = self.objectives[-1], self._levels[-1].blur
+        objective, blur = self.objectives[-1].of_all_pixels, self._levels[-1].blur
         problem = FitProblem.at(
             camera.flatten(image), result.shape, result.pose, self._method, camera.response, blur, camera.noise
         )

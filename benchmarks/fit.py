@@ -1,0 +1,135 @@
+"""Time of a whole fit of a 640x480 picture from a box, preprocessing included, and what it grows with.
+
+Models of generated faces at about 10,000 pixels and 24 shape parameters are fitted to pictures of expressions and
+poses that they were trained beside, under light from the side. The object keeps its size where the picture grows.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from time import perf_counter, process_time
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
+from liaam.evaluation import point_error
+from liaam.fitting import Fitter
+from liaam.model import AAM
+from liaam.training import train
+
+SIZE, LARGE = (640, 480), (6000, 4000)
+N_TRAINING, N_PICTURES, ROUNDS = 24, 8, 5
+DIAGONALS = {4_000: 95.0, 16_000: 190.0, 64_000: 380.0}
+BARS = {"soft-li": 4.0, "li": 2.5}
+
+Picture = tuple[np.ndarray, np.ndarray]
+
+
+@lru_cache(maxsize=1)
+def make_pictures() -> tuple[list[Picture], list[Picture]]:
+    """Pictures to train on in diffuse light, and to fit under light from the side, 8-bit."""
+    rng = np.random.default_rng(20080624)
+
+    def picture(lights) -> Picture:
+        scene = render(Head(1), random_pose(rng, SIZE), random_expression(rng), lights, size=SIZE)
+        return np.rint(255 * np.clip(scene.image, 0, 1) ** (1 / 2.2)).astype(np.uint8), scene.landmarks
+
+    return [picture(DIFFUSE) for _ in range(N_TRAINING)], [picture(lateral("left")) for _ in range(N_PICTURES)]
+
+
+@lru_cache(maxsize=4)
+def make_model(diagonal: float = 150.0) -> AAM:
+    """Twenty modes of shape and of appearance."""
+    return train(make_pictures()[0], variance=20, appearance_variance=20, diagonal=diagonal, leave_out=False)
+
+
+def box_of(shape: np.ndarray) -> np.ndarray:
+    return np.concatenate([shape.min(axis=0), shape.max(axis=0)])
+
+
+def milliseconds(calls: Sequence[Callable[[], object]]) -> np.ndarray:
+    """Times of calls in turn, (ROUNDS, n); the first round is not counted."""
+    times = np.empty((ROUNDS + 1, len(calls)))
+    for row in times:
+        for i, call in enumerate(calls):
+            begin = perf_counter()
+            call()
+            row[i] = 1e3 * (perf_counter() - begin)
+    return times[1:]
+
+
+def fits(fitter: Fitter, pictures: list[Picture]) -> Sequence[Callable[[], object]]:
+    return [partial(fitter.fit, image, box_of(shape)) for image, shape in pictures]
+
+
+def measure_fits() -> None:
+    model, pictures = make_model(), make_pictures()[1]
+    for method, bar in BARS.items():
+        fitter = Fitter(model, method)
+        median = float(np.median(milliseconds(fits(fitter, pictures))))
+        results = [fitter.fit(image, box_of(shape)) for image, shape in pictures]
+        scale = np.linalg.norm(np.ptp(pictures[0][1], axis=0)) / model.diagonal
+        error = (
+            np.median([point_error(r.shape, shape) for r, (_, shape) in zip(results, pictures, strict=True)]) / scale
+        )
+        steps = np.median([result.n_iterations for result in results])
+        name = method.replace("-", "_")
+        print(
+            f"  {f'fit_{name}_ms':<24}{median:8.2f}   "
+            f"(bar: at most {bar:g}; {steps:.0f} iterations, {error:.2f} px off)"
+        )
+
+
+def measure_growth() -> None:
+    """Exponent of the time in the number of pixels, at a fixed number of steps."""
+    sizes, times = [], []
+    image, shape = make_pictures()[1][0]
+    for diagonal in DIAGONALS.values():
+        model = make_model(diagonal)
+        fitter = Fitter(model, "li")
+        sizes.append(model.n_pixels)
+        objective = fitter.objectives[-1]
+        times.append(float(np.median(milliseconds([iteration_of(fitter, objective, image, shape)]))))
+    exponent = np.polyfit(np.log(sizes), np.log(times), 1)[0]
+    told = ", ".join(f"{n}: {t:.2f} ms" for n, t in zip(sizes, times, strict=True))
+    print(f"  {'pixels_exponent':<24}{exponent:8.2f}   (bar: at most 1.1; {told})")
+
+
+def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray) -> Callable[[], object]:
+    """Ten linearisations at the sharpest level."""
+    from liaam.fitting.objective import FitProblem
+    from liaam.shape import align
+
+    pose = align(objective.warp.rest, shape)
+    problem = FitProblem.at(image, shape, pose, objective.method, "srgb", fitter.model.levels[-1].blur)
+    state = objective.start(objective.warp.parameters(pose.inverse()(shape)))
+    return lambda: [objective.linearise(problem, state) for _ in range(10)]
+
+
+def measure_large_picture() -> None:
+    """The same object in a picture of 24 megapixels."""
+    fitter, (image, shape) = Fitter(make_model()), make_pictures()[1][0]
+    large = np.zeros((LARGE[1], LARGE[0], 3), np.uint8)
+    at = np.array([2000, 1500])
+    large[at[1] : at[1] + SIZE[1], at[0] : at[0] + SIZE[0]] = image
+    calls = [lambda: fitter.fit(image, box_of(shape)), lambda: fitter.fit(large, box_of(shape + at))]
+    small, big = np.median(milliseconds(calls), axis=0)
+    print(f"  {'large_picture_ratio':<24}{big / small:8.2f}   (bar: at most 1.3)")
+
+
+def main() -> None:
+    begin = process_time()
+    with threadpool_limits(1):
+        model = make_model()
+        print(
+            f"whole fits from a box: {SIZE[0]}x{SIZE[1]} pixels, model of {model.n_pixels} pixels, "
+            f"{len(model.shape_model.basis)} shape parameters, 1 thread"
+        )
+        measure_fits()
+        measure_growth()
+        measure_large_picture()
+    print(f"  ({process_time() - begin:.0f} s of processor time)")
+
+
+if __name__ == "__main__":
+    main()
