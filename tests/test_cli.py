@@ -174,6 +174,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{empty}", "-o", "m"), "no image"),
         (("train", "{portraits}", "-o", "{empty}/no/m"), "does not exist"),
         (("train", "{portraits}", "-o", "m", "--variance", "lots"), "give a share such as 0.98"),
+        (("train", "{portraits}", "-o", "m", "--prior", "rough"), "there are sample, shrunk, smooth"),
         (("train", "{portraits}", "-o", "m", "--response", "film"), "'srgb', 'linear' or a gamma"),
         (("train", "{portraits}", "-o", "m", "--diagonal", "3"), "16 to 2000"),
         (("train", "{portraits}", "-o", "m", "--theta", "nan"), "in degrees"),

@@ -22,6 +22,7 @@ LAYERS = (
     ("model",),
     ("warp", "sampling", "appearance"),
     ("mesh", "shape"),
+    ("shape_prior",),
     ("pca",),
     ("kernels",),
     ("datasets",),

@@ -6,7 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from liaam.errors import TrainingError
-from liaam.pca import check_variance, principal_components
+from liaam.pca import (
+    check_variance,
+    count_by_evidence,
+    leave_out,
+    left_out_variances,
+    log_evidence,
+    noise_variances,
+    principal_components,
+    some_folds,
+)
 
 
 def test_components_are_those_of_the_covariance(rng):
@@ -58,7 +67,74 @@ def test_equal_vectors_have_no_modes():
     assert found.total_variance == 0
 
 
-@pytest.mark.parametrize("variance", [0.0, 1.5, -0.1, -1, np.nan, np.inf, True, "0.9", None])
+@pytest.mark.parametrize("variance", [0.0, 1.5, -0.1, -1, np.nan, np.inf, True, "0.9", "Auto", None])
 def test_a_share_of_variance_that_makes_no_sense_is_refused(variance):
     with pytest.raises(TrainingError, match=r"give a fraction in \(0, 1\]"):
         check_variance(variance)
+
+
+def drawn(rng, n: int, d: int, deviations, noise: float) -> np.ndarray:
+    """Vectors of a few strong directions, and noise in all."""
+    directions = np.linalg.qr(rng.normal(size=(d, len(deviations))))[0].T
+    return rng.normal(size=(n, len(deviations))) * deviations @ directions + noise * rng.normal(size=(n, d)) + 3.0
+
+
+@pytest.mark.parametrize("true", [1, 3, 6])
+@pytest.mark.parametrize("d", [20, 400])
+def test_the_evidence_finds_how_many_modes_there_are(rng, true, d):
+    vectors = drawn(rng, 60, d, np.linspace(12, 8, true), 0.5)
+    assert count_by_evidence(vectors, some_folds(60)) == true
+    assert len(principal_components(vectors, "auto").modes) == true
+
+
+def test_noise_alone_has_no_modes(rng):
+    assert count_by_evidence(rng.normal(size=(40, 30)), some_folds(40)) == 0
+
+
+def test_pictures_of_one_object_do_not_vouch_for_each_other(rng):
+    """Ten objects seen five times: as many modes as objects, if each picture is left out alone."""
+    objects = np.repeat(rng.normal(size=(10, 50)), 5, axis=0) + 0.05 * rng.normal(size=(50, 50))
+    by_object, alone = np.split(np.arange(50), 10), np.split(np.arange(50), 50)
+    assert count_by_evidence(objects, by_object) == 0
+    assert count_by_evidence(objects, alone) == 9
+
+
+def test_the_noise_is_the_mean_of_the_eigenvalues_not_kept():
+    values = np.array([9.0, 4.0, 2.0, 1.0])
+    np.testing.assert_allclose(noise_variances(values, 4), [4.0, 7 / 3, 1.5, 1.0])
+    np.testing.assert_allclose(noise_variances(values[:2], 5, total=16.0), [16 / 5, 7 / 4])
+
+
+@pytest.mark.parametrize("d", [4, 30])
+def test_the_evidence_is_the_density_of_vectors_left_out(rng, d):
+    from scipy.stats import multivariate_normal
+
+    vectors, fold = rng.normal(size=(9, d)) * np.linspace(3, 1, d), np.array([1, 5])
+    (left_out,) = leave_out(vectors, [fold])
+    others = np.delete(vectors, fold, axis=0)
+    found = principal_components(others, 1.0)
+    for count, value in enumerate(log_evidence(left_out, d)):
+        noise = noise_variances(found.eigenvalues, d)[count]
+        strong = found.modes[:count].T * (found.eigenvalues[:count] - noise) @ found.modes[:count]
+        density = multivariate_normal(found.mean, strong + noise * np.eye(d))
+        assert value == pytest.approx(density.logpdf(vectors[fold]).sum(), rel=1e-6)
+
+
+def test_variances_of_vectors_left_out_are_nearer_the_truth_than_the_eigenvalues(rng):
+    """On draws of one covariance: errors of logarithms, against the variance that there is along each mode."""
+    truth = np.geomspace(100, 1, 30)
+    errors = []
+    for _ in range(20):
+        vectors = rng.normal(size=(25, 30)) * np.sqrt(truth)
+        found = principal_components(vectors, 1.0)
+        along = np.square(found.modes) @ truth
+        shrunk = left_out_variances(vectors, some_folds(25), len(along))
+        assert (np.diff(shrunk) <= 1e-12).all()
+        errors.append([np.abs(np.log(each / along)).mean() for each in (found.eigenvalues, shrunk)])
+    sample, shrunk = np.mean(errors, axis=0)
+    assert shrunk < 0.5 * sample
+
+
+def test_of_equal_vectors_there_is_no_evidence():
+    assert count_by_evidence(np.ones((5, 7)), some_folds(5)) == 0
+    np.testing.assert_array_equal(left_out_variances(np.ones((5, 7)), some_folds(5), 2), 0)

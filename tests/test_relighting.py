@@ -25,7 +25,7 @@ def subject() -> Subject:
 
 @pytest.fixture(scope="module")
 def own_model(subject) -> AAM:
-    return train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=(BLUR,), leave_out=False)
+    return train(subject.pairs, variance=1.0, prior="sample", theta=PAPER_THETA, blurs=(BLUR,), leave_out=False)
 
 
 @pytest.fixture(scope="module")

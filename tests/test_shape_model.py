@@ -5,7 +5,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from liaam.shape import Similarity, align, diagonal_of, procrustes_mean, similarity_modes, train_shape_model
+from liaam.errors import TrainingError
+from liaam.shape import (
+    Similarity,
+    align,
+    choose_recipe,
+    diagonal_of,
+    mirror_order,
+    procrustes_mean,
+    rotation,
+    similarity_modes,
+    train_shape_model,
+)
 
 
 def similarity(scale: float, angle: float, x: float, y: float) -> Similarity:
@@ -118,3 +129,92 @@ def test_a_step_of_the_last_two_parameters_shifts():
     p = np.zeros(len(model.basis))
     p[-2] = 6.0
     np.testing.assert_allclose(model.shape(p) - model.mean, np.tile([2.0, 0.0], (9, 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth"])
+@pytest.mark.parametrize("variance", [0.98, 2, "auto"])
+def test_shape_vectors_are_orthonormal_under_every_prior(prior, variance):
+    model = train_shape_model(random_shapes(5), 100.0, variance, prior)
+    np.testing.assert_allclose(model.basis @ model.basis.T, np.eye(len(model.basis)), atol=1e-9)
+    assert (model.eigenvalues > 0).all()
+    assert (np.diff(model.eigenvalues) <= 1e-9).all()
+    assert np.isfinite(model.left_out_bound)
+
+
+@pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth"])
+def test_equal_shapes_have_no_modes_under_any_prior(prior):
+    shapes = np.repeat(random_shapes(5, 1), 4, axis=0)
+    assert len(train_shape_model(shapes, 100.0, 0.98, prior).modes) == 0
+
+
+def test_a_prior_that_does_not_exist_is_refused():
+    with pytest.raises(TrainingError, match="prior 'rough' does not exist; there are sample, shrunk, smooth"):
+        train_shape_model(random_shapes(5), 100.0, 0.98, "rough")
+
+
+def smooth_shapes(rng, n: int, side: int = 5) -> np.ndarray:
+    """Grids of points under random smooth deformations, and a little noise."""
+    grid = np.stack(np.meshgrid(np.linspace(-50, 50, side), np.linspace(-60, 60, side)), axis=2).reshape(-1, 2)
+    apart = np.square(grid[:, None] - grid[None]).sum(axis=2)
+    root = np.linalg.cholesky(np.exp(-0.5 * apart / 30.0**2) + 1e-6 * np.eye(len(grid)))
+    return grid + 5 * root @ rng.normal(size=(n, len(grid), 2)) + 0.3 * rng.normal(size=(n, len(grid), 2))
+
+
+def test_smooth_deformations_hold_more_of_shapes_to_come(rng):
+    shapes = smooth_shapes(rng, 26)
+    few, new = shapes[:6], shapes[6:]
+    sample, smooth = (train_shape_model(few, 150.0, 0.98, prior) for prior in ("sample", "smooth"))
+    left = [[np.linalg.norm(model.project(shape) - shape) for shape in new] for model in (sample, smooth)]
+    assert np.median(left[1]) < 0.4 * np.median(left[0])
+    # What it says of new shapes itself is of the right size.
+    beyond = [np.linalg.norm(align(shape, smooth.mean)(smooth.project(shape) - shape)) for shape in new]
+    assert smooth.left_out_bound < 0.4 * sample.left_out_bound
+    assert np.isfinite(beyond).all()
+
+
+def test_smooth_deformations_have_the_variance_that_shapes_to_come_have(rng):
+    shapes = smooth_shapes(rng, 208)
+    model = train_shape_model(shapes[:8], 150.0, 0.98, "smooth")
+    p = np.array([model.parameters(align(shape, model.mean)(shape))[:-4] for shape in shapes[8:]])
+    ratio = np.square(p).mean(axis=0) / model.eigenvalues
+    assert 0.5 < np.median(ratio) < 2.0
+
+
+def test_many_shapes_need_no_help(rng):
+    """Where the sample says it all, the evidence leaves it as it is."""
+    modes = np.linalg.qr(rng.normal(size=(50, 3)))[0].T
+    shapes = smooth_shapes(rng, 1)[0] + (rng.normal(size=(60, 3)) * [40, 30, 20] @ modes).reshape(60, 25, 2)
+    recipe = choose_recipe(procrustes_mean(shapes) * 250, shapes + 0.1 * rng.normal(size=shapes.shape), "smooth")
+    assert recipe.smooth is not None
+    assert recipe.smooth.share == 0
+
+
+def symmetric_shape(rng) -> tuple[np.ndarray, np.ndarray]:
+    """Points of both sides and of the mid-line, in any order, and each one's counterpart."""
+    right = rng.uniform([10, -60], [60, 60], (8, 2))
+    shape = np.concatenate([right, right * [-1, 1], np.stack([np.zeros(3), [-50.0, 5.0, 40.0]], axis=1)])
+    order = np.concatenate([np.arange(8, 16), np.arange(8), [16, 17, 18]])
+    mixed = rng.permutation(19)
+    place = np.argsort(mixed)
+    return (shape - shape.mean(axis=0))[mixed], place[order[mixed]]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
+def test_the_counterparts_of_a_symmetric_shape_are_found(rng, angle):
+    shape, order = symmetric_shape(rng)
+    np.testing.assert_array_equal(mirror_order(shape @ rotation(angle).T), order)
+
+
+def test_a_shape_without_symmetry_has_no_counterparts(rng):
+    assert mirror_order(rng.normal(size=(19, 2)) * 50) is None
+
+
+def test_a_head_that_was_seen_turned_one_way_may_turn_the_other(rng):
+    """Mirrored shapes are learnt from where they make shapes left out likelier."""
+    shape, order = symmetric_shape(rng)
+    turned = 0.3 * np.abs(shape[:, :1]) * [1.0, 0.0] + 0.1 * shape[:, 1:] * [1.0, 0.0]
+    ways = np.array([-1.0, 0.2, -0.6, 1.0, 0.8, -0.3])
+    noise = rng.normal(size=(8, 19, 2)) * 0.5
+    shapes = shape + ways[:6, None, None] * turned + noise[:6]
+    recipe = choose_recipe(procrustes_mean(shapes) * 300, shapes, "smooth")
+    assert recipe.mirrored is None or np.array_equal(recipe.mirrored, order)

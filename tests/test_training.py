@@ -316,3 +316,36 @@ def test_pictures_left_out_are_given_as_they_are(pairs, monkeypatch):
         np.testing.assert_array_equal(left_out.image, image)
         np.testing.assert_array_equal(left_out.points, points)
         assert len(left_out.model.soft_levels) == 3
+
+
+@pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth"])
+def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, monkeypatch, prior):
+    seen = []
+    monkeypatch.setattr("liaam.training.calibrate", lambda model, pictures: seen.extend(pictures))
+    options = {"diagonal": 40.0, "soft_blurs": (1.0,), "blurs": (0.0,), "prior": prior}
+    model = train_on(scenes[:5], variance=3, leave_out=True, **options)
+    assert len(model.shape_model.modes) == 3
+    assert len(seen) == 5
+    assert {len(left_out.model.shape_model.modes) for left_out in seen} == {3}
+
+
+def test_modes_are_counted_by_evidence_of_shapes_and_appearances_alike(scenes, monkeypatch):
+    seen = []
+    monkeypatch.setattr("liaam.training.calibrate", lambda model, pictures: seen.extend(pictures))
+    options = {"diagonal": 40.0, "soft_blurs": (1.0,), "blurs": (0.0,)}
+    model = train_on(scenes, variance="auto", leave_out=True, **options)
+    for count in (len(model.shape_model.modes), model.soft_levels[0].appearances["soft"].n_modes):
+        assert 0 <= count < len(scenes) - 1  # fewer than there are: some of the variance is noise
+    assert len(seen[0].model.shape_model.modes) <= len(model.shape_model.modes)
+
+
+def test_a_smooth_prior_knows_more_shapes_than_the_pictures_show(pairs):
+    options = {"diagonal": 40.0, "response": "linear", "blurs": (0.0,), "soft_blurs": (1.0,), "leave_out": False}
+    sample, smooth = (train(pairs, prior=prior, **options) for prior in ("sample", "smooth"))
+    assert len(sample.shape_model.modes) == 2
+    assert len(smooth.shape_model.modes) > 5
+    assert smooth.shape_model.left_out_bound < sample.shape_model.left_out_bound
+
+
+def test_a_prior_that_does_not_exist_is_refused(pairs):
+    refused(pairs, "prior 'flat' does not exist; there are sample, shrunk, smooth", prior="flat")

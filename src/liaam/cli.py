@@ -4,7 +4,7 @@ import io
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.markup import escape
@@ -68,11 +68,22 @@ def train(
     ] = None,
     recursive: Annotated[bool, typer.Option("--recursive", help="Look into sub-folders too.")] = False,
     variance: Annotated[
-        str, typer.Option(help="Share of the variance to keep (0.98), or a whole number of modes (12).")
+        str,
+        typer.Option(
+            help="Share of the variance to keep (0.98), a whole number of modes (12), or 'auto': as many as make "
+            "left-out pictures likeliest."
+        ),
     ] = "0.98",
     appearance_variance: Annotated[
         str | None, typer.Option(help="The same for the appearance; as --variance if left out.")
     ] = None,
+    prior: Annotated[
+        str,
+        typer.Option(
+            help="What shapes may look like besides those of the pictures: smooth (drawn towards smooth deformations), "
+            "shrunk (variances of shapes left out), or sample (nothing else)."
+        ),
+    ] = "smooth",
     diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
     camera_file: Annotated[
         Path | None,
@@ -128,6 +139,7 @@ def train(
     with progress_bar() as tell:
         model = train_model(
             data,
+            prior=prior,
             diagonal=diagonal,
             lit=others,
             name=name or folder.name,
@@ -147,12 +159,14 @@ def train(
         complain("too few fits to pictures left out were right to tell right fits from wrong ones: give more pictures")
 
 
-def parse_variance(text: str) -> float | int:
-    """Read a share (with a point: 0.98, 1.0) or a count (without: 12)."""
+def parse_variance(text: str) -> float | int | Literal["auto"]:
+    """Read a share (with a point: 0.98, 1.0), a count (without: 12), or ``auto``."""
+    if text.strip() == "auto":
+        return "auto"
     try:
         return int(text) if text.strip().isdigit() else float(text)
     except ValueError:
-        raise LiaamError(f"variance {text!r}: give a share such as 0.98, or a whole number of modes") from None
+        raise LiaamError(f"variance {text!r}: give a share such as 0.98, a whole number of modes, or 'auto'") from None
 
 
 @app.command()

@@ -1,10 +1,15 @@
 """Principal component analysis, once for shapes and appearances."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from liaam.errors import TrainingError
+
+Variance = float | int | Literal["auto"]
+"""How much to keep: a share of the variance, a count of modes, or ``auto``, as many as the evidence is for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,26 +33,31 @@ class Components:
     total_variance: float
 
 
-def check_variance(variance: float | int) -> None:
-    """Raise unless variance is a fraction in (0, 1] (float) or a count of modes (int >= 0)."""
-    is_count = isinstance(variance, (int, np.integer)) and not isinstance(variance, bool)
-    if (is_count and variance >= 0) or (isinstance(variance, float) and 0.0 < variance <= 1.0):
+def check_variance(variance: Variance) -> None:
+    """Raise unless variance is a fraction in (0, 1] (float), a count of modes (int >= 0), or ``auto``."""
+    is_count = isinstance(variance, (int, np.integer)) and not isinstance(variance, bool) and variance >= 0
+    if is_count or (isinstance(variance, float) and 0.0 < variance <= 1.0) or variance == "auto":
         return
-    raise TrainingError(f"variance {variance!r}: give a fraction in (0, 1] such as 0.98, or a whole count of modes")
+    raise TrainingError(
+        f"variance {variance!r}: give a fraction in (0, 1] such as 0.98, a whole count of modes, or 'auto'"
+    )
 
 
-def principal_components(vectors: np.ndarray, variance: float | int) -> Components:
+def principal_components(vectors: np.ndarray, variance: Variance) -> Components:
     """Principal components of row vectors by their Gram matrix (few vectors, many dimensions).
 
     Parameters
     ----------
     vectors : (n, d) float
     variance : float or int
-        Fraction of the variance to keep (1.0 keeps every direction), or the number of modes.
+        Fraction of the variance to keep (1.0 keeps every direction), or the number of modes. ``auto`` is
+        :func:`count_by_evidence` with each vector left out alone, or in few folds.
     """
     check_variance(variance)
     vectors = np.asarray(vectors, dtype=np.float64)
     n = len(vectors)
+    if variance == "auto":
+        variance = count_by_evidence(vectors, some_folds(n))
     mean = vectors.mean(axis=0)
     deviations = vectors - mean
     squares, combinations = np.linalg.eigh(deviations @ deviations.T)
@@ -63,7 +73,7 @@ def principal_components(vectors: np.ndarray, variance: float | int) -> Componen
 
 def count_modes(squares: np.ndarray, variance: float | int) -> int:
     """Give the number of modes to keep of descending squares; numerically empty directions never count."""
-    rank = int((squares > 1e-10 * max(squares[0], 1e-300)).sum()) if squares[0] > 0 else 0
+    rank = int((squares > 1e-10 * max(squares[0], 1e-300)).sum()) if len(squares) and squares[0] > 0 else 0
     if not isinstance(variance, float):
         return min(int(variance), rank)
     if variance == 1.0 or rank == 0:
@@ -76,8 +86,17 @@ FOLDS = 10
 """Folds of the leave-out residuals, at most; with fewer images each is left out alone."""
 
 
-def unexplained_by_others(vectors: np.ndarray, variance: float | int) -> np.ndarray:
+def some_folds(n: int) -> list[np.ndarray]:
+    """Indices of n vectors to leave out together: each alone, or in :data:`FOLDS` folds where there are many."""
+    return np.array_split(np.arange(n), max(min(n, FOLDS), 1))
+
+
+def unexplained_by_others(
+    vectors: np.ndarray, variance: float | int, folds: Sequence[np.ndarray] | None = None
+) -> np.ndarray:
     """What the principal components of the other vectors leave of each vector, (n, d) float32.
+
+    The vectors of a fold are left out together.
 
     Worked out on the vectors' Gram matrix: the components of a fold are combinations of vectors, so the
     long vectors are touched twice in all.
@@ -88,7 +107,7 @@ def unexplained_by_others(vectors: np.ndarray, variance: float | int) -> np.ndar
     centred = vectors - vectors.mean(axis=0, dtype=np.float64).astype(vectors.dtype)
     products = np.asarray(centred @ centred.T, dtype=np.float64)
     explained = np.zeros((n, n))  # row: the combination of vectors that stands for each
-    for fold in np.array_split(np.arange(n), min(n, FOLDS)):
+    for fold in some_folds(n) if folds is None else folds:
         others = np.setdiff1d(np.arange(n), fold)
         explained[np.ix_(fold, others)] = _combinations(products, others, fold, variance)
     return (centred - explained.astype(vectors.dtype) @ centred).astype(np.float32)
@@ -96,11 +115,139 @@ def unexplained_by_others(vectors: np.ndarray, variance: float | int) -> np.ndar
 
 def _combinations(products: np.ndarray, others: np.ndarray, fold: np.ndarray, variance: float | int) -> np.ndarray:
     """Combinations of the others that are nearest to the fold's vectors in the others' components."""
+    squares, axes, from_mean = _components_of(products, others, fold)
+    kept = count_modes(squares, variance)
+    return 1.0 / len(others) + from_mean @ axes[:, :kept] @ axes[:, :kept].T
+
+
+def _components_of(
+    products: np.ndarray, others: np.ndarray, fold: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Principal components of some vectors, and others as seen from their mean, all by scalar products.
+
+    Returns
+    -------
+    squares : (r,) float64
+        Sums of squares along the components, descending, those above rounding.
+    axes : (len(others), r) float64
+        Each component as a combination of the vectors.
+    from_mean : (len(fold), len(others)) float64
+        Scalar products of the fold's vectors less the mean; times ``axes`` they are coordinates.
+    """
     within = products[np.ix_(others, others)]
     centring = np.eye(len(others)) - 1.0 / len(others)
     squares, axes = np.linalg.eigh(centring @ within @ centring)
     squares, axes = squares[::-1], axes[:, ::-1]
-    kept = count_modes(squares, variance)
-    axes = centring @ axes[:, :kept] / np.sqrt(squares[:kept])
-    from_mean = products[np.ix_(fold, others)] - within.mean(axis=0)
-    return 1.0 / len(others) + from_mean @ axes @ axes.T
+    rank = count_modes(squares, 1.0)
+    axes = centring @ axes[:, :rank] / np.sqrt(squares[:rank])
+    return squares[:rank], axes, products[np.ix_(fold, others)] - within.mean(axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOutCoordinates:
+    """Vectors left out, in the principal components of those that are not.
+
+    Attributes
+    ----------
+    eigenvalues : (r,) float64
+        Of the others (divisor n - 1).
+    squares : (m, r) float64
+        Squared coordinates of the vectors left out.
+    distances : (m,) float64
+        Their squared distances from the others' mean.
+    """
+
+    eigenvalues: np.ndarray
+    squares: np.ndarray
+    distances: np.ndarray
+
+
+def leave_out(vectors: np.ndarray, folds: Sequence[np.ndarray]) -> Iterator[LeftOutCoordinates]:
+    """Leave the vectors (n, d) of each fold out in turn; those of one object belong into one fold."""
+    vectors = np.asarray(vectors)
+    centred = vectors - vectors.mean(axis=0, dtype=np.float64).astype(vectors.dtype)
+    products = np.asarray(centred @ centred.T, dtype=np.float64)
+    for fold in folds:
+        others = np.setdiff1d(np.arange(len(vectors)), fold)
+        if len(others) < 2:
+            continue
+        squares, axes, from_mean = _components_of(products, others, fold)
+        to_mean = products[np.ix_(others, others)].mean()
+        distances = np.diag(products)[fold] - 2.0 * products[np.ix_(fold, others)].mean(axis=1) + to_mean
+        yield LeftOutCoordinates(squares / (len(others) - 1), np.square(from_mean @ axes), distances)
+
+
+def noise_variances(eigenvalues: np.ndarray, dimension: int, total: float | None = None) -> np.ndarray:
+    """Noise variance of probabilistic PCA with 0 ... r - 1 modes, (r,): the mean of the eigenvalues not kept.
+
+    Tipping and Bishop, J. R. Stat. Soc. B 61 (1999), eq 8.
+
+    Parameters
+    ----------
+    eigenvalues : (r,) float
+        Descending; those up to ``dimension`` that are not given are 0.
+    dimension : int
+        Of the space that the vectors vary in.
+    total : float, optional
+        Sum of all eigenvalues, if more than those given.
+    """
+    total = float(eigenvalues.sum()) if total is None else total
+    kept = np.concatenate([[0.0], np.cumsum(eigenvalues)[:-1]])
+    return np.maximum(total - kept, 0.0) / np.maximum(dimension - np.arange(len(eigenvalues)), 1)
+
+
+def log_evidence(left_out: LeftOutCoordinates, dimension: int) -> np.ndarray:
+    """Logarithm of the density of vectors left out, summed, under probabilistic PCA with 0 ... r - 1 modes, (r,)."""
+    values = left_out.eigenvalues
+    noise = noise_variances(values, dimension)
+    counts = np.arange(len(values))
+    along = np.cumsum(np.pad(left_out.squares / values, ((0, 0), (1, 0))), axis=1)[:, :-1]
+    across = left_out.distances[:, None] - np.cumsum(np.pad(left_out.squares, ((0, 0), (1, 0))), axis=1)[:, :-1]
+    volume = np.concatenate([[0.0], np.cumsum(np.log(values))[:-1]]) + (dimension - counts) * np.log(noise)
+    return -0.5 * (along + across / noise + volume + dimension * np.log(2.0 * np.pi)).sum(axis=0)
+
+
+def count_by_evidence(vectors: np.ndarray, folds: Sequence[np.ndarray], dimension: int | None = None) -> int:
+    """Count the modes under which vectors left out are most likely.
+
+    Each fold is judged by probabilistic PCA of the others. Minka's evidence (NIPS 2000) needs no leaving out, but
+    counts pictures of one object as if they were of several.
+
+    Parameters
+    ----------
+    vectors : (n, d) float
+    folds : sequence of int arrays
+        Which vectors to leave out together.
+    dimension : int, optional
+        Of the space that the vectors vary in, d if left out.
+    """
+    d = vectors.shape[1] if dimension is None else dimension
+    found = [log_evidence(left_out, d) for left_out in leave_out(vectors, folds)]
+    counts = min((len(each) for each in found), default=0)
+    return int(np.sum([each[:counts] for each in found], axis=0).argmax()) if counts else 0
+
+
+def left_out_variances(vectors: np.ndarray, folds: Sequence[np.ndarray], count: int) -> np.ndarray:
+    """Variance of vectors left out along the others' 1st, 2nd ... mode, never rising, (count,) float64.
+
+    What the sample's eigenvalues claim to be: those are too large at the front and too small at the end, since the
+    modes are chosen to suit the sample (cross-validated non-linear shrinkage; Bartz, 2016).
+    """
+    found = list(leave_out(vectors, folds))
+    known = min((left_out.squares.shape[1] for left_out in found), default=0)
+    if not known:
+        return np.zeros(count)
+    variances = np.concatenate([left_out.squares[:, :known] for left_out in found]).mean(axis=0)
+    # The last modes of all vectors have no counterpart among those of fewer: they take after the last that has.
+    return _never_rising(np.pad(variances, (0, max(count - known, 0)), mode="edge")[:count])
+
+
+def _never_rising(values: np.ndarray) -> np.ndarray:
+    """Nearest sequence that never rises (pool adjacent violators)."""
+    pools: list[list[float]] = []
+    for value in values:
+        pools.append([float(value), 1.0])
+        while len(pools) > 1 and pools[-2][0] < pools[-1][0]:
+            (a, n), (b, m) = pools[-2:]
+            pools[-2:] = [[(a * n + b * m) / (n + m), n + m]]
+    return np.concatenate([np.full(int(n), mean) for mean, n in pools]) if pools else np.zeros(0)

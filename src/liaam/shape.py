@@ -1,11 +1,24 @@
 """Statistical shape models: Procrustes alignment, PCA, and the four similarity vectors (paper eq 1-2)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from liaam.pca import principal_components, unexplained_by_others
+from liaam.errors import TrainingError
+from liaam.pca import (
+    LeftOutCoordinates,
+    Variance,
+    count_by_evidence,
+    count_modes,
+    left_out_variances,
+    log_evidence,
+    principal_components,
+    some_folds,
+    unexplained_by_others,
+)
+from liaam.shape_prior import Deviations, SmoothPrior, covariance, fit_prior, modes_of
 
 
 def diagonal_of(shape: np.ndarray) -> float:
@@ -194,7 +207,44 @@ class ShapeModel:
         return p
 
 
-def train_shape_model(shapes: np.ndarray, diagonal: float, variance: float | int) -> ShapeModel:
+PRIORS = ("sample", "shrunk", "smooth")
+"""How the shapes' covariance may be learnt. ``sample``: as that of the pictures. ``shrunk``: its eigenvalues are the
+variances of shapes left out. ``smooth``: it is drawn towards smooth deformations (:mod:`liaam.shape_prior`), and
+learns from the mirrored shapes too where they make those left out likelier."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """How the covariance of shapes is learnt: decided on all shapes, and taken over where some are left out.
+
+    Attributes
+    ----------
+    prior : str
+        Of :data:`PRIORS`.
+    smooth : SmoothPrior, optional
+        With ``smooth``.
+    mirrored : (n_points,) int, optional
+        Where each landmark has its counterpart, if the mirrored shapes are examples too.
+    """
+
+    prior: str = "sample"
+    smooth: SmoothPrior | None = None
+    mirrored: np.ndarray | None = None
+
+
+def check_prior(prior: str) -> None:
+    """Raise unless a prior exists."""
+    if prior not in PRIORS:
+        raise TrainingError(f"prior {prior!r} does not exist; there are {', '.join(PRIORS)}")
+
+
+def train_shape_model(
+    shapes: np.ndarray,
+    diagonal: float,
+    variance: Variance,
+    prior: str = "sample",
+    folds: Sequence[np.ndarray] | None = None,
+) -> ShapeModel:
     """Learn a shape model.
 
     Parameters
@@ -203,23 +253,152 @@ def train_shape_model(shapes: np.ndarray, diagonal: float, variance: float | int
         Landmarks of the training images, finite.
     diagonal : float
         Diagonal of the mean shape's bounding box, pixels of the reference frame.
-    variance : float or int
-        Fraction of variance or number of modes to keep.
+    variance : float, int or "auto"
+        Fraction of variance or number of modes to keep, or as many as the evidence is for.
+    prior : str
+        Of :data:`PRIORS`.
+    folds : sequence of int arrays, optional
+        Shapes to leave out together where something is learnt so; each alone, or in a few folds, if left out.
     """
+    mean = scaled_mean(shapes, diagonal)
+    return shape_model_on(mean, shapes, variance, choose_recipe(mean, shapes, prior, folds), folds)
+
+
+def scaled_mean(shapes: np.ndarray, diagonal: float) -> np.ndarray:
+    """Procrustes mean of shapes whose bounding box has a given diagonal, (n_points, 2) float64."""
     mean = procrustes_mean(shapes)
-    return shape_model_on(mean * (diagonal / diagonal_of(mean)), shapes, variance)
+    return mean * (diagonal / diagonal_of(mean))
 
 
-def shape_model_on(mean: np.ndarray, shapes: np.ndarray, variance: float | int) -> ShapeModel:
+def choose_recipe(
+    mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Sequence[np.ndarray] | None = None
+) -> Recipe:
+    """Decide what the shapes left out ask for."""
+    check_prior(prior)
+    if prior != "smooth":
+        return Recipe(prior)
+    folds = some_folds(len(shapes)) if folds is None else folds
+    plain = fit_prior(_deviations(mean, shapes), folds)
+    # The mean may be turned to one side; then a single shape may still be symmetric.
+    orders = (mirror_order(shape) for shape in (mean, *shapes[:MIRRORED_TRIES]))
+    order = next((order for order in orders if order is not None), None)
+    if order is None:
+        return Recipe(prior, plain)
+    mirrored = fit_prior(_deviations(mean, shapes, order), folds)
+    return Recipe(prior, mirrored, order) if mirrored.evidence > plain.evidence else Recipe(prior, plain)
+
+
+def shape_model_on(
+    mean: np.ndarray,
+    shapes: np.ndarray,
+    variance: Variance,
+    recipe: Recipe | None = None,
+    folds: Sequence[np.ndarray] | None = None,
+) -> ShapeModel:
     """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2)."""
+    recipe = Recipe() if recipe is None else recipe
+    given, folds = folds is not None, some_folds(len(shapes)) if folds is None else folds
+    deviations = _deviations(mean, shapes, recipe.mirrored)
+    if recipe.smooth is not None:
+        return _smooth_model(deviations, variance, recipe.smooth, folds)
+    own = deviations.own
+    if variance == "auto":
+        variance = count_by_evidence(own, folds, deviations.dimension)
+    components = principal_components(own, variance)
+    modes = components.modes - components.modes @ deviations.rigid.T @ deviations.rigid
+    eigenvalues = components.eigenvalues
+    if recipe.prior == "shrunk":
+        eigenvalues = left_out_variances(own, folds, len(modes))
+    left = unexplained_by_others(own, variance, folds if given else None).astype(np.float64)
+    return ShapeModel(mean, np.ascontiguousarray(modes), eigenvalues, _moments(left))
+
+
+def _deviations(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | None = None) -> Deviations:
+    """Deviations of shapes, and of their mirrored forms if an order is given, from a mean."""
+    rigid, n = similarity_modes(mean), len(shapes)
+    if order is not None:
+        shapes = np.concatenate([shapes, (shapes * [-1.0, 1.0])[:, order]])
     aligned = np.array([align(shape, mean)(shape) for shape in shapes])
-    rigid = similarity_modes(mean)
     deviations = (aligned - mean).reshape(len(shapes), -1)
     # Modes live in the space orthogonal to the similarities, so that p and pose do not trade off.
     deviations -= deviations @ rigid.T @ rigid
     deviations[np.abs(deviations) < 1e-9 * diagonal_of(mean)] = 0.0  # rounding is no mode
-    components = principal_components(deviations, variance)
-    modes = components.modes - components.modes @ rigid.T @ rigid
-    left = unexplained_by_others(deviations, variance).astype(np.float64).reshape(len(shapes), -1, 2)
-    unexplained = np.einsum("ina,inb->nab", left, left) / len(shapes)
-    return ShapeModel(mean, np.ascontiguousarray(modes), components.eigenvalues, unexplained)
+    return Deviations(mean, rigid, deviations[:n], deviations[n:])
+
+
+def _smooth_model(
+    deviations: Deviations, variance: Variance, prior: SmoothPrior, folds: Sequence[np.ndarray]
+) -> ShapeModel:
+    """Shape model of a covariance drawn towards smooth deformations."""
+    spread = covariance(deviations, prior)
+    modes, values = modes_of(spread, deviations.rigid)
+    folds = [fold for fold in folds if len(deviations.own) - len(fold) >= 2]
+    parts = [_left_out(deviations, fold, prior) for fold in folds]
+    if variance == "auto":
+        kept = _count_by_evidence([_coordinates(*part, prior.noise) for part in parts])
+    else:
+        kept = count_modes(values, variance)
+    left = np.zeros_like(deviations.own)
+    for fold, (away, own_modes, _) in zip(folds, parts, strict=True):
+        left[fold] = away - away @ own_modes[:kept].T @ own_modes[:kept]
+    return ShapeModel(deviations.mean, modes[:kept], values[:kept], _moments(left))
+
+
+def _left_out(
+    deviations: Deviations, fold: np.ndarray, prior: SmoothPrior
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A fold's deviations from the mean of the others, and the others' modes and eigenvalues."""
+    part = deviations.of(np.setdiff1d(np.arange(len(deviations.own)), fold))
+    return deviations.own[fold] - part.own.mean(axis=0), *modes_of(covariance(part, prior), deviations.rigid)
+
+
+def _coordinates(away: np.ndarray, modes: np.ndarray, values: np.ndarray, noise: float) -> LeftOutCoordinates:
+    return LeftOutCoordinates(values + noise * values.mean(), np.square(away @ modes.T), np.square(away).sum(axis=1))
+
+
+def _count_by_evidence(parts: list[LeftOutCoordinates]) -> int:
+    evidence = [log_evidence(part, len(part.eigenvalues)) for part in parts if part.eigenvalues[0] > 0]
+    return int(np.sum(evidence, axis=0).argmax()) if evidence else 0
+
+
+def _moments(left: np.ndarray) -> np.ndarray:
+    """Second moments (n_points, 2, 2) of what is left (n, 2 n_points) of shapes."""
+    by_landmark = left.reshape(len(left), -1, 2)
+    return np.einsum("ina,inb->nab", by_landmark, by_landmark) / len(left)
+
+
+MIRRORED = 0.02
+"""Root mean square distance between a shape and its mirrored form, as a share of its diagonal, up to which the shape
+may count as symmetric; whether it helps is for the shapes left out to say."""
+
+
+MIRRORED_TRIES = 20
+"""Shapes that are tried where the mean is not symmetric."""
+
+
+def mirror_order(shape: np.ndarray) -> np.ndarray | None:
+    """Find the counterpart of each landmark on the other side.
+
+    Parameters
+    ----------
+    shape : (n, 2) float
+
+    Returns
+    -------
+    (n,) int or None
+        Such that ``(shape * [-1, 1])[order]`` is the shape again, turned and nearly; None where there is none.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    shape = shape - shape.mean(axis=0)
+    mirrored, best, order = shape * [-1.0, 1.0], np.inf, None
+    for angle in np.arange(12) * np.pi / 6:
+        moved = mirrored @ rotation(angle).T
+        for _ in range(5):  # alternate counterparts and pose
+            apart = np.square(shape[:, None] - moved[None]).sum(axis=2)
+            found = linear_sum_assignment(apart)[1]
+            moved = align(mirrored[found], shape)(mirrored)
+        error = float(np.square(shape - moved[found]).sum(axis=1).mean())
+        if error < best and np.array_equal(found[found], np.arange(len(shape))):
+            best, order = error, found
+    return order if np.sqrt(best) < MIRRORED * diagonal_of(shape) else None

@@ -20,11 +20,11 @@ from liaam.mesh import (
     triangles_from_edges,
 )
 from liaam.model import AAM, MAX_DIAGONAL, Level, Reliability
-from liaam.pca import check_variance
+from liaam.pca import Variance, check_variance, count_by_evidence
 from liaam.photometry import ENCODINGS, CameraModel, Response, exposure_faults, invariant_row, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
 from liaam.sampling import make_patch, sample_texture
-from liaam.shape import ShapeModel, align, shape_model_on, train_shape_model
+from liaam.shape import Recipe, ShapeModel, align, check_prior, choose_recipe, scaled_mean, shape_model_on
 from liaam.warp import PiecewiseAffineWarp, surrounded_warp
 
 BLURS_DEFAULT = (3.0, 0.5)
@@ -47,8 +47,9 @@ class _Entry:
 def train(
     data: Iterable,
     *,
-    variance: float | int = 0.98,
-    appearance_variance: float | int | None = None,
+    variance: Variance = 0.98,
+    appearance_variance: Variance | None = None,
+    prior: str = "smooth",
     diagonal: float = 150.0,
     theta: float | None = None,
     response: Response | None = None,
@@ -68,10 +69,15 @@ def train(
     data : Dataset, or iterable of Sample or (image, landmarks) pairs
         Images are (h, w, 3) arrays; landmarks (n, 2) arrays (x, y) or
         :class:`liaam.io.Landmarks`. All must have the same number of points, in the same order.
-    variance : float or int
-        Share of the shapes' variance to keep, in (0, 1], or a count of modes.
-    appearance_variance : float or int, optional
+    variance : float, int or "auto"
+        Share of the shapes' variance to keep, in (0, 1], or a count of modes. ``auto`` counts the modes under which
+        pictures left out (those of one object together, where names tell) are most likely.
+    appearance_variance : float, int or "auto", optional
         The same for appearances; as ``variance`` if left out.
+    prior : {"smooth", "shrunk", "sample"}
+        How the shapes' covariance is learnt. ``smooth`` draws it towards smooth deformations, and learns from the
+        mirrored shapes too, as far as shapes left out are likelier so; ``shrunk`` takes the variances of shapes left
+        out for eigenvalues; ``sample`` is the covariance of the shapes as they are (the paper).
     diagonal : float
         Diagonal of the mean shape in the reference frame, pixels. More is slower and finer.
     theta : float, optional
@@ -110,9 +116,12 @@ def train(
     """
     camera = _camera_of(camera, theta, response)
     _check_options(variance, appearance_variance, diagonal, blurs, soft_blurs)
+    check_prior(prior)
     entries, contours, edges = _entries(data)
-    shapes = np.array([entry.points for entry in entries])
-    shape_model = train_shape_model(shapes, diagonal, variance)
+    shapes, folds = np.array([entry.points for entry in entries]), _folds([entry.name for entry in entries])
+    mean = scaled_mean(shapes, diagonal)
+    recipe = choose_recipe(mean, shapes, prior, folds)
+    shape_model = shape_model_on(mean, shapes, variance, recipe, folds)
     triangles = _triangles(shape_model.mean, triangles, edges)
     frame = ReferenceFrame(shape_model.mean, triangles)
     for entry in entries:
@@ -127,11 +136,11 @@ def train(
         shape_model=shape_model,
         triangles=triangles,
         levels=tuple(
-            Level(float(blur), _appearances(sampled, lit_sampled, i, camera.theta, kept))
+            Level(float(blur), _appearances(sampled, lit_sampled, i, camera.theta, kept, folds))
             for i, blur in enumerate(blurs)
         ),
         soft_levels=tuple(
-            Level(float(blur), {"soft": _soft_appearance(sampled.textures["soft"][i], camera.theta, kept)})
+            Level(float(blur), {"soft": _soft_appearance(sampled.textures["soft"][i], camera.theta, kept, folds)})
             for i, blur in enumerate(soft_blurs)
         ),
         camera=camera,
@@ -141,7 +150,7 @@ def train(
     )
     if not leave_out:
         return model
-    return replace(model, reliability=_reliability(model, entries, shapes, sampled, (variance, kept), progress))
+    return replace(model, reliability=_reliability(model, entries, shapes, sampled, (recipe, variance, kept), progress))
 
 
 LIT_ENCODINGS: tuple[str, ...] = ("value", "log")
@@ -153,8 +162,8 @@ def _blurs_by_encoding(blurs: tuple[float, ...], soft_blurs: tuple[float, ...]) 
 
 
 def _check_options(
-    variance: float | int,
-    appearance_variance: float | int | None,
+    variance: Variance,
+    appearance_variance: Variance | None,
     diagonal: float,
     blurs: tuple[float, ...],
     soft_blurs: tuple[float, ...],
@@ -411,19 +420,28 @@ def _check_light(entry: _Entry, image: np.ndarray, points: np.ndarray, usable: n
     )
 
 
+def _counted(values: np.ndarray, variance: Variance, folds: list[np.ndarray]) -> float | int:
+    """Share or count to keep of textures (n, n_pixels, c): counted by evidence where that is asked for."""
+    return count_by_evidence(values.reshape(len(values), -1), folds) if variance == "auto" else variance
+
+
 def _appearances(
-    sampled: _Sampled, lit: _Sampled | None, level: int, theta: float, variance: float | int
+    sampled: _Sampled, lit: _Sampled | None, level: int, theta: float, asked: Variance, folds: list[np.ndarray]
 ) -> dict[str, AppearanceModel]:
     """All appearances of one level but the soft one."""
     textures = {name: by_blur[level] for name, by_blur in sampled.textures.items() if name != "soft"}
     appearances = {
-        name: train_appearance_model(texture.values, texture.usable, variance) for name, texture in textures.items()
+        name: train_appearance_model(texture.values, texture.usable, _counted(texture.values, asked, folds))
+        for name, texture in textures.items()
     }
     if not sampled.grey:
         # LIT: project first, then learn (paper section 4).
         projected = textures["log"].values @ invariant_row(theta).T.astype(np.float32)
-        appearances["invariant"] = train_appearance_model(projected, textures["log"].usable, variance)
+        kept = _counted(projected, asked, folds)
+        appearances["invariant"] = train_appearance_model(projected, textures["log"].usable, kept)
     if lit is not None:
+        # How many other lights ask for, the pictures under one light cannot tell.
+        variance = 0.98 if asked == "auto" else asked
         other = lit.textures["value"][level]
         appearances["varied"] = train_appearance_model(
             np.concatenate([textures["value"].values, other.values]),
@@ -435,7 +453,7 @@ def _appearances(
 
 
 def _soft_appearance(
-    texture: _Texture, theta: float, variance: float | int, kept: np.ndarray | None = None
+    texture: _Texture, theta: float, variance: Variance, folds: list[np.ndarray], kept: np.ndarray | None = None
 ) -> AppearanceModel:
     """Learn gradient and invariant together, from all or the samples kept: what changes one changes the other."""
     values, usable = (texture.values, texture.usable) if kept is None else (texture.values[kept], texture.usable[kept])
@@ -445,7 +463,7 @@ def _soft_appearance(
     seen[..., 2:] *= known > 0.99
     if not seen[..., 2].any():  # grey pictures: nothing to compare, and not by rounding either
         rows[..., 2] = 0.0
-    return train_appearance_model(rows, seen, variance, leave_out=kept is None)
+    return train_appearance_model(rows, seen, _counted(rows, variance, folds), leave_out=kept is None)
 
 
 LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
@@ -457,7 +475,7 @@ def _reliability(
     entries: list[_Entry],
     shapes: np.ndarray,
     sampled: _Sampled,
-    variances: tuple[float | int, float | int],
+    learnt: tuple[Recipe, Variance, Variance],
     progress: Callable | None,
 ) -> Reliability | None:
     """Fit models of some of the samples to others, to learn what right and wrong fits look like.
@@ -472,7 +490,7 @@ def _reliability(
         """Give some pictures of each fold with the model of the others, one model at a time."""
         done = 0
         for fold in folds:
-            part = _without(model, fold, shapes, sampled, variances)
+            part = _without(model, fold, shapes, sampled, learnt)
             for i in fold[np.linspace(0, len(fold) - 1, min(each, len(fold))).astype(int)]:
                 if progress:
                     progress(done, total, f"leaving out {entries[i].name}")
@@ -502,13 +520,18 @@ def _without(
     fold: np.ndarray,
     shapes: np.ndarray,
     sampled: _Sampled,
-    variances: tuple[float | int, float | int],
+    learnt: tuple[Recipe, Variance, Variance],
 ) -> AAM:
-    """Model of all samples but a fold's, on the frame of the model of all."""
+    """Model of all samples but a fold's, on the frame of the model of all, learnt in the same way.
+
+    ``learnt``: how shapes were learnt, and how much was asked for of shapes and of appearances.
+    """
+    recipe, variance, appearance_variance = learnt
     others = np.setdiff1d(np.arange(len(shapes)), fold)
-    levels = tuple(
-        Level(level.blur, {"soft": _soft_appearance(texture, model.theta, variances[1], others)})
-        for level, texture in zip(model.soft_levels, sampled.textures["soft"], strict=True)
-    )
-    part = shape_model_on(model.shape_model.mean, shapes[others], variances[0])
-    return replace(model, shape_model=part, soft_levels=levels)
+    levels = []
+    for level, texture in zip(model.soft_levels, sampled.textures["soft"], strict=True):
+        kept = level.appearances["soft"].n_modes if appearance_variance == "auto" else appearance_variance
+        levels.append(Level(level.blur, {"soft": _soft_appearance(texture, model.theta, kept, [], others)}))
+    modes = len(model.shape_model.modes) if variance == "auto" else variance
+    part = shape_model_on(model.shape_model.mean, shapes[others], modes, recipe)
+    return replace(model, shape_model=part, soft_levels=tuple(levels))

@@ -36,7 +36,7 @@ def subject() -> Subject:
 @pytest.fixture(scope="module")
 def sharp(subject) -> AAM:
     """A model that rebuilds its training pictures, without blur: a pixel's noise is its own."""
-    return train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=(0.0,), leave_out=False)
+    return train(subject.pairs, variance=1.0, prior="sample", theta=PAPER_THETA, blurs=(0.0,), leave_out=False)
 
 
 @pytest.fixture

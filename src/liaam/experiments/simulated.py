@@ -212,7 +212,8 @@ def get_fitters(
 def sharp_model(data: Path | None) -> AAM:
     """Train on the subject without blur, all modes kept: the model that a bound takes for true."""
     subject = get_subject(data)
-    return train(subject.pairs, variance=1.0, theta=PAPER_THETA, blurs=(0.0,), leave_out=False, name=subject.name)
+    options = {"variance": 1.0, "prior": "sample", "theta": PAPER_THETA, "blurs": (0.0,), "leave_out": False}
+    return train(subject.pairs, **options, name=subject.name)
 
 
 def run_trial(setup: Setup, trial: Trial) -> list[Row]:

@@ -27,6 +27,9 @@ class Solver:
         Share of the variance kept in person-specific models of the simulated experiments.
     diagonal : float
         Of the reference frame, pixels.
+    prior : str
+        How the shapes' covariance is learnt, where not all modes are kept: a model that is to hold its pictures
+        exactly, and nothing else, is learnt from the sample.
     """
 
     summary: str
@@ -34,11 +37,13 @@ class Solver:
     blurs: tuple[float, ...]
     variance: float = 1.0
     diagonal: float = 150.0
+    prior: str = "sample"
 
     def train(self, data: Iterable, **options: Any) -> AAM:
         """Train a model as this solver wants it; ``options`` are those of :func:`liaam.train`."""
         own = {"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal, "leave_out": False}
-        return train(data, **{**own, **options})
+        options = {**own, **options}
+        return train(data, **{"prior": "sample" if options["variance"] == 1.0 else self.prior, **options})
 
 
 PAPER = Solver(
@@ -52,6 +57,7 @@ SOLVERS = {
         "damped steps, a prior on the shape, appearance eliminated, two levels of blur",
         SolverOptions(max_iterations=MAX_ITERATIONS),
         BLURS_DEFAULT,
+        prior="smooth",
     ),
     "paper": PAPER,
     "paper-90": replace(PAPER, summary=f"{PAPER.summary}; modes of 90 % of the variance", variance=0.9),

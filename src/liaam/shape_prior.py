@@ -1,0 +1,165 @@
+"""What shapes may look like besides those of a few pictures: a covariance drawn towards smooth deformations.
+
+The sample covariance S of n shapes has rank n - 1 and says that everything else is impossible. Here it is mixed with
+smooth deformations of the mean shape, and with the scatter of landmarks placed by hand:
+
+    C = (1 - share) S + share tr(S) K(width),        a shape is N(mean, C + noise tr(S) / d I)
+
+K is the covariance of a Gaussian process on the mean shape, orthogonal to the similarities, of trace 1 (Cootes and
+Taylor, BMVC 1995, mix in a finite element model's modes likewise). ``share``, ``width`` and ``noise`` are those under
+which shapes left out of the sample are most likely. The modes are the eigenvectors of C.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6)
+"""Shares of smooth deformations that are tried."""
+
+WIDTHS = (0.1, 0.2)
+"""Over how much of the mean shape's diagonal landmarks move together (standard deviation of the kernel)."""
+
+NOISES = (0.01, 0.02, 0.05, 0.1, 0.2)
+"""Variances of landmarks that are no shape, as shares of the mean variance of a coordinate."""
+
+LARGEST = 400
+"""Coordinates (twice the landmarks) up to which all of the above is tried; beyond, every other share."""
+
+
+@dataclass(frozen=True)
+class SmoothPrior:
+    """How much of the covariance is smooth deformation and noise.
+
+    Attributes
+    ----------
+    share : float
+        Of the variance, in smooth deformations.
+    width : float
+        Standard deviation of their kernel, as a share of the mean shape's diagonal.
+    noise : float
+        Variance of a coordinate that is no shape, as a share of the mean variance of a coordinate.
+    evidence : float
+        Logarithm of the density of the shapes left out, by shape.
+    """
+
+    share: float
+    width: float
+    noise: float
+    evidence: float = -np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """Aligned shapes as deviations from a mean shape, orthogonal to the similarities.
+
+    Attributes
+    ----------
+    mean : (n_points, 2) float64
+    rigid : (4, 2 n_points) float64
+        Similarity vectors, orthonormal.
+    own : (n, 2 n_points) float64
+    further : (m, 2 n_points) float64
+        Further examples that belong to those (row i to ``own[i]``, if there are any), such as mirrored ones.
+    """
+
+    mean: np.ndarray
+    rigid: np.ndarray
+    own: np.ndarray
+    further: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """Of the space that shapes vary in."""
+        return self.own.shape[1] - len(self.rigid)
+
+    def of(self, kept: np.ndarray) -> "Deviations":
+        """Deviations of some of the shapes."""
+        return Deviations(
+            self.mean, self.rigid, self.own[kept], self.further[kept] if len(self.further) else self.own[:0]
+        )
+
+    def sample_covariance(self) -> np.ndarray:
+        """Second moments about the mean of ``own``, (d, d) float64; further examples need not have the same mean."""
+        everything = np.concatenate([self.own, self.further]) - self.own.mean(axis=0)
+        return everything.T @ everything / max(len(everything) - 1, 1)
+
+
+def smooth_covariance(mean: np.ndarray, rigid: np.ndarray, width: float) -> np.ndarray:
+    """Covariance of smooth deformations, orthogonal to the similarities and of trace 1, (2 n, 2 n) float64.
+
+    Parameters
+    ----------
+    mean : (n, 2) float
+    rigid : (4, 2 n) float
+        Orthonormal similarity vectors.
+    width : float
+        Standard deviation of the Gaussian kernel, as a share of the shape's diagonal.
+    """
+    reach = width * np.hypot(*np.ptp(mean, axis=0))
+    apart = np.square(mean[:, None] - mean[None]).sum(axis=2)
+    kernel = np.kron(np.exp(-0.5 * apart / reach**2), np.eye(2))
+    beyond = np.eye(len(kernel)) - rigid.T @ rigid
+    kernel = beyond @ kernel @ beyond
+    return kernel / np.trace(kernel)
+
+
+def covariance(deviations: Deviations, prior: SmoothPrior) -> np.ndarray:
+    """Mixed covariance C of shapes, without the noise, (2 n_points, 2 n_points) float64."""
+    sample = deviations.sample_covariance()
+    smooth = smooth_covariance(deviations.mean, deviations.rigid, prior.width)
+    return (1.0 - prior.share) * sample + prior.share * np.trace(sample) * smooth
+
+
+def modes_of(spread: np.ndarray, rigid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvectors (m, d) of a covariance orthogonal to the similarities, strongest first, and eigenvalues (m,)."""
+    # The similarities, whose variance is 0, are put last by a variance below 0.
+    total = max(float(np.trace(spread)), 1e-12)
+    values, vectors = np.linalg.eigh(spread - total * rigid.T @ rigid)
+    values, modes = values[::-1][: -len(rigid)], vectors.T[::-1][: -len(rigid)]
+    largest = np.take_along_axis(modes, np.abs(modes).argmax(axis=1)[:, None], axis=1)
+    return np.ascontiguousarray(modes * np.where(largest < 0, -1.0, 1.0)), np.where(values > 1e-12 * total, values, 0.0)
+
+
+def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrior:
+    """Find the mixture under which the shapes of each fold, left out in turn, are most likely.
+
+    Parameters
+    ----------
+    deviations : Deviations
+    folds : sequence of int arrays
+        Shapes to leave out together: those of one object belong into one fold.
+    """
+    shares = SHARES if 2 * len(deviations.mean) <= LARGEST else SHARES[::2]
+    mixtures = list(product(shares, WIDTHS))
+    total = np.zeros((len(mixtures), len(NOISES)))
+    count = 0
+    for fold in folds:
+        others = np.setdiff1d(np.arange(len(deviations.own)), fold)
+        if len(others) < 2:
+            continue
+        part = deviations.of(others)
+        sample, away = part.sample_covariance(), deviations.own[fold] - part.own.mean(axis=0)
+        if not np.trace(sample) > 0:
+            continue
+        count += len(fold)
+        total += np.array(list(_densities(sample, away, part, mixtures)))
+    if not count:
+        return SmoothPrior(0.0, WIDTHS[0], NOISES[0])
+    best, noise = np.unravel_index(total.argmax(), total.shape)
+    return SmoothPrior(*mixtures[best], NOISES[noise], float(total.max() / count))
+
+
+def _densities(
+    sample: np.ndarray, away: np.ndarray, part: Deviations, mixtures: list[tuple[float, float]]
+) -> Iterator[np.ndarray]:
+    """Log density of deviations ``away`` from the mean under each mixture, one for each of the noises."""
+    smooth = {width: smooth_covariance(part.mean, part.rigid, width) for width in WIDTHS}
+    total = np.trace(sample)
+    noises = np.array(NOISES)[:, None] * total / part.dimension
+    for share, width in mixtures:
+        modes, values = modes_of((1.0 - share) * sample + share * total * smooth[width], part.rigid)
+        squares, variances = np.square(away @ modes.T).sum(axis=0), values + noises
+        yield -0.5 * (squares / variances + len(away) * np.log(2.0 * np.pi * variances)).sum(axis=1)
