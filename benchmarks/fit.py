@@ -32,7 +32,7 @@ def make_pictures() -> tuple[list[Picture], list[Picture]]:
 
     def picture(lights) -> Picture:
         scene = render(Head(1), random_pose(rng, SIZE), random_expression(rng), lights, size=SIZE)
-        return np.rint(255 * np.clip(scene.image, 0, 1) ** (1 / 2.2)).astype(np.uint8), scene.landmarks
+        return scene.image, scene.landmarks
 
     return [picture(DIFFUSE) for _ in range(N_TRAINING)], [picture(lateral("left")) for _ in range(N_PICTURES)]
 
@@ -111,7 +111,7 @@ def measure_large_picture() -> None:
     fitter, (image, shape) = Fitter(make_model()), make_pictures()[1][0]
     large = np.zeros((LARGE[1], LARGE[0], 3), np.uint8)
     at = np.array([2000, 1500])
-    large[at[1] : at[1] + SIZE[1], at[0] : at[0] + SIZE[0]] = image
+    large[at[1] : at[1] + image.shape[0], at[0] : at[0] + image.shape[1]] = image
     calls = [lambda: fitter.fit(image, box_of(shape)), lambda: fitter.fit(large, box_of(shape + at))]
     small, big = np.median(milliseconds(calls), axis=0)
     print(f"  {'large_picture_ratio':<24}{big / small:8.2f}   (bar: at most 1.3)")
