@@ -28,8 +28,8 @@ SCALE_LIMITS = (1 / 3, 3.0)
 FOLD_LIMIT = 0.3
 """Share of the mesh turned over beyond which a fit has diverged."""
 
-COARSE = 10.0
-"""How much sooner than the finest level the coarser ones may stop."""
+COARSE, COARSE_NOTICE = 10.0, 5.0
+"""How much sooner than the finest level the coarser ones may stop: in pixels, and in standard deviations."""
 
 SHAPE_LIMIT = 5.0
 """Standard deviations of a shape mode beyond which a fit has diverged; half a model pixel is granted on top,
@@ -108,7 +108,7 @@ def solve_levels(
             stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options, theta)
         )
         finest = objective is levels[-1][0]
-        sparing = options if finest else replace(options, tolerance=COARSE * options.tolerance, scoring=0)
+        sparing = options if finest else spare(options)
         stages.append(
             Stage(objective, problem, pose, solve(objective, problem, replace(state, angles=angles), sparing))
         )
@@ -116,6 +116,11 @@ def solve_levels(
         if not is_sane(shape, start):
             break
     return stages
+
+
+def spare(options: SolverOptions) -> SolverOptions:
+    """Options for a coarse level, whose solution is a start for the next."""
+    return replace(options, tolerance=COARSE * options.tolerance, notice=COARSE_NOTICE * options.notice, scoring=0)
 
 
 def _first_angles(

@@ -8,7 +8,7 @@ All that a step needs are Gram matrices of the columns [J | r] and A. QJ, with Q
 complement of A, is never formed: J'QJ = J'J - (A'J)' (A'A)^-1 (A'J).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -97,13 +97,10 @@ class NormalEquations:
 
     def after_lambda_step(self, step: np.ndarray) -> "NormalEquations":
         """Equations after lambda moved by a step, from Gram matrices alone."""
-        return replace(
-            self,
-            jr=self.jr - self.aj.T @ step,
-            ar=self.ar - self.aa @ step,
-            rr=float(self.rr - 2.0 * step @ self.ar + step @ self.aa @ step),
-            inverse=self._inverse,
-        )
+        explained = self.aa @ step
+        rr = float(self.rr - 2.0 * step @ self.ar + step @ explained)
+        jr, ar = self.jr - self.aj.T @ step, self.ar - explained
+        return NormalEquations(self.jj, jr, self.aj, self.aa, ar, rr, self.weight, self._inverse, self.unit)
 
     def reduced(self) -> tuple[np.ndarray, np.ndarray]:
         """Hessian J'QJ (n_q, n_q) and gradient J'Qr (n_q,) with lambda eliminated."""

@@ -468,10 +468,8 @@ class Objective:
             right[:-1] += directions[:, None] * (slope * look.residual).reshape(1, -1)
         design = self.design(theta_model)
         known = self._weighted_of(design, own_root, trust)
-        equations = self._equations(look, state.p, design, root, right, known)
-        weight = float(np.square(root).sum(dtype=np.float64))
         unit = trust.unit if trust is not None and self.method.soft else np.nan
-        return Linearisation(replace(equations, weight=weight, unit=unit), look)
+        return Linearisation(self._equations(look, state.p, design, root, right, known, unit), look)
 
     def _weighted_of(self, design: _Design, own_root: np.ndarray, trust: Trust | None) -> _Weighted:
         """Gram matrix of the modes under the model's and the trust's weights, all pixels of the image usable."""
@@ -484,11 +482,19 @@ class Objective:
         return weigh(self._fixed_design.modes, self.root_weights)
 
     def _equations(
-        self, look: Look, p: np.ndarray, design: _Design, root: np.ndarray, right: np.ndarray, known: _Weighted
+        self,
+        look: Look,
+        p: np.ndarray,
+        design: _Design,
+        root: np.ndarray,
+        right: np.ndarray,
+        known: _Weighted,
+        unit: float,
     ) -> NormalEquations:
         """Normal equations of (p, angles) and lambda; the last of ``right`` is the residual."""
         jj, aj, rj = self._warp_products(look.steep, root, design.modes, right, p)
         squares = np.square(root).reshape(-1)
+        weight = float(squares.sum(dtype=np.float64))
         weighted_right = right * squares
         rr, ar = gram(right, weighted_right), gram(design.modes, weighted_right)
         aa, inverse = known.aa, known.inverse
@@ -500,7 +506,7 @@ class Objective:
         jj = np.block([[jj, rj[:n].T], [rj[:n], rr[:n, :n]]]) if n else jj
         jr = np.concatenate([rj[n], rr[n, :n]])
         aj = np.concatenate([aj, ar[:, :n]], axis=1) if n else aj
-        return NormalEquations(jj, jr, aj, aa, ar[:, n], float(rr[n, n]), 0.0, inverse)
+        return NormalEquations(jj, jr, aj, aa, ar[:, n], float(rr[n, n]), weight, inverse, unit)
 
     def _warp_products(
         self, steep: np.ndarray, root: np.ndarray, modes: np.ndarray, right: np.ndarray, p: np.ndarray

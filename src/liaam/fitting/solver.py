@@ -29,6 +29,10 @@ class SolverOptions:
         Gauss-Newton steps to try at most.
     tolerance : float
         Stop when a step moves the landmarks by less than this root mean square, model pixels.
+    notice : float
+        Stop too when a step is shorter than this share of its own standard deviation, root mean square over the
+        parameters, where the method knows it (``soft-li``): what nobody can tell is not worth an iteration. Measured
+        on IMM: at 0.03 a third fewer iterations and the same errors; at 0.1 fits stop on the way.
     elimination : {"varpro", "joint"}
         How lambda is treated.
     damping : float
@@ -49,6 +53,7 @@ class SolverOptions:
 
     max_iterations: int = 50
     tolerance: float = 0.01
+    notice: float = 0.03
     elimination: str = "varpro"
     damping: float = 1e-3
     shape_prior: float = 1.0
@@ -62,10 +67,11 @@ class SolverOptions:
             raise MethodError(f"elimination {self.elimination!r} does not exist; there are {', '.join(ELIMINATIONS)}")
         if self.angle_start not in ANGLE_STARTS:
             raise MethodError(f"angle_start {self.angle_start!r} does not exist; there are {', '.join(ANGLE_STARTS)}")
-        if not np.isfinite([self.tolerance, self.damping, self.shape_prior, self.observable]).all():
-            raise MethodError("tolerance, damping, shape_prior and observable must be finite numbers")
-        if self.max_iterations < 0 or self.tolerance < 0 or min(self.damping, self.shape_prior, self.scoring) < 0:
-            raise MethodError("max_iterations, tolerance, damping, shape_prior and scoring may not be negative")
+        if not np.isfinite([self.tolerance, self.notice, self.damping, self.shape_prior, self.observable]).all():
+            raise MethodError("tolerance, notice, damping, shape_prior and observable must be finite numbers")
+        least = min(self.max_iterations, self.tolerance, self.notice, self.damping, self.shape_prior, self.scoring)
+        if least < 0:
+            raise MethodError("max_iterations, tolerance, notice, damping, shape_prior and scoring may not be negative")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,12 +129,12 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
             flat = True
             break
         step, lambda_step = steps
-        moved = objective.warp.movement(step[: objective.warp.n_parameters])
+        small = _is_small(objective, step, last.equations, precision, options)
         moved_to = objective.update(state, step, lambda_step)
         new, there = _evaluate(objective, problem, moved_to, options, trust)
         worse = not _merit(there.equations, new, precision) <= _merit(last.equations, state, precision)
         if options.damping > 0 and worse:
-            if moved < options.tolerance or damping >= DAMPING_RANGE[1]:
+            if small or damping >= DAMPING_RANGE[1]:
                 settled = True
                 break
             damping = min(max(damping, 1e-4) * 10, DAMPING_RANGE[1])
@@ -137,7 +143,7 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
         path.append((last.equations.cost, state))
         damping = max(damping / 10, DAMPING_RANGE[0]) if options.damping > 0 else 0.0
         free = _free_directions(objective, state, last.equations, options.observable)
-        if moved < options.tolerance and damping <= TRUSTED_DAMPING:  # small of itself, not by damping
+        if small and damping <= TRUSTED_DAMPING:  # small of itself, not by damping
             settled = True
             break
         if not np.isfinite(last.equations.cost):
@@ -186,7 +192,7 @@ def _score(
         if options.scoring:  # asked for more than a step or two: the weights move along
             state, last, trust = _weigh_anew(objective, problem, state, last, options, trust)
         scored.append((state, last))
-        if objective.warp.movement(steps[0][: objective.warp.n_parameters]) < options.tolerance:
+        if _is_small(objective, steps[0], expected, precision, options):
             break
     return scored
 
@@ -246,6 +252,18 @@ def _solve_lambda(objective: Objective, state: State, seen: Linearisation) -> tu
     step = seen.equations.best_lambda_step()
     look = objective.moved(seen.look, state, step)
     return replace(state, lam=state.lam + step), Linearisation(seen.equations.after_lambda_step(step), look)
+
+
+def _is_small(
+    objective: Objective, step: np.ndarray, equations: NormalEquations, precision: np.ndarray, options: SolverOptions
+) -> bool:
+    """Tell whether a step is too small to matter: in pixels, or in standard deviations where they are known."""
+    if objective.warp.movement(step[: objective.warp.n_parameters]) < options.tolerance:
+        return True
+    if not np.isfinite(equations.unit):
+        return False
+    information = step @ equations.reduced()[0] @ step + precision @ np.square(step)
+    return bool(information < options.notice**2 * len(step) * equations.unit)
 
 
 def _prior_precision(objective: Objective, equations: NormalEquations, strength: float) -> np.ndarray:

@@ -254,10 +254,14 @@ def _encode_soft(
 def _blurred_by_masks(logs: np.ndarray, masks: np.ndarray, blur: float) -> np.ndarray:
     """Blur log luminance by where it is finite, and log RGB by where it is known."""
     if masks.all():
-        return _blurred(logs, masks[..., 0] > 0, blur)
-    luminance, colour = logs[..., 0], np.ascontiguousarray(logs[..., 1:])
-    blurred = _blurred(luminance, masks[..., 1] > 0, blur), _blurred(colour, masks[..., 0] > 0, blur)
-    return np.dstack(blurred)
+        return _smooth(logs, blur)
+    weights = masks + UNUSABLE
+    known, finite = weights[..., 0], weights[..., 1]
+    blurred = _smooth(logs * np.stack([finite, known, known, known], axis=-1), blur)
+    shares = _smooth(weights, blur)
+    blurred[..., 0] /= shares[..., 1]
+    blurred[..., 1:] /= shares[..., :1]
+    return blurred
 
 
 def _usable_range(dtype: np.dtype) -> tuple[int, int]:
@@ -339,16 +343,19 @@ def soft_direction(luminance: np.ndarray, softness: float, turn: np.ndarray | No
     return gradient / length[..., None]
 
 
+UNUSABLE = np.float32(1e-3)
+"""Weight of an unusable pixel in a blur beside a usable one."""
+
+
 def _blurred(colour: np.ndarray, usable: np.ndarray, sigma: float) -> np.ndarray:
     """Gaussian blur in which unusable pixels count next to nothing."""
+    if usable.all():
+        return _smooth(colour, sigma)
+    weight = usable.astype(np.float32) + UNUSABLE
+    return _smooth(colour * weight[..., None], sigma) / _smooth(weight, sigma)[..., None]
+
+
+def _smooth(channels: np.ndarray, sigma: float) -> np.ndarray:
     import cv2  # heavy: imported when first needed
 
-    def smooth(channels: np.ndarray) -> np.ndarray:
-        return cv2.GaussianBlur(channels, (0, 0), float(sigma), borderType=cv2.BORDER_REPLICATE)
-
-    if usable.all():
-        return smooth(colour)
-    weight = usable.astype(np.float32) + np.float32(1e-3)
-    if colour.ndim == 2:
-        return smooth(colour * weight) / smooth(weight)
-    return smooth(colour * weight[..., None]) / smooth(weight)[..., None]
+    return cv2.GaussianBlur(channels, (0, 0), float(sigma), borderType=cv2.BORDER_REPLICATE)

@@ -22,8 +22,8 @@ from liaam.photometry.response import Response, log_slope, to_linear
 ENOUGH = 600
 """Pixels across that :func:`noise_deviation` looks at."""
 
-SPARSE = 20_000
-"""Pixels within them that it looks at, in rows evenly apart; the median of as many is right to half a per cent."""
+SPARSE = 10_000
+"""Pixels within them that it looks at, in rows evenly apart; the median of as many is right to a per cent."""
 
 STEP = 1 / 255
 """The step between stored values of 8 bits."""
