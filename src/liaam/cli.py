@@ -80,10 +80,10 @@ def train(
     prior: Annotated[
         str,
         typer.Option(
-            help="What shapes may look like besides those of the pictures: smooth (drawn towards smooth deformations), "
-            "shrunk (variances of shapes left out), or sample (nothing else)."
+            help="What shapes may look like besides those of the pictures: sample (nothing else), smooth (smooth "
+            "deformations too: for soft-li and unknown objects), or shrunk (variances of shapes left out)."
         ),
-    ] = "smooth",
+    ] = "sample",
     diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
     camera_file: Annotated[
         Path | None,

@@ -49,7 +49,7 @@ def train(
     *,
     variance: Variance = 0.98,
     appearance_variance: Variance | None = None,
-    prior: str = "smooth",
+    prior: str = "sample",
     diagonal: float = 150.0,
     theta: float | None = None,
     response: Response | None = None,
@@ -74,10 +74,11 @@ def train(
         pictures left out (those of one object together, where names tell) are most likely.
     appearance_variance : float, int or "auto", optional
         The same for appearances; as ``variance`` if left out.
-    prior : {"smooth", "shrunk", "sample"}
-        How the shapes' covariance is learnt. ``smooth`` draws it towards smooth deformations, and learns from the
-        mirrored shapes too, as far as shapes left out are likelier so; ``shrunk`` takes the variances of shapes left
-        out for eigenvalues; ``sample`` is the covariance of the shapes as they are (the paper).
+    prior : {"sample", "smooth", "shrunk"}
+        How the shapes' covariance is learnt. ``sample`` is the covariance of the shapes as they are (the paper).
+        ``smooth``, for ``soft-li`` and shapes that no training picture shows, draws it towards smooth deformations, and
+        learns from the mirrored shapes too, as far as shapes left out are likelier so. ``shrunk`` takes the variances
+        of shapes left out for eigenvalues.
     diagonal : float
         Diagonal of the mean shape in the reference frame, pixels. More is slower and finer.
     theta : float, optional

@@ -52,12 +52,16 @@ PAPER = Solver(
     BLURS_DEFAULT[-1:],
 )
 
+LIAAM = Solver(
+    "damped steps, a prior on the shape, appearance eliminated, two levels of blur",
+    SolverOptions(max_iterations=MAX_ITERATIONS),
+    BLURS_DEFAULT,
+)
+
 SOLVERS = {
-    "liaam": Solver(
-        "damped steps, a prior on the shape, appearance eliminated, two levels of blur",
-        SolverOptions(max_iterations=MAX_ITERATIONS),
-        BLURS_DEFAULT,
-        prior="smooth",
+    "liaam": LIAAM,
+    "liaam-smooth": replace(
+        LIAAM, summary=f"{LIAAM.summary}; smooth deformations besides the sample's", prior="smooth"
     ),
     "paper": PAPER,
     "paper-90": replace(PAPER, summary=f"{PAPER.summary}; modes of 90 % of the variance", variance=0.9),

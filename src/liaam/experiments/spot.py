@@ -58,8 +58,7 @@ angle of the image, NaN for methods without one."""
 CHOICES = (
     "Starts: the mean shape at the true centroid and size, then turned by N(0, 4°), scaled by N(1, 0.05) and moved by "
     "N(0, 0.08 IOD) per axis (IOD: inter-ocular distance).",
-    "Models keep 98 % of the variance of shape and of appearance, and are trained with θ = 122°; with the solver liaam "
-    "the shapes' covariance is drawn towards smooth deformations.",
+    "Models keep 98 % of the variance of shape and of appearance, and are trained with θ = 122°.",
 )
 """What was chosen where the paper leaves it open."""
 
