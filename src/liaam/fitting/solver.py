@@ -139,7 +139,9 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
                 break
             damping = min(max(damping, 1e-4) * 10, DAMPING_RANGE[1])
             continue
-        state, last, trust = _weigh_anew(objective, problem, new, there, options, trust)
+        state, last = new, there
+        if not (objective.method.soft and _moved(objective, step) < STILL):
+            state, last, trust = _weigh_anew(objective, problem, state, last, options, trust)
         path.append((last.equations.cost, state))
         damping = max(damping / 10, DAMPING_RANGE[0]) if options.damping > 0 else 0.0
         free = _free_directions(objective, state, last.equations, options.observable)
@@ -254,11 +256,20 @@ def _solve_lambda(objective: Objective, state: State, seen: Linearisation) -> tu
     return replace(state, lam=state.lam + step), Linearisation(seen.equations.after_lambda_step(step), look)
 
 
+STILL = 0.1
+"""Step, in model pixels, after which soft weights are kept: what they are averaged from has hardly changed."""
+
+
+def _moved(objective: Objective, step: np.ndarray) -> float:
+    """Root mean square movement of what the warp carries by a step of q, model pixels."""
+    return objective.warp.movement(step[: objective.warp.n_parameters])
+
+
 def _is_small(
     objective: Objective, step: np.ndarray, equations: NormalEquations, precision: np.ndarray, options: SolverOptions
 ) -> bool:
     """Tell whether a step is too small to matter: in pixels, or in standard deviations where they are known."""
-    if objective.warp.movement(step[: objective.warp.n_parameters]) < options.tolerance:
+    if _moved(objective, step) < options.tolerance:
         return True
     if not np.isfinite(equations.unit):
         return False
