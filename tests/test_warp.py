@@ -53,6 +53,26 @@ def test_the_pulled_gradient_is_that_of_the_picture_it_came_from(model, rng):
     assert np.isfinite(folded).all()
 
 
+@pytest.mark.parametrize(("spacing", "share"), [(1.0, 1.0), (1.5, 0.5), (2.0, 0.25), (3.0, 1 / 9)])
+def test_pixels_so_far_apart_lie_in_the_order_of_their_triangles(model, rng, spacing, share):
+    kept = model.warp.every(spacing)
+    assert len(kept) == pytest.approx(share * model.n_pixels, rel=0.1)
+    warp, p = model.warp.at(kept), rng.normal(size=model.warp.n_parameters)
+    np.testing.assert_array_equal(warp.points(p), model.warp.points(p)[kept])
+    np.testing.assert_allclose(warp.jacobian(p), model.warp.jacobian(p)[kept], atol=1e-6)
+    assert (np.diff(model.frame.owners[kept]) >= 0).all()
+    assert model.warp.mesh_pixels() is None  # in raster order
+
+
+def test_where_pixels_lie_in_the_mesh_gives_their_jacobian(model):
+    warp = model.warp.at(model.warp.every(1.5))
+    mesh = warp.mesh_pixels()
+    owners = np.repeat(np.arange(len(mesh.triangles)), np.diff(mesh.starts))
+    modes = mesh.modes.reshape(mesh.n_vertices, 2, -1)[mesh.triangles[owners]]
+    carried = np.einsum("nv,nvai->nai", mesh.beta, modes)
+    np.testing.assert_allclose(carried, warp.jacobian(np.zeros(warp.n_parameters)), atol=1e-5)
+
+
 @pytest.fixture(params=sorted(GENERATORS))
 def plane_warp(request) -> HomographyWarp:
     """Give each group of plane maps on a grid of which some points are left out."""

@@ -127,3 +127,24 @@ def test_the_result_does_not_depend_on_the_pose_of_the_start(fine_model, same_li
     fitter = Fitter(fine_model, "li")
     result = fitter.fit(same_light_scene.image, (truth - centre) @ matrix.T + centre)
     assert model_pixels(fine_model, result.shape, fitter.fit(same_light_scene.image, truth).shape) < 0.1
+
+
+def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
+    start = disturb(lit_scene.landmarks)
+    patient, sparing = (
+        Fitter(fine_model, "soft-li", SolverOptions(notice=notice)).fit(lit_scene.image, start)
+        for notice in (0.0, 0.03)
+    )
+    assert sparing.n_iterations < patient.n_iterations
+    off = np.linalg.norm(sparing.shape - patient.shape, axis=1)
+    assert np.sqrt(np.square(off / patient.deviations).mean()) < 0.3
+
+
+def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):
+    start = disturb(lit_scene.landmarks)
+    fitter, dense = (Fitter(fine_model, "soft-li", SolverOptions(notice=0.0)) for _ in range(2))
+    dense.__dict__["objectives"] = tuple(objective.of_all_pixels for objective in dense.objectives)
+    assert fitter.objectives[0].density < 0.1
+    few, all_of_them = (each.fit(lit_scene.image, start) for each in (fitter, dense))
+    assert model_pixels(fine_model, few.shape, all_of_them.shape) < 0.2
+    assert few.residual.shape == all_of_them.residual.shape == (fine_model.surrounded.frame.n_pixels, 3)
