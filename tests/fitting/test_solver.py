@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import MethodError
-from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions
+from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
 from setups import disturb, model_pixels
 
 EXACT = {"tolerance": 1e-4, "max_iterations": 300, "shape_prior": 0.0}
@@ -148,3 +148,13 @@ def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):
     few, all_of_them = (each.fit(lit_scene.image, start) for each in (fitter, dense))
     assert model_pixels(fine_model, few.shape, all_of_them.shape) < 0.2
     assert few.residual.shape == all_of_them.residual.shape == (fine_model.surrounded.frame.n_pixels, 3)
+
+
+@pytest.mark.parametrize("method", ["grey", "grey-norm", "rgb", "li"])
+def test_the_residual_is_that_of_the_cost(fine_model, same_light_scene, method):
+    image = (0.6 * same_light_scene.image).astype(np.float32)
+    result = Fitter(fine_model, method).fit(image, disturb(same_light_scene.landmarks))
+    appearance = fine_model.levels[-1].appearances[get_method(method).appearance]
+    weights = np.repeat((appearance.usable * result.usable)[:, None], result.residual.shape[1], axis=1)
+    mean = float(np.average(np.square(result.residual), weights=weights))
+    assert mean == pytest.approx(result.cost, rel=0.05, abs=1e-9)

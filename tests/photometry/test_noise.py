@@ -24,7 +24,7 @@ from liaam.datasets.scenes import (
 )
 from liaam.errors import CameraError, ImageError
 from liaam.photometry import NoiseModel, ResponseCurve
-from liaam.photometry.noise import NoiseEstimate, noise_from_flat, noise_from_image, noise_from_pair
+from liaam.photometry.noise import NoiseEstimate, noise_deviation, noise_from_flat, noise_from_image, noise_from_pair
 
 SIZE = (160, 200)
 BRIGHTNESSES = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
@@ -377,3 +377,16 @@ def test_any_picture_has_an_estimate_or_a_reason(seed, dtype, contrast):
     assert estimate.message
     assert min(estimate.noise.slope, estimate.noise.offset) >= 0
     assert not np.isnan([estimate.slope_error, estimate.offset_error]).any()
+
+
+@pytest.mark.parametrize("size", [(400, 800), (600, 600), (480, 640)])
+def test_rows_of_all_phases_of_jpeg_are_looked_at(size, rng, monkeypatch):
+    import cv2
+
+    smooth = cv2.GaussianBlur(rng.normal(size=(*size, 3)).astype(np.float32), (0, 0), 3.0)
+    picture = np.clip(128 + 300 * smooth + rng.normal(0, 2, (*size, 3)), 0, 255).astype(np.uint8)
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    some = noise_deviation(decoded)
+    monkeypatch.setattr("liaam.photometry.noise.SPARSE", 10**9)
+    assert some == pytest.approx(noise_deviation(decoded), rel=0.08)

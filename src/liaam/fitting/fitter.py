@@ -58,7 +58,8 @@ class Stage:
     def picture(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual (n_pixels, k), and where the image was usable (n_pixels,), at all of the frame's pixels."""
         whole = self.objective.whole
-        look = self.solution.last.look if whole is None else whole.look(self.problem, self.solution.state)
+        solution = self.solution
+        look = solution.last.look if whole is None else whole.look(self.problem, solution.state, solution.trust)
         return look.residual * look.weights[:, None], look.weights
 
 

@@ -92,6 +92,8 @@ class Solution:
         The angles, or one combination of them, could not be observed at the end.
     flat : bool
         There was nothing to descend on: no texture under the model.
+    trust : Trust, optional
+        What the last pixels were weighed by.
     """
 
     state: State
@@ -101,6 +103,7 @@ class Solution:
     settled: bool
     angles_held: bool
     flat: bool
+    trust: Trust | None = None
 
 
 DAMPING_RANGE = (1e-7, 1e7)
@@ -140,7 +143,7 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
             damping = min(max(damping, 1e-4) * 10, DAMPING_RANGE[1])
             continue
         state, last = new, there
-        if not (objective.method.soft and _moved(objective, step) < STILL):
+        if not (_averages(objective) and _moved(objective, step) < STILL):
             state, last, trust = _weigh_anew(objective, problem, state, last, options, trust)
         path.append((last.equations.cost, state))
         damping = max(damping / 10, DAMPING_RANGE[0]) if options.damping > 0 else 0.0
@@ -156,7 +159,7 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
             state, last = scored[-1]
             path += [(seen.equations.cost, there) for there, seen in scored]
             iteration += len(scored)
-    return Solution(state, last, tuple(path), iteration, settled, not free.all(), flat)
+    return Solution(state, last, tuple(path), iteration, settled, not free.all(), flat, trust)
 
 
 SCORING_STEPS = 5
@@ -258,6 +261,11 @@ def _solve_lambda(objective: Objective, state: State, seen: Linearisation) -> tu
 
 STILL = 0.1
 """Step, in model pixels, after which soft weights are kept: what they are averaged from has hardly changed."""
+
+
+def _averages(objective: Objective) -> bool:
+    """Whether weights are made of averages over many pixels; a robust loss looks at each."""
+    return objective.method.soft and objective.method.loss == "squares"
 
 
 def _moved(objective: Objective, step: np.ndarray) -> float:

@@ -1,6 +1,6 @@
 """Kernels: sampling an encoded image and linearising the projected samples.
 
-Both kernels keep one contract, :func:`liaam.kernels.reference.linearise`. ``fast`` is numba for single
+Both kernels keep one contract, :mod:`liaam.kernels.reference`. ``fast`` is numba for single
 images, ``reference`` plain array code that says what the result has to be.
 """
 

@@ -94,7 +94,7 @@ class ShadingRemover:
 
     def _filtered(self, seen: ShadowFree) -> np.ndarray:
         """Logarithms of the appearance (n_pixels, 3), its coordinates filtered over time."""
-        appearance = self._log.objectives[-1].appearance
+        appearance = self._log.objectives[-1].of_all_pixels.appearance
         noise = np.square(seen.deviations)
         if self._lam is None or self._variance is None:
             self._lam, self._variance = seen.lam, noise
