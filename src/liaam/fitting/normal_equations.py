@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-BLOCK = 4096
+BLOCK = 1024
 """Residuals whose products are summed in float32 before they are added up in float64."""
 
 RIDGE = 1e-8

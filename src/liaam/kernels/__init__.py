@@ -1,7 +1,8 @@
-"""Kernels: sampling an encoded image and linearising the projected samples.
+"""Kernels: sampling an encoded image, differentiating the projected samples, and weighing them.
 
-Both kernels keep one contract, :mod:`liaam.kernels.reference`. ``fast`` is numba for single
-images, ``reference`` plain array code that says what the result has to be.
+Both kernels keep one contract, that of :mod:`liaam.kernels.reference`. ``fast`` is numba for single images,
+``reference`` plain array code that says what the result has to be; its forms for batches run on any array library
+(:mod:`liaam.kernels.backends`).
 """
 
 from types import ModuleType

@@ -1,99 +1,95 @@
 """Reference kernel in plain array code: slow, short, and the definition of right.
 
+It is written against the array API standard, for a batch of images, and without writing into any array, so that
+the same lines run on NumPy, PyTorch and JAX (:mod:`liaam.kernels.backends`). Functions without ``_batch`` in their name
+are the contract of all kernels, for one image in NumPy.
+
 Gradient convention: samples are bilinear, and the gradient is the exact derivative of the bilinear
 interpolant, so that the Jacobian is the derivative of the very cost that is minimised. It jumps at
 pixel lines; on a line it is the derivative from the right (from below).
 """
 
+from typing import Any
+
 import numpy as np
+from array_api_compat import array_namespace
+from array_api_compat import device as device_of
+
+Array = Any
+"""An array of any library of the array API standard."""
 
 
-def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Bilinear samples of an encoded image with their exact gradient.
+def sample_batch(channels: Array, points: Array, sizes: Array | None = None) -> tuple[Array, Array, Array]:
+    """Bilinear samples of encoded images with their exact gradient, in the precision of the points.
 
     Parameters
     ----------
-    channels : (h, w, c + 1) float32
-        Encoded image of :func:`liaam.photometry.encode`: c channels and the usable weight.
-    points : (n, 2) float64
+    channels : (b, h, w, c + 1) float32
+        Encoded images of :func:`liaam.photometry.encode`: c channels and the usable weight.
+    points : (b, n, 2) float64 or float32
         Where to sample (x, y), pixels.
+    sizes : (b, 2) int64, optional
+        Width and height of each image, where smaller images are padded to a common size.
 
     Returns
     -------
-    values : (n, c) float32
+    values : (b, n, c) float32
         Zero outside the image.
-    gradients : (n, 2, c) float32
+    gradients : (b, n, 2, c) float32
         d values / dx and d values / dy. Zero outside.
-    weights : (n,) float32
+    weights : (b, n) float32
         1 where all four pixels around the point are inside the image and usable, else 0.
     """
-    height, width = channels.shape[:2]
-    points = np.asarray(points, dtype=np.float64)
-    with np.errstate(invalid="ignore"):
-        inside = (points >= 0).all(axis=1) & (points[:, 0] <= width - 1) & (points[:, 1] <= height - 1)
-    safe = np.where(inside[:, None], points, 0.0)
-    corner = np.minimum(np.floor(safe).astype(np.int64), [width - 2, height - 2])
-    x, y = corner.T
-    u, v = (safe - corner).T[:, :, None]
-    c00, c10 = channels[y, x].astype(np.float64), channels[y, x + 1].astype(np.float64)
-    c01, c11 = channels[y + 1, x].astype(np.float64), channels[y + 1, x + 1].astype(np.float64)
+    xp, device = array_namespace(channels, points), device_of(channels)
+    batch, height, width, n_channels = channels.shape
+    sizes = xp.asarray([[width, height]], dtype=xp.int64, device=device) if sizes is None else sizes
+    last = xp.astype(sizes, points.dtype)[:, None, :] - 1
+    # Written so that NaN counts as outside.
+    inside = xp.all((points >= 0) & (points <= last), axis=-1)[..., None]
+    safe = xp.where(inside, points, xp.zeros_like(points))
+    corner = xp.minimum(xp.floor(safe), last - 1)
+    whole, (u, v) = xp.astype(corner, xp.int64), _parts(safe - corner)
+    first = xp.arange(batch, dtype=xp.int64, device=device)[:, None] * (height * width)
+    index = xp.reshape(first + whole[..., 1] * width + whole[..., 0], (-1,))
+    flat = xp.reshape(channels, (-1, n_channels))
+
+    def pixels(offset: int) -> Array:
+        taken = xp.reshape(xp.take(flat, index + offset, axis=0), (*points.shape[:2], n_channels))
+        return xp.astype(taken, points.dtype)
+
+    c00, c10, c01, c11 = pixels(0), pixels(1), pixels(width), pixels(width + 1)
     top, bottom = c00 + u * (c10 - c00), c01 + u * (c11 - c01)
     values = top + v * (bottom - top)
     along_x = (1 - v) * (c10 - c00) + v * (c11 - c01)
-    along_y = bottom - top
-    usable = np.minimum(np.minimum(c00[:, -1], c10[:, -1]), np.minimum(c01[:, -1], c11[:, -1]))
-    weights = np.where(inside, usable, 0.0)
-    keep = inside[:, None]
-    gradients = np.stack([along_x[:, :-1] * keep, along_y[:, :-1] * keep], axis=1)
-    return (values[:, :-1] * keep).astype(np.float32), gradients.astype(np.float32), weights.astype(np.float32)
+    keep = xp.astype(inside, points.dtype)
+    gradients = xp.stack([along_x[..., :-1] * keep, (bottom - top)[..., :-1] * keep], axis=-2)
+    usable = xp.minimum(xp.minimum(c00[..., -1], c10[..., -1]), xp.minimum(c01[..., -1], c11[..., -1]))
+    single = (values[..., :-1] * keep, gradients, usable * keep[..., 0])
+    values, gradients, weights = (xp.astype(array, xp.float32) for array in single)
+    return values, gradients, weights
 
 
-def linearise(
-    channels: np.ndarray,
-    points: np.ndarray,
-    warp_jacobian: np.ndarray,
-    turn: np.ndarray,
-    metric: np.ndarray,
-    root_weights: np.ndarray,
-    columns: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sample an encoded image, project it by a metric, and differentiate by the warp's parameters.
+def _parts(pairs: Array) -> tuple[Array, Array]:
+    return pairs[..., :1], pairs[..., 1:]
+
+
+def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bilinear samples of one encoded image with their exact gradient: :func:`sample_batch` of one.
 
     Parameters
     ----------
     channels : (h, w, c + 1) float32
-        Encoded image.
     points : (n, 2) float64
-        W(x; p) in the image's pixels.
-    warp_jacobian : (n, 2, n_p) float32
-        dW/dp in the model's pixels.
-    turn : (2, 2) float64
-        Linear part of the similarity from the model's to the image's pixels.
-    metric : (k, c) float64
-        Rows of P.
-    root_weights : (n, k) float32
-        Square root of the model's own weight of each pixel and row of P.
-    columns : (n * k, n_columns) float32, n_columns >= n_p
-        Receives, in its first n_p columns, root_weight * P dE/dp, row i * k + r for pixel i and row r of P;
-        zero where the image weight is 0.
 
     Returns
     -------
     values : (n, c) float32
-        Samples of the encoded image.
-    projected : (n, k) float32
-        P times the samples.
+    gradients : (n, 2, c) float32
     weights : (n,) float32
-        Image weight in {0, 1} of each pixel.
     """
-    values, gradients, weights = sample(channels, points)
-    n, n_p = len(values), warp_jacobian.shape[2]
-    projected = values.astype(np.float64) @ metric.T
-    steepest = np.einsum("nac,rc,ab->nrb", gradients.astype(np.float64), metric, turn)
-    steepest *= (root_weights * weights[:, None]).astype(np.float64)[:, :, None]
-    jacobian = np.einsum("nrb,nbp->nrp", steepest, warp_jacobian.astype(np.float64))
-    columns[:, :n_p] = jacobian.reshape(n * len(metric), n_p)
-    return values, projected.astype(np.float32), weights
+    with np.errstate(invalid="ignore"):  # points of a diverging fit need not be numbers
+        values, gradients, weights = sample_batch(channels[None], np.asarray(points, dtype=np.float64)[None])
+    return values[0], gradients[0], weights[0]
 
 
 def carry(positions: np.ndarray, corners: np.ndarray, beta: np.ndarray) -> np.ndarray:
@@ -114,8 +110,32 @@ def carry(positions: np.ndarray, corners: np.ndarray, beta: np.ndarray) -> np.nd
     return np.einsum("nv,nva->na", beta, np.asarray(positions, np.float64)[corners])
 
 
+def pull_batch(slopes: Array, inverse: Array, owners: Array) -> Array:
+    """Carry gradients along with the triangles: grad V = (dW/dx)^-T grad values, in the precision of ``inverse``.
+
+    Parameters
+    ----------
+    slopes : (b, n, 2, k) float32
+        Derivatives along x and y at rest.
+    inverse : (b, t, 2, 2) float
+        (dW/dx)^-1 of each triangle.
+    owners : (n,) int64
+        Triangle of each pixel.
+
+    Returns
+    -------
+    (b, n, k, 2) float32
+    """
+    xp = array_namespace(slopes, inverse)
+    back, slopes = xp.take(inverse, owners, axis=1), xp.astype(slopes, inverse.dtype)
+    pulled = [
+        back[..., 0, i][..., None] * slopes[..., 0, :] + back[..., 1, i][..., None] * slopes[..., 1, :] for i in (0, 1)
+    ]
+    return xp.astype(xp.stack(pulled, axis=-1), xp.float32)
+
+
 def pull(slopes: np.ndarray, inverse: np.ndarray, owners: np.ndarray) -> np.ndarray:
-    """Carry gradients along with the triangles: grad V = (dW/dx)^-T grad values.
+    """Carry gradients along with the triangles: grad V = (dW/dx)^-T grad values; :func:`pull_batch` of one.
 
     Parameters
     ----------
@@ -130,13 +150,56 @@ def pull(slopes: np.ndarray, inverse: np.ndarray, owners: np.ndarray) -> np.ndar
     -------
     (n, k, 2) float32
     """
-    return np.einsum("nba,nbk->nka", inverse[owners], slopes).astype(np.float32)
+    return pull_batch(slopes[None], np.asarray(inverse, np.float64)[None], owners)[0]
+
+
+def steepest_batch(
+    channels: Array, points: Array, turn: Array, metric: Array, sizes: Array | None = None
+) -> tuple[Array, Array, Array, Array]:
+    """Sample encoded images, project them by a metric, and differentiate by the place.
+
+    All is worked out in the precision of the points, and given in single precision.
+
+    Parameters
+    ----------
+    channels : (b, h, w, c + 1) float32
+        Encoded images.
+    points : (b, n, 2) float64 or float32
+        W(x; p) in each image's pixels.
+    turn : (1 or b, 2, 2) of the points' type
+        Linear part of the similarity from the model's to the image's pixels.
+    metric : (1 or b, k, c) of the points' type
+        Rows of P.
+    sizes : (b, 2) int64, optional
+        Width and height of each image, where smaller images are padded to a common size.
+
+    Returns
+    -------
+    values : (b, n, c) float32
+        Samples of the encoded images.
+    projected : (b, n, k) float32
+        P times the samples.
+    steep : (b, n, k, 2) float32
+        P dE/dx, x in the model's pixels; zero outside the image.
+    weights : (b, n) float32
+        Image weight in {0, 1} of each pixel.
+    """
+    xp = array_namespace(channels, points)
+    values, gradients, weights = sample_batch(channels, points, sizes)
+    across = xp.matrix_transpose(metric)
+    projected = xp.astype(values, points.dtype) @ across
+    batch, n, _, n_channels = gradients.shape
+    along = xp.astype(xp.reshape(gradients, (batch, 2 * n, n_channels)), points.dtype) @ across
+    along, turn = xp.reshape(along, (batch, n, 2, across.shape[-1])), turn[:, None, None, ...]
+    # Sums of two written out: libraries are slow at a million products of 2 by 2.
+    steep = [along[:, :, 0, :] * turn[..., 0, i] + along[:, :, 1, :] * turn[..., 1, i] for i in (0, 1)]
+    return values, xp.astype(projected, xp.float32), xp.astype(xp.stack(steep, axis=-1), xp.float32), weights
 
 
 def steepest(
     channels: np.ndarray, points: np.ndarray, turn: np.ndarray, metric: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Sample an encoded image, project it by a metric, and differentiate by the place.
+    """Sample an encoded image, project it by a metric, and differentiate by the place: :func:`steepest_batch` of one.
 
     Parameters
     ----------
@@ -160,10 +223,10 @@ def steepest(
     weights : (n,) float32
         Image weight in {0, 1} of each pixel.
     """
-    values, gradients, weights = sample(channels, points)
-    projected = values.astype(np.float64) @ metric.T
-    steep = np.einsum("nac,rc,ab->nrb", gradients.astype(np.float64), metric, turn)
-    return values, projected.astype(np.float32), steep.astype(np.float32), weights
+    points, turn, metric = (np.asarray(array, dtype=np.float64)[None] for array in (points, turn, metric))
+    with np.errstate(invalid="ignore"):  # points of a diverging fit need not be numbers
+        values, projected, steep, weights = steepest_batch(channels[None], points, turn, metric)
+    return values[0], projected[0], steep[0], weights[0]
 
 
 def mesh_products(
@@ -219,6 +282,64 @@ def mesh_products(
     return columns.T @ columns, modes @ by_root, right @ by_root
 
 
+def soft_noise_batch(
+    values: Array,
+    relative: Array,
+    span: tuple[float, float],
+    left: Array,
+    softness: float,
+    floor: float,
+    luminance: np.ndarray,
+    unknown: float,
+    most: float,
+) -> Array:
+    """Variance of the six channels of ``soft`` by each image's noise, to first order.
+
+    With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the root follows from |o| itself. All is
+    worked out in the precision of ``relative``.
+
+    Parameters
+    ----------
+    values : (b, n, 6) float32
+    relative : (b, s) float
+    span : (lowest, highest)
+    left : (b, 2) of the type of ``relative``
+    softness, floor, luminance, unknown, most
+        As for :func:`soft_noise`.
+
+    Returns
+    -------
+    (b, n, 6) float32
+    """
+    xp = array_namespace(values, relative)
+    values = xp.astype(values, relative.dtype)
+    direction, logs, known = values[..., :2], values[..., 2:5], values[..., 5:]
+    linear, deviation = xp.exp(logs), _interpolate(logs, relative, span)
+    share, left = [float(weight) for weight in luminance], left[:, None, None, :]
+    total = sum(linear[..., i : i + 1] * share[i] for i in range(3)) + floor
+    squares = xp.square(left[..., 1] * deviation * linear)
+    slope = sum(squares[..., i : i + 1] * share[i] ** 2 for i in range(3)) / xp.square(total)
+    rest = xp.clip(1.0 - xp.sum(xp.square(direction), axis=-1)[..., None], 0.0, None)
+    by_component = 1.0 - xp.square(direction) * (1.0 + rest)
+    of_direction = xp.clip(slope * rest / softness**2 * by_component, None, most)
+    # A blur averages noise away, but not what the logarithm's curvature makes of it.
+    of_log = xp.square(left[..., 0] * deviation) + xp.square(0.5 * xp.square(deviation))
+    of_log = xp.where(known < 0.99, xp.full_like(of_log, unknown), of_log)
+    return xp.astype(xp.concat([of_direction, of_log, xp.zeros_like(known)], axis=-1), xp.float32)
+
+
+def _interpolate(at: Array, table: Array, span: tuple[float, float]) -> Array:
+    """Values of tables (b, s), evenly spaced over a span, at places (b, ...); beyond it the nearest counts."""
+    xp, (batch, size) = array_namespace(at, table), table.shape
+    place = xp.clip((at - span[0]) * ((size - 1) / (span[1] - span[0])), 0.0, float(size - 1))
+    whole = xp.clip(xp.floor(place), None, float(size - 2))
+    first = xp.arange(batch, dtype=xp.int64, device=device_of(table)) * size
+    first = xp.reshape(first, (batch,) + (1,) * (at.ndim - 1))
+    index, flat = xp.reshape(first + xp.astype(whole, xp.int64), (-1,)), xp.reshape(table, (-1,))
+    low, high = (xp.reshape(xp.take(flat, index + i, axis=0), at.shape) for i in (0, 1))
+    return low + (place - whole) * (high - low)
+
+
 def soft_noise(
     values: np.ndarray,
     relative: np.ndarray,
@@ -230,9 +351,7 @@ def soft_noise(
     unknown: float,
     most: float,
 ) -> np.ndarray:
-    """Variance of the six channels of ``soft`` by the image's noise, to first order.
-
-    With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the root follows from |o| itself.
+    """Variance of the six channels of ``soft`` by the image's noise, to first order: :func:`soft_noise_batch` of one.
 
     Parameters
     ----------
@@ -257,24 +376,34 @@ def soft_noise(
     -------
     (n, 6) float32
     """
-    values = values.astype(np.float64)
-    direction, logs = values[:, :2], values[:, 2:5]
-    linear = np.exp(logs)
-    deviation = np.interp(logs, np.linspace(*span, len(relative)), relative)
-    total = linear @ luminance + floor
-    slope = np.square(left[1] * deviation * linear) @ np.square(luminance) / np.square(total)
-    rest = np.maximum(1.0 - np.square(direction).sum(axis=1), 0.0)
-    by_component = 1.0 - np.square(direction) * (1.0 + rest[:, None])
-    noise = np.zeros(values.shape, np.float32)
-    noise[:, :2] = np.minimum((slope * rest / softness**2)[:, None] * by_component, most)
-    # A blur averages noise away, but not what the logarithm's curvature makes of it.
-    noise[:, 2:5] = np.square(left[0] * deviation) + np.square(0.5 * np.square(deviation))
-    noise[values[:, 5] < 0.99, 2:5] = unknown
-    return noise
+    settings = softness, floor, luminance, unknown, most
+    return soft_noise_batch(values[None], np.asarray(relative, np.float64)[None], span, np.array([left]), *settings)[0]
+
+
+def beyond_noise_batch(residual: Array, by_noise: Array, usable: Array, limit: float) -> Array:
+    """Squares of residuals, and what they have beyond noise, summed over the pixels where noise says something.
+
+    Parameters
+    ----------
+    residual, by_noise : (b, n, k) float32
+    usable : (b, n) bool
+    limit : float
+        As for :func:`beyond_noise`.
+
+    Returns
+    -------
+    (b, k, 3) float64
+    """
+    xp = array_namespace(residual, by_noise)
+    known = usable[..., None] & (by_noise < limit)
+    squares = xp.square(xp.astype(residual, xp.float64))
+    nothing = xp.zeros_like(squares)
+    columns = (xp.astype(known, xp.float64), squares, squares - xp.astype(by_noise, xp.float64))
+    return xp.stack([xp.sum(xp.where(known, column, nothing), axis=1) for column in columns], axis=-1)
 
 
 def beyond_noise(residual: np.ndarray, by_noise: np.ndarray, usable: np.ndarray, limit: float) -> np.ndarray:
-    """Squares of residuals, and what they have beyond noise, summed over the pixels where noise says something.
+    """Squares of residuals, and what they have beyond noise, summed where noise says something: a batch of one.
 
     Parameters
     ----------
@@ -289,7 +418,4 @@ def beyond_noise(residual: np.ndarray, by_noise: np.ndarray, usable: np.ndarray,
     (k, 3) float64
         Of each row: how many count, their squares, and these less the variance by noise.
     """
-    known = usable[:, None] & (by_noise < limit)
-    squares = np.where(known, np.square(residual.astype(np.float64)), 0.0)
-    beyond = np.where(known, squares - by_noise, 0.0)
-    return np.column_stack([known.sum(axis=0), squares.sum(axis=0), beyond.sum(axis=0)])
+    return beyond_noise_batch(residual[None], by_noise[None], usable[None], limit)[0]
