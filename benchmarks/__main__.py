@@ -2,7 +2,7 @@
 
 import sys
 
-from benchmarks import batch, fit, iteration, search, track
+from benchmarks import batch, batched, fit, iteration, search, track
 
 BENCHMARKS = {
     "iteration": iteration.main,
@@ -10,6 +10,7 @@ BENCHMARKS = {
     "search": search.main,
     "track": track.main,
     "batch": batch.main,
+    "batched": batched.main,
 }
 """Benchmark by name; each prints its metrics."""
 

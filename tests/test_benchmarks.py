@@ -1,6 +1,6 @@
 """Benchmarks use the engine's inside, which no one promises to keep: they have to run at least."""
 
-from benchmarks import batch, iteration, search, track
+from benchmarks import batch, batched, iteration, search, track
 
 
 def test_the_benchmark_of_an_iteration_runs(monkeypatch, capsys):
@@ -36,3 +36,12 @@ def test_the_benchmark_of_tracking_says_what_it_lacks(tmp_path, capsys, monkeypa
     monkeypatch.setenv("LIAAM_SHARED_DATA", str(tmp_path))
     track.main()
     assert "left out" in capsys.readouterr().out
+
+
+def test_the_benchmark_of_batched_fits_runs(monkeypatch, capsys):
+    for name, value in {"N_TRAINING": 4, "N_SCENES": 1, "N_PICTURES": 2, "BATCH_SIZES": (2,), "DIAGONAL": 60.0}.items():
+        monkeypatch.setattr(batched, name, value)
+    monkeypatch.setattr(batched, "METHODS", ("li",))
+    monkeypatch.setattr(batched, "BACKENDS", {"numpy": "NumPy"})
+    batched.main()
+    assert "li_numpy_cpu_batch_2_per_second" in capsys.readouterr().out

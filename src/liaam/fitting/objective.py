@@ -619,8 +619,7 @@ class Objective:
         hand has beyond noise: where the light is as in training the invariant is precise, where it is not, or where
         colours carry JPEG's errors, it steps back behind the gradient, and the other way round in noise.
         """
-        # Pixels of a picture smaller than the model's frame are spread over several of the frame's.
-        tied = max(1.0, self.density * max(tied_together(problem.blur), 1.0 / problem.pose.scale**2))
+        tied = self.tied_in(problem)
         noise = get_kernel(self.kernel).soft_noise(
             seen.values,
             problem.relative_noise,
@@ -643,6 +642,11 @@ class Objective:
             model[:, rows] = correlated * tied * found[-1]
         unit = 1.0 / float(np.reciprocal(tied * by_noise + model)[usable].mean(dtype=np.float64))
         return {"noise": tied * noise, "model": model, "unit": unit, "unexplained": tuple(found)}
+
+    def tied_in(self, problem: FitProblem) -> float:
+        """Pixels looked at that stand for one independent residual of a soft method."""
+        # Pixels of a picture smaller than the model's frame are spread over several of the frame's.
+        return max(1.0, self.density * max(tied_together(problem.blur), 1.0 / problem.pose.scale**2))
 
     def _unexplained(self, theta: float) -> np.ndarray:
         """Variance of the model's errors in rows of P on average, (n_pixels,) float64; 0 where it is not known."""

@@ -1,0 +1,437 @@
+"""The one solver for many pictures at once: the rules of :mod:`liaam.fitting.solver`, masked instead of branched.
+
+Every fit has its own damping, its own steps accepted or refused, and its own end; fits that have ended are set aside
+as soon as they are half of a batch. Nothing is ever summed over fits, so none disturbs another. A test holds this
+module to :func:`liaam.fitting.solver.solve`, state by state.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import array_namespace
+from array_api_compat import device as device_of
+
+from liaam.fitting.batched.equations import (
+    Array,
+    Equations,
+    after_lambda_step,
+    apply,
+    choose,
+    cost,
+    identity,
+    map_arrays,
+    reduced,
+)
+from liaam.fitting.batched.objective import BatchObjective, Look, Pictures, Seen, Shared, States, Trusts, recurring
+from liaam.fitting.batched.trust import alike, soft_trust
+from liaam.fitting.normal_equations import NormalEquations
+from liaam.fitting.objective import FitProblem, Linearisation, State
+from liaam.fitting.objective import Look as OneLook
+from liaam.fitting.solver import (
+    DAMPING_RANGE,
+    OBSERVABLE_APART,
+    SCORING_RISE,
+    SCORING_STEPS,
+    TRUSTED_DAMPING,
+    Solution,
+    SolverOptions,
+)
+
+
+class Run(NamedTuple):
+    """Where the fits of a batch stand.
+
+    Attributes
+    ----------
+    item : (b,) int64
+        Number of the fit.
+    state : States
+    last : Seen
+        At those states.
+    trust : Trusts, or () for methods that do not weigh anew
+    damping : (b,) float64
+    free : (b, n_q) bool
+        Directions that may move.
+    settled, flat, done : (b,) bool
+    n_iterations : (b,) int64
+    """
+
+    item: Array
+    state: States
+    last: Seen
+    trust: Any
+    damping: Array
+    free: Array
+    settled: Array
+    flat: Array
+    done: Array
+    n_iterations: Array
+
+
+class Proposal(NamedTuple):
+    """Steps to be tried: the states they lead to, which are too small to matter (b,), where there was something to
+    see (b,), and the precision of the prior that they reckon with (b, n_p).
+    """
+
+    state: States
+    small: Array
+    sees: Array
+    precision: Array
+
+
+class Step(NamedTuple):
+    """Fits after a step was tried: which accepted it, and which found it too small to matter, (b,) each."""
+
+    run: Run
+    accepted: Array
+    small: Array
+
+
+@dataclass(frozen=True, eq=False)
+class BatchSolver:
+    """An objective, an array library and options, ready for batches.
+
+    Attributes
+    ----------
+    objective : BatchObjective
+    options : SolverOptions
+    """
+
+    objective: BatchObjective
+    options: SolverOptions
+
+    def solve(self, problems: Sequence[FitProblem], starts: Sequence[State]) -> list[Solution]:
+        """Minimise the objective over many images: what :func:`liaam.fitting.solver.solve` gives for each.
+
+        Parameters
+        ----------
+        problems : sequence of FitProblem
+        starts : sequence of State
+
+        Returns
+        -------
+        list of Solution
+        """
+        n, library = len(problems), self.objective.backend
+        repeated = recurring(n) - n if library.compiles else 0
+        problems = [*problems, *[problems[-1]] * repeated]
+        starts = [*starts, *[starts[-1]] * repeated]
+        with library.working():
+            return self._solve(self.objective.pictures(problems), self.objective.states(starts))[:n]
+
+    def _solve(self, pictures: Pictures, start: States) -> list[Solution]:
+        shared, record = self.objective.shared, _Record(self.objective, self.options, start.p.shape[0])
+        run = self._begin(shared, pictures, start)
+        record.accept(run, None)
+        for iteration in range(1, self.options.max_iterations + 1):
+            tried = self._try_step(shared, pictures, run, iteration)
+            run = self._weigh_anew(shared, pictures, tried.run, tried.accepted)
+            record.accept(run, tried.accepted)
+            run = self._finish(shared, run, tried)
+            going = ~record.fetch(run.done)
+            if not going.any():
+                break
+            if going.sum() <= len(going) // 2 and not self.objective.backend.compiles:
+                self._set_aside(shared, pictures, run, np.flatnonzero(~going), record)
+                run, pictures = self._take(run, going), self._take(pictures, going)
+        self._set_aside(shared, pictures, run, np.arange(run.item.shape[0]), record)
+        return record.solutions()
+
+    def _take(self, arrays: Any, mask: np.ndarray) -> Any:
+        index = self.objective.backend.put(np.flatnonzero(mask))
+        return map_arrays(lambda array: self.xp.take(array, index, axis=0), arrays)
+
+    def _set_aside(self, shared: Shared, pictures: Pictures, run: Run, which: np.ndarray, record: "_Record") -> None:
+        """Score fits that have ended, where their method asks for it, and keep what came out."""
+        mask = np.isin(np.arange(run.item.shape[0]), which)
+        run, pictures = self._take(run, mask), self._take(pictures, mask)
+        if self.options.scoring or self._weighs:
+            run = self._score(shared, pictures, run, record)
+        record.keep(run, self.objective.backend.fetch(self._held(shared, run)))
+
+    @property
+    def xp(self) -> Any:
+        """Namespace of the array library."""
+        return self.objective.xp
+
+    @property
+    def _weighs(self) -> bool:
+        return self.objective.objective.method.soft
+
+    @cached_property
+    def _functions(self) -> dict[str, Callable]:
+        """What is compiled, by name: the long ones only once each."""
+        compiled = self.objective.backend.compiled
+        solves = self.options.elimination == "varpro"
+        evaluate, weigh = compiled(self._solved), compiled(self._weighed_and_solved)
+        return {
+            "solved": evaluate,
+            "seen": evaluate if solves else compiled(self._as_it_is),
+            "weighed_and_solved": weigh,
+            "weighed": weigh if solves else compiled(self._weighed),
+            "expected": compiled(self._expected),
+            "trust": compiled(partial(soft_trust, self.objective)),
+            "propose": compiled(self._propose),
+            "judge": compiled(self._judge),
+            "free": compiled(self._free),
+            "finish": compiled(self._finished),
+        }
+
+    def _begin(self, shared: Shared, pictures: Pictures, start: States) -> Run:
+        xp, batch = self.xp, start.p.shape[0]
+        state, last = self._functions["solved"](shared, pictures, start, None)
+        trust: Any = ()
+        if self._weighs:
+            trust = self._functions["trust"](shared, pictures, state, last.look)
+            state, last = self._functions["weighed_and_solved"](shared, last.look, state, trust)
+        zeros = xp.zeros_like(last.equations.rr)
+        no = zeros > 1
+        item = self.objective.backend.put(np.arange(batch))
+        every = xp.ones((batch, self.objective.objective.n_q), dtype=xp.bool, device=device_of(zeros))
+        run = Run(item, state, last, trust, zeros + self.options.damping, every, no, no, no, 0 * item)
+        # Again: what the weights are worked out from depends on the weights.
+        run = self._weigh_anew(shared, pictures, run, ~no)
+        return run._replace(free=self._functions["free"](shared, run.state, run.last.equations))
+
+    def _try_step(self, shared: Shared, pictures: Pictures, run: Run, iteration: int) -> Step:
+        """One turn of the loop: a step, and whether it is taken."""
+        proposed = self._functions["propose"](shared, run, run.last.equations, run.damping)
+        there = self._functions["seen"](shared, pictures, proposed.state, run.trust or None)
+        return self._functions["judge"](run, proposed, there, run.item * 0 + iteration)
+
+    def _propose(self, shared: Shared, run: Run, equations: Equations, damping: Array) -> Proposal:
+        """Where a step leads."""
+        precision = self._precision(shared, equations)
+        step, lambda_step, sees = self._step(equations, run.state, precision, run.free, damping)
+        small = self._is_small(step, equations, precision)
+        return Proposal(self._update(shared, run.state, step, lambda_step), small, sees, precision)
+
+    def _is_small(self, step: Array, equations: Equations, precision: Array) -> Array:
+        """Which steps are too small to matter, (b,): in pixels, or in standard deviations where they are known."""
+        xp, n_p = self.xp, self.objective.n_p
+        information = xp.sum(step * apply(reduced(equations)[0], step), axis=-1)
+        information = information + xp.sum(precision * step[:, :n_p] ** 2, axis=-1)
+        unseen = information < self.options.notice**2 * step.shape[1] * equations.unit  # not where it is NaN
+        return (self._movement(step) < self.options.tolerance) | unseen
+
+    def _judge(self, run: Run, proposed: Proposal, there: tuple[States, Seen], number: Array) -> Step:
+        """Take the steps that do not raise the merit; damp the others more."""
+        xp, options = self.xp, self.options
+        before = _merit(run.last.equations, run.state, proposed.precision)
+        worse = ~(_merit(there[1].equations, there[0], proposed.precision) <= before)
+        going = ~run.done
+        flat = run.flat | (going & ~proposed.sees)
+        going = going & proposed.sees
+        refused = going & worse if options.damping > 0 else going & ~going
+        stuck = refused & (proposed.small | (run.damping >= DAMPING_RANGE[1]))
+        accepted = going & ~refused
+        state, last = choose(accepted, there, (run.state, run.last))
+        raised = xp.clip(xp.clip(run.damping, 1e-4, None) * 10, None, DAMPING_RANGE[1])
+        after = run._replace(
+            state=state,
+            last=last,
+            damping=xp.where(refused & ~stuck, raised, run.damping),
+            settled=run.settled | stuck,
+            flat=flat,
+            done=run.done | stuck | flat,
+            n_iterations=xp.where(run.done, run.n_iterations, number),
+        )
+        return Step(after, accepted, proposed.small)
+
+    def _weigh_anew(self, shared: Shared, pictures: Pictures, run: Run, which: Array) -> Run:
+        """Weigh the pixels of some fits anew, and solve lambda again under the weights that have changed."""
+        if not self._weighs:
+            return run
+        trust = self._functions["trust"](shared, pictures, run.state, run.last.look)
+        changed = which & ~alike(run.trust, trust) & ~self.xp.isnan(trust.unit)
+        if not bool(self.xp.any(changed)):
+            return run
+        state, last = self._functions["weighed"](shared, run.last.look, run.state, trust)
+        new = choose(changed, (state, last, trust), (run.state, run.last, run.trust))
+        return run._replace(state=new[0], last=new[1], trust=new[2])
+
+    def _finish(self, shared: Shared, run: Run, tried: Step) -> Run:
+        return self._functions["finish"](shared, run, tried.accepted, tried.small)
+
+    def _finished(self, shared: Shared, run: Run, accepted: Array, small: Array) -> Run:
+        """End of a turn, for those that took the step: damping, directions, and whether the fit has settled."""
+        xp, options = self.xp, self.options
+        lowered = xp.clip(run.damping / 10, DAMPING_RANGE[0], None) if options.damping > 0 else 0.0 * run.damping
+        damping = xp.where(accepted, lowered, run.damping)
+        free = xp.where(accepted[:, None], self._free(shared, run.state, run.last.equations), run.free)
+        small = accepted & small & (damping <= TRUSTED_DAMPING)  # small of itself, not by damping
+        blown = accepted & ~xp.isfinite(cost(run.last.equations))
+        return run._replace(damping=damping, free=free, settled=run.settled | small, done=run.done | small | blown)
+
+    def _as_it_is(self, shared: Shared, pictures: Pictures, state: States, trust: Trusts | None) -> tuple[States, Seen]:
+        """Linearise, and leave lambda: joint steps move it themselves."""
+        return state, self.objective.linearise(shared, pictures, state, trust)
+
+    def _solved(self, shared: Shared, pictures: Pictures, state: States, trust: Trusts | None) -> tuple[States, Seen]:
+        """Linearise, and solve lambda there: any start, and every state of variable projection."""
+        return self._solve_lambda(shared, state, self.objective.linearise(shared, pictures, state, trust))
+
+    def _weighed(self, shared: Shared, look: Look, state: States, trust: Trusts) -> tuple[States, Seen]:
+        """Weigh what was seen under another trust, and leave lambda."""
+        return state, self.objective.weighed(shared, look, state, trust)
+
+    def _weighed_and_solved(self, shared: Shared, look: Look, state: States, trust: Trusts) -> tuple[States, Seen]:
+        """The same, with lambda solved under the new weights."""
+        return self._solve_lambda(shared, *self._weighed(shared, look, state, trust))
+
+    def _solve_lambda(self, shared: Shared, state: States, seen: Seen) -> tuple[States, Seen]:
+        """Give states the lambda that fits best there, by the products alone."""
+        equations = seen.equations
+        step = apply(equations.inverse, equations.ar)
+        step = self.xp.where((equations.weight > 0)[:, None], step, self.xp.zeros_like(step))
+        look = self.objective.moved(shared, seen.look, state, step)
+        return state._replace(lam=state.lam + step), Seen(after_lambda_step(equations, step), look)
+
+    def _expected(self, shared: Shared, look: Look, state: States, trust: Trusts | None) -> Equations:
+        """Normal equations with the gradient of the model, which has no noise."""
+        return self.objective.weighed(shared, self.objective.own_gradient(shared, look, state), state, trust).equations
+
+    def _update(self, shared: Shared, state: States, step: Array, lambda_step: Array) -> States:
+        n_p = self.objective.n_p
+        angles = state.angles + step[:, n_p:] @ self.xp.matrix_transpose(shared.directions)
+        return States(state.p + step[:, :n_p], angles, state.lam + lambda_step)
+
+    def _movement(self, step: Array) -> Array:
+        """Root mean square movement of the landmarks, (b,): ``Warp.movement``, which is a multiple of the norm."""
+        n_p = self.objective.n_p
+        unit = self.objective.objective.warp.movement(np.eye(n_p)[0])
+        return unit * self.xp.sqrt(self.xp.sum(step[:, :n_p] ** 2, axis=-1))
+
+    def _precision(self, shared: Shared, equations: Equations) -> Array:
+        """Precision of the prior on p in units of squared residuals, (b, n_p)."""
+        xp, mean = self.xp, cost(equations)
+        own = self.objective.objective.tied * xp.where(xp.isfinite(mean), mean, xp.zeros_like(mean))
+        unit = xp.where(xp.isfinite(equations.unit), equations.unit, own)
+        return self.options.shape_prior * unit[:, None] * shared.prior
+
+    def _step(
+        self, equations: Equations, state: States, precision: Array, free: Array, damping: Array
+    ) -> tuple[Array, Array, Array]:
+        """Damped Gauss-Newton step of q, its lambda step, and where there was something to see."""
+        xp, n_p = self.xp, self.objective.n_p
+        hessian, gradient = reduced(equations)
+        seen = xp.max(xp.linalg.diagonal(hessian)[:, :n_p], axis=-1) > 1e-10 * equations.weight
+        sees = (equations.weight > 0) & xp.isfinite(equations.rr) & seen
+        rest = xp.zeros_like(gradient[:, n_p:])
+        gradient = gradient + xp.concat([precision * state.p, rest], axis=-1)
+        unit = identity(hessian)
+        hessian = hessian + xp.concat([precision, rest], axis=-1)[:, None, :] * unit
+        sees = sees & xp.all(xp.isfinite(hessian), axis=(1, 2))
+        # Directions that are held, and fits with nothing to see, give steps of 0.
+        moves = free & sees[:, None]
+        both = moves[:, :, None] & moves[:, None, :]
+        hessian = xp.where(both, hessian, xp.zeros_like(hessian))
+        diagonal = xp.linalg.diagonal(hessian)
+        floor = 1e-9 * xp.max(diagonal, axis=-1)[:, None]
+        added = damping[:, None] * xp.maximum(diagonal, floor) + floor
+        damped = hessian + xp.where(moves, added, xp.ones_like(added))[:, None, :] * unit
+        gradient = xp.where(moves, gradient, xp.zeros_like(gradient))
+        step = xp.linalg.solve(damped, -gradient[..., None])[..., 0]
+        lambda_step = apply(equations.inverse, equations.ar + apply(equations.aj, step))
+        return step, lambda_step, sees
+
+    def _free(self, shared: Shared, state: States, equations: Equations) -> Array:
+        """Directions of q that may move, (b, n_q): all of p, and the angles that the image can tell."""
+        xp, method = self.xp, self.objective.objective.method
+        every = xp.ones_like(state.p, dtype=xp.bool)
+        if method.free_angles == "none":
+            return every
+        n_p, observable = self.objective.n_p, self.options.observable
+        hessian = reduced(equations)[0][:, n_p:, n_p:]
+        terms = [self.objective._at(shared.metric, state.angles[:, 1], slope) for slope in (True, False)]
+        slope, size = (xp.sum(xp.square(term), axis=(1, 2)) for term in terms)
+        noise = xp.clip(equations.rr, 0.0, None) * slope / size + 1e-12 * equations.weight
+        limit = min(OBSERVABLE_APART, observable)
+        if method.free_angles != "both":
+            needed = limit if method.free_angles == "image" else observable
+            return xp.concat([every, hessian[:, :1, 0] > needed * noise[:, None]], axis=-1)
+        apart, mixed = hessian[:, 1, 1], hessian[:, 0, 1] + hessian[:, 1, 1]
+        image_seen = apart > limit * noise
+        carried = xp.where(image_seen, mixed**2 / xp.where(image_seen, apart, xp.ones_like(apart)), 0.0 * apart)
+        together = xp.sum(hessian, axis=(1, 2)) - carried
+        seen = xp.stack([image_seen & (together > observable * noise), image_seen], axis=-1)
+        return xp.concat([every, seen], axis=-1)
+
+    def _held(self, shared: Shared, run: Run) -> Array:
+        return ~self.xp.all(run.free, axis=-1)
+
+    def _score(self, shared: Shared, pictures: Pictures, run: Run, record: "_Record") -> Run:
+        """Step on by Fisher scoring (``solver._score``), as far as the cost does not say that the minimum was left."""
+        xp = self.xp
+        scores = ~run.flat if self.options.scoring else ~run.flat & ~xp.isnan(run.trust.unit)
+        going, new, steps = scores, run, 0 * run.item
+        path = []
+        for _ in range(min(self.options.scoring or SCORING_STEPS, self.options.max_iterations)):
+            expected = self._functions["expected"](shared, new.last.look, new.state, new.trust or None)
+            proposed = self._functions["propose"](shared, new, expected, 0.0 * new.damping)
+            there = self._functions["seen"](shared, pictures, proposed.state, new.trust or None)
+            going = going & proposed.sees
+            state, last = choose(going, there, (new.state, new.last))
+            new = new._replace(state=state, last=last)
+            if self.options.scoring:  # asked for more than a step or two: the weights move along
+                new = self._weigh_anew(shared, pictures, new, going)
+            path.append((new, going))
+            steps = steps + xp.astype(going, steps.dtype)
+            going = going & ~proposed.small
+            if not bool(xp.any(going)):
+                break
+        good = scores & (steps > 0) & (cost(new.last.equations) <= SCORING_RISE * cost(run.last.equations))
+        for there, mask in path:
+            record.accept(there, good & mask)
+        return choose(good, new._replace(n_iterations=run.n_iterations + steps), run)
+
+
+def _merit(equations: Equations, state: States, precision: Array) -> Array:
+    """What an accepted step must not raise, (b,): mean squared residual plus the prior's share."""
+    xp = array_namespace(precision)
+    prior = xp.sum(precision * state.p**2, axis=-1)
+    return cost(equations) + xp.where(equations.weight > 0, prior / equations.weight, 0.0 * equations.weight)
+
+
+class _Record:
+    """What is to be kept of the fits of a batch, in NumPy's arrays."""
+
+    def __init__(self, objective: BatchObjective, options: SolverOptions, n: int) -> None:
+        self.fetch = objective.backend.fetch
+        self._paths: list[list[tuple[float, State]]] = [[] for _ in range(n)]
+        self._ends: dict[int, tuple] = {}
+
+    def accept(self, run: Run, accepted: Array | None) -> None:
+        """Add the states of those that took a step (all, if left out) to their paths."""
+        items, costs = self.fetch(run.item), self.fetch(cost(run.last.equations))
+        state = map_arrays(self.fetch, run.state)
+        taken = np.ones(len(items), bool) if accepted is None else self.fetch(accepted)
+        for i in np.flatnonzero(taken):
+            self._paths[items[i]].append((float(costs[i]), State(state.p[i], state.angles[i], state.lam[i])))
+
+    def keep(self, run: Run, held: np.ndarray) -> None:
+        """Keep what fits have come to."""
+        items, last = self.fetch(run.item), map_arrays(self.fetch, run.last)
+        ends = [self.fetch(array) for array in (run.n_iterations, run.settled, run.flat)]
+        for i, item in enumerate(items):
+            equations = last.equations
+            own = NormalEquations(
+                *(getattr(equations, name)[i] for name in ("jj", "jr", "aj", "aa", "ar")),
+                rr=float(equations.rr[i]),
+                weight=float(equations.weight[i]),
+                inverse=equations.inverse[i],
+                unit=float(equations.unit[i]),
+            )
+            seen = Linearisation(own, OneLook(*(array[i] for array in last.look)))
+            self._ends[int(item)] = (seen, *(end[i].item() for end in ends), bool(held[i]))
+
+    def solutions(self) -> list[Solution]:
+        """Solutions in the order of the problems."""
+        found = []
+        for item, path in enumerate(self._paths):
+            last, n_iterations, settled, flat, held = self._ends[item]
+            found.append(Solution(path[-1][1], last, tuple(path), n_iterations, settled, held, flat))
+        return found
