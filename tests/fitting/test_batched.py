@@ -17,7 +17,7 @@ from setups import disturb, finest_objective, make_problem
 SUPPORTED = tuple(name for name in METHODS if name != "grey-norm")
 ANGLED = ("li", "li-lit", "li-pc", "li-pcs", "soft-li")
 SAME = 0.02
-"""Pixels; fits in single precision agree to less than that where they settle."""
+"""Pixels; pixels in single precision agree to less than that where fits settle."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_batched_fits_are_those_of_the_fitter(model, pictures, method):
     assert many.method == method and len(many) == 4 and many.ok.tolist() == [result.status.ok for result in one]
 
 
-@pytest.mark.parametrize("method", ["soft-li", "li", "li-lit"])
+@pytest.mark.parametrize("method", ["soft-li", "li", "li-lit", "rgb"])
 def test_batched_fits_are_those_of_the_fitter_under_another_light(model, lit_scene, method):
     starts = [disturb(lit_scene.landmarks), disturb(lit_scene.landmarks, 0.98, (0.0, 0.01))]
     one = [Fitter(model, method).fit(lit_scene.image, start) for start in starts]

@@ -20,11 +20,14 @@ Array = Any
 
 
 def sample_batch(channels: Array, points: Array, sizes: Array | None = None) -> tuple[Array, Array, Array]:
-    """Bilinear samples of encoded images with their exact gradient, in the precision of the points.
+    """Bilinear samples of encoded images with their exact gradient.
+
+    Places are worked out in the precision of the points, so that a point on a pixel line stays on its side; what is
+    sampled there in that of the channels.
 
     Parameters
     ----------
-    channels : (b, h, w, c + 1) float32
+    channels : (b, h, w, c + 1) float32 or float64
         Encoded images of :func:`liaam.photometry.encode`: c channels and the usable weight.
     points : (b, n, 2) float64 or float32
         Where to sample (x, y), pixels.
@@ -48,29 +51,25 @@ def sample_batch(channels: Array, points: Array, sizes: Array | None = None) -> 
     inside = xp.all((points >= 0) & (points <= last), axis=-1)[..., None]
     safe = xp.where(inside, points, xp.zeros_like(points))
     corner = xp.minimum(xp.floor(safe), last - 1)
-    whole, (u, v) = xp.astype(corner, xp.int64), _parts(safe - corner)
+    whole, between = xp.astype(corner, xp.int64), xp.astype(safe - corner, channels.dtype)
+    u, v = between[..., :1], between[..., 1:]
     first = xp.arange(batch, dtype=xp.int64, device=device)[:, None] * (height * width)
     index = xp.reshape(first + whole[..., 1] * width + whole[..., 0], (-1,))
     flat = xp.reshape(channels, (-1, n_channels))
 
     def pixels(offset: int) -> Array:
-        taken = xp.reshape(xp.take(flat, index + offset, axis=0), (*points.shape[:2], n_channels))
-        return xp.astype(taken, points.dtype)
+        return xp.reshape(xp.take(flat, index + offset, axis=0), (*points.shape[:2], n_channels))
 
     c00, c10, c01, c11 = pixels(0), pixels(1), pixels(width), pixels(width + 1)
     top, bottom = c00 + u * (c10 - c00), c01 + u * (c11 - c01)
     values = top + v * (bottom - top)
     along_x = (1 - v) * (c10 - c00) + v * (c11 - c01)
-    keep = xp.astype(inside, points.dtype)
+    keep = xp.astype(inside, channels.dtype)
     gradients = xp.stack([along_x[..., :-1] * keep, (bottom - top)[..., :-1] * keep], axis=-2)
     usable = xp.minimum(xp.minimum(c00[..., -1], c10[..., -1]), xp.minimum(c01[..., -1], c11[..., -1]))
     single = (values[..., :-1] * keep, gradients, usable * keep[..., 0])
     values, gradients, weights = (xp.astype(array, xp.float32) for array in single)
     return values, gradients, weights
-
-
-def _parts(pairs: Array) -> tuple[Array, Array]:
-    return pairs[..., :1], pairs[..., 1:]
 
 
 def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -88,12 +87,33 @@ def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
     weights : (n,) float32
     """
     with np.errstate(invalid="ignore"):  # points of a diverging fit need not be numbers
-        values, gradients, weights = sample_batch(channels[None], np.asarray(points, dtype=np.float64)[None])
+        values, gradients, weights = sample_batch(
+            np.asarray(channels, np.float64)[None], np.asarray(points, np.float64)[None]
+        )
     return values[0], gradients[0], weights[0]
 
 
-def carry(positions: np.ndarray, corners: np.ndarray, beta: np.ndarray) -> np.ndarray:
+def carry_batch(positions: Array, corners: Array, beta: Array) -> Array:
     """Carry vertices to the pixels of a mesh: W(x; p) = sum_v beta_v(x) s_v.
+
+    Parameters
+    ----------
+    positions : (b, n_vertices, 2) float64
+    corners : (3, n) int64
+        The three vertices around each pixel.
+    beta : (3, n, 1) float64
+        Their barycentric weights.
+
+    Returns
+    -------
+    (b, n, 2) float64
+    """
+    xp = array_namespace(positions, beta)
+    return sum(beta[i, ...] * xp.take(positions, corners[i, ...], axis=1) for i in range(3))
+
+
+def carry(positions: np.ndarray, corners: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """Carry vertices to the pixels of a mesh: :func:`carry_batch` of one.
 
     Parameters
     ----------
@@ -107,7 +127,7 @@ def carry(positions: np.ndarray, corners: np.ndarray, beta: np.ndarray) -> np.nd
     -------
     (n, 2) float64
     """
-    return np.einsum("nv,nva->na", beta, np.asarray(positions, np.float64)[corners])
+    return carry_batch(np.asarray(positions, np.float64)[None], corners.T, beta.T[..., None])[0]
 
 
 def pull_batch(slopes: Array, inverse: Array, owners: Array) -> Array:
@@ -158,17 +178,17 @@ def steepest_batch(
 ) -> tuple[Array, Array, Array, Array]:
     """Sample encoded images, project them by a metric, and differentiate by the place.
 
-    All is worked out in the precision of the points, and given in single precision.
+    All is worked out in the precision of the channels, but places in that of the points, and given in single precision.
 
     Parameters
     ----------
-    channels : (b, h, w, c + 1) float32
+    channels : (b, h, w, c + 1) float32 or float64
         Encoded images.
     points : (b, n, 2) float64 or float32
         W(x; p) in each image's pixels.
-    turn : (1 or b, 2, 2) of the points' type
+    turn : (1 or b, 2, 2) of the channels' type
         Linear part of the similarity from the model's to the image's pixels.
-    metric : (1 or b, k, c) of the points' type
+    metric : (1 or b, k, c) of the channels' type
         Rows of P.
     sizes : (b, 2) int64, optional
         Width and height of each image, where smaller images are padded to a common size.
@@ -187,9 +207,9 @@ def steepest_batch(
     xp = array_namespace(channels, points)
     values, gradients, weights = sample_batch(channels, points, sizes)
     across = xp.matrix_transpose(metric)
-    projected = xp.astype(values, points.dtype) @ across
+    projected = xp.astype(values, channels.dtype) @ across
     batch, n, _, n_channels = gradients.shape
-    along = xp.astype(xp.reshape(gradients, (batch, 2 * n, n_channels)), points.dtype) @ across
+    along = xp.astype(xp.reshape(gradients, (batch, 2 * n, n_channels)), channels.dtype) @ across
     along, turn = xp.reshape(along, (batch, n, 2, across.shape[-1])), turn[:, None, None, ...]
     # Sums of two written out: libraries are slow at a million products of 2 by 2.
     steep = [along[:, :, 0, :] * turn[..., 0, i] + along[:, :, 1, :] * turn[..., 1, i] for i in (0, 1)]
@@ -223,9 +243,9 @@ def steepest(
     weights : (n,) float32
         Image weight in {0, 1} of each pixel.
     """
-    points, turn, metric = (np.asarray(array, dtype=np.float64)[None] for array in (points, turn, metric))
+    arguments = (np.asarray(array, dtype=np.float64)[None] for array in (channels, points, turn, metric))
     with np.errstate(invalid="ignore"):  # points of a diverging fit need not be numbers
-        values, projected, steep, weights = steepest_batch(channels[None], points, turn, metric)
+        values, projected, steep, weights = steepest_batch(*arguments)
     return values[0], projected[0], steep[0], weights[0]
 
 

@@ -23,7 +23,7 @@ from liaam.fitting.methods import Method
 from liaam.fitting.normal_equations import BLOCK
 from liaam.fitting.objective import FitProblem, Objective, State
 from liaam.kernels.backends import Backend
-from liaam.kernels.reference import pull_batch, steepest_batch
+from liaam.kernels.reference import carry_batch, pull_batch, steepest_batch
 from liaam.warp import PiecewiseAffineWarp
 
 
@@ -36,7 +36,7 @@ class Pictures(NamedTuple):
         Patches, padded to a common size.
     sizes : (b, 2) int64
         Width and height of each.
-    turn, offset : (b, 2, 2), (b, 2) float32
+    turn, offset : (b, 2, 2), (b, 2) float64
         Similarity from the model's to the patch's pixels.
     relative : (b, steps) float32
         ``FitProblem.relative_noise``; zeros for methods that do not weigh by it.
@@ -114,8 +114,12 @@ class Shared(NamedTuple):
 
     Attributes
     ----------
-    base, jacobian : (n, 2), (n, 2, n_p) float32
-        W(x; 0) and dW/dp.
+    vertices : (1 + n_p, n_vertices, 2) float64
+        Of the mesh at rest, and their movement by each parameter.
+    corners, beta : (3, n) int64, (3, n, 1) float64
+        Vertices around each pixel, and their barycentric weights.
+    jacobian : (n, 2, n_p) float32
+        dW/dp.
     root : (n, k) float32
         Root of the model's own weights.
     mean, modes : (1 or 3, n, k), (1 or 3, n * k, m) float32
@@ -129,15 +133,18 @@ class Shared(NamedTuple):
     slopes : (1 + n_own, n * 2 * c) float32
         Gradients of the mean, the appearance and the illumination modes on the reference frame, unprojected; none
         where they are not asked for.
-    edges : (n_p + 2, t, 2, 2) float64
-        Edges of the triangles at rest, by each parameter, and on the reference frame; none where not asked for.
+    triangles : (3, t) int64
+    frame : (t, 2, 2) float64
+        Edges of the triangles on the reference frame, as columns.
     owners : (n,) int64
         Triangle of each pixel.
     prior : (n_p,) float64
     directions : (2, n_free) float64
     """
 
-    base: Array
+    vertices: Array
+    corners: Array
+    beta: Array
     jacobian: Array
     root: Array
     mean: Array
@@ -147,7 +154,8 @@ class Shared(NamedTuple):
     metric: Array
     model_metric: Array
     slopes: Array
-    edges: Array
+    triangles: Array
+    frame: Array
     owners: Array
     prior: Array
     directions: Array
@@ -204,14 +212,14 @@ class BatchObjective:
         assert isinstance(warp, PiecewiseAffineWarp)
         turns = bool(method.angle_directions[0].any())
         mean, modes = self._model_side(turns)
-        rest = np.zeros(self.n_p)
         pairs, full = _symmetric(modes.shape[2])
-        slopes, edges = np.zeros((0, 0), np.float32), np.zeros((0, 0, 2, 2))
-        if self.scores:
-            slopes, edges = own._slopes, _edges(warp)
+        corners, beta = warp._corners
+        triangles = warp.frame.triangles.T.astype(np.int64)
         arrays = Shared(
-            base=warp.points(rest).astype(np.float32),
-            jacobian=warp.jacobian(rest),
+            vertices=np.concatenate([warp._vertices(warp.rest)[None], warp._vertex_modes]),
+            corners=corners.T.astype(np.int64),
+            beta=beta.T[..., None],
+            jacobian=warp.jacobian(np.zeros(self.n_p)),
             root=own.root_weights,
             mean=mean,
             modes=modes,
@@ -219,8 +227,9 @@ class BatchObjective:
             full=full,
             metric=_by_angle(method.image_metric),
             model_metric=_by_angle(method.model_metric),
-            slopes=slopes,
-            edges=edges,
+            slopes=own._slopes if self.scores else np.zeros((0, 0), np.float32),
+            triangles=triangles,
+            frame=_edges(np, warp.frame.points, triangles),
             owners=warp._owners.astype(np.int64),
             prior=own.prior,
             directions=method.angle_directions,
@@ -251,8 +260,8 @@ class BatchObjective:
         arrays = Pictures(
             channels,
             np.array([patch.shape[1::-1] for patch in patches], np.int64),
-            np.array([problem.pose.matrix for problem in problems], np.float32),
-            np.array([problem.pose.offset for problem in problems], np.float32),
+            np.array([problem.pose.matrix for problem in problems]),
+            np.array([problem.pose.offset for problem in problems]),
             np.array([problem.relative_noise if soft else nothing for problem in problems], np.float32),
             np.array([(problem.noise_left, problem.slope_left) for problem in problems], np.float32),
             np.array([self.objective.tied_in(problem) for problem in problems]),
@@ -271,16 +280,23 @@ class BatchObjective:
     def look(self, shared: Shared, pictures: Pictures, state: States) -> Look:
         """Residuals and derivatives: :meth:`liaam.fitting.objective.Objective.look`."""
         xp = self.xp
-        metric = xp.astype(self._at(shared.metric, state.angles[:, 1]), xp.float32)
-        moved = xp.astype(state.p, xp.float32) @ xp.matrix_transpose(xp.reshape(shared.jacobian, (-1, self.n_p)))
-        points = shared.base + xp.reshape(moved, (-1, *shared.base.shape))
-        points = points @ xp.matrix_transpose(pictures.turn) + pictures.offset[:, None]
+        metric, turn = self._at(shared.metric, state.angles[:, 1]), pictures.turn
+        positions = self._vertices(shared, state.p) @ xp.matrix_transpose(turn) + pictures.offset[:, None]
         values, projected, steep, weights = steepest_batch(
-            pictures.channels, points, pictures.turn, metric, pictures.sizes
+            pictures.channels,
+            carry_batch(positions, shared.corners, shared.beta),
+            xp.astype(turn, xp.float32),
+            xp.astype(metric, xp.float32),
+            pictures.sizes,
         )
         residual = projected - self._at(shared.mean, state.angles[:, 0])
         look = Look(values, residual, steep, self._by_angles(shared, state, values), weights)
         return self.moved(shared, look, state, state.lam)
+
+    def _vertices(self, shared: Shared, p: Array) -> Array:
+        """Vertices of the mesh, (b, n_vertices, 2) float64, model pixels."""
+        by_p = self.xp.reshape(shared.vertices[1:], (self.n_p, -1))
+        return shared.vertices[0] + self.xp.reshape(p @ by_p, (-1, *shared.vertices.shape[1:]))
 
     def moved(self, shared: Shared, look: Look, state: States, step: Array) -> Look:
         """The same after a step of lambda (b, m)."""
@@ -301,9 +317,8 @@ class BatchObjective:
 
     def _inverse_affinities(self, shared: Shared, p: Array) -> Array:
         """Linear parts (b, t, 2, 2) of the maps back from each triangle: ``warp._inverse_affinities``."""
-        xp, own = self.xp, shared.edges[-1]
-        by_p = xp.reshape(shared.edges[1:-1], (self.n_p, -1))
-        there = shared.edges[0] + xp.reshape(p @ by_p, (-1, *shared.edges.shape[1:]))
+        xp, own = self.xp, shared.frame
+        there = _edges(xp, self._vertices(shared, p), shared.triangles)
         a, b, c, d = (there[..., i, j] for i in (0, 1) for j in (0, 1))
         determinant = a * d - b * c
         size = xp.abs(own[..., 0, 0] * own[..., 1, 1] - own[..., 0, 1] * own[..., 1, 0])
@@ -422,17 +437,7 @@ def _by_angle(function: Callable[[float], np.ndarray]) -> np.ndarray:
     return np.stack([constant, ahead - constant, across - constant])
 
 
-def _edges(warp: PiecewiseAffineWarp) -> np.ndarray:
-    """Edges of the warp's triangles at rest, by each parameter, and of the reference frame, (n_p + 2, t, 2, 2)."""
-
-    def edges(vertices: np.ndarray) -> np.ndarray:
-        a, b, c = (vertices[warp.frame.triangles[:, i]] for i in range(3))
-        return np.stack([b - a, c - a], axis=2)
-
-    def vertices(p: np.ndarray) -> np.ndarray:
-        shape = warp.shape(p)
-        return shape if warp.extension is None else warp.extension @ shape
-
-    rest = edges(vertices(np.zeros(warp.n_parameters)))
-    by_p = [edges(vertices(p)) - rest for p in np.eye(warp.n_parameters)]
-    return np.stack([rest, *by_p, edges(warp.frame.points)])
+def _edges(xp: Any, vertices: Array, triangles: Array) -> Array:
+    """Two edges of each triangle (3, t) on vertices (..., n_vertices, 2), as columns, (..., t, 2, 2)."""
+    a, b, c = (xp.take(vertices, triangles[i, ...], axis=-2) for i in range(3))
+    return xp.stack([b - a, c - a], axis=-1)
