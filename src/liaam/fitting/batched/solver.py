@@ -35,6 +35,7 @@ from liaam.fitting.solver import (
     OBSERVABLE_APART,
     SCORING_RISE,
     SCORING_STEPS,
+    STILL,
     TRUSTED_DAMPING,
     Solution,
     SolverOptions,
@@ -72,22 +73,26 @@ class Run(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """Steps to be tried: the states they lead to, which are too small to matter (b,), where there was something to
-    see (b,), and the precision of the prior that they reckon with (b, n_p).
+    """Steps to be tried.
+
+    The states they lead to, which are too small to matter (b,) or to weigh anew after (b,), where there was something
+    to see (b,), and the precision of the prior that they reckon with (b, n_p).
     """
 
     state: States
     small: Array
+    still: Array
     sees: Array
     precision: Array
 
 
 class Step(NamedTuple):
-    """Fits after a step was tried: which accepted it, and which found it too small to matter, (b,) each."""
+    """Fits after a step was tried: which accepted it, and which found it too small to matter or to weigh anew."""
 
     run: Run
     accepted: Array
     small: Array
+    still: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +133,7 @@ class BatchSolver:
         record.accept(run, None)
         for iteration in range(1, self.options.max_iterations + 1):
             tried = self._try_step(shared, pictures, run, iteration)
-            run = self._weigh_anew(shared, pictures, tried.run, tried.accepted)
+            run = self._weigh_anew(shared, pictures, tried.run, tried.accepted & ~tried.still)
             record.accept(run, tried.accepted)
             run = self._finish(shared, run, tried)
             going = ~record.fetch(run.done)
@@ -207,7 +212,9 @@ class BatchSolver:
         precision = self._precision(shared, equations)
         step, lambda_step, sees = self._step(equations, run.state, precision, run.free, damping)
         small = self._is_small(step, equations, precision)
-        return Proposal(self._update(shared, run.state, step, lambda_step), small, sees, precision)
+        return Proposal(
+            self._update(shared, run.state, step, lambda_step), small, self._movement(step) < STILL, sees, precision
+        )
 
     def _is_small(self, step: Array, equations: Equations, precision: Array) -> Array:
         """Which steps are too small to matter, (b,): in pixels, or in standard deviations where they are known."""
@@ -239,7 +246,7 @@ class BatchSolver:
             done=run.done | stuck | flat,
             n_iterations=xp.where(run.done, run.n_iterations, number),
         )
-        return Step(after, accepted, proposed.small)
+        return Step(after, accepted, proposed.small, proposed.still)
 
     def _weigh_anew(self, shared: Shared, pictures: Pictures, run: Run, which: Array) -> Run:
         """Weigh the pixels of some fits anew, and solve lambda again under the weights that have changed."""
