@@ -108,15 +108,46 @@ def grey(image):
     return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2).astype(np.uint8)
 
 
-@pytest.mark.parametrize("faded", [0, 2])
-def test_only_a_video_that_is_grey_from_the_start_has_no_shading_free_version(run, model_file, moving, tmp_path, faded):
+@pytest.mark.parametrize("kinds", ["gggg", "ccgg", "gccc", "bggg", "bccc"])
+def test_grey_frames_keep_their_shading_and_only_a_grey_video_is_told(run, model_file, moving, tmp_path, kinds):
+    """Frames are grey, in colour, or blank."""
     path, fresh = tmp_path / "grey.mp4", tmp_path / "s.mp4"
     with video_writer(path, 25) as writer:
-        for i, scene in enumerate(moving[:4]):
-            writer.write(grey(scene.image) if i >= faded else scene.image)
-    code, _, err = run("track", model_file, path, "--shading-free", fresh, "--init", "18,40,100,150")
-    assert ("the video is grey" in err) == (code == 1) == (faded == 0)
-    assert fresh.exists() == (faded > 0)
+        for kind, scene in zip(kinds, moving[:4], strict=True):
+            writer.write({"g": grey, "c": np.asarray, "b": lambda image: np.full_like(image, 90)}[kind](scene.image))
+    options = () if kinds[0] == "b" else ("--init", "18,40,100,150")
+    code, _, err = run("track", model_file, path, "--shading-free", fresh, *options)
+    assert (f"{path} as it was: the video is grey" in " ".join(err.split())) == (code == 1) == ("c" not in kinds)
+    changed = [np.abs(a.astype(int) - b).mean() > 2 for a, b in zip(frames_of(path), frames_of(fresh), strict=True)]
+    assert changed[:2] == [kind == "c" for kind in kinds[:2]]  # what fades is still a little coloured once compressed
+
+
+def test_a_video_of_uneven_times_keeps_them(run, model_file, moving, tmp_path):
+    times = [0.0, 0.04, 0.08, 2.0, 2.04]
+    with video_writer(tmp_path / "slow.mp4", 25) as writer:
+        for time, scene in zip(times, moving, strict=False):
+            writer.write(scene.image, time)
+    outputs = tmp_path / "v.mp4", tmp_path / "s.mp4"
+    options = ("--video", outputs[0], "--shading-free", outputs[1], "--start", 1)
+    assert run("track", model_file, tmp_path / "slow.mp4", *options)[0] == 0
+    for path in outputs:
+        with VideoReader(path) as video:
+            np.testing.assert_allclose([frame.time for frame in video], np.array(times[1:]) - 0.04, atol=2e-3)
+
+
+def test_a_video_may_be_written_over(run, model_file, clip, tmp_path):
+    for _ in range(2):
+        assert run("track", model_file, clip, "--video", tmp_path / "v.mp4", "--frames", 1)[0] == 0
+
+
+def test_a_grey_start_names_video_and_frame(run, model_file, moving, tmp_path):
+    path = tmp_path / "grey.mp4"
+    with video_writer(path, 25) as writer:
+        for scene in moving[:2]:
+            writer.write(grey(scene.image))
+    code, _, err = run("track", model_file, path, "-o", tmp_path / "t.csv", "-m", "li", "--init", "18,40,100,150")
+    assert code == 1
+    assert "grey.mp4, frame 0" in err
 
 
 def test_ctrl_c_leaves_what_was_done(run, model_file, clip, tmp_path, monkeypatch):
@@ -152,23 +183,27 @@ def test_ctrl_c_leaves_what_was_done(run, model_file, clip, tmp_path, monkeypatc
         (("{clip}", "--video", "a.mp4", "--shading-free", "a.mp4"), "the same name"),
         (("{clip}", "-o", "none/t.csv"), "does not exist"),
         (("{clip}", "-o", "{own}"), "is no track"),
+        (("{clip}", "--video", "own.mp4"), "own.mp4 exists and is no video"),
+        (("{clip}", "--shading-free", "own.mp4"), "own.mp4 exists and is no video"),
         (("{clip}", "-m", "grey", "--shading-free", "s.mp4"), "no shading can be taken off"),
         (("{clip}", "-m", "magic"), "'magic' does not exist"),
         (("{clip}", "--init", "nowhere.pts"), "there is no such file"),
         (("{clip}", "--init", "9000,9000,9100,9100"), "outside the image"),
+        (("{clip}", "--init", "9000,9000,9100,9100", "--start", "2"), "talk.mp4, frame 2"),
     ],
 )
 def test_errors_name_fault_and_remedy(run, model_file, clip, tmp_path, monkeypatch, arguments, complaint):
     monkeypatch.chdir(tmp_path)
-    own = tmp_path / "own.csv"
-    own.write_text("x,y\n1,2\n")
+    own, film = tmp_path / "own.csv", tmp_path / "own.mp4"
+    for path in (own, film):
+        path.write_text("x,y\n1,2\n")
     names = {"none": tmp_path / "none.mp4", "model": model_file, "clip": clip, "own": own}
     code, _, err = run("track", model_file, *(a.format(**names) for a in arguments))
     assert code == 1
     assert complaint in err
     assert "Traceback" not in err
-    assert own.read_text() == "x,y\n1,2\n"
-    assert [path.name for path in tmp_path.iterdir()] == ["own.csv"]
+    assert own.read_text() == film.read_text() == "x,y\n1,2\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["own.csv", "own.mp4"]
 
 
 def test_ranges_in_words():

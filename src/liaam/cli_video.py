@@ -78,15 +78,16 @@ def track(
     tracker = Tracker(model, method, camera, TrackingOptions(smooth=smooth))
     counts, reader = Counts(), VideoReader(source, start, stop)
     with reader, ExitStack() as files, stop_on_interrupt() as stopped, progress_bar() as tell:
-        sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses)
+        sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
         follow(reader, tracker, init, sinks, counts, tell, stopped)
     report(counts, [path for path in (output, annotated, shading_free) if path is not None])
     if stopped():
         complain(f"stopped after {counts.n} frames; they are written")
         raise typer.Exit(130)
-    if reader.fault:
-        complain(f"error: {reader.fault}")
-    if reader.fault or not counts.n_tracked:
+    faults = [fault for fault in (reader.fault, counts.all_grey and all_grey(shading_free, reader.name)) if fault]
+    for fault in faults:
+        complain(f"error: {fault}")
+    if faults or not counts.n_tracked:
         raise typer.Exit(1)
 
 
@@ -102,6 +103,8 @@ class Counts:
     qualities: list[float] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
     fits: Counter = field(default_factory=Counter)
+    n_unshaded: int = 0
+    n_grey: int = 0
     recent: deque = field(default_factory=lambda: deque(maxlen=60))
     began: float = field(default_factory=monotonic)
 
@@ -114,6 +117,11 @@ class Counts:
     def n_tracked(self) -> int:
         """Frames with landmarks."""
         return self.n - len(self.lost)
+
+    @property
+    def all_grey(self) -> bool:
+        """Whether shading was to be taken off, and all frames with the object were grey."""
+        return self.n_grey > 0 and not self.n_unshaded
 
     @property
     def rate(self) -> float:
@@ -153,7 +161,7 @@ def default_output(source: Path | int) -> Path:
 
 def check_outputs(output: Path | None, annotated: Path | None, shading_free: Path | None, source: Path | int) -> None:
     """Complain about outputs before the work, not after it."""
-    from liaam.io.video import check_video_name
+    from liaam.io.video import check_video_name, is_video
     from liaam.tracking.files import check_track_name, is_track
 
     paths = [path for path in (output, annotated, shading_free) if path is not None]
@@ -166,6 +174,9 @@ def check_outputs(output: Path | None, annotated: Path | None, shading_free: Pat
         raise LiaamError(f"{paths[0]}: two outputs have the same name; give each its own")
     if isinstance(source, Path) and source.resolve() in {path.resolve() for path in paths}:
         raise LiaamError(f"{source} is the video to be read; give the output another name")
+    for path in (annotated, shading_free):
+        if path is not None and path.exists() and not is_video(path):
+            raise LiaamError(f"{path} exists and is no video; give another name to keep it")
     if output is None:
         return
     check_track_name(output)
@@ -181,6 +192,7 @@ def open_sinks(
     shading_free: Path | None,
     reader: "VideoReader",
     ellipses: bool,
+    counts: Counts,
 ) -> list[Sink]:
     """Open what was asked for, and nothing else; each is closed by ``files``."""
     from liaam.io import video_writer
@@ -195,7 +207,7 @@ def open_sinks(
     if annotated is not None:
         sinks.append(drawing(files.enter_context(video_writer(annotated, reader.rate)), tracker, ellipses))
     if shading_free is not None and remover is not None:
-        sinks.append(unshading(files.enter_context(video_writer(shading_free, reader.rate)), tracker, remover))
+        sinks.append(unshading(files.enter_context(video_writer(shading_free, reader.rate)), tracker, remover, counts))
     return sinks
 
 
@@ -206,13 +218,13 @@ def drawing(writer: Any, tracker: "Tracker", ellipses: bool) -> Sink:
     def write(frame: "VideoFrame", tracked: "TrackedFrame") -> None:
         landmarks = tracked.landmarks if tracked.ok else None
         covariances = tracked.covariances if ellipses and tracked.ok else None
-        writer.write(annotated(frame.image, landmarks, tracker.model, caption_of(tracked), covariances))
+        writer.write(annotated(frame.image, landmarks, tracker.model, caption_of(tracked), covariances), frame.time)
 
     return write
 
 
-def unshading(writer: Any, tracker: "Tracker", remover: Any) -> Sink:
-    """Give what writes frames without shading; those without the object as they are."""
+def unshading(writer: Any, tracker: "Tracker", remover: Any, counts: Counts) -> Sink:
+    """Give what writes frames without shading; those without the object, and grey ones, as they are."""
     from liaam.tracking import TrackStatus
 
     def write(frame: "VideoFrame", tracked: "TrackedFrame") -> None:
@@ -222,12 +234,20 @@ def unshading(writer: Any, tracker: "Tracker", remover: Any) -> Sink:
         if tracker.result is not None:
             try:
                 fresh = remover.remove(frame.image, tracker.result, tracked.landmarks)
-            except MethodError:  # grey: a whole video, or one that has faded
-                if not writer.n_frames:
-                    raise
-        writer.write(fresh)
+                counts.n_unshaded += 1
+            except MethodError:  # grey: a whole video, or one that fades
+                counts.n_grey += 1
+        writer.write(fresh, frame.time)
 
     return write
+
+
+def all_grey(path: Path | None, name: str) -> str:
+    """What is wrong with a shading-free video of which all frames are as they were."""
+    return (
+        f"{path} shows {name} as it was: the video is grey (three equal channels) wherever the object was found, and "
+        "shading is told by colours; give a colour video"
+    )
 
 
 def caption_of(tracked: "TrackedFrame") -> str:
@@ -248,6 +268,7 @@ def follow(
     stopped: Callable[[], bool],
 ) -> None:
     """Track all frames and hand each to what was asked for."""
+    tracker.name = reader.name
     for frame in reader:
         if not counts.n and init is not None:
             tracker.init = read_init(init, Path(reader.name), frame.image.shape[1::-1])

@@ -1,6 +1,7 @@
 """Videos: what is written can be read, and what cannot be read is said."""
 
 import importlib
+import itertools
 import threading
 from fractions import Fraction
 from pathlib import Path
@@ -96,6 +97,102 @@ def test_a_video_of_changing_size_is_read(tmp_path):
     assert [frame.image.shape[:2] for frame in read(path)] == [(48, 64), (48, 64), (96, 128), (48, 64)]
 
 
+def noise(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 255, (48, 64, 3), np.uint8)
+
+
+def film_of_noise(path: Path, n: int = 60) -> Path:
+    """An .mp4 with a keyframe each twelve frames and its index before the pictures, as for the web."""
+    import av
+
+    with av.open(str(path), "w", options={"movflags": "faststart"}) as out:
+        stream = out.add_stream("mpeg4", rate=25, options={"g": "12"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for i in range(n):
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(noise(i), format="rgb24")))
+        out.mux(stream.encode())
+    return path
+
+
+def trimmed(source: Path, path: Path, n_hidden: int) -> Path:
+    """The same pieces with the first frames hidden by an edit list, as 'ffmpeg -ss … -c copy' does it."""
+    import av
+
+    with av.open(str(source)) as video, av.open(str(path), "w", options={"movflags": "faststart"}) as out:
+        stream = video.streams.video[0]
+        copy, shift = out.add_stream_from_template(stream), int(n_hidden / 25 / stream.time_base)
+        for packet in video.demux(stream):
+            if packet.dts is not None:
+                packet.pts, packet.dts, packet.stream = packet.pts - shift, packet.dts - shift, copy
+                out.mux(packet)
+    return path
+
+
+@pytest.mark.parametrize("n_hidden", [8, 15])  # and whole groups of frames before a keyframe are not even read
+def test_a_trimmed_video_is_whole(tmp_path, n_hidden):
+    with VideoReader(trimmed(film_of_noise(tmp_path / "film.mp4"), tmp_path / "trim.mp4", n_hidden)) as reader:
+        announced, frames = reader.n_frames, list(reader)
+    assert len(frames) == announced == 60 - n_hidden
+    assert (frames[0].time, reader.fault) == (0.0, "")
+
+
+def test_a_trimmed_video_cut_short_says_so(tmp_path):
+    path = trimmed(film_of_noise(tmp_path / "film.mp4"), tmp_path / "trim.mp4", 8)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with VideoReader(path) as reader:
+        assert 5 < len(list(reader)) < 52
+    assert "cut short" in reader.fault or "damaged" in reader.fault
+
+
+def test_frames_come_inside_of_a_with_block_only(video):
+    complaint = "film.mp4: .* write 'with VideoReader"
+    with pytest.raises(VideoError, match=complaint):
+        list(VideoReader(video))
+    with VideoReader(video) as reader:
+        frames = iter(reader)
+        next(frames)
+    with pytest.raises(VideoError, match=complaint):
+        next(frames)
+
+
+def test_frames_come_once(video):
+    with VideoReader(video) as reader:
+        assert [frame.index for frame in itertools.islice(reader, 10)] == list(range(10))
+        assert [frame.index for frame in itertools.islice(reader, N - 10)] == list(range(10, N))
+        assert list(reader) == list(reader) == []
+        assert reader.fault == ""
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".mov", ".webm"])
+def test_times_come_back(tmp_path, suffix):
+    times = np.cumsum([4.0, *(0.04, 0.5, 0.033, 0.011) * 5])  # from a later part of a video, and uneven
+    path = tmp_path / f"film{suffix}"
+    with video_writer(path, 25) as writer:
+        for i, time in enumerate(times):
+            writer.write(picture(i), time)
+    with VideoReader(path) as reader:
+        frames = list(reader)
+    assert reader.fault == ""
+    np.testing.assert_allclose([frame.time for frame in frames], times - 4.0, atol=2e-3)
+
+
+def test_times_that_are_missing_or_run_backwards(tmp_path):
+    path = tmp_path / "film.mp4"
+    with video_writer(path, 25) as writer:
+        for i, time in enumerate([None, 7.0, float("nan"), 7.5, 7.5, 3.0, 8.0]):
+            writer.write(picture(i), time)
+    times = [frame.time for frame in read(path)]
+    np.testing.assert_allclose(times, [0, 0.04, 0.08, 0.54, 0.541, 0.542, 1.04], atol=1e-3)
+
+
+def test_an_avi_keeps_to_its_rate(tmp_path):
+    path = tmp_path / "film.avi"
+    with video_writer(path, 25) as writer:
+        for i, time in enumerate([0.0, 3.0, 3.1]):
+            writer.write(picture(i), time)
+    np.testing.assert_allclose([frame.time for frame in read(path)], [0, 0.04, 0.08], atol=1e-3)
+
+
 def test_leaving_early_ends_the_thread(video):
     before = threading.active_count()
     with VideoReader(video) as reader:
@@ -107,26 +204,14 @@ def test_leaving_early_ends_the_thread(video):
 
 
 def test_a_video_cut_short_gives_what_it_has(tmp_path):
-    path = write(
-        tmp_path / "film.mkv", (np.random.default_rng(i).integers(0, 255, (48, 64, 3), np.uint8) for i in range(60))
-    )
+    path = write(tmp_path / "film.mkv", map(noise, range(60)))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     frames = read(path)
     assert 5 < len(frames) < 60
 
 
-def test_a_video_that_announces_more_than_it_has_says_so(tmp_path, video):
-    import av
-
-    path = tmp_path / "fast.mp4"  # with its index before the pictures, as for the web
-    with av.open(str(path), "w", options={"movflags": "faststart"}) as out:
-        stream = out.add_stream("mpeg4", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        rng = np.random.default_rng(3)
-        for _ in range(60):
-            noise = rng.integers(0, 255, (48, 64, 3), np.uint8)
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(noise, format="rgb24")))
-        out.mux(stream.encode())
+def test_a_video_that_announces_more_than_it_has_says_so(tmp_path):
+    path = film_of_noise(tmp_path / "fast.mp4")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with VideoReader(path) as reader:
         frames = list(reader)

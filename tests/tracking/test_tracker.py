@@ -201,6 +201,25 @@ def test_bad_starts_are_errors_and_bad_frames_are_lost(head_model, moving):
     assert tracker.update(moving[2].image).ok
 
 
+@pytest.mark.parametrize("bad", [np.zeros((4, 4, 3), np.uint8), np.zeros(7)])
+def test_frames_that_are_no_pictures_are_lost(head_model, moving, bad):
+    with pytest.raises(ImageError, match=r"walk\.mp4, frame 3"):
+        Tracker(head_model, name="walk.mp4").update(bad, index=3)
+    tracker = Tracker(head_model)
+    assert tracker.update(moving[0].image).ok
+    lost = tracker.update(bad, 0.04)
+    assert (lost.status, lost.fit_status, lost.index, lost.time) == (TrackStatus.LOST, None, 1, 0.04)
+    assert tracker.result is None
+    after = tracker.update(moving[2].image)
+    assert after.status is TrackStatus.TRACKED
+    assert off(after.landmarks, moving[2]) < RIGHT
+
+
+def test_errors_name_the_video(head_model, clip):
+    with pytest.raises(StartError, match=r"talk.mp4, frame 2"):
+        next(track_video(head_model, clip, init=(5000, 5000, 5100, 5100), start=2))
+
+
 def test_a_grey_video_is_tracked_by_the_default_method(head_model, moving):
     tracker = Tracker(head_model)
     for scene in moving[:3]:

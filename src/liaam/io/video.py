@@ -38,6 +38,8 @@ DEFAULT_RATE = Fraction(25)
 _ENCODERS = (("libx264", {"crf": "18", "preset": "veryfast"}), ("mpeg4", {"qscale": "3"}))
 _WEB_ENCODERS = (("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6"}),)
 _WAIT, _PATIENCE = 0.2, 5.0
+_TICKS = 60000  # per second, of what is written: a whole number of them for each frame of all usual rates
+_LEAST_STEP = _TICKS // 1000  # some files tell times apart by milliseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +86,8 @@ class VideoReader:
     Raises
     ------
     VideoError
-        If PyAV is not installed, or the source is missing, no video, or has no frame in that range.
+        If PyAV is not installed, or the source is missing, no video, or has no frame in that range; or if frames are
+        asked for outside of a ``with`` block.
 
     Examples
     --------
@@ -105,6 +108,7 @@ class VideoReader:
         self.n_frames = self._expected()
         self._queue: queue.Queue[VideoFrame | BaseException | None] = queue.Queue(AHEAD_LIVE if self.live else AHEAD)
         self._closed = threading.Event()
+        self._n_given, self._ended = 0, False
         self._thread = threading.Thread(target=self._decode, name=f"decode {self.name}", daemon=True)
 
     def _expected(self) -> int | None:
@@ -124,18 +128,24 @@ class VideoReader:
             self._source.close()
 
     def __iter__(self) -> Iterator[VideoFrame]:
-        count = 0
-        while True:
+        """Give the frames, once: a second loop goes on where the first one stopped."""
+        while not self._ended:
+            if self._thread.ident is None or self._closed.is_set():
+                raise VideoError(
+                    f"{self.name}: frames come inside of a with block only; write 'with VideoReader(...) as video:' "
+                    "around the loop"
+                )
             item = self._queue.get()
-            if item is None:
-                break
-            if isinstance(item, BaseException):
+            if isinstance(item, VideoFrame):
+                self._n_given += 1
+                yield item
+                continue
+            self._ended = True
+            if item is not None:
                 raise item
-            count += 1
-            yield item
-        if not count:
-            raise VideoError(self._why_nothing())
-        self.fault = self._source.fault
+            if not self._n_given:
+                raise VideoError(self._why_nothing())
+            self.fault = self._source.fault
 
     def _why_nothing(self) -> str:
         seen = self._source.n_seen
@@ -193,14 +203,22 @@ class _File:
         stream.thread_type = "AUTO"
         self.stream, self.errors = stream, av.error.FFmpegError
         self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
-        self.n_frames: int | None = stream.frames or None
-        self.n_seen, self.n_damaged, self.fault = 0, 0, ""
+        self.n_frames, self.n_packets = self._announced(stream)
+        self.n_seen, self.n_read, self.n_damaged, self.fault = 0, 0, 0, ""
         self.reformatter = av.video.reformatter.VideoReformatter()
+
+    def _announced(self, stream: Any) -> tuple[int | None, int]:
+        """Frames to be shown and pieces to be read, as far as the file tells: a trimmed .mp4 hides some of them."""
+        entries = getattr(stream, "index_entries", ()) if "mp4" in self.container.format.name else ()  # of PyAV 16 on
+        if not stream.frames or not entries:
+            return stream.frames or None, stream.frames
+        return sum(not entry.is_discard for entry in entries) or None, min(stream.frames, len(entries))
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
         first, last = None, -1.0
         try:
             for packet in self.container.demux(self.stream):
+                self.n_read += bool(packet.size)
                 for frame in self._frames_of(packet):
                     stamp = float(self.n_seen / self.rate) if frame.time is None else float(frame.time)
                     first = stamp if first is None else first
@@ -216,9 +234,9 @@ class _File:
             return
         if self.n_damaged:
             self.fault = f"{self.path} is damaged: {self.n_damaged} pieces of it could not be decoded and are missing"
-        elif self.n_frames and self.n_seen < self.n_frames:
+        elif self.n_read < self.n_packets:
             self.fault = (
-                f"{self.path} is cut short: it has {self.n_seen} of the {self.n_frames} frames that it announces"
+                f"{self.path} is cut short: it has {self.n_read} of the {self.n_packets} frames that it announces"
             )
 
     def _frames_of(self, packet: Any) -> list[Any]:
@@ -321,18 +339,45 @@ class VideoWriter:
         self._container, self._path, self._rate = container, path, rate
         self._stream: Any = None
         self._size = (0, 0)
+        # An .avi has a place for each frame of its rate, and none for times.
+        self._timed = path.suffix.lower() != ".avi"
+        self._base = Fraction(1, _TICKS) if self._timed else 1 / rate
+        self._begun: float | None = None
+        self._last = -1
         self.n_frames = 0
 
-    def write(self, image: np.ndarray) -> None:
-        """Add a frame, (h, w, 3) uint8; all are brought to the size of the first."""
+    def write(self, image: np.ndarray, time: float | None = None) -> None:
+        """Add a frame.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8
+            Brought to the size of the first frame.
+        time : float, optional
+            Seconds, such as :attr:`VideoFrame.time`, counted from those of the first frame that has a time; one frame
+            of the rate after the frame before if left out or NaN. An ``.avi`` keeps to its rate.
+        """
         import av  # there: the container is its
 
         if not self.n_frames:
             self._begin(image.shape[:2])
         frame = av.VideoFrame.from_ndarray(self._fitted(image), format="rgb24")
-        frame.pts, frame.time_base = self.n_frames, 1 / self._rate
+        frame.pts, frame.time_base = self._stamp(time), self._base
         self._container.mux(self._stream.encode(frame))
-        self.n_frames += 1
+        self.n_frames, self._last = self.n_frames + 1, frame.pts
+
+    def _stamp(self, time: float | None) -> int:
+        """When to show the next frame, in units of the stream's time base; later than the one before."""
+        if not self._timed:
+            return self.n_frames
+        step = round(_TICKS / self._rate)
+        counted = self._last + step if self.n_frames else 0
+        if time is None or not np.isfinite(time):
+            return counted
+        if self._begun is None:
+            self._begun = time - counted / _TICKS
+        stamp = round((time - self._begun) * _TICKS)
+        return stamp if not self.n_frames else max(stamp, self._last + min(step, _LEAST_STEP))
 
     def _begin(self, size: tuple[int, int]) -> None:
         name, options = _encoder(self._path)
@@ -340,7 +385,7 @@ class VideoWriter:
         self._stream = self._container.add_stream(name, rate=self._rate, options=options)
         self._stream.height, self._stream.width = self._size
         self._stream.pix_fmt = "yuv420p"
-        self._stream.codec_context.time_base = 1 / self._rate
+        self._stream.codec_context.time_base = self._base
 
     def _fitted(self, image: np.ndarray) -> np.ndarray:
         height, width = self._size
@@ -374,7 +419,7 @@ def video_writer(path: str | os.PathLike[str], rate: Fraction | float = DEFAULT_
     Yields
     ------
     VideoWriter
-        Its ``write(image)`` takes (h, w, 3) uint8.
+        Its ``write(image, time=None)`` takes (h, w, 3) uint8, and seconds where frames do not come evenly.
 
     Raises
     ------
@@ -395,6 +440,16 @@ def check_video_name(path: Path) -> None:
     """Complain about the name of a video that cannot be written."""
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise VideoError(f"{path}: a video's name ends in {', '.join(VIDEO_SUFFIXES)}, such as {path.stem}.mp4")
+
+
+def is_video(path: Path) -> bool:
+    """Tell whether a file is a video, as far as its beginning shows."""
+    _pyav(f"{path} is a video")
+    try:
+        _File(path).close()
+    except VideoError:
+        return False
+    return True
 
 
 def _encoder(path: Path) -> tuple[str, dict[str, str]]:

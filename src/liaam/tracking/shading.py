@@ -84,7 +84,9 @@ class ShadingRemover:
         """
         image = as_colour(image)
         if is_grey(image):
-            raise MethodError("the video is grey (three equal channels), and shading is told by colours")
+            raise MethodError(
+                "the video is grey (three equal channels), and shading is told by colours; give a colour video"
+            )
         log = self._log is not self.fitter
         seen = shadow_free(self._log, image, replace(result, method="li", theta=np.nan) if log else result)
         log_rgb = self._filtered(seen)

@@ -161,6 +161,8 @@ class Tracker:
     options : TrackingOptions
     init : shape, box, or point and size, optional
         Where the object is in the first frame; searched for if left out.
+    name : str
+        What the frames are of, such as the name of a video, for messages.
     result : FitResult or None
         The last frame's fit; None if it is lost.
 
@@ -175,6 +177,7 @@ class Tracker:
     camera: CameraModel | None = None
     options: TrackingOptions = field(default_factory=TrackingOptions)
     init: object = None
+    name: str = ""
     result: FitResult | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -216,15 +219,29 @@ class Tracker:
             For a first frame or a start that make no sense; later frames of the kind are lost.
         """
         index = self._count if index is None else index
-        pixels, _ = load_picture(image, f"frame {index}")
+        name = f"{self.name}, frame {index}" if self.name else f"frame {index}"
+        try:
+            pixels, _ = load_picture(image, name)
+        except ImageError:
+            if self._count == 0:
+                raise
+            return self._missed(index, time)
         self._follow_size(pixels.shape[0], pixels.shape[1])
-        status, tried = self._locate(pixels, f"frame {index}")
+        status, tried = self._locate(pixels, name)
         self._count += 1
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
             return _lost(self.model.n_points, index, time, tried)
         self._loss, self._last = _Loss(), tried.shape
         return self._seen(tried, status, index, time)
+
+    def _missed(self, index: int, time: float) -> TrackedFrame:
+        """Go past a frame that is no picture: the object is lost in it, and moves on meanwhile."""
+        if self._loss.frames <= self.options.patience and self._last is not None:
+            self._predicted()
+        self._loss = self._loss.next_frame(False, self.options.longest_wait)
+        self._count, self.result = self._count + 1, None
+        return _lost(self.model.n_points, index, time, None)
 
     def _follow_size(self, height: int, width: int) -> None:
         """Carry what is known over to frames of another size."""

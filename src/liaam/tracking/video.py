@@ -55,5 +55,6 @@ def track_video(
     """
     tracker = Tracker(model, method, camera, options or TrackingOptions(), init)
     with VideoReader(video, start, stop) as frames:
+        tracker.name = frames.name
         for frame in frames:
             yield tracker.update(frame.image, frame.time, frame.index)
