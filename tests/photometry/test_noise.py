@@ -389,4 +389,4 @@ def test_rows_of_all_phases_of_jpeg_are_looked_at(size, rng, monkeypatch):
     decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
     some = noise_deviation(decoded)
     monkeypatch.setattr("liaam.photometry.noise.SPARSE", 10**9)
-    assert some == pytest.approx(noise_deviation(decoded), rel=0.08)
+    assert some == pytest.approx(noise_deviation(decoded), rel=0.12)
