@@ -111,6 +111,30 @@ def test_finds_pictures_of_folders_patterns_and_files(world):
     assert list(find_pictures(odd, odd)) == [str(odd), str(odd)]
 
 
+def test_a_named_file_with_a_fault_is_a_row(world, tmp_path):
+    (tmp_path / "zero.png").touch()
+    (tmp_path / "nowhere.png").symlink_to("gone.png")
+    pictures = find_pictures(tmp_path / "zero.png", tmp_path / "nowhere.png", world.pictures / "face2.png")
+    assert batch_of(world, tmp_path / "r.csv", pictures).statuses == {"converged": 1, "error": 2}
+
+
+def test_paths_stay_as_named(world, tmp_path, monkeypatch):
+    (tmp_path / "real" / "sub").mkdir(parents=True)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "link").symlink_to("../real/sub")
+    for name in ("real", "other"):
+        (tmp_path / name / "x.png").touch()
+    (tmp_path / "real" / "x.png").write_bytes((world.pictures / "face2.png").read_bytes())
+    monkeypatch.chdir(tmp_path)
+    names = ["other/link/../x.png", "./other//x.png", "other/x.png", ".//.//other/x.png", f"/{tmp_path}/real/x.png"]
+    batch_of(world, "r.jsonl", names)
+    assert {row["path"]: row["status"] for row in rows_of(tmp_path / "r.jsonl")} == {
+        "other/link/../x.png": "converged",
+        "other/x.png": "error",
+        f"/{tmp_path}/real/x.png": "converged",
+    }
+
+
 @pytest.mark.parametrize(
     ("source", "message"),
     [("nowhere", "does not exist"), ("empty", "there is no picture"), ("empty/**/*.png", "there is no picture")],
@@ -209,6 +233,23 @@ def test_starts_and_covariances_are_choices(world, tmp_path):
     assert 0 < rows_of(tmp_path / "c.jsonl")[0]["found"] <= 1
 
 
+def test_messages_name_starts_as_they_were_named(world, tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    for name in ("a.png", "b.png"):
+        (tmp_path / "in" / name).write_bytes((world.pictures / "face2.png").read_bytes())
+    (tmp_path / "in" / "b.box").write_text("1,2")
+    monkeypatch.chdir(tmp_path)
+    for i, init in enumerate(["beside", "in"]):
+        batch_of(world, f"{i}.jsonl", "in", settings=Settings("grey", init))
+        messages = [row["message"] for row in rows_of(tmp_path / f"{i}.jsonl")]
+        assert "a.png: in holds no landmark file" in messages[0]
+        assert messages[1].startswith("in/b.box: give four numbers")
+    batch_of(world, "c.jsonl", tmp_path / "in", settings=Settings("grey", "in"))
+    batch_of(world, "d.jsonl", tmp_path / "in", settings=Settings("grey", "beside"))
+    assert "a.png: in holds" in rows_of(tmp_path / "c.jsonl")[0]["message"]
+    assert f"a.png: {tmp_path / 'in'} holds" in rows_of(tmp_path / "d.jsonl")[0]["message"]
+
+
 def test_a_fault_of_ours_is_a_row_too(world, tmp_path, monkeypatch):
     monkeypatch.setattr("liaam.batch.work.read_image", lambda path: 1 / 0)
     summary = batch_of(world, tmp_path / "r.csv")
@@ -288,6 +329,30 @@ def test_a_complete_batch_is_left_alone_until_a_picture_changes(world, expected,
     assert batch_of(world, output, [picture], restart=True).fitted == 1
 
 
+@pytest.mark.parametrize("init", ["beside", "{folder}", "{folder}/one.pts"])
+def test_a_start_that_is_mended_is_noticed(world, tmp_path, init):
+    (tmp_path / "in").mkdir()
+    shape = (world.pictures / "face2.pts").read_bytes()
+    for name in ("a", "b"):
+        (tmp_path / "in" / f"{name}.png").write_bytes((world.pictures / "face2.png").read_bytes())
+        (tmp_path / "in" / f"{name}.pts").write_bytes(shape)
+    mended = tmp_path / "in" / ("one.pts" if "one" in init else "b.pts")
+    mended.write_bytes(shape[:20])
+    options = {"settings": Settings("grey", init.format(folder=tmp_path / "in"), 30), "chunk": 1}
+    output, pictures = tmp_path / "r.csv", [str(tmp_path / "in" / name) for name in ("a.png", "b.png")]
+    batch_of(world, output, pictures, **options)
+    assert rows_of(output)[1]["status"] == "error"
+    assert batch_of(world, output, pictures, **options).fitted == 0
+    mended.write_bytes(shape)
+    assert batch_of(world, output, pictures, **options).statuses == {"converged": 2}
+    mended.unlink() if mended.stem == "b" else mended.write_bytes(shape[:20])
+    with pytest.raises(KeyboardInterrupt):
+        batch_of(world, output, pictures, progress=stop_at(2), **options)
+    mended.write_bytes(shape)  # mended while the batch is stopped
+    summary = batch_of(world, output, pictures, **options)
+    assert (summary.fitted, summary.statuses) == (1 if mended.stem == "b" else 2, {"converged": 2})
+
+
 def test_pictures_may_come_and_go_while_a_batch_is_stopped(world, tmp_path, fitted):
     pictures = list(find_pictures(f"{world.pictures}/**/face*.png"))
     with pytest.raises(KeyboardInterrupt):
@@ -314,6 +379,25 @@ def test_other_settings_are_refused(world, tmp_path, stopped):
     assert json.loads((tmp_path / "r.csv.json").read_text())["settings"]["method"] == "rgb"
 
 
+def test_a_batch_that_has_done_nothing_leaves_nothing(world, expected, tmp_path, monkeypatch):
+    output, other = tmp_path / "r.csv", Settings("rgb", world.settings.init, 30)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt, match="no picture is done yet"):
+        patch.setattr(Job, "row", lambda job, path: stop_at(0)(0, 0, ""))
+        batch_of(world, output)
+    assert files_beside(output) == []
+    with Journal(tmp_path / "r.csv.parts") as journal:  # killed before the first row
+        journal.restart({"method": "rgb"})
+        journal.list(["a.png"], lambda path: None)
+    batch_of(world, output)
+    assert rows_of(output) == expected
+    with Journal(tmp_path / "r.csv.parts") as journal:
+        journal.restart({"method": "rgb"})
+    with pytest.raises(LiaamError, match="another method"):  # the table is there still
+        batch_of(world, output, settings=other)
+    assert files_beside(output) == ["r.csv", "r.csv.json"]
+    assert rows_of(output) == expected
+
+
 def test_two_batches_on_one_output_are_refused(world, tmp_path):
     with Journal(tmp_path / "r.csv.parts"), pytest.raises(LiaamError, match="another batch works on the same output"):
         batch_of(world, tmp_path / "r.csv")
@@ -325,6 +409,10 @@ def test_a_damaged_journal_says_how_to_go_on(world, tmp_path):
     (tmp_path / "r.csv.parts" / "journal.sqlite").write_bytes(b"nonsense" * 1000)
     with pytest.raises(LiaamError, match=r"remove .* and begin anew"):
         batch_of(world, tmp_path / "r.csv")
+    (tmp_path / "s.csv.parts").write_text("mine")
+    with pytest.raises(LiaamError, match=r"s\.csv\.parts is no folder"):
+        batch_of(world, tmp_path / "s.csv")
+    assert (tmp_path / "s.csv.parts").read_text() == "mine"
 
 
 class Deadly(Job):
@@ -406,6 +494,12 @@ def test_a_scheduler_that_is_not_there_is_an_error(world, tmp_path, monkeypatch)
     monkeypatch.setattr(cluster_module, "PATIENCE", 0.5)
     with pytest.raises(LiaamError, match="no scheduler answers there"):
         batch_of(world, tmp_path / "r.csv", jobs=None, scheduler="tcp://127.0.0.1:1")
+    assert files_beside(tmp_path / "r.csv") == []
+    with monkeypatch.context() as patch:
+        patch.setattr(cluster_module, "Client", None)  # it would hang when it is thrown away
+        for address in ("foo://bar", "nonsense", "tcp://host:1x"):
+            with pytest.raises(LiaamError, match=f"{address}: no scheduler answers there"):
+                batch_of(world, tmp_path / "r.csv", jobs=None, scheduler=address)
     with pytest.raises(LiaamError, match="leave --jobs out"):
         batch_of(world, tmp_path / "r.csv", jobs=2, scheduler="tcp://127.0.0.1:1")
 
@@ -462,11 +556,16 @@ def test_the_command(run, world, expected, tmp_path, monkeypatch):
     options = ["-m", "grey", "--init", world.settings.init, "--iterations", 30, "--jobs", 1, "-o", tmp_path / "r.csv"]
     code, out, err = run("batch", world.model, "-", "--list", tmp_path / "list.txt", *options)
     assert code == 0
-    assert "13 pictures fitted" in out
+    assert "13 pictures done" in out
     assert "13 rows: 9 converged, 4 error" in out
     assert "4 pictures could not be fitted; the column 'message' says why" in err
     assert rows_of(tmp_path / "r.csv") == expected
     assert "nothing to do" in run("batch", world.model, f"{world.pictures}/**", *options)[1]
+    options[-1] = tmp_path / "zero.csv"
+    for said in ("1 picture done", "nothing to do"):
+        code, out, err = run("batch", world.model, world.pictures / "zero.png", *options)
+        assert (code, said in out, "1 row: 1 error" in out) == (1, True, True)
+        assert "1 picture could not be fitted" in err
     code, _, err = run("batch", world.model, *options)
     assert (code, "no pictures: name" in err) == (1, True)
     code, _, err = run("batch", world.model, "--list", tmp_path / "none.txt", *options)

@@ -58,6 +58,7 @@ def batch(
     """
     from liaam.batch import Settings, run_batch
     from liaam.batch.run import in_words
+    from liaam.batch.work import ERROR
     from liaam.photometry import load_camera
 
     camera = None if camera_file is None else load_camera(camera_file)
@@ -78,10 +79,12 @@ def batch(
         say(f"{output} is complete; there is nothing to do")
     else:
         rate = summary.fitted / summary.seconds
-        say(f"{output}: {summary.fitted} pictures fitted in {summary.seconds:.0f} s, {rate:.1f} a second")
-    say(f"{summary.total} rows: {in_words(summary.statuses)}")
-    if summary.statuses.get("error"):
-        complain(f"{summary.statuses['error']} pictures could not be fitted; the column 'message' says why")
+        say(f"{output}: {_count(summary.fitted, 'picture')} done in {summary.seconds:.0f} s, {rate:.1f} a second")
+    say(f"{_count(summary.total, 'row')}: {in_words(summary.statuses)}")
+    if errors := summary.statuses.get(ERROR, 0):
+        complain(f"{_count(errors, 'picture')} could not be fitted; the column 'message' says why")
+    if errors == summary.total:
+        raise typer.Exit(1)
 
 
 def named_pictures(sources: list[str], listed: Path | None, files: ExitStack) -> Iterator[str]:
@@ -96,3 +99,7 @@ def named_pictures(sources: list[str], listed: Path | None, files: ExitStack) ->
         path = existing_file(listed, LiaamError, "list of pictures")
         named.append(listed_pictures(files.enter_context(path.open("rb"))))
     return chain(*named)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

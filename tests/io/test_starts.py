@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from liaam.errors import StartError
-from liaam.io import check_start, read_start, write_landmarks
+from liaam.io import check_start, read_start, start_file, write_landmarks
 
 IMAGE, SIZE = Path("faces/anna.png"), (100, 80)
 
@@ -20,6 +20,8 @@ def test_reads_numbers_files_and_folders(tmp_path):
     start = read_start(str(tmp_path), IMAGE, SIZE)  # landmarks say more than a box
     assert not isinstance(start, list)
     assert start.points.tolist() == [[1, 2], [3, 4], [5, 7]]
+    assert start_file(str(tmp_path), IMAGE) == start_file(str(tmp_path / "anna.pts"), IMAGE) == tmp_path / "anna.pts"
+    assert start_file(str(tmp_path), Path("otto.png")) is start_file("1,2,3", IMAGE) is None
     check_start("1,2,3")
     check_start(str(tmp_path))
 

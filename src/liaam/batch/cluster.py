@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
+from distributed.comm.addressing import parse_address, parse_host_port
+from distributed.comm.registry import get_backend
 
 from liaam import __version__
 from liaam.batch.pools import Chunk, Finished, deadly
@@ -81,6 +83,11 @@ def _room(client: Client) -> int:
 @contextmanager
 def _connected(address: str) -> Iterator[Client]:
     try:
+        # Before there is a Client: one that cannot make sense of its address hangs when it is thrown away.
+        scheme, place = parse_address(address)
+        get_backend(scheme)
+        if scheme in ("tcp", "tls"):
+            parse_host_port(place)
         client = Client(address, timeout=PATIENCE, set_as_default=False, name="liaam-batch")
     except (OSError, ValueError, ImportError) as error:  # a time-out is an OSError
         raise LiaamError(

@@ -10,8 +10,9 @@ import json
 import os
 import re
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,18 +24,17 @@ PAGE = 1000
 _TABLES = """
 CREATE TABLE IF NOT EXISTS facts (text TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS pictures (
-    place BLOB NOT NULL, path BLOB NOT NULL, size INTEGER, modified INTEGER, seen INTEGER, status TEXT, row TEXT,
+    place BLOB NOT NULL, path BLOB NOT NULL, state TEXT, seen INTEGER, status TEXT, row TEXT,
     UNIQUE (place, path)
 );
 """
 _LIST = """
-INSERT INTO pictures (place, path, size, modified, seen) VALUES (?, ?, ?, ?, 1)
+INSERT INTO pictures (place, path, state, seen) VALUES (?, ?, ?, 1)
 ON CONFLICT (place, path) DO UPDATE SET
     seen = 1,
-    status = CASE WHEN size = excluded.size AND modified = excluded.modified THEN status END,
-    row = CASE WHEN size = excluded.size AND modified = excluded.modified THEN row END,
-    size = excluded.size,
-    modified = excluded.modified
+    status = CASE WHEN state = excluded.state THEN status END,
+    row = CASE WHEN state = excluded.state THEN row END,
+    state = excluded.state
 """
 
 
@@ -65,6 +65,11 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._file = folder / "journal.sqlite"
+        if folder.exists() and not folder.is_dir():
+            raise LiaamError(
+                f"{folder} is no folder, and what is done is kept in one of this name; move the file away, or give "
+                "another name with -o"
+            )
         with self._explained():
             folder.mkdir(exist_ok=True)
             self._base = sqlite3.connect(self._file, timeout=0.0, isolation_level=None)
@@ -96,11 +101,18 @@ class Journal:
             self._base.execute("DELETE FROM facts")
             self._base.execute("INSERT INTO facts VALUES (?)", (json.dumps(facts),))
 
-    def list(self, pictures: Iterable[str]) -> None:
-        """Note which pictures there are, each once; rows stay of those that were there, and are the same file still."""
+    def list(self, pictures: Iterable[str], start_of: Callable[[str], Path | None]) -> None:
+        """Note which pictures there are, each once; rows stay of those whose files are the same still.
+
+        Parameters
+        ----------
+        pictures : iterable of str
+        start_of : callable
+            Gives the file that the start of a picture is read from, if there is one.
+        """
         with self._change():
             self._base.execute("UPDATE pictures SET seen = 0")
-            self._base.executemany(_LIST, map(_entry, pictures))
+            self._base.executemany(_LIST, map(partial(_entry, start_of), pictures))
             self._base.execute("DELETE FROM pictures WHERE NOT seen")
 
     @property
@@ -137,9 +149,9 @@ class Journal:
         return (row for (row,) in self._pages("row", "row IS NOT NULL"))
 
     def digest(self) -> str:
-        """Digest of which pictures there are, of what size and age."""
+        """Digest of which pictures there are, of what size and age, and their starts."""
         digest = hashlib.sha256()
-        for entry in self._pages("path, size, modified", "TRUE"):
+        for entry in self._pages("path, state", "TRUE"):
             digest.update(repr(entry).encode())
         return digest.hexdigest()
 
@@ -201,11 +213,15 @@ class Journal:
             ) from error
 
 
-def _entry(path: str) -> tuple[bytes, bytes, int, int]:
-    path = os.path.normpath(path)
+def _entry(start_of: Callable[[str], Path | None], path: str) -> tuple[bytes, bytes, str]:
+    path = re.sub(r"^(\./)+(?=.)", "", re.sub("(?<=.)//+", "/", path))  # normpath would take a link's .. for another
+    return place_of(path), os.fsencode(path), json.dumps([_state(Path(path)), _state(start_of(path))])
+
+
+def _state(path: Path | None) -> tuple[int, int] | None:
+    """Size and age of a file; None if it is not there, or hidden from us: its row will say why."""
     try:
-        found = Path(path).stat()
-        size, modified = found.st_size, found.st_mtime_ns
-    except (OSError, ValueError):  # it becomes a row that says why
-        size, modified = -1, 0
-    return place_of(path), os.fsencode(path), size, modified
+        found = None if path is None else path.stat()
+    except (OSError, ValueError):
+        return None
+    return None if found is None else (found.st_size, found.st_mtime_ns)

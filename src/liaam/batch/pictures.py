@@ -30,7 +30,7 @@ def find_pictures(*sources: str | os.PathLike[str]) -> Iterator[str]:
     Raises
     ------
     ImageError
-        If a source is not there, or holds no picture.
+        If a source is not there, or is a folder or pattern without pictures.
     """
     for source in [os.fspath(source) for source in sources]:
         if os.path.isdir(source):  # noqa: PTH112 (a str stays one, as people wrote it)
@@ -38,7 +38,9 @@ def find_pictures(*sources: str | os.PathLike[str]) -> Iterator[str]:
         elif glob.has_magic(source) and not os.path.lexists(source):
             found = _of_pattern(source)
         else:
-            found = iter([str(existing_file(source, ImageError, "picture"))])
+            if not os.path.lexists(source):
+                existing_file(source, ImageError, "picture")  # says what is wrong
+            found = iter([source])  # whatever else is wrong with it is said in its row
         first = next(found, None)
         if first is None:
             raise ImageError(

@@ -4,8 +4,8 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -41,7 +41,7 @@ class Summary:
     statuses : dict of str to int
         Number of pictures by status: those of :class:`liaam.fitting.FitStatus`, and ``error``.
     fitted : int
-        Pictures of this run; the others were done already.
+        Pictures that became rows in this run, errors too; the others were done already.
     seconds : float
         That this run took to fit them.
     """
@@ -187,11 +187,13 @@ class _Batch:
 
     def run(self, pictures: Iterable[str], workers: _Workers, restart: bool, tell: Progress) -> Summary:
         """Do what is not done yet, and write the table."""
-        self._check_output(restart)
-        with Journal(self.parts) as journal:
+        self._check_output()
+        with Journal(self.parts) as journal, _tidy(journal):
             self._take_up(journal, restart)
             tell(0, 1, "listing pictures")
-            self._list(journal, pictures)
+            journal.list(pictures, self.job.start_file)
+            if not journal.total:
+                raise LiaamError(f"{self.output}: there is no picture to fit; name some, or a folder that holds them")
             earlier = None if restart else self._complete(journal)
             if earlier is None:
                 summary = self._finish(journal, workers, tell)
@@ -200,26 +202,18 @@ class _Batch:
             journal.remove()
         return summary
 
-    def _list(self, journal: Journal, pictures: Iterable[str]) -> None:
-        """List the pictures; where there are none, nothing is left behind."""
-        try:
-            journal.list(pictures)
-            if not journal.total:
-                raise LiaamError(f"{self.output}: there is no picture to fit; name some, or a folder that holds them")
-        except LiaamError:
-            if not journal.total:
-                journal.remove()
-            raise
-
-    def _check_output(self, restart: bool) -> None:
-        """Complain, before the work, about a table that cannot be written or would undo another."""
+    def _check_output(self) -> None:
+        """Complain, before the work, about a table that cannot be written."""
         check_format(self.output)
         if self.output.is_dir() or not self.output.parent.is_dir():
             what = "it is a folder" if self.output.is_dir() else f"the folder {self.output.parent} does not exist"
             raise LiaamError(
                 f"{self.output} cannot be written: {what}; give the name of a file in a folder that exists"
             )
-        if restart or not self.output.exists() or self.parts.exists():
+
+    def _check_earlier(self) -> None:
+        """Complain, before the work, about a table that would undo another."""
+        if not self.output.exists():
             return
         earlier = self._earlier()
         if earlier is None:
@@ -232,10 +226,12 @@ class _Batch:
     def _take_up(self, journal: Journal, restart: bool) -> None:
         """Go on with a journal of the same settings, or begin one."""
         before = journal.facts
-        if before is None or restart:
-            journal.restart(self.facts)
-        else:
+        if before is not None and journal.statuses and not restart:
             self._refuse_others(before)
+            return
+        if not restart:
+            self._check_earlier()
+        journal.restart(self.facts)
 
     def _refuse_others(self, before: dict[str, Any]) -> None:
         facts = self.facts
@@ -292,10 +288,24 @@ class _Batch:
                         rate = (done - before) / (perf_counter() - begin)
                         tell(done, total, f"{rate:.1f} pictures/s; {in_words(statuses)}")
         except KeyboardInterrupt:
+            if not statuses:
+                raise KeyboardInterrupt("stopped: no picture is done yet") from None
             kept = f"{statuses.total()} of {total} pictures are kept in {self.parts}"
             raise KeyboardInterrupt(f"stopped: {kept}; the same command goes on from there") from None
         summary = Summary(self.output, dict(sorted(statuses.items())))
         return replace(summary, fitted=summary.total - before, seconds=perf_counter() - begin)
+
+
+@contextmanager
+def _tidy(journal: Journal) -> Iterator[None]:
+    """Leave nothing behind when it ends before the first row."""
+    try:
+        yield
+    except BaseException:
+        with suppress(LiaamError, OSError):
+            if not journal.statuses:
+                journal.remove()
+        raise
 
 
 def in_words(statuses: dict[str, int]) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from liaam.errors import LiaamError
 from liaam.fitting.methods import DEFAULT_METHOD
-from liaam.io import check_start, is_raw, read_image, read_start
+from liaam.io import check_start, is_raw, read_image, read_start, start_file
 from liaam.photometry import CameraModel
 from liaam.workers import one_thread
 
@@ -136,6 +137,14 @@ class Job:
         there = os.path.join(self.folder, path)  # noqa: PTH118
         return there if os.path.lexists(there) else path
 
+    def start_file(self, path: str) -> Path | None:
+        """File that the start of a picture is read from, if there is one."""
+        start = self._start(path)
+        try:
+            return None if start is None else start_file(start, Path(path))
+        except OSError:  # the row will say why
+            return None
+
     def rows(self, chunk: Iterable[str]) -> list[KeptRow]:
         """Fit pictures; gives status and row of each."""
         return [kept(self.row(path)) for path in chunk]
@@ -157,18 +166,25 @@ class Job:
 
     def _fit(self, path: str) -> "FitResult":
         picture = Path(self.folder, path)
-        pixels, init = read_image(picture), self.settings.init
-        if init is None:
-            start = None
-        elif init == BESIDE:
-            start = read_start(str(picture.parent), picture, pixels.shape[1::-1])
-        else:
-            start = read_start(self.absolute(init), picture, pixels.shape[1::-1])
+        pixels, start = read_image(picture), self._start(path)
+        if start is not None:
+            start = read_start(start, picture, pixels.shape[1::-1])
         return self.fitter(is_raw(picture)).fit(pixels, start, picture.name)
 
+    def _start(self, path: str) -> str | None:
+        """Where the fit of a picture starts, as :func:`liaam.io.read_start` knows it."""
+        init = self.settings.init
+        if init == BESIDE:
+            return str(Path(self.folder, path).parent)
+        return None if init is None else self.absolute(init)
+
     def _as_named(self, message: str, path: str) -> str:
-        """Message with the picture's path as it was given, wherever the work was done."""
-        return message.replace(str(Path(self.folder, path)), path)
+        """Message with the paths of picture and start as they were given, wherever the work was done."""
+        start = Path(path).parent if self.settings.init == BESIDE else Path(self.settings.init or path)
+        named = {str(Path(self.folder, start)): str(start), str(Path(self.folder, path)): path}
+        named.pop(os.sep, None)  # it is in all paths
+        places = "|".join(re.escape(place) for place in sorted(named, key=len, reverse=True))
+        return re.sub(places, lambda found: named[found.group()], message)
 
 
 _job: Job | None = None

@@ -14,7 +14,7 @@ from liaam.io.landmarks import (
 )
 from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
 from liaam.io.results import write_fit
-from liaam.io.starts import check_start, read_start
+from liaam.io.starts import check_start, read_start, start_file
 from liaam.io.video import VIDEO_SUFFIXES, VideoFrame, VideoReader, VideoWriter, video_writer
 
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "read_landmarks",
     "read_raw",
     "read_start",
+    "start_file",
     "video_writer",
     "write_bytes_atomically",
     "write_collection",

@@ -27,12 +27,21 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
     Landmarks or list of float
         A start for :meth:`liaam.fitting.Fitter.fit`.
     """
-    path = Path(text)
-    if path.is_file():
+    path = start_file(text, image)
+    if path is not None:
         return _read(path, size)
-    if path.is_dir():
-        return _read(_file_for(path, image), size)
+    if Path(text).is_dir():
+        raise StartError(f"{image.name}: {Path(text)} holds no landmark file for it ({image.stem}.pts or the like)")
     return _numbers(text, f"--init {text}: there is no such file or folder, and it")
+
+
+def start_file(text: str, image: Path) -> Path | None:
+    """File that the start of an image is read from; None if it is no file, or if none is there."""
+    path = Path(text)
+    if path.is_dir():
+        candidates = (path / f"{image.stem}{suffix}" for suffix in (*LANDMARK_SUFFIXES, BOX_SUFFIX))
+        return next((candidate for candidate in candidates if candidate.is_file()), None)
+    return path if path.is_file() else None
 
 
 def check_start(text: str) -> None:
@@ -46,14 +55,6 @@ def _read(path: Path, size: tuple[int, int]) -> Landmarks | list[float]:
         return read_landmarks(path, size)
     text = read_bytes(existing_file(path, StartError, "box"), StartError, limit=1000).decode("utf-8-sig", "replace")
     return _numbers(",".join(text.replace(",", " ").split()), f"{path}: it")
-
-
-def _file_for(folder: Path, image: Path) -> Path:
-    for suffix in (*LANDMARK_SUFFIXES, BOX_SUFFIX):
-        candidate = folder / f"{image.stem}{suffix}"
-        if candidate.is_file():
-            return candidate
-    raise StartError(f"{image.name}: {folder} holds no landmark file for it ({image.stem}.pts or the like)")
 
 
 def _numbers(text: str, what: str) -> list[float]:
