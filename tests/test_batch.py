@@ -21,7 +21,7 @@ from liaam.batch import cluster as cluster_module
 from liaam.batch.cluster import on_cluster
 from liaam.batch.journal import Journal, place_of
 from liaam.batch.pools import in_processes
-from liaam.batch.work import Job
+from liaam.batch.work import Job, _shorts
 from liaam.datasets.scenes import Head, make_set
 from liaam.errors import LiaamError
 from liaam.io import write_image, write_landmarks
@@ -191,6 +191,12 @@ def test_rows_depend_on_nothing_else(world, expected, tmp_path):
     assert rows_of(tmp_path / "a.csv") == expected
     assert (tmp_path / "a.csv").read_text().splitlines()[0].endswith(",seconds")
     assert not multiprocessing.active_children()
+
+
+def test_numbers_are_written_alike_whatever_numpy_prints():
+    values = np.array([24.776817, 1e-12, np.inf, np.nan, 3e38, 123456.78])
+    with np.printoptions(legacy="1.13"):  # as another library may leave it
+        assert _shorts(values) == [24.776817, 1e-12, None, None, 3e38, 123456.78]
 
 
 def test_formats_say_the_same(world, expected, tmp_path):

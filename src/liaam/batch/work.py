@@ -252,4 +252,5 @@ def _shorts(values: "np.ndarray") -> list[float | None]:
     import numpy as np
 
     with np.errstate(over="ignore"):  # beyond float32 is not finite, and becomes None
-        return [_finite(float(text)) for text in values.ravel().astype(np.float32).astype(str)]
+        # Not by str: how that prints depends on what other libraries have set.
+        return [_finite(float(np.format_float_scientific(value))) for value in values.ravel().astype(np.float32)]
