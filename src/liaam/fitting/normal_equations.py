@@ -16,17 +16,20 @@ import numpy as np
 BLOCK = 1024
 """Residuals whose products are summed in float32 before they are added up in float64."""
 
+WIDE = 8192
+"""The same where a residual is one of the factors: sums of mixed signs, whose rounding nothing hangs on."""
+
 RIDGE = 1e-8
 """Relative ridge on A'A, far below any mode that can be seen; it keeps unseen modes from exploding."""
 
 
-def gram(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def gram(left: np.ndarray, right: np.ndarray, block: int = BLOCK) -> np.ndarray:
     """Products of the rows of two wide float32 matrices, (a, b) float64: BLAS in blocks, summed in float64."""
     total = np.zeros((len(left), len(right)))
-    for i in range(0, left.shape[1], BLOCK):
+    for i in range(0, left.shape[1], block):
         # The same array twice goes to BLAS's symmetric product, at half the work.
-        block = left[:, i : i + BLOCK]
-        total += block @ (block if right is left else right[:, i : i + BLOCK]).T
+        part = left[:, i : i + block]
+        total += part @ (part if right is left else right[:, i : i + block]).T
     return total
 
 

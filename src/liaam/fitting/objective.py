@@ -18,7 +18,7 @@ from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
 from liaam.fitting.losses import LOSSES, robust_scale
 from liaam.fitting.methods import Method
-from liaam.fitting.normal_equations import NormalEquations, gram, regular_inverse
+from liaam.fitting.normal_equations import WIDE, NormalEquations, gram, regular_inverse
 from liaam.kernels import get_kernel
 from liaam.model import AAM, Level
 from liaam.photometry import LUMINANCE, NoiseModel, Response, from_linear, log_slope, noise_deviation
@@ -496,7 +496,7 @@ class Objective:
         squares = np.square(root).reshape(-1)
         weight = float(squares.sum(dtype=np.float64))
         weighted_right = right * squares
-        rr, ar = gram(right, weighted_right), gram(design.modes, weighted_right)
+        rr, ar = gram(right, weighted_right, WIDE), gram(design.modes, weighted_right, WIDE)
         aa, inverse = known.aa, known.inverse
         blind = look.weights == 0
         if blind.any():
