@@ -51,13 +51,11 @@ def hard_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generato
     -------
     (h, w, 3) uint8
     """
-    x, y = _grid(image)
-    low, high = landmarks.min(axis=0), landmarks.max(axis=0)
-    centre, radii = 0.5 * (low + high), 0.5 * HEAD * (high - low)
+    x, y, radii = _about_head(image, landmarks)
     side = rng.choice([-1, 1])
     lamp = _towards(np.deg2rad(rng.uniform(50, 80)) * side, np.deg2rad(rng.uniform(-30, 10)))
-    shading = np.clip(_ellipsoid((x - centre[0]) / radii[0], (y - centre[1]) / radii[1]) @ lamp, 0, None)
-    reaches = _beside_nose(x - centre[0], y - centre[1], radii, side, rng)
+    shading = np.clip(_ellipsoid(x / radii[0], y / radii[1]) @ lamp, 0, None)
+    reaches = _beside_nose(x, y, radii, side, rng)
     ambient = rng.uniform(0.12, 0.3) * _colour(rng.uniform(-0.3, 0.5))
     key = rng.uniform(1.0, 1.5) * _colour(rng.uniform(-0.4, 0.4))
     return _lit(image, ambient + key * (shading * reaches)[..., None])
@@ -81,12 +79,10 @@ def circling_light(image: np.ndarray, landmarks: np.ndarray, turns: float) -> np
     -------
     (h, w, 3) uint8
     """
-    x, y = _grid(image)
-    low, high = landmarks.min(axis=0), landmarks.max(axis=0)
-    centre, radii = 0.5 * (low + high), 0.5 * HEAD * (high - low)
+    x, y, radii = _about_head(image, landmarks)
     phase = 2 * np.pi * turns
     lamp = _towards(np.deg2rad(60) * np.sin(phase), np.deg2rad(-10 + 20 * np.cos(phase)))
-    shading = np.clip(_ellipsoid((x - centre[0]) / radii[0], (y - centre[1]) / radii[1]) @ lamp, 0, None)
+    shading = np.clip(_ellipsoid(x / radii[0], y / radii[1]) @ lamp, 0, None)
     key = 0.9 * _colour(0.35 * np.cos(0.7 * phase))
     return _lit(image, 0.2 * _colour(-0.2) + key * shading[..., None])
 
@@ -173,6 +169,14 @@ LIGHTS: dict[str, Light] = {
     "hard": hard_light,
 }
 """Lights by name."""
+
+
+def _about_head(image: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels' x and y from the middle of the head, and its radii (2,), in pixels."""
+    x, y = _grid(image)
+    low, high = landmarks.min(axis=0), landmarks.max(axis=0)
+    centre = 0.5 * (low + high)
+    return x - centre[0], y - centre[1], 0.5 * HEAD * (high - low)
 
 
 def _grid(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,12 +1,12 @@
 """Fitting an image: prepare, start, solve, judge."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from liaam.errors import ImageError, MethodError, StartError
+from liaam.errors import ImageError, StartError
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.methods import DEFAULT_METHOD, Method, get_method
 from liaam.fitting.normal_equations import NormalEquations
@@ -472,8 +472,4 @@ def fit(
     -------
     FitResult
     """
-    known = [field.name for field in fields(SolverOptions)]
-    for name in options:
-        if name not in known:
-            raise MethodError(f"option {name!r} does not exist; there are {', '.join(known)}")
-    return Fitter(model, method, SolverOptions(**options), camera=camera).fit(image, init)
+    return Fitter(model, method, SolverOptions.of(**options), camera=camera).fit(image, init)

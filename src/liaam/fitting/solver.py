@@ -7,7 +7,7 @@ eliminations take that step for p and theta; they differ in lambda:
 ``joint``   the paper's form: lambda moves by its own part of the joint step.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -60,6 +60,15 @@ class SolverOptions:
     observable: float = 25.0
     angle_start: str = "best"
     scoring: int = 0
+
+    @classmethod
+    def of(cls, **options) -> "SolverOptions":
+        """Options by name; a name that does not exist is refused with those that do."""
+        known = [field.name for field in fields(cls)]
+        for name in options:
+            if name not in known:
+                raise MethodError(f"option {name!r} does not exist; there are {', '.join(known)}")
+        return cls(**options)
 
     def __post_init__(self) -> None:
         """Refuse options that make no sense."""

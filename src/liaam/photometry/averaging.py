@@ -8,33 +8,36 @@ _F = np.float32
 
 
 @_jit
-def _shares(n_in, n_out, start, size, first, share):
-    """For each input pixel the first block it belongs to (-1: none) and its share in that; the rest is the next's."""
+def _shares(n_in, n_out, start, size):
+    """Give the first block that each pixel belongs to (-1: outside; -2: and so is the next) and its share in that."""
+    first, share = np.empty(n_in, np.int64), np.empty(n_in, np.float32)
     for i in range(n_in):
         left = (i - start) / size
         block = int(np.floor(left))
         within = min((block + 1) * size + start - i, 1.0)
         first[i] = block if -1 <= block < n_out else -2
         share[i] = within / size
+    return first, share
 
 
 @_jit
 def _add_row(row, means, y, weight):
-    width, channels = row.shape
-    line = means[y]
+    """Add a row of blocks, and one more on each side that does not count, to the means' row y if there is one."""
+    if not 0 <= y < len(means):
+        return
+    line, inner = means[y], row[1:-1]
+    width, channels = inner.shape
     for x in range(width):
         for c in range(channels):
-            line[x, c] += weight * row[x, c]
+            line[x, c] += weight * inner[x, c]
 
 
 @_jit
 def _stored_means(image, table, low, high, start_x, start_y, size, means):
     height, width = image.shape[:2]
     rows, columns = means.shape[:2]
-    first_x, share_x = np.empty(width, np.int64), np.empty(width, np.float32)
-    first_y, share_y = np.empty(height, np.int64), np.empty(height, np.float32)
-    _shares(width, columns, start_x, size, first_x, share_x)
-    _shares(height, rows, start_y, size, first_y, share_y)
+    first_x, share_x = _shares(width, columns, start_x, size)
+    first_y, share_y = _shares(height, rows, start_y, size)
     rest = _F(1.0 / size)
     row = np.empty((columns + 2, 4), np.float32)  # one block more on each side: no test in the loop
     for y in range(height):
@@ -60,11 +63,8 @@ def _stored_means(image, table, low, high, start_x, start_y, size, means):
             row[block + 2, 1] += w * green
             row[block + 2, 2] += w * blue
             row[block + 2, 3] += w * known
-        inner = row[1 : columns + 1]
-        if block_y >= 0:
-            _add_row(inner, means, block_y, share_y[y])
-        if block_y + 1 < rows:
-            _add_row(inner, means, block_y + 1, rest - share_y[y])
+        _add_row(row, means, block_y, share_y[y])
+        _add_row(row, means, block_y + 1, rest - share_y[y])
 
 
 def stored_means(
@@ -105,10 +105,8 @@ def stored_means(
 def _value_means(values, start_x, start_y, size, means):
     height, width, channels = values.shape
     rows, columns = means.shape[:2]
-    first_x, share_x = np.empty(width, np.int64), np.empty(width, np.float32)
-    first_y, share_y = np.empty(height, np.int64), np.empty(height, np.float32)
-    _shares(width, columns, start_x, size, first_x, share_x)
-    _shares(height, rows, start_y, size, first_y, share_y)
+    first_x, share_x = _shares(width, columns, start_x, size)
+    first_y, share_y = _shares(height, rows, start_y, size)
     rest = _F(1.0 / size)
     row = np.empty((columns + 2, channels), np.float32)
     for y in range(height):
@@ -123,11 +121,8 @@ def _value_means(values, start_x, start_y, size, means):
             for c in range(channels):
                 row[block + 1, c] += share_x[x] * values[y, x, c]
                 row[block + 2, c] += (rest - share_x[x]) * values[y, x, c]
-        inner = row[1 : columns + 1]
-        if block_y >= 0:
-            _add_row(inner, means, block_y, share_y[y])
-        if block_y + 1 < rows:
-            _add_row(inner, means, block_y + 1, rest - share_y[y])
+        _add_row(row, means, block_y, share_y[y])
+        _add_row(row, means, block_y + 1, rest - share_y[y])
 
 
 def value_means(values: np.ndarray, start: tuple[float, float], size: float, shape: tuple[int, int]) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Fitting many pictures at once: prepare each, solve together, judge each as :class:`liaam.fitting.Fitter` does."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -135,11 +135,7 @@ def fit_many(
     >>> result = fit_many(model, crops, boxes, backend="torch", batch_size=512)    # doctest: +SKIP
     >>> result.shapes[result.ok]                                                   # doctest: +SKIP
     """
-    known = [field.name for field in fields(SolverOptions)]
-    for name in options:
-        if name not in known:
-            raise MethodError(f"option {name!r} does not exist; there are {', '.join(known)}")
-    fitter = BatchFitter(Fitter(model, method, SolverOptions(**options), camera=camera), backend, device)
+    fitter = BatchFitter(Fitter(model, method, SolverOptions.of(**options), camera=camera), backend, device)
     return fitter.fit(images, starts, batch_size)
 
 
