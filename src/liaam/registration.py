@@ -11,7 +11,7 @@ import numpy as np
 from liaam.appearance import AppearanceModel
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.fitter import Stage, covariance, is_sane, solve_levels
+from liaam.fitting.fitter import Stage, Target, covariance, is_sane, solve_levels
 from liaam.fitting.objective import Objective, slope_left, tied_together
 from liaam.fitting.picture import load_picture
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
@@ -201,8 +201,8 @@ def register(
     handles = apply_homography(homography, to_a(levels[0][0].warp.rest))
     if not np.isfinite(handles).all():
         raise ImageError("the start carries a corner of the first picture behind the second; give another one")
-    stages = solve_levels(levels, b, handles, response, options)
-    return _judged(stages, levels[len(stages) - 1][1], handles, to_a, size, b.shape[:2])
+    stages = solve_levels(levels, Target(b, handles, response), options)
+    return _judged(stages, handles, to_a, size, b.shape[:2])
 
 
 def _whole_on_whole(size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
@@ -284,7 +284,7 @@ def _significance(luminance: np.ndarray, noise: float, blur: float) -> np.ndarra
 
 
 def _judged(
-    stages: list[Stage], blur: float, start: np.ndarray, to_a: Similarity, size: tuple[int, int], other: tuple[int, int]
+    stages: list[Stage], start: np.ndarray, to_a: Similarity, size: tuple[int, int], other: tuple[int, int]
 ) -> Registration:
     """Homography in pictures' pixels, and whether it can be believed."""
     stage = stages[-1]

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,6 +56,11 @@ class Stage:
         """Shape of a state, (n, 2) float64, image pixels."""
         return self.pose(self.objective.warp.shape(state.p))
 
+    @property
+    def reached(self) -> np.ndarray:
+        """Shape of the solution, (n, 2) float64, image pixels."""
+        return self.shape(self.solution.state)
+
     def picture(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual (n_pixels, k), and where the image was usable (n_pixels,), at all of the frame's pixels."""
         whole = self.objective.whole
@@ -63,60 +69,69 @@ class Stage:
         return look.residual * look.weights[:, None], look.weights
 
 
-def solve_levels(
-    levels: Sequence[tuple[Objective, float]],
-    image: np.ndarray,
-    start: np.ndarray,
-    response: Response,
-    options: SolverOptions,
-    noise: NoiseModel | float | None = None,
-    theta: float | None = None,
-) -> list[Stage]:
+class Target(NamedTuple):
+    """What is to be fitted: a picture and what is known of it, the same for all levels."""
+
+    image: np.ndarray
+    """(h, w, 3) uint8, uint16 or float32, flattened."""
+    start: np.ndarray
+    """(n, 2) float: where the warp's handles start, image pixels."""
+    response: Response
+    """Of the image's camera."""
+    noise: NoiseModel | float | None = None
+    """Of the image's camera."""
+    theta: float | None = None
+    """Angle of the image's camera where the method does not estimate it, radians; the model's if left out."""
+
+    def measured(self, method: Method) -> "Target":
+        """Target whose noise is measured in the image where the method weighs by it and nobody knows it."""
+        if self.noise is not None or not method.weighs_noise:
+            return self
+        return self._replace(noise=noise_around(self.image, self.start))
+
+
+def solve_levels(levels: Sequence[tuple[Objective, float]], target: Target, options: SolverOptions) -> list[Stage]:
     """Solve from the coarsest level to the finest, each from where the one before it stopped.
 
     Parameters
     ----------
     levels : sequence of (Objective, float)
         What to minimise, and the blur of the image in model pixels; coarse to fine.
-    image : (h, w, 3) uint8, uint16 or float32
-    start : (n, 2) float
-        Where the warp's handles start, image pixels.
-    response : Response
-        Of the image's camera.
+    target : Target
     options : SolverOptions
-    noise : NoiseModel, optional
-        Of the image's camera; measured in the image if left out.
-    theta : float, optional
-        Angle of the image's camera where the method does not estimate it, radians; the model's if left out.
 
     Returns
     -------
     list of Stage
         Fewer than there are levels where a fit has blown up or collapsed.
     """
-    shape, stages = start, []
+    target, stages = target.measured(levels[0][0].method), []
     for objective, blur in levels:
-        # Anew for each level: shape modes turn and grow with the pose, and the patch with its resolution
-        # belongs where the object is now, not where the start was.
-        warp = objective.warp
-        pose = align(warp.rest, shape)
-        if noise is None and objective.method.weighs_noise:
-            noise = noise_around(image, shape)  # once for all levels
-        margin = NEAR if stages else MARGIN
-        problem = FitProblem.at(image, shape, pose, objective.method, response, blur, noise, margin)
-        state = objective.start(warp.parameters(pose.inverse()(shape)))
-        angles = (
-            stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options, theta)
-        )
-        finest = objective is levels[-1][0]
-        sparing = options if finest else spare(options)
-        stages.append(
-            Stage(objective, problem, pose, solve(objective, problem, replace(state, angles=angles), sparing))
-        )
-        shape = stages[-1].shape(stages[-1].solution.state)
-        if not is_sane(shape, start):
+        own = options if objective is levels[-1][0] else spare(options)
+        problem, state, pose = prepare_level(objective, blur, target, stages, own)
+        stages.append(Stage(objective, problem, pose, solve(objective, problem, state, own)))
+        if not is_sane(stages[-1].reached, target.start):
             break
     return stages
+
+
+def prepare_level(
+    objective: Objective, blur: float, target: Target, stages: Sequence[Stage], options: SolverOptions
+) -> tuple[FitProblem, State, Similarity]:
+    """Fit problem, first state and pose of a level, after the stages before it (none for the first).
+
+    Anew for each level: shape modes turn and grow with the pose, and the patch with its resolution belongs where the
+    object is now, not where the start was.
+    """
+    shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, MARGIN)
+    warp = objective.warp
+    pose = align(warp.rest, shape)
+    problem = FitProblem.at(target.image, shape, pose, objective.method, target.response, blur, target.noise, margin)
+    state = objective.start(warp.parameters(pose.inverse()(shape)))
+    angles = (
+        stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options, target.theta)
+    )
+    return problem, replace(state, angles=angles), pose
 
 
 def spare(options: SolverOptions) -> SolverOptions:
@@ -251,6 +266,12 @@ class Fitter:
         ImageError, StartError
             For input that makes no sense.
         """
+        target, found = self.target(image, init, name)
+        levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
+        return replace(self.judged(target.image, solve_levels(levels, target, self.options)), found=found)
+
+    def target(self, image, init=None, name: str = "image") -> tuple[Target, Candidate | None]:
+        """Picture and start, checked, with what is known of the camera, and what a search found; as :meth:`fit`."""
         image, name = load_picture(image, name)
         # A picture of one value (black, white) is not refused: its status says more.
         if self._method.needs_colour and is_grey(image) and np.ptp(stored_values(image)) > 0:
@@ -262,8 +283,8 @@ class Fitter:
         found = init if isinstance(init, Candidate) else None
         given = init if found is None else found.shape
         start = start_shape(self.model, given, (image.shape[1], image.shape[0]), name)
-        image = self._camera.flatten(image)
-        return replace(self._result(image, self._solve_levels(image, start)), found=found)
+        camera = self._camera
+        return Target(camera.flatten(image), start, camera.response, camera.noise, camera.theta), found
 
     def equations_at(self, image, result: FitResult) -> tuple[Objective, NormalEquations, np.ndarray]:
         """Normal equations of the sharpest level at a result, with the appearance's coordinates solved there.
@@ -293,13 +314,6 @@ class Fitter:
         state, seen = settle_lambda(objective, problem, state, self.options)
         return objective, seen.equations, state.lam
 
-    def _solve_levels(self, image: np.ndarray, start: np.ndarray) -> list[Stage]:
-        """Solve from the coarsest level to the finest (see :func:`solve_levels`)."""
-        levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
-        return solve_levels(
-            levels, image, start, self._camera.response, self.options, self._camera.noise, self._camera.theta
-        )
-
     @property
     def _levels(self) -> tuple[Level, ...]:
         return self.model.levels_of(self._method.appearance)
@@ -308,7 +322,8 @@ class Fitter:
     def _camera(self) -> CameraModel:
         return self.model.camera if self.camera is None else self.camera
 
-    def _result(self, image: np.ndarray, stages: list[Stage]) -> FitResult:
+    def judged(self, image: np.ndarray, stages: Sequence[Stage]) -> FitResult:
+        """Result of the stages of a fit to an image (flattened), its status and its covariances."""
         solution, has_angle = stages[-1].solution, self._method.has_angles
         history = trace(stages)
         state, last = solution.state, solution.last

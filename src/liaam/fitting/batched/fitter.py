@@ -1,28 +1,21 @@
 """Fitting many pictures at once: prepare each, solve together, judge each as :class:`liaam.fitting.Fitter` does."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from liaam.errors import ImageError, MethodError, StartError
+from liaam.errors import MethodError, StartError
 from liaam.fitting.batched.objective import BatchObjective, unsupported
 from liaam.fitting.batched.solver import BatchSolver
-from liaam.fitting.fitter import Fitter, Stage, _first_angles, is_sane, spare
+from liaam.fitting.fitter import Fitter, Stage, Target, is_sane, prepare_level, spare
 from liaam.fitting.methods import DEFAULT_METHOD, Method
-from liaam.fitting.objective import MARGIN, NEAR, FitProblem, State, noise_around
-from liaam.fitting.picture import load_picture
 from liaam.fitting.result import FitResult, FitStatus
-from liaam.fitting.search import Candidate
 from liaam.fitting.solver import SolverOptions
-from liaam.fitting.start import start_shape
 from liaam.kernels.backends import get_backend
 from liaam.model import AAM
-from liaam.photometry import CameraModel, NoiseModel, is_grey
-from liaam.photometry.encoding import stored_values
-from liaam.shape import Similarity, align
+from liaam.photometry import CameraModel
 
 BATCH_SIZE = 64
 """Pictures solved together, unless told otherwise."""
@@ -185,25 +178,31 @@ class BatchFitter:
         results: list[FitResult] = []
         for first in range(0, len(images), batch_size):
             chosen = range(first, min(first + batch_size, len(images)))
-            pictures = [self._picture(images[i], starts[i], f"image {i}") for i in chosen]
+            targets = [self._target(images[i], starts[i], f"image {i}") for i in chosen]
             results += [
-                self.fitter._result(image, stages)
-                for (image, *_), stages in zip(pictures, self._solve_levels(pictures), strict=True)
+                self.fitter.judged(target.image, stages)
+                for target, stages in zip(targets, self._solve_levels(targets), strict=True)
             ]
         return self._gather(results)
 
-    def _solve_levels(self, pictures: Sequence["_Picture"]) -> list[list[Stage]]:
+    def _target(self, image, start, name: str) -> Target:
+        """Picture and start, checked; its noise is measured once for all levels."""
+        target, _ = self.fitter.target(image, start, name)
+        return target.measured(self.fitter.objectives[0].method)
+
+    def _solve_levels(self, targets: Sequence[Target]) -> list[list[Stage]]:
         """Solve a batch from the coarsest level to the finest; what is lost on the way goes no further."""
-        stages: list[list[Stage]] = [[] for _ in pictures]
-        for level, solver in enumerate(self.solvers):
-            going = [i for i, own in enumerate(stages) if not level or is_sane(_reached(own), pictures[i].start)]
+        stages: list[list[Stage]] = [[] for _ in targets]
+        for level, solver in zip(self.fitter._levels, self.solvers, strict=True):
+            going = [i for i, own in enumerate(stages) if not own or is_sane(own[-1].reached, targets[i].start)]
             if not going:
                 break
-            prepared = [self._prepare(solver, pictures[i], stages[i], level) for i in going]
+            objective = solver.objective.objective
+            prepared = [prepare_level(objective, level.blur, targets[i], stages[i], solver.options) for i in going]
             problems, states, poses = zip(*prepared, strict=True)
             solutions = solver.solve(problems, states)
             for i, problem, pose, solution in zip(going, problems, poses, solutions, strict=True):
-                stages[i].append(Stage(solver.objective.objective, problem, pose, solution))
+                stages[i].append(Stage(objective, problem, pose, solution))
         return stages
 
     def _gather(self, results: list[FitResult]) -> BatchResult:
@@ -224,50 +223,3 @@ class BatchFitter:
             method=self.fitter.objectives[0].method.name,
             backend=self.backend,
         )
-
-    def _picture(self, image, start, name: str) -> "_Picture":
-        image, name = load_picture(image, name)
-        method = self.fitter.objectives[0].method
-        if method.needs_colour and is_grey(image) and np.ptp(stored_values(image)) > 0:
-            raise ImageError(
-                f"{name}: the picture is grey (three equal channels), but method {method.name} compares colours; "
-                "use method 'grey'"
-            )
-        given = start.shape if isinstance(start, Candidate) else start
-        shape = start_shape(self.fitter.model, given, (image.shape[1], image.shape[0]), name)
-        camera = self.fitter._camera
-        image, noise = camera.flatten(image), camera.noise
-        if noise is None and method.weighs_noise:
-            noise = noise_around(image, shape)  # once for all levels
-        return _Picture(image, shape, noise)
-
-    def _prepare(
-        self, solver: BatchSolver, picture: "_Picture", stages: list[Stage], level: int
-    ) -> tuple[FitProblem, State, Similarity]:
-        """Fit problem, first state and pose of one picture at a level, as ``fitter.solve_levels`` makes them."""
-        objective, camera = solver.objective.objective, self.fitter._camera
-        shape, margin = (_reached(stages), NEAR) if stages else (picture.start, MARGIN)
-        warp, blur = objective.warp, self.fitter._levels[level].blur
-        pose = align(warp.rest, shape)
-        problem = FitProblem.at(
-            picture.image, shape, pose, objective.method, camera.response, blur, picture.noise, margin
-        )
-        state = objective.start(warp.parameters(pose.inverse()(shape)))
-        angles = (
-            stages[-1].solution.state.angles
-            if stages
-            else _first_angles(objective, problem, state, solver.options, camera.theta)
-        )
-        return problem, replace(state, angles=angles), pose
-
-
-class _Picture(NamedTuple):
-    """Flattened picture, its start as a shape, and its noise where the method weighs by it."""
-
-    image: np.ndarray
-    start: np.ndarray
-    noise: NoiseModel | float | None
-
-
-def _reached(stages: list[Stage]) -> np.ndarray:
-    return stages[-1].shape(stages[-1].solution.state)
