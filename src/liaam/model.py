@@ -162,11 +162,15 @@ class AAM:
         ModelFileError
             If the folder does not exist or cannot be written.
         """
-        from safetensors.numpy import save
-
         from liaam.io import write_bytes_atomically
 
-        write_bytes_atomically(path, save(_tensors(self), {"liaam": json.dumps(_header(self))}), ModelFileError)
+        write_bytes_atomically(path, self.to_bytes(), ModelFileError)
+
+    def to_bytes(self) -> bytes:
+        """What a model file holds."""
+        from safetensors.numpy import save
+
+        return save(_tensors(self), {"liaam": json.dumps(_header(self))})
 
 
 def _header(model: AAM) -> dict:

@@ -19,8 +19,12 @@ from PIL import Image
 from liaam.errors import ImageError, LiaamError, ModelFileError
 from liaam.io import (
     atomic_path,
+    decode_image,
+    encoded_size,
     image_size,
+    is_image,
     read_image,
+    read_preview,
     write_bytes_atomically,
     write_image,
     write_text_atomically,
@@ -483,3 +487,55 @@ def test_buffers_are_not_shared(tmp_path: Path) -> None:
     array = read_image(tmp_path / "a.png")
     array[0, 0] = 7  # callers may write to what they are given
     assert read_image(tmp_path / "a.png")[0, 0].tolist() == [0, 0, 0]
+
+
+# Bytes and previews -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".bmp", ".ppm"])
+@pytest.mark.parametrize("deep", [False, True])
+def test_bytes_are_read_as_files_are(tmp_path, rng, suffix, deep):
+    if deep and suffix in (".jpg", ".bmp"):
+        deep = False
+    path = tmp_path / f"a{suffix}"
+    write_image(path, rng.integers(0, 65536 if deep else 256, (13, 17, 3)).astype(np.uint16 if deep else np.uint8))
+    data = path.read_bytes()
+    assert np.array_equal(decode_image(data), read_image(path))
+    assert encoded_size(data) == image_size(path) == (17, 13)
+    assert is_image(data)
+
+
+def test_bytes_that_are_no_image_are_named(tmp_path):
+    assert not is_image(b"")
+    assert not is_image(b"RIFF....WEBP")
+    for read in (decode_image, encoded_size):
+        with pytest.raises(ImageError, match=r"photo\.webp is not a PNG"):
+            read(b"RIFF....WEBP", "photo.webp")
+    write_image(tmp_path / "a.png", np.zeros((20, 30, 3), np.uint8))
+    data = (tmp_path / "a.png").read_bytes()
+    with pytest.raises(ImageError, match="photo has 30 x 20 pixels, more than the 599 allowed"):
+        decode_image(data, "photo", max_pixels=599)
+    with pytest.raises(ImageError, match="photo is cut short"):
+        decode_image(data[:-12], "photo")
+
+
+@pytest.mark.parametrize(
+    ("size", "seen"), [(40, (50, 75)), (50, (50, 75)), (51, (100, 150)), (400, (400, 600)), (900, (400, 600))]
+)
+def test_a_preview_is_not_smaller_than_asked_for(tmp_path, size, seen):
+    y, x = np.mgrid[:400, :600]
+    image = np.dstack([x / 3, y / 2, 0 * x + 90]).astype(np.uint8)
+    for name in ("a.jpg", "a.png"):
+        write_image(tmp_path / name, image)
+        preview = read_preview(tmp_path / name, size)
+        assert preview.shape[:2] == (seen if name == "a.jpg" else (400, 600))
+        step = 400 // preview.shape[0]
+        means = image.reshape(400 // step, step, 600 // step, step, 3).mean(axis=(1, 3))
+        assert np.abs(preview - means).max() <= 4
+
+
+def test_a_preview_is_upright(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(np.zeros((400, 600, 3), np.uint8)).save(tmp_path / "a.jpg", exif=exif)
+    assert read_preview(tmp_path / "a.jpg", 50).shape == (75, 50, 3)

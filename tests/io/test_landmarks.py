@@ -404,6 +404,39 @@ def test_names_come_back(tmp_path: Path, points: list, data: st.DataObject, suff
     assert read_landmarks(tmp_path / f"a{suffix}").names == names
 
 
+@given(points=point_lists, data=st.data())
+@SOME
+def test_invisible_points_come_back_from_ljson(tmp_path: Path, points: list, data: st.DataObject) -> None:
+    n = len(points)
+    hidden = tuple(sorted(data.draw(st.sets(st.integers(0, n - 1)))))
+    words = st.one_of(texts, st.just("invisible"), st.just("all"))
+    names = tuple(data.draw(st.one_of(st.just([]), st.lists(words, min_size=n, max_size=n))))
+    assume(names != ("all",) or not hidden)  # so one landmark without a name is written
+    write_landmarks(tmp_path / "a.ljson", Landmarks(np.array(points), (), names, None, hidden))
+    back = read_landmarks(tmp_path / "a.ljson")
+    assert (back.invisible, back.names) == (hidden, names)
+
+
+def test_a_label_for_invisible_points_is_written_as_menpo_reads_it(tmp_path: Path) -> None:
+    write_landmarks(tmp_path / "a.ljson", Landmarks(np.array([[1, 2], [3, 4]]), invisible=(1,)))
+    labels = [{"label": "all", "mask": [0, 1]}, {"label": "invisible", "mask": [1]}]
+    assert json.loads((tmp_path / "a.ljson").read_text())["labels"] == labels
+
+
+@pytest.mark.parametrize("suffix", [".pts", ".csv"])
+def test_other_formats_drop_what_is_invisible(tmp_path: Path, suffix: str) -> None:
+    write_landmarks(tmp_path / f"a{suffix}", Landmarks(np.array([[1, 2], [3, 4]]), invisible=(1,)))
+    assert read_landmarks(tmp_path / f"a{suffix}").invisible == ()
+
+
+def test_invisible_points_have_to_be_there(tmp_path: Path) -> None:
+    with pytest.raises(LandmarkError, match=r"landmark 2 \(counting from 0\) is marked invisible, but there are 2"):
+        Landmarks(np.zeros((2, 2)), invisible=(2,))
+    content = {**ljson([[1, 2], [3, 4]]), "labels": [{"label": "invisible", "mask": [7]}]}
+    with pytest.raises(LandmarkError, match=r"a\.ljson: landmark 7"):
+        read_landmarks(save(tmp_path, "a.ljson", content))
+
+
 @given(order=st.permutations(range(9)), cuts=st.sets(st.integers(1, 8)), data=st.data())
 @SOME
 def test_contours_come_back_from_ljson(tmp_path: Path, order: list[int], cuts: set[int], data: st.DataObject) -> None:

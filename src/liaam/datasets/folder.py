@@ -182,15 +182,39 @@ def load_folder(
         hint = "" if recursive else ", or look into subfolders too (recursive)"
         raise ImageError(f"{root} holds no image{like} ({endings}): name another folder{hint}.")
     marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
-    pairing = _Pairing(root, images, wanted)
-    for file in _track(marks, progress):
-        pairing.add(file)
-    samples = pairing.finish()
+    samples, left_out = pair_files(root, images, _track(marks, progress), wanted)
     if not samples:
-        raise LandmarkError(_no_pairs(root, wanted, pairing.left_out))
+        raise LandmarkError(_no_pairs(root, wanted, left_out))
     samples, odd = _same_count(samples)
-    left_out = sorted([*pairing.left_out, *odd], key=lambda left: natural_key(str(left.path)))
+    left_out = sorted([*left_out, *odd], key=lambda left: natural_key(str(left.path)))
     return Dataset(tuple(samples), tuple(left_out), str(root))
+
+
+def pair_files(
+    root: Path, images: list[Path], marks: Iterable[Path], wanted: list[Path] | None = None
+) -> tuple[list[Sample], list[LeftOut]]:
+    """Pair images with landmark files; numbers of landmarks may differ.
+
+    Parameters
+    ----------
+    root : Path
+        Folder that names are relative to.
+    images, marks : Path
+        Pictures and landmark files below it.
+    wanted : list of Path, optional
+        Those of the images to give; all if left out.
+
+    Returns
+    -------
+    samples : list of Sample
+        In the order of the images.
+    left_out : list of LeftOut
+        Files that gave no sample, and why.
+    """
+    pairing = _Pairing(root, images, images if wanted is None else wanted)
+    for file in marks:
+        pairing.add(file)
+    return pairing.finish(), pairing.left_out
 
 
 def _list_files(root: Path, recursive: bool) -> list[Path]:

@@ -171,3 +171,24 @@ class FitResult:
     def start(self) -> np.ndarray:
         """Landmarks at the start, (n, 2) float64."""
         return self.history[0].shape
+
+    def facts(self, image_name: str) -> dict:
+        """What there is to say of the fit besides its landmarks, as ``liaam fit`` writes it in its .json files."""
+        from liaam import __version__
+        from liaam.fitting.angles import angle_degrees  # it needs this module
+
+        return {
+            "image": image_name,
+            "start": "given" if self.found is None else "searched",
+            "search_score": None if self.found is None else self.found.score,
+            "search_doubtful": None if self.found is None else self.found.doubtful,
+            "method": self.method,
+            "status": str(self.status),
+            "message": self.message,
+            "theta_deg": angle_degrees(self),
+            "cost": self.cost,
+            "iterations": self.n_iterations,
+            "quality": None if np.isnan(self.quality) else round(self.quality, 4),
+            "landmark_deviations_px": [round(float(v), 3) for v in self.deviations],
+            "liaam": __version__,
+        }

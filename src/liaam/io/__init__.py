@@ -2,7 +2,16 @@
 
 from liaam.io.atomic import atomic_path, write_bytes_atomically, write_text_atomically
 from liaam.io.files import make_folder
-from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image, write_image
+from liaam.io.images import (
+    IMAGE_SUFFIXES,
+    decode_image,
+    encoded_size,
+    image_size,
+    is_image,
+    read_image,
+    read_preview,
+    write_image,
+)
 from liaam.io.landmarks import (
     LANDMARK_SUFFIXES,
     Contour,
@@ -13,7 +22,7 @@ from liaam.io.landmarks import (
     write_landmarks,
 )
 from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
-from liaam.io.results import write_fit
+from liaam.io.results import fit_text, write_fit
 from liaam.io.starts import check_start, read_start, start_file
 from liaam.io.video import VIDEO_SUFFIXES, VideoFrame, VideoReader, VideoWriter, video_writer
 
@@ -29,12 +38,17 @@ __all__ = [
     "VideoWriter",
     "atomic_path",
     "check_start",
+    "decode_image",
+    "encoded_size",
+    "fit_text",
     "image_size",
+    "is_image",
     "is_raw",
     "make_folder",
     "read_collection",
     "read_image",
     "read_landmarks",
+    "read_preview",
     "read_raw",
     "read_start",
     "start_file",

@@ -115,17 +115,71 @@ def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np
 
     if is_raw(path):
         return read_raw(path, max_pixels)
-    path = existing_file(path, ImageError, "image")
-    header = _read_header(path)
-    check_size(path, header.width, header.height, max_pixels)
-    if header.fault:
-        raise ImageError(f"{path} {header.fault}")
-    data = read_bytes(path, ImageError, _MAX_BYTES)
-    if header.bits <= 8:
-        return _decode_shallow(path, data, header)
-    if header.kind == "PNM":
-        return _decode_deep_pnm(path, data, header)
-    return _decode_deep(path, data, header)
+    path, header = _checked_file(path, max_pixels)
+    return _decode(path, read_bytes(path, ImageError, _MAX_BYTES), header)
+
+
+def read_preview(path: str | os.PathLike[str], size: int, max_pixels: int = MAX_PIXELS) -> np.ndarray:
+    """Read an image to look at; a JPEG file may come at a half, a quarter or an eighth of its size, and much sooner.
+
+    Parameters
+    ----------
+    path : path-like
+    size : int
+        Neither side of what comes is shorter than this, unless the image's is.
+    max_pixels : int, optional
+
+    Returns
+    -------
+    (h, w, 3) uint8, uint16 or float32
+        See :func:`read_image`.
+
+    Raises
+    ------
+    ImageError
+        See :func:`read_image`.
+    """
+    from liaam.io.raw import is_raw  # it needs this module
+
+    if is_raw(path):
+        return read_image(path, max_pixels)
+    path, header = _checked_file(path, max_pixels)
+    return _decode(path, read_bytes(path, ImageError, _MAX_BYTES), header, size)
+
+
+def decode_image(data: bytes, name: str = "image", max_pixels: int = MAX_PIXELS) -> np.ndarray:
+    """Decode the bytes of an image file, but for RAW; see :func:`read_image`.
+
+    Parameters
+    ----------
+    data : bytes
+    name : str
+        What to call the image in errors.
+    max_pixels : int, optional
+        Images with more pixels are refused before they are decoded.
+
+    Returns
+    -------
+    (h, w, 3) uint8, uint16 or float32
+
+    Raises
+    ------
+    ImageError
+        See :func:`read_image`.
+    """
+    header = _header_of(io.BytesIO(data), name)
+    _check_header(name, header, max_pixels)
+    return _decode(name, data, header)
+
+
+def encoded_size(data: bytes, name: str = "image") -> tuple[int, int]:
+    """Give (width, height) of the bytes of an image file as :func:`image_size` does; only its header is read."""
+    return _header_of(io.BytesIO(data), name).size
+
+
+def is_image(data: bytes) -> bool:
+    """Tell by its first bytes whether a file is of a format that :func:`read_image` reads, RAW apart."""
+    return _kind_of(data[:16]) is not None
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -143,7 +197,21 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     return _read_header(existing_file(path, ImageError, "image")).size
 
 
-def check_size(path: Path, width: int, height: int, max_pixels: int) -> None:
+def _checked_file(path: str | os.PathLike[str], max_pixels: int) -> tuple[Path, _Header]:
+    """Header of a file whose pixels can and may be decoded."""
+    path = existing_file(path, ImageError, "image")
+    header = _read_header(path)
+    _check_header(path, header, max_pixels)
+    return path, header
+
+
+def _check_header(path: Path | str, header: _Header, max_pixels: int) -> None:
+    check_size(path, header.width, header.height, max_pixels)
+    if header.fault:
+        raise ImageError(f"{path} {header.fault}")
+
+
+def check_size(path: Path | str, width: int, height: int, max_pixels: int) -> None:
     """Refuse an image of too many pixels."""
     if width * height > max_pixels:
         raise ImageError(
@@ -182,23 +250,30 @@ def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
 
 
 def _read_header(path: Path) -> _Header:
-    """Read kind, size and depth without decoding a pixel."""
+    """Read kind, size and depth of a file without decoding a pixel."""
     try:
         with path.open("rb") as file:
-            start = file.read(16)
-            kind = next((kind for signature, kind in _SIGNATURES if start.startswith(signature)), None)
-            if kind is None:
-                raise ImageError(
-                    f"{path} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image, whatever its name says: "
-                    "open it in an image program and save it as PNG."
-                )
-            file.seek(0)
-            header = _HEADER_READERS[kind](file)
+            return _header_of(file, path)
+    except OSError as fault:
+        raise ImageError(f"{path} cannot be read ({fault.strerror}): check the rights on the file.") from fault
+
+
+def _header_of(file: Any, path: Path | str) -> _Header:
+    """Read kind, size and depth from an open file, or bytes, without decoding a pixel."""
+    try:
+        kind = _kind_of(file.read(16))
+        if kind is None:
+            raise ImageError(
+                f"{path} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image, whatever its name says: "
+                "open it in an image program and save it as PNG."
+            )
+        file.seek(0)
+        header = _HEADER_READERS[kind](file)
     except ImageError:
         raise
     except OSError as fault:
-        if fault.errno is not None:
-            raise ImageError(f"{path} cannot be read ({fault.strerror}): check the rights on the file.") from fault
+        if fault.errno is not None:  # of the disk, not of Pillow
+            raise
         raise _damaged(path, fault) from fault
     except Exception as fault:  # Pillow's parsers meet bad bytes with errors of any class
         raise _damaged(path, fault) from fault
@@ -207,7 +282,12 @@ def _read_header(path: Path) -> _Header:
     return header
 
 
-def _damaged(path: Path, fault: object) -> ImageError:
+def _kind_of(start: bytes) -> str | None:
+    """Format by the first 16 bytes, None for one that is not read here."""
+    return next((kind for signature, kind in _SIGNATURES if start.startswith(signature)), None)
+
+
+def _damaged(path: Path | str, fault: object) -> ImageError:
     return ImageError(
         f"{path} is damaged or cut short ({fault}): copy it again, or save it again from the program that made it."
     )
@@ -345,10 +425,21 @@ _HEADER_READERS = {
 # Decoding -----------------------------------------------------------------------------------------
 
 
-def _decode_shallow(path: Path, data: bytes, header: _Header) -> np.ndarray:
+def _decode(path: Path | str, data: bytes, header: _Header, preview: int | None = None) -> np.ndarray:
+    """Decode a file's bytes; see :func:`read_preview` for the size."""
+    if header.bits <= 8:
+        return _decode_shallow(path, data, header, preview)
+    if header.kind == "PNM":
+        return _decode_deep_pnm(path, data, header)
+    return _decode_deep(path, data, header)
+
+
+def _decode_shallow(path: Path | str, data: bytes, header: _Header, preview: int | None = None) -> np.ndarray:
     """Decode what has at most 8 bits per channel, and notice when it was cut short."""
     try:
         image = _open_pillow(io.BytesIO(data), header.kind)
+        if preview is not None:
+            image.draft(None, (preview, preview))  # does something for JPEG only
         image.load()
         if "transparency" in image.info:  # a palette with transparency has no direct way to RGB
             image = image.convert("RGBA")
@@ -360,7 +451,7 @@ def _decode_shallow(path: Path, data: bytes, header: _Header) -> np.ndarray:
     return _upright(array, header)
 
 
-def _decode_deep(path: Path, data: bytes, header: _Header) -> np.ndarray:
+def _decode_deep(path: Path | str, data: bytes, header: _Header) -> np.ndarray:
     """Decode 16-bit PNG, and 16-bit and float TIFF."""
     import cv2
 
@@ -379,7 +470,7 @@ def _decode_deep(path: Path, data: bytes, header: _Header) -> np.ndarray:
     return _upright(np.ascontiguousarray(rgb), header)
 
 
-def _decode_deep_pnm(path: Path, data: bytes, header: _Header) -> np.ndarray:
+def _decode_deep_pnm(path: Path | str, data: bytes, header: _Header) -> np.ndarray:
     n_channels = 3 if data[1:2] == b"6" else 1
     n_values = header.width * header.height * n_channels
     if len(data) - header.offset < 2 * n_values:

@@ -32,9 +32,14 @@ def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict) -> lis
     paths = [folder / f"{stem}{suffix}" for suffix in (".pts", ".csv", ".json")]
     write_landmarks(paths[0], landmarks)
     write_landmarks(paths[1], landmarks)
-    content = {**facts, "landmarks": landmarks.points}
-    write_text_atomically(paths[2], json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
+    write_text_atomically(paths[2], fit_text(landmarks, facts))
     return paths
+
+
+def fit_text(landmarks: Landmarks, facts: dict) -> str:
+    """Give the text of a fit's .json file; see :func:`write_fit`."""
+    content = {**facts, "landmarks": landmarks.points}
+    return json.dumps(_plain(content), indent=1, allow_nan=False) + "\n"
 
 
 def _plain(value: object) -> object:

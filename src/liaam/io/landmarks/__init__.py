@@ -17,7 +17,7 @@ from liaam.errors import LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import existing_file
 from liaam.io.landmarks import asf, coco, csv_points, dlib_xml, ljson, pts, tem
-from liaam.io.landmarks.base import Contour, Landmarks, read_text
+from liaam.io.landmarks.base import Contour, Landmarks, decode_text, read_text
 
 __all__ = [
     "FORMATS",
@@ -25,6 +25,7 @@ __all__ = [
     "Contour",
     "Format",
     "Landmarks",
+    "parse_landmark_data",
     "parse_landmark_file",
     "read_collection",
     "read_landmarks",
@@ -137,7 +138,22 @@ def parse_landmark_file(path: str | os.PathLike[str], image_size: tuple[float, f
     """
     suffix = _suffix(Path(path))
     path = existing_file(path, LandmarkError, "landmark file")
-    text = read_text(path)
+    return _parse(path, suffix, read_text(path), image_size)
+
+
+def parse_landmark_data(name: str, data: bytes, image_size: tuple[float, float] | None = None) -> Parsed:
+    """Read what a landmark file of some name holds, as :func:`parse_landmark_file` does; no file is touched.
+
+    Raises
+    ------
+    LandmarkError
+        As :func:`read_landmarks`.
+    """
+    suffix = _suffix(Path(name))
+    return _parse(Path(name), suffix, decode_text(Path(name), data), image_size)
+
+
+def _parse(path: Path, suffix: str, text: str, image_size: tuple[float, float] | None) -> Parsed:
     known = FORMATS[suffix]
     if known.parse is not None:
         return known.parse(path, text)
@@ -148,7 +164,7 @@ def parse_landmark_file(path: str | os.PathLike[str], image_size: tuple[float, f
 def write_landmarks(path: str | os.PathLike[str], landmarks: Landmarks | np.ndarray) -> None:
     """Write the landmarks of one image as ``.pts``, ``.csv`` or ``.ljson``, all or nothing.
 
-    Contours survive only in ``.ljson``; names in ``.ljson`` and ``.csv``.
+    Contours and what is invisible survive only in ``.ljson``; names in ``.ljson`` and ``.csv``.
 
     Parameters
     ----------

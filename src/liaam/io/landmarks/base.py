@@ -51,6 +51,8 @@ class Landmarks:
     """One name per landmark, or empty."""
     image_name: str | None = None
     """The image's file name as the landmark file gives it, if it does."""
+    invisible: tuple[int, ...] = ()
+    """Landmarks whose place is known though something hides them, ascending; only ``.ljson`` keeps them."""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)
@@ -59,6 +61,13 @@ class Landmarks:
             raise LandmarkError(f"there are {len(self.names)} names for {len(points)} landmarks: give one name each.")
         for contour in self.contours:
             _check_contour(contour, len(points))
+        object.__setattr__(self, "invisible", tuple(sorted(set(self.invisible))))
+        wrong = [index for index in self.invisible if not 0 <= index < len(points)]
+        if wrong:
+            raise LandmarkError(
+                f"landmark {wrong[0]} (counting from 0) is marked invisible, but there are {len(points)} landmarks: "
+                "correct the marks."
+            )
 
     def __len__(self) -> int:
         return len(self.points)
@@ -110,17 +119,22 @@ def make_landmarks(
     contours: Iterable[Contour] = (),
     names: Iterable[str] = (),
     image_name: str | None = None,
+    invisible: Iterable[int] = (),
 ) -> Landmarks:
     """Make `Landmarks`, and name the file in the message if they are not valid."""
     try:
-        return Landmarks(points, tuple(contours), tuple(names), image_name)
+        return Landmarks(points, tuple(contours), tuple(names), image_name, tuple(invisible))
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
 
 
 def read_text(path: Path) -> str:
     """Read a text file as UTF-8 (or UTF-16 with its mark, or Latin-1), and refuse what is not text."""
-    data = read_bytes(path, LandmarkError, MAX_BYTES)
+    return decode_text(path, read_bytes(path, LandmarkError, MAX_BYTES))
+
+
+def decode_text(path: Path, data: bytes) -> str:
+    """Decode what a file holds as :func:`read_text` does; `path` is for the messages."""
     binary = LandmarkError(f"{path} is not a text file, so not a landmark file: export the landmarks again.")
     encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
     try:

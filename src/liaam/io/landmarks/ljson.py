@@ -2,7 +2,7 @@
 
 Versions 2 and 3 are read (3 with one group of landmarks), version 2 is written. Connectivity becomes
 contours by joining its edges. Labels in menpo name sets of landmarks; where each landmark has a label of
-its own, these are the landmarks' names.
+its own, these are the landmarks' names. A further label ``invisible`` holds those that something hides.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import Landmarks, chain_edges, check_number, edges_of, make_landmarks, parse_json
 
-_ALL = "all"
+_ALL, _INVISIBLE = "all", "invisible"
 
 
 def parse(path: Path, text: str) -> Landmarks:
@@ -40,7 +40,8 @@ def parse(path: Path, text: str) -> Landmarks:
     points = [
         tuple(check_number(path, value, f"point {number}") for value in pair) for number, pair in enumerate(pairs, 1)
     ]
-    return make_landmarks(path, points, chain_edges(edges), _names(masks, len(points)))
+    masks, invisible = _split(masks, len(points))
+    return make_landmarks(path, points, chain_edges(edges), _names(masks, len(points)), invisible=invisible)
 
 
 def dump(landmarks: Landmarks) -> str:
@@ -79,14 +80,28 @@ def _group(path: Path, content: Any) -> Any:
 
 def _labels(landmarks: Landmarks) -> list[dict[str, Any]]:
     """Label each named landmark; otherwise all of them as one, which menpo demands where there are edges."""
+    hidden = [{"label": _INVISIBLE, "mask": list(landmarks.invisible)}] if landmarks.invisible else []
     if landmarks.names:
-        return [{"label": name, "mask": [index]} for index, name in enumerate(landmarks.names)]
-    if not landmarks.contours:
+        return [{"label": name, "mask": [index]} for index, name in enumerate(landmarks.names)] + hidden
+    if not landmarks.contours and not hidden:  # a label for some demands one for the rest, too
         return []
-    return [{"label": _ALL, "mask": list(range(len(landmarks)))}]
+    return [{"label": _ALL, "mask": list(range(len(landmarks)))}, *hidden]
 
 
-def _names(masks: list[tuple[str, list[int]]], n_points: int) -> tuple[str, ...]:
+_Mask = tuple[str, list[int]]
+
+
+def _split(masks: list[_Mask], n_points: int) -> tuple[list[_Mask], list[int]]:
+    """Tell the label of invisible landmarks from the others; a landmark may have that word for a name."""
+    at = [i for i, (label, _) in enumerate(masks) if label == _INVISIBLE]
+    if not at or _names(masks, n_points):
+        return masks, []
+    others = masks[: at[-1]] + masks[at[-1] + 1 :]
+    # What is written beside it for one landmark without a name is no name.
+    return ([] if others == [(_ALL, [0])] else others), masks[at[-1]][1]
+
+
+def _names(masks: list[_Mask], n_points: int) -> tuple[str, ...]:
     """Give the labels as names, if each landmark has exactly one of its own."""
     by_index = {mask[0]: label for label, mask in masks if len(mask) == 1}
     if len(masks) != n_points or set(by_index) != set(range(n_points)):
