@@ -1,5 +1,6 @@
 """Finding the object without a start: by the model's own directions of gradients, in generated scenes."""
 
+from copy import copy
 from dataclasses import replace
 
 import cv2
@@ -15,6 +16,7 @@ from liaam.fitting.search import (
     LARGEST,
     LEAST_PIXELS,
     SMALLEST,
+    SPECTRA_KEPT,
     STEP,
     TEMPLATE,
     make_templates,
@@ -140,6 +142,18 @@ def test_a_candidate_is_a_start(model, lit_scene):
     given = fitter.fit(lit_scene.image, candidate.shape)
     assert given.found is None
     np.testing.assert_array_equal(result.shape, given.shape)
+
+
+def test_what_was_searched_before_makes_no_difference(model):
+    used, pictures = Finder(model), [photograph(Pose(scale=0.8), size=size).image for size in (WIDE, (90, 1200), WIDE)]
+    for picture in pictures:
+        seen, fresh = used.find(picture)[0], Finder(model).find(picture)[0]
+        assert seen.score == fresh.score
+        assert np.array_equal(seen.shape, fresh.shape)
+    assert 0 < sum(height * width for height, width in used._spectra) <= SPECTRA_KEPT
+    again = copy(used)  # as one that is sent to another process
+    assert not again._spectra
+    assert again.find(pictures[0])[0].score == used.find(pictures[0])[0].score
 
 
 def test_types_of_picture_make_no_difference(finder):

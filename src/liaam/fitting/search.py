@@ -14,7 +14,7 @@ import numpy as np
 from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
 from liaam.fitting.methods import get_method
-from liaam.fitting.objective import FitProblem, Objective, make_objectives
+from liaam.fitting.objective import NEAR, FitProblem, Objective, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.solver import Solution, SolverOptions, solve
 from liaam.mesh import ReferenceFrame, signed_areas
@@ -76,6 +76,13 @@ owls, rocks and balls, one in four scores more, nearly all under the model that 
 
 MOST = 20
 """Objects in a picture at most."""
+
+SPECTRA_KEPT = 600_000
+"""Pixels of the fields whose templates' spectra are kept, some 90 bytes each: those of pictures of one size and more,
+unless they are panoramas."""
+
+SURROUNDINGS = np.ones((5, 5), np.uint8)
+"""Pixels of which a place has to be the best."""
 
 GROWTH = (0.5, 2.0)
 """Change of size beyond which the fit of a place has lost it."""
@@ -224,6 +231,10 @@ class Finder:
         return make_templates(self.small)
 
     @cached_property
+    def _spectra(self) -> dict[tuple[int, int], list[np.ndarray]]:
+        return {}
+
+    @cached_property
     def objective(self) -> Objective:
         """What the fits that judge places minimise."""
         return make_objectives(self.small, get_method("igo"))[0]
@@ -253,39 +264,58 @@ class Finder:
 
     def _peaks(self, fields: list[Field], count: int) -> _Peaks:
         """Best places by correlation alone."""
-        found = _Peaks.join([part for i in range(len(fields)) for part in self._responses(fields, i, count)])
+        found = _Peaks.join([part for i in range(len(fields)) for part in self._responses(fields[i], i, count)])
         return found.take(_strongest(found, 0.2 * self.small.diagonal, count))
 
-    def _responses(self, fields: list[Field], which: int, count: int) -> list[_Peaks]:
+    def _responses(self, field: Field, which: int, count: int) -> list[_Peaks]:
         """Local maxima of every template's correlation with a field, the best few of each template."""
         import cv2  # heavy: imported when first needed
         from scipy import fft
 
-        field, pad = fields[which].values, int(PADDING * self.small.diagonal)
-        size = [max(n + 2 * pad, *(t.field.shape[axis] for t in self.templates)) for axis, n in enumerate(field.shape)]
-        fast = tuple(fft.next_fast_len(n) or n for n in size)
-        spectrum = _spectrum(np.pad(field, pad), fast)
+        values, pad = field.values, int(PADDING * self.small.diagonal)
+        size = [max(n + 2 * pad, *(t.field.shape[axis] for t in self.templates)) for axis, n in enumerate(values.shape)]
+        fast = tuple(fft.next_fast_len(n, real=True) or n for n in size)
+        across, down = _spectra(np.pad(values, pad), fast)
         parts = []
-        for number, template in enumerate(self.templates):
-            # Re(z conj(t)) is the cosine between two directions times their lengths.
-            product = np.asarray(fft.ifft2(spectrum * np.conj(_spectrum(template.field, fast))))
-            cosine = np.real(product) / max(float(np.abs(template.field).sum()), 1e-9)
+        for number, (template, (right, below)) in enumerate(zip(self.templates, self._spectra_of(fast), strict=True)):
+            # The cosine between two directions times their lengths.
+            product = across * right
+            product += down * below
             height, width = template.field.shape
+            cosine = np.asarray(fft.irfft2(product, fast, overwrite_x=True))
             cosine = np.ascontiguousarray(cosine[: size[0] - height + 1, : size[1] - width + 1])
-            rows, columns = np.nonzero((cosine >= cv2.dilate(cosine, np.ones((5, 5), np.uint8))) & (cosine > 1e-3))
-            best = np.argsort(-cosine[rows, columns], kind="stable")[:count]
-            rows, columns = rows[best], columns[best]
-            centres = fields[which].to_image(np.column_stack([columns, rows]) - pad - template.origin)
-            scales, same, numbers = (np.full(len(best), value) for value in (fields[which].scale, which, number))
-            parts.append(_Peaks(centres, scales, same, numbers, cosine[rows, columns]))
+            flat = cosine.ravel()
+            (peaks,) = np.nonzero(((cosine >= cv2.dilate(cosine, SURROUNDINGS)) & (cosine > 1e-3)).ravel())
+            best = peaks[np.argsort(-flat[peaks], kind="stable")[:count]]
+            rows, columns = np.divmod(best, cosine.shape[1])
+            centres = field.to_image(np.column_stack([columns, rows]) - pad - template.origin)
+            scales, same, numbers = (np.full(len(best), value) for value in (field.scale, which, number))
+            parts.append(_Peaks(centres, scales, same, numbers, flat[best]))
         return parts
+
+    def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
+        """Spectra of all templates for fields of a size; those of the last few sizes are kept."""
+        known = self._spectra.get(size)
+        if known is not None:
+            return known
+        made = [np.conj(_spectra(t.field, size)) / max(float(np.abs(t.field).sum()), 1e-9) for t in self.templates]
+        kept = [*self._spectra, size]  # a copy: others may search at the same time
+        while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
+            self._spectra.pop(kept.pop(0), None)
+        if kept:
+            self._spectra[size] = made
+        return made
+
+    def __getstate__(self) -> dict:
+        """Leave out the spectra, which are large and soon made again."""
+        return {name: value for name, value in self.__dict__.items() if name != "_spectra"}
 
     def _fitted(self, image: np.ndarray, response: Response, fields: list[Field], peak: _Peaks) -> Candidate:
         """Fit the small model at one place and judge what came out."""
         template, warp = self.templates[int(peak.templates[0])], self.objective.warp
         pose = Similarity(rotation(template.turn) * peak.scales[0], peak.centres[0])
         start, blur = pose(warp.shape(template.p)), self.small.levels[0].blur
-        problem = FitProblem.at(image, start, pose, self.objective.method, response, blur)
+        problem = FitProblem.at(image, start, pose, self.objective.method, response, blur, margin=NEAR)
         solution = solve(self.objective, problem, self.objective.start(template.p), SETTINGS)
         shape = pose(warp.shape(solution.state.p))
         sane = np.isfinite(shape).all() and GROWTH[0] < diagonal_of(shape) / diagonal_of(start) < GROWTH[1]
@@ -350,11 +380,11 @@ def find(
     return Finder(model).find(image, limit=limit, least=least, response=response)
 
 
-def _spectrum(field: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
-    """Fourier transform of a field, padded to a size, complex64."""
+def _spectra(field: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Fourier transforms of a field's cosine and sine, padded to a size, (2, h, w // 2 + 1) complex64."""
     from scipy import fft
 
-    return np.asarray(fft.fft2(field, size))
+    return np.asarray(fft.rfft2(np.stack([np.real(field), np.imag(field)]), size))
 
 
 def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
