@@ -2,13 +2,14 @@
 
 import sys
 
-from benchmarks import batch, batched, fit, iteration, search, track
+from benchmarks import batch, batched, fit, iteration, search, studio, track
 
 BENCHMARKS = {
     "iteration": iteration.main,
     "fit": fit.main,
     "search": search.main,
     "track": track.main,
+    "studio": studio.main,
     "batch": batch.main,
     "batched": batched.main,
 }

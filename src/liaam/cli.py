@@ -15,6 +15,7 @@ from liaam.cli_batch import batch
 from liaam.cli_experiments import experiments, reproduce
 from liaam.cli_inputs import camera_for, check_output, read_init, unique_stems
 from liaam.cli_photometry import calibrate, invariant, register_command
+from liaam.cli_studio import studio
 from liaam.cli_video import track
 from liaam.errors import LiaamError
 from liaam.terminal import complain, console, progress_bar, say, table_of
@@ -40,6 +41,7 @@ app.command()(invariant)
 app.command("register")(register_command)
 app.command()(track)
 app.command()(reproduce)
+app.command()(studio)
 
 
 def version(show: bool) -> None:
@@ -284,30 +286,13 @@ def fit_file(
 
 def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, writing: Writing, stem: str) -> "FitResult":
     """Fit one object of an image and write what belongs to it."""
-    import numpy as np
-
     from liaam.io import Contour, Landmarks, write_fit, write_image
     from liaam.plotting import overlay
 
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
     contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
-    facts = {
-        "image": image.name,
-        "start": "given" if result.found is None else "searched",
-        "search_score": None if result.found is None else result.found.score,
-        "search_doubtful": None if result.found is None else result.found.doubtful,
-        "method": result.method,
-        "status": str(result.status),
-        "message": result.message,
-        "theta_deg": angle_degrees(result),
-        "cost": result.cost,
-        "iterations": result.n_iterations,
-        "quality": None if np.isnan(result.quality) else round(result.quality, 4),
-        "landmark_deviations_px": [round(float(v), 3) for v in result.deviations],
-        "liaam": __version__,
-    }
-    write_fit(writing.folder, stem, Landmarks(result.shape, contours), facts)
+    write_fit(writing.folder, stem, Landmarks(result.shape, contours), result.facts(image.name))
     drawn = result.landmark_covariances if writing.ellipses else None
     write_image(writing.folder / f"{stem}_fit.png", overlay(pixels, result.shape, model, covariances=drawn))
     if writing.history:

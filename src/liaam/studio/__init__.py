@@ -1,0 +1,7 @@
+"""The studio: annotate pictures, train, fit and relight in the browser, on this machine only.
+
+``liaam studio FOLDER`` serves a page on the loopback (:mod:`liaam.studio.serving`). :mod:`liaam.studio.project` is the
+folder with its pictures, template and landmark files; :mod:`liaam.studio.training` learns from it in a process of its
+own; :mod:`liaam.studio.fits` fits; :mod:`liaam.studio.app` joins them and answers the page;
+:mod:`liaam.studio.safety` stands before all of it. Nothing heavy is imported here.
+"""

@@ -1,0 +1,315 @@
+"""The studio's web application: its parts put together, its routes, and errors as JSON.
+
+Handlers are short: they read a request, call a part in a thread (so that the event loop stays free), and answer. Every
+error that is meant for people is ``{"error": sentence}``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from liaam import __version__
+from liaam.errors import LiaamError
+from liaam.studio.events import Events
+from liaam.studio.fits import Fits, attachment
+from liaam.studio.fits import routes as fit_routes
+from liaam.studio.pictures import Pictures, Source, checked_size, source_of
+from liaam.studio.project import Project
+from liaam.studio.safety import HEADERS, UPLOADS, Guard, Refusal
+from liaam.studio.settings import Settings
+from liaam.studio.training import (
+    ModelStore,
+    Trainer,
+    forget_studio_model,
+    load_given_model,
+    load_studio_model,
+    model_json,
+)
+from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
+
+IMAGE_SIZE, CHROMA_SIZE = 2048, 640
+"""Longest sides where none is asked for, pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Studio:
+    """The parts of a studio on one folder."""
+
+    settings: Settings
+    project: Project
+    models: ModelStore
+    events: Events
+    training: Trainer
+    pictures: Pictures
+    uploads: Uploads
+    fits: Fits
+
+    def close(self) -> None:
+        """End what is under way: the open pages' event streams, and a training."""
+        self.events.close()
+        self.training.stop()
+
+
+def make_studio(folder: str | Path, model: Path | None = None, settings: Settings | None = None) -> Studio:
+    """Put together a studio on a folder.
+
+    Parameters
+    ----------
+    folder : path-like
+        Holds the pictures; may be empty.
+    model : Path, optional
+        Model to use instead of what the studio trained in this folder before.
+    settings : Settings, optional
+
+    Raises
+    ------
+    LiaamError
+        If the folder or the model cannot be used.
+    """
+    settings = settings or Settings()
+    project, models, events = Project(folder, settings), ModelStore(), Events(settings.heartbeat_seconds)
+    pictures = Pictures()
+    uploads = Uploads(pictures, settings)
+    studio = Studio(
+        settings=settings,
+        project=project,
+        models=models,
+        events=events,
+        training=Trainer(project, models, events.publish),
+        pictures=pictures,
+        uploads=uploads,
+        fits=Fits(project, models, uploads, pictures, settings),
+    )
+    if model is not None:
+        load_given_model(model, models)
+    else:
+        load_studio_model(project, models)
+    return studio
+
+
+def make_app(studio: Studio) -> Starlette:
+    """Make the web application of a studio."""
+    handlers = _Handlers(studio)
+    return Starlette(
+        routes=[
+            *handlers.routes(),
+            *fit_routes(studio.fits),
+            Route("/api/{rest:path}", _nothing),
+            Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
+        ],
+        middleware=[Middleware(Guard, settings=studio.settings)],
+        exception_handlers={
+            LiaamError: _on_fault,
+            HTTPException: _on_http_fault,
+            ClientDisconnect: _on_gone,
+            Exception: _on_bug,
+        },
+    )
+
+
+Handler = Callable[[Request], Awaitable[Response]]
+
+
+class _Handlers:
+    """What answers requests about the project, its training and its pictures."""
+
+    def __init__(self, studio: Studio) -> None:
+        self.studio = studio
+        # Their own: the thumbnails of a large folder must keep neither fits nor landmarks waiting.
+        self._lookers = CapacityLimiter(2)
+
+    def routes(self) -> list[Route]:
+        get, put, post, delete = (["GET"], ["PUT"], ["POST"], ["DELETE"])
+        return [
+            Route("/api/project", self.project, methods=get),
+            Route("/api/pictures/{name}/image", self.image, methods=get),
+            Route("/api/pictures/{name}/thumbnail", self.thumbnail, methods=get),
+            Route("/api/pictures/{name}/chroma", self.chroma, methods=get),
+            Route("/api/pictures/{name}/landmarks", self.landmarks, methods=get),
+            Route("/api/pictures/{name}/landmarks", self.save_landmarks, methods=put),
+            Route("/api/template", self.save_template, methods=put),
+            Route("/api/template/file", self.read_template, methods=post),
+            Route("/api/training", self.train, methods=post),
+            Route("/api/training", self.stop_training, methods=delete),
+            Route("/api/events", self.events, methods=get),
+            Route(UPLOADS, self.upload, methods=post),
+            Route(UPLOADS + "/{id}/image", self.upload_image, methods=get),
+            Route(UPLOADS + "/{id}/chroma", self.upload_chroma, methods=get),
+            Route("/api/model/file", self.model_file, methods=get),
+        ]
+
+    async def _json(self, request: Request) -> Any:
+        return await read_json(request, self.studio.settings.json_bytes)
+
+    # The project ----------------------------------------------------------------------------------
+
+    async def project(self, request: Request) -> Response:
+        return JSONResponse(await run_sync(self._project_json))
+
+    def _project_json(self) -> dict[str, Any]:
+        from liaam.fitting import METHODS
+        from liaam.fitting.methods import DEFAULT_METHOD
+
+        studio, project = self.studio, self.studio.project
+        pictures, template = project.overview(), project.template
+        return {
+            "folder": project.root.name or str(project.root),
+            "version": __version__,
+            "pictures": pictures,
+            "template": None if template is None else template.as_json(),
+            "model": model_json(studio.models.current, project),
+            "training": asdict(studio.training.state),
+            "methods": [
+                {"name": method.name, "summary": method.summary, "needs_colour": method.needs_colour}
+                for method in METHODS.values()
+            ],
+            "default_method": DEFAULT_METHOD,
+            "limits": {"upload_bytes": studio.settings.upload_bytes, "pixels": studio.settings.pixels},
+            "problems": project.problems,
+        }
+
+    async def landmarks(self, request: Request) -> Response:
+        return JSONResponse(await run_sync(self.studio.project.marks, request.path_params["name"]))
+
+    async def save_landmarks(self, request: Request) -> Response:
+        name, data = request.path_params["name"], await self._json(request)
+        answer = await run_sync(self.studio.project.save_marks, name, data)
+        self.studio.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
+        return JSONResponse(answer)
+
+    async def save_template(self, request: Request) -> Response:
+        template = await run_sync(self._save_template, await self._json(request))
+        self.studio.events.publish("project", {})
+        return JSONResponse(template)
+
+    def _save_template(self, data: Any) -> dict[str, Any]:
+        studio = self.studio
+        template, moved = studio.project.save_template(data)
+        if moved:  # a model of other points, or of another order, would propose nonsense
+            studio.training.stop()
+            forget_studio_model(studio.project, studio.models)
+        return template.as_json()
+
+    async def read_template(self, request: Request) -> Response:
+        data = await read_body(request, self.studio.settings.json_bytes)
+        name = request.query_params.get("name", "")
+        template = await run_sync(self.studio.project.read_template, name, data)
+        return JSONResponse(template.as_json())
+
+    async def train(self, request: Request) -> Response:
+        return JSONResponse(asdict(await run_sync(self.studio.training.start)), 202)
+
+    async def stop_training(self, request: Request) -> Response:
+        return JSONResponse(asdict(await run_sync(self.studio.training.stop)))
+
+    async def events(self, request: Request) -> Response:
+        headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
+        return StreamingResponse(self.studio.events.stream(), media_type="text/event-stream", headers=headers)
+
+    async def model_file(self, request: Request) -> Response:
+        current = self.studio.models.current
+        if current is None:
+            raise Refusal(404, "there is no model yet: train one")
+        data = await run_sync(current.model.to_bytes)
+        headers = {"content-disposition": attachment(f"{plain_name(current.model.name or 'model')}.liaam")}
+        return Response(data, media_type="application/octet-stream", headers=headers)
+
+    # Pictures -------------------------------------------------------------------------------------
+
+    async def image(self, request: Request) -> Response:
+        return await self._image(request, self._source)
+
+    async def thumbnail(self, request: Request) -> Response:
+        return await self._seen(request, self._source, "thumbnail", "image/jpeg", self.studio.pictures.thumbnail)
+
+    async def chroma(self, request: Request) -> Response:
+        return await self._chroma(request, self._source)
+
+    async def upload(self, request: Request) -> Response:
+        data = await read_body(request, self.studio.settings.upload_bytes)
+        upload = await run_sync(self.studio.uploads.add, data, request.query_params.get("name", ""))
+        return JSONResponse({"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height}, 201)
+
+    async def upload_image(self, request: Request) -> Response:
+        return await self._image(request, self._upload_source)
+
+    async def upload_chroma(self, request: Request) -> Response:
+        return await self._chroma(request, self._upload_source)
+
+    async def _image(self, request: Request, source: Callable[[Request], Source]) -> Response:
+        size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
+        return await self._seen(request, source, f"{size}", "image/jpeg", lambda s: self.studio.pictures.image(s, size))
+
+    async def _chroma(self, request: Request, source: Callable[[Request], Source]) -> Response:
+        size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.studio.models.current
+        response = "srgb" if current is None else current.model.response
+
+        def chroma(picture: Source) -> bytes:
+            linear = picture.raw and isinstance(response, str | float)
+            return self.studio.pictures.chroma(picture, size, "linear" if linear else response)
+
+        kind = f"chroma-{size}-{hash(response) & 0xFFFFFFFF:x}"
+        return await self._seen(request, source, kind, "application/octet-stream", chroma)
+
+    async def _seen(
+        self,
+        request: Request,
+        source: Callable[[Request], Source],
+        kind: str,
+        media: str,
+        make: Callable[[Source], bytes],
+    ) -> Response:
+        """Answer with bytes made of a picture, or with 304 if the browser has them."""
+        picture = await run_sync(source, request)
+        headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
+        known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
+        if headers["etag"] in known:
+            return Response(status_code=304, headers=headers)
+        content = await run_sync(make, picture, limiter=self._lookers)
+        return Response(content, media_type=media, headers=headers)
+
+    def _source(self, request: Request) -> Source:
+        project, name = self.studio.project, request.path_params["name"]
+        project.size_of(name)  # says why a picture cannot be used
+        return source_of(project.path_of(name), self.studio.settings.pixels)
+
+    def _upload_source(self, request: Request) -> Source:
+        return self.studio.uploads.source(request.path_params["id"])
+
+
+async def _nothing(request: Request) -> Response:
+    raise Refusal(404, "there is nothing at that address")
+
+
+async def _on_fault(request: Request, fault: Exception) -> Response:
+    if isinstance(fault, Refusal):
+        return JSONResponse({"error": str(fault), **fault.details}, fault.status)
+    return JSONResponse({"error": str(fault)}, 422)
+
+
+async def _on_http_fault(request: Request, fault: Exception) -> Response:
+    assert isinstance(fault, HTTPException)
+    text = "there is nothing at that address" if fault.status_code == 404 else fault.detail
+    return JSONResponse({"error": text}, fault.status_code, fault.headers)
+
+
+async def _on_gone(request: Request, fault: Exception) -> Response:
+    return Response(status_code=400)  # nobody reads it
+
+
+async def _on_bug(request: Request, fault: Exception) -> Response:
+    text = f"the studio failed ({type(fault).__name__}): its terminal says more"
+    return JSONResponse({"error": text}, 500, {**HEADERS, "connection": "close"})  # which the server does now

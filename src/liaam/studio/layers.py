@@ -1,0 +1,235 @@
+"""What a fit can show over, or instead of, its picture: residual, shading, the picture without its shading, and the
+object under another light. Functions of arrays; :mod:`liaam.studio.fits` keeps what they make.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from liaam.errors import MethodError
+from liaam.fitting import FitResult, Fitter, get_method
+from liaam.mesh import ReferenceFrame
+from liaam.model import AAM
+from liaam.photometry import is_grey, linear_to_srgb
+from liaam.photometry.encoding import stored_values
+from liaam.relighting import paint
+from liaam.shape import Similarity
+from liaam.studio.pictures import averaged
+
+try:
+    from liaam.relighting import Relighter  # type: ignore[attr-defined]
+
+    relighter = Relighter.of
+except ImportError:  # UNTIL-RELIGHT: this branch goes when liaam.relighting has a Relighter
+    from liaam.relighting import shadow_free, without_shading
+    from liaam.shape import diagonal_of
+    from liaam.studio.safety import Refusal
+
+    class _Unlit:
+        def __init__(self, fitter, image, result):
+            self.fitter, self.image, self.result = fitter, image, result
+            self.appearance = shadow_free(fitter, image, result)
+            self.response = (fitter.camera or fitter.model.camera).response
+
+        def flat(self):
+            from liaam.tracking.shading import REACH, blended, soft_edge
+
+            values = np.concatenate([self.appearance.log_rgb, soft_edge(self.fitter.model)[:, None]], axis=1)
+            painted, _ = paint(self.image, self.result.shape, self.fitter.model, values)
+            return blended(self.image, painted, self.response, max(1.0, REACH * diagonal_of(self.result.shape)))
+
+        def shading(self):
+            given = self.image, self.result.shape, self.fitter.model, self.appearance, self.response
+            return without_shading(*given)[1]
+
+        def under(self, direction, ambient):
+            raise Refusal(501, "this liaam cannot put an object under another light yet")
+
+    relighter = _Unlit
+
+LAYERS = ("residual", "shading", "flat")
+
+RESIDUAL_COLOURS = ((33, 102, 172), (247, 247, 247), (178, 24, 43))
+"""Below, at and above 0: the picture is darker than the model, as the model, brighter."""
+
+SHADING_COLOURS = ((38, 36, 92), (148, 148, 148), (255, 214, 92))
+"""In shadow, as under the light of training, and brighter."""
+
+SHADING_LIMIT = float(np.log(4.0))
+"""Shading at which the colours end: a quarter, and four times, the light. The same for all pictures, to compare."""
+
+RESIDUAL_SHARE = 98.0
+"""Percentile of the residual's size at which its colours end."""
+
+_ROWS = {
+    "luminance": ("luminance",),
+    "rgb": ("red", "green", "blue"),
+    "chromaticity": ("log-chromaticity 1", "log-chromaticity 2"),
+    "orientation": ("cosine of the gradient's direction", "sine of the gradient's direction"),
+    "soft": ("gradient across", "gradient down", "invariant"),
+    "invariant": ("invariant",),
+}
+"""What the rows of a method's metric measure, for the legend."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """One channel of a fit's residual.
+
+    Attributes
+    ----------
+    values : (n_pixels, 2) float32
+        Image minus model, and where the image was usable, at the pixels of the model's frame.
+    limit : float
+        Value at which the colours end.
+    what : str
+        What it measures.
+    """
+
+    values: np.ndarray
+    limit: float
+    what: str
+
+
+def residual_of(model: AAM, result: FitResult) -> Residual:
+    """Channel of the residual with the largest mean square: the one that tells most."""
+    method = get_method(result.method)
+    frame = model.warp_of(method.appearance).frame
+    power = np.nan_to_num(np.square(result.residual, dtype=np.float64).mean(axis=0))
+    row = int(power.argmax())
+    values = np.stack([result.residual[:, row], result.usable], axis=1)
+    sizes = np.abs(values[values[:, 1] > 0, 0])
+    sizes = sizes[np.isfinite(sizes)]
+    limit = float(np.percentile(sizes, RESIDUAL_SHARE)) if len(sizes) else 0.0
+    names = _ROWS.get(method.metric, ())
+    return Residual(_inside(model, frame, values), max(limit, 1e-6), names[row] if row < len(names) else method.metric)
+
+
+def _inside(model: AAM, frame: ReferenceFrame, values: np.ndarray) -> np.ndarray:
+    """Values (n, c) of a frame that surrounds the model's, at the pixels of the model's own."""
+    if frame is model.frame:
+        return values
+    rows, columns = (model.frame.pixels + (model.frame.origin - frame.origin)[::-1].astype(int)).T
+    return frame.picture(values)[rows, columns]
+
+
+def scaled_points(points: np.ndarray, size: tuple[int, int], to: tuple[int, int]) -> np.ndarray:
+    """Points (n, 2) of a picture (width, height) in the same picture of another size; pixel centres are whole."""
+    return (points + 0.5) * (np.array(to) / np.array(size)) - 0.5
+
+
+def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tuple[int, int]) -> np.ndarray:
+    """Residual in colours, (height, width, 4) uint8; clear outside the mesh and where the image was not usable.
+
+    Parameters
+    ----------
+    model : AAM
+    shape : (n, 2) float
+        Landmarks, pixels of the layer.
+    residual : Residual
+    size : (int, int)
+        Width and height of the layer.
+    """
+    painted, inside = paint(_canvas(size), shape, model, residual.values)
+    colours = coloured(painted[..., 0] / residual.limit, RESIDUAL_COLOURS)
+    return _with_alpha(colours, inside & (painted[..., 1] > 0.5))
+
+
+class Light(Protocol):
+    """A fitted picture taken apart (:class:`liaam.relighting.Relighter`)."""
+
+    def flat(self) -> np.ndarray:
+        """Whole picture with the object under the light of training, (h, w, 3) uint8."""
+        ...
+
+    def shading(self) -> np.ndarray:
+        """Natural logarithm of picture over flat picture, (h, w, 3) float32, 0 outside the mesh."""
+        ...
+
+    def under(self, direction: Any, ambient: float) -> np.ndarray:
+        """Whole picture with the object under a far lamp, (h, w, 3) uint8."""
+        ...
+
+
+def taken_apart(fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int], raw: bool = False) -> Light:
+    """Take a fitted picture apart, at another size.
+
+    Parameters
+    ----------
+    fitter : Fitter
+        The one that made the fit.
+    image : (h, w, 3) uint8, uint16 or float32
+        The picture fitted.
+    result : FitResult
+    to : (int, int)
+        Width and height, not more than the picture's.
+    raw : bool
+        Whether the picture is of linear light; what comes out is encoded as screens want it at any rate.
+    """
+    size = (image.shape[1], image.shape[0])
+    small = averaged(image, to)
+    if raw:
+        small = linear_to_srgb(stored_values(small)).astype(np.float32)
+        fitter = replace(fitter, camera=replace(fitter.camera or fitter.model.camera, response="srgb"))
+    factor = float(np.sqrt(to[0] * to[1] / (size[0] * size[1])))
+    moved = scaled_points(result.pose.offset[None], size, to)[0]
+    pose = Similarity(result.pose.matrix * factor, moved)
+    return relighter(fitter, small, replace(result, shape=scaled_points(result.shape, size, to), pose=pose))
+
+
+def shading_layer(light: Light, to: tuple[int, int]) -> np.ndarray:
+    """Shading in colours, (height, width, 4) uint8, clear outside the mesh: log of the picture's light over the flat's.
+
+    Parameters
+    ----------
+    light : Light
+    to : (int, int)
+        Width and height of the layer.
+    """
+    shading = light.shading()
+    inside = np.any(shading != 0, axis=2).astype(np.float32)
+    mean, share = averaged(shading.mean(axis=2), to), averaged(inside, to)
+    colours = coloured(mean / np.maximum(share, 1e-6) / SHADING_LIMIT, SHADING_COLOURS)
+    return _with_alpha(colours, share > 0.5)
+
+
+def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | None:
+    """Why the shading of a fit cannot be told; None where it can."""
+    method = get_method(result.method)
+    if not np.isfinite(result.shape).all():
+        return "the fit lost the object, so there is nothing to take the shading from: fit again from a better start"
+    if method.appearance not in ("log", "soft"):
+        return (
+            f"method {result.method} does not tell colour from shading: fit with 'soft-li', 'li', 'li-pc', 'li-pcs' or "
+            "'chroma'"
+        )
+    if not fitter.model.is_colour:
+        return "the model was trained on grey pictures, and shading is told by colours: train on colour pictures"
+    if is_grey(image):
+        return "the picture is grey, and shading is told by colours: use a colour picture"
+    return None
+
+
+def coloured(values: np.ndarray, colours: tuple[tuple[int, int, int], ...]) -> np.ndarray:
+    """Colours (h, w, 3) uint8 of values from -1 to 1, three colours apart evenly; what lies beyond is clipped."""
+    table = np.stack([np.interp(np.linspace(-1, 1, 255), (-1, 0, 1), channel) for channel in np.array(colours).T], 1)
+    index = np.rint((np.clip(np.nan_to_num(values), -1, 1) + 1) * 127).astype(np.uint8)
+    return np.rint(table).astype(np.uint8)[index]
+
+
+def _canvas(size: tuple[int, int]) -> np.ndarray:
+    """Array of the size (width, height), which takes no memory."""
+    return np.broadcast_to(np.uint8(0), (size[1], size[0], 3))
+
+
+def _with_alpha(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    return np.dstack([colours * inside[..., None], np.where(inside, 255, 0).astype(np.uint8)])
+
+
+def need_flat(reason: str | None) -> None:
+    """Refuse what needs the shading where it cannot be told."""
+    if reason is not None:
+        raise MethodError(reason)

@@ -1,0 +1,260 @@
+"""The door: who may ask, from where, and how much they may send. Pure ASGI, before anything else looks at a request.
+
+A page of another site can make a browser send requests to this machine, and a name of that site can be pointed at this
+machine (DNS rebinding). So the ``Host`` has to be this server's, the ``Origin`` the page's own, and every request has
+to know the token, which no other site can read.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import json
+import socket
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs
+
+from liaam.errors import LiaamError
+from liaam.studio.settings import LOOPBACK, Settings
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+UPLOADS = "/api/uploads"
+"""Where larger bodies go."""
+
+HEADERS: dict[str, str] = {
+    "content-security-policy": (
+        "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
+        "frame-ancestors 'none'; base-uri 'none'; form-action 'self'"
+    ),
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "x-frame-options": "DENY",
+    "cache-control": "no-store",
+}
+"""Of every response that does not say otherwise."""
+
+_STRANGER = (
+    "this browser does not know the studio's token: open the address that 'liaam studio' printed, with its ?token=..."
+)
+
+
+class Refusal(LiaamError):  # noqa: N818 (an answer, not a fault of this program)
+    """A request that is not done: an HTTP status, a sentence, and what else the page needs to know.
+
+    Attributes
+    ----------
+    status : int
+    details : dict
+        Further fields of the answer, beside ``error``.
+    """
+
+    def __init__(self, status: int, error: str, **details: Any) -> None:
+        super().__init__(error)
+        self.status = status
+        self.details = details
+
+
+class Guard:
+    """Refuses requests from elsewhere, without the token, or with too large a body; adds headers to every response."""
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self.app = app
+        self.settings = settings
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer or refuse one request."""
+        import h11
+
+        try:
+            await self._answered(scope, receive, send)
+        except h11.LocalProtocolError:  # nonsense that came behind the request has ended the connection
+            return
+
+    async def _answered(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        if scope["type"] != "http":  # there are no web sockets here
+            await send({"type": "websocket.close", "code": 1008})
+            return
+        send = _with_headers(send)
+        headers = _Headers(scope["headers"])
+        refusal = self._refusal(headers)
+        if refusal is None and self._shows_token(scope):
+            await _answer(send, 303, b"", [(b"location", b"/"), (b"set-cookie", self._cookie().encode())])
+            return
+        if refusal is None and not self._knows_token(headers):
+            refusal = Refusal(401, _STRANGER)
+        if refusal is not None:
+            await _refuse(send, refusal, html="text/html" in headers.one("accept"))
+            return
+        await self._limited(scope, headers, receive, send)
+
+    def _refusal(self, headers: _Headers) -> Refusal | None:
+        """Check where the request comes from."""
+        hosts = headers.all("host")
+        if len(hosts) != 1 or not is_own_host(hosts[0], self.settings):
+            return Refusal(421, "this server does not go by that name: open the address that 'liaam studio' printed")
+        origins = headers.all("origin")
+        if any(not _is_own_origin(origin, self.settings) for origin in origins):
+            return Refusal(403, "the request comes from another site, and only the studio's own page may ask")
+        if any(site not in ("same-origin", "none") for site in headers.all("sec-fetch-site")):
+            return Refusal(403, "the request comes from another site: type or paste the studio's address instead")
+        return None
+
+    def _shows_token(self, scope: Scope) -> bool:
+        if scope["method"] != "GET" or scope["path"] != "/":
+            return False
+        try:
+            given = parse_qs(scope["query_string"].decode("ascii"), max_num_fields=20).get("token", [])
+        except ValueError:
+            return False
+        return len(given) == 1 and self._is_token(given[0])
+
+    def _knows_token(self, headers: _Headers) -> bool:
+        bearers = [text[7:].strip() for text in headers.all("authorization") if text[:7].lower() == "bearer "]
+        crumbs = [crumb.partition("=") for line in headers.all("cookie") for crumb in line.split(";")]
+        cookies = [value.strip() for name, _, value in crumbs if name.strip() == self.settings.cookie]
+        return any(self._is_token(text) for text in (*bearers, *cookies))
+
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self.settings.token.encode())
+
+    def _cookie(self) -> str:
+        return f"{self.settings.cookie}={self.settings.token}; HttpOnly; SameSite=Strict; Path=/"
+
+    async def _limited(self, scope: Scope, headers: _Headers, receive: Receive, send: Send) -> None:
+        """Pass a request on, with its body counted while it is read."""
+        limit = self.settings.upload_bytes if scope["path"] == UPLOADS else self.settings.json_bytes
+        refusal = Refusal(413, f"the request is larger than {limit:,} bytes: send less")
+        declared = headers.one("content-length")
+        if declared.isdecimal() and int(declared[:20]) > limit:
+            await self._refuse_body(receive, send, refusal)
+            return
+        body = _Counted(receive, limit)
+        watched = _Watched(send)
+        try:
+            await self.app(scope, body, watched)
+        except TooLarge:
+            if not watched.started:
+                await self._refuse_body(receive, send, refusal)
+
+    async def _refuse_body(self, receive: Receive, send: Send, refusal: Refusal) -> None:
+        """Throw away what comes, for a while: a sender that is cut off does not read the answer."""
+        import anyio
+
+        left = self.settings.upload_bytes
+        with anyio.move_on_after(self.settings.drain_seconds):
+            while left > 0:
+                message = await receive()
+                left -= len(message.get("body", b""))
+                if message["type"] != "http.request" or not message.get("more_body", False):
+                    break
+        await _refuse(send, refusal, close=True)
+
+
+class TooLarge(Exception):  # noqa: N818 (what happened, not a fault of this program)
+    """More body came than is allowed."""
+
+
+class _Counted:
+    """The body's reader, which stops at a limit."""
+
+    def __init__(self, receive: Receive, limit: int) -> None:
+        self.receive = receive
+        self.left = limit
+
+    async def __call__(self) -> Message:
+        message = await self.receive()
+        self.left -= len(message.get("body", b""))
+        if self.left < 0:
+            raise TooLarge
+        return message
+
+
+class _Watched:
+    """A sender that remembers whether a response has begun."""
+
+    def __init__(self, send: Send) -> None:
+        self.send = send
+        self.started = False
+
+    async def __call__(self, message: Message) -> None:
+        self.started = True
+        await self.send(message)
+
+
+class _Headers:
+    """Headers of a request, by lower-case name."""
+
+    def __init__(self, raw: Iterable[tuple[bytes, bytes]]) -> None:
+        self._raw = [(name.decode("latin-1").lower(), value.decode("latin-1")) for name, value in raw]
+
+    def all(self, wanted: str) -> list[str]:
+        return [value for name, value in self._raw if name == wanted]
+
+    def one(self, wanted: str) -> str:
+        return next(iter(self.all(wanted)), "")
+
+
+def is_own_host(host: str, settings: Settings) -> bool:
+    """Whether a ``Host`` header names this server.
+
+    Where it listens on all addresses, any address may be meant, but of names only this machine's: others can be made to
+    point here.
+    """
+    name, _, port = host.lower().rpartition(":")
+    if port != str(settings.port):
+        name, port = host.lower(), "80"  # browsers leave out the usual port
+    if port != str(settings.port):
+        return False
+    bare = name[1:-1] if name.startswith("[") and name.endswith("]") else name
+    if bare in LOOPBACK or bare == settings.host.lower():
+        return True
+    if settings.host not in ("0.0.0.0", "::"):
+        return False
+    return bare == socket.gethostname().lower() or _is_address(bare)
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_own_origin(origin: str, settings: Settings) -> bool:
+    return origin.startswith("http://") and is_own_host(origin.removeprefix("http://"), settings)
+
+
+def _with_headers(send: Send) -> Send:
+    async def with_headers(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            given = {name.lower() for name, _ in message.get("headers", [])}
+            more = [(n.encode(), v.encode()) for n, v in HEADERS.items() if n.encode() not in given]
+            message = {**message, "headers": [*message.get("headers", []), *more]}
+        await send(message)
+
+    return with_headers
+
+
+async def _refuse(send: Send, refusal: Refusal, html: bool = False, close: bool = False) -> None:
+    headers = [(b"connection", b"close")] if close else []
+    if html:
+        text = f"<!doctype html><meta charset=utf-8><title>liaam studio</title><p>{refusal}</p>"  # of fixed sentences
+        headers.append((b"content-type", b"text/html; charset=utf-8"))
+    else:
+        text = json.dumps({"error": str(refusal)})
+        headers.append((b"content-type", b"application/json"))
+    await _answer(send, refusal.status, text.encode(), headers)
+
+
+async def _answer(send: Send, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
+    length = (b"content-length", str(len(body)).encode())
+    await send({"type": "http.response.start", "status": status, "headers": [*headers, length]})
+    await send({"type": "http.response.body", "body": body})

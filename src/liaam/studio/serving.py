@@ -1,0 +1,168 @@
+"""Serve the studio on this machine until Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import webbrowser
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from liaam.errors import LiaamError
+from liaam.studio.settings import DEFAULT_PORT, Settings
+
+if TYPE_CHECKING:
+    from liaam.studio.app import Studio
+
+PORTS_TRIED = 20
+GRACE = 2
+"""Seconds that requests under way have to finish once the server stops."""
+
+
+def serve(
+    folder: Path,
+    model: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int | None = None,
+    open_browser: bool = True,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Serve the studio of a folder until Ctrl-C.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds the pictures; may be empty.
+    model : Path, optional
+        Model to begin with, instead of what the studio trained in this folder before.
+    host : str
+        Address to listen on; others than the loopback let other machines in that know the token.
+    port : int, optional
+        The first free one from 8765 on if left out.
+    open_browser : bool
+    say : callable
+        Takes lines for people.
+
+    Raises
+    ------
+    LiaamError
+        If the folder, the model, or the port cannot be used, or the ``[studio]`` extra is missing.
+    """
+    uvicorn = _uvicorn()
+    from liaam.studio.app import make_studio
+
+    listener = open_port(host, port)
+    with listener:
+        settings = Settings(host=host, port=listener.getsockname()[1])
+        studio = make_studio(folder, model, settings)
+        server = make_server(studio, uvicorn)
+        server.on_start = lambda: _welcome(settings, open_browser, say)
+        threading.Thread(target=_look_around, args=(studio,), name="studio-listing", daemon=True).start()
+        try:
+            server.run([listener])
+        except KeyboardInterrupt:  # uvicorn repeats the signal once it has stopped
+            return
+        finally:
+            studio.close()
+
+
+def make_server(studio: Studio, uvicorn: Any = None) -> Any:
+    """Make the server of a studio: a ``uvicorn.Server`` whose event streams end when it stops."""
+    uvicorn = uvicorn or _uvicorn()
+    from liaam.studio.app import make_app
+
+    class Server(uvicorn.Server):
+        on_start: Callable[[], None] | None = None
+
+        async def startup(self, *args: Any, **options: Any) -> None:
+            await super().startup(*args, **options)
+            if self.started and self.on_start is not None:
+                self.on_start()
+
+        async def shutdown(self, *args: Any, **options: Any) -> None:
+            studio.events.close()  # or the server would wait for pages that only listen
+            await super().shutdown(*args, **options)
+
+    config = uvicorn.Config(
+        make_app(studio),
+        http="h11",  # strict, and everywhere the same
+        ws="none",
+        lifespan="off",
+        loop="asyncio",
+        log_config=None,  # plain lines on standard error, and only where something is wrong
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        timeout_graceful_shutdown=GRACE,
+        h11_max_incomplete_event_size=65536,
+    )
+    return Server(config)
+
+
+def open_port(host: str, port: int | None) -> socket.socket:
+    """Listen on a port: the one asked for, or the first free one.
+
+    Raises
+    ------
+    LiaamError
+        If it is taken, or there is no such address.
+    """
+    if port is not None and not 0 <= port <= 65535:
+        raise LiaamError(f"--port {port}: ports are 1 to 65535")
+    tries = range(DEFAULT_PORT, DEFAULT_PORT + PORTS_TRIED) if port is None else (port,)
+    fault: OSError | None = None
+    for number in tries:
+        try:
+            return _listen(host, number)
+        except OSError as error:
+            fault = error
+    wanted = f"port {port}" if port is not None else f"no port from {tries[0]} to {tries[-1]}"
+    what = "is not free" if port is not None else "is free"
+    reason = fault.strerror or fault if fault is not None else ""
+    raise LiaamError(f"{wanted} of {host} {what} ({reason}): give another with --port")
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    # Of a socket whose protocol is not named asyncio does not send small answers at once: they wait 40 ms.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    try:
+        if os.name == "posix":  # elsewhere it would share the port with another program
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(128)
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def _uvicorn() -> Any:
+    try:
+        import starlette  # noqa: F401
+        import uvicorn
+    except ImportError as fault:
+        raise LiaamError('the studio needs starlette and uvicorn: pip install "liaam[studio]"') from fault
+    return uvicorn
+
+
+def _welcome(settings: Settings, open_browser: bool, say: Callable[[str], None]) -> None:
+    shown = settings if settings.host not in ("0.0.0.0", "::") else replace(settings, host=socket.gethostname())
+    if not settings.is_local:
+        say(f"warning: other machines can reach the studio at {settings.host}; who has its address can change files")
+    say(f"liaam studio: {shown.address}")
+    say("Ctrl-C stops it")
+    if open_browser:
+        threading.Thread(target=webbrowser.open, args=(shown.address,), daemon=True).start()
+
+
+def _look_around(studio: Studio) -> None:
+    """Read the headers of the pictures before the page asks: of thousands that takes a while."""
+    try:
+        studio.project.overview()
+    except LiaamError:  # the page will be told
+        return

@@ -1,0 +1,409 @@
+// The Compare tab: two methods on the same picture, side by side under one view.
+
+import { api } from "./api.js";
+import { drawFit, drawTruth, entries, modelNeeded, OVERLAYS } from "./fit-draw.js";
+import { meanDistance } from "./fit-geometry.js";
+import { comparison, factsOf, fitsOf, verdictOf } from "./fit-run.js";
+import { intake, sourcesOf } from "./fit-source.js";
+import { button, h, icon } from "./ui.js";
+import { Viewer } from "./viewer.js";
+
+/** What the default method is compared with at first: what people know. */
+const FAMILIAR = ["rgb", "grey"];
+
+const SHORTCUTS = [
+  { keys: "Enter F", what: "Fit by both methods" },
+  { keys: "X", what: "Swap the sides" },
+  { keys: "C L M E T", what: "Contours, points, mesh, ellipses, truth" },
+];
+
+export function mount(root, app) {
+  const tab = new CompareTab(root, app);
+  return { show: () => tab.open(), hide: () => tab.leave(), shortcuts: SHORTCUTS, key: (event) => tab.key(event) };
+}
+
+/** One side: its method, its viewer and what came of its fit. */
+class Side {
+  constructor(name, label, { onmethod, draw }) {
+    this.name = name;
+    this.fit = null;
+    this._run = 0;
+    this.select = h("select", {
+      class: "text",
+      "aria-label": `Method at the ${label}`,
+      dataset: { testid: `compare-method-${name}` },
+      onchange: () => onmethod(this),
+    });
+    this.badge = h("span", { class: "badge", hidden: true });
+    this.facts = h("dl", { class: "fit-facts compare-facts" });
+    this.message = h("p", { class: "small muted compare-message" });
+    this.container = h("div", { class: "fit-viewer" });
+    this.viewer = new Viewer(this.container, { label: `Picture, fitted by the method at the ${label}` });
+    this.viewer.addLayer((ctx, viewer) => draw(ctx, viewer, this));
+    this.element = h(
+      "section",
+      { class: "compare-side", "aria-label": `Method at the ${label}`, dataset: { testid: `compare-${name}` } },
+      h("div", { class: "compare-head" }, this.select, this.badge),
+      this.container,
+      h("div", { class: "compare-result", role: "status", "aria-live": "polite" }, this.facts, this.message),
+    );
+  }
+
+  get method() {
+    return this.select.value;
+  }
+
+  methods(methods, chosen) {
+    this.select.replaceChildren(
+      ...methods.map(({ name, summary }) => h("option", { value: name, title: summary }, name)),
+    );
+    this.select.value = chosen;
+  }
+
+  show(source) {
+    this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0);
+  }
+
+  take(fit) {
+    this.fit = fit;
+    this.badge.hidden = !fit;
+    this.viewer.redraw();
+    if (!fit) {
+      this.say("");
+      return;
+    }
+    const { kind, title } = verdictOf(fit);
+    this.badge.className = `badge ${kind}`;
+    this.badge.textContent = title;
+    this.facts.replaceChildren(...entries(factsOf(fit)));
+    this.message.className = "small muted compare-message";
+    this.message.textContent = fit.message;
+    this.message.title = fit.message;
+  }
+
+  say(text, bad = false) {
+    this.facts.replaceChildren();
+    this.message.className = bad ? "small error-text compare-message" : "small muted compare-message";
+    this.message.textContent = text;
+    this.message.title = text;
+  }
+
+  /** Fit; gives whether this is still the newest run of the side. */
+  async run(store, source) {
+    const run = (this._run += 1);
+    const { method } = this;
+    const known = store.recall(source, method);
+    if (!known) this.container.classList.add("busy");
+    try {
+      const fit = known ?? (await store.run(source, method));
+      if (run === this._run) this.take(fit);
+    } catch (error) {
+      if (run === this._run) {
+        this.take(null);
+        this.say(error.message, true);
+      }
+    } finally {
+      if (run === this._run) this.container.classList.remove("busy");
+    }
+    return run === this._run;
+  }
+
+  /** Drop what is under way. */
+  reset() {
+    this._run += 1;
+    this.container.classList.remove("busy");
+    this.take(null);
+  }
+}
+
+class CompareTab {
+  constructor(root, app) {
+    this.app = app;
+    this.state = app.state;
+    this.sources = sourcesOf(app);
+    this.store = fitsOf(app);
+    this.visible = false;
+    this.shown = new Set(["contours", "landmarks"]);
+    this.truth = null;
+    this.showTruth = true;
+    const options = {
+      onmethod: (side) => this._method(side),
+      draw: (ctx, viewer, side) => this._draw(ctx, viewer, side),
+    };
+    this.left = new Side("left", "left", options);
+    this.right = new Side("right", "right", options);
+    this.sides = [this.left, this.right];
+    this._build(root);
+    this._together();
+    this.sources.addEventListener("change", () => this._source());
+    this.sources.addEventListener("ready", () => this.sides.forEach((side) => side.show(this.sources.current)));
+    this.sources.addEventListener("failed", ({ detail }) => {
+      if (this.visible) this._say(detail.error.message, true);
+    });
+    this.state.addEventListener("project", () => this._project());
+    this.state.addEventListener("landmarks", ({ detail }) => {
+      if (this.sources.current?.name !== detail.name) return;
+      this._truth();
+      if (this.visible) this.run();
+    });
+    this._project();
+    window.liaamStudio.compare = { left: this.left, right: this.right };
+  }
+
+  open() {
+    if (!this.visible) this.sources.watch(true);
+    this.visible = true;
+    this.intake.open(true);
+    this._source();
+  }
+
+  leave() {
+    if (this.visible) this.sources.watch(false);
+    this.visible = false;
+    this.intake.open(false);
+  }
+
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return false;
+    const onControl = event.target instanceof HTMLElement && event.target.matches("button, a");
+    if (event.key === "Enter" && onControl) return false;
+    const overlay = OVERLAYS.find(({ key }) => key.toLowerCase() === event.key.toLowerCase());
+    const actions = {
+      enter: () => this.run(),
+      f: () => this.run(),
+      x: () => this.swap(),
+      t: () => this._toggleTruth(),
+    };
+    if (overlay) this._toggle(overlay.name);
+    else if (actions[event.key.toLowerCase()]) actions[event.key.toLowerCase()]();
+    else return this.left.viewer.key(event);
+    return true;
+  }
+
+  /** Fit by both at once. */
+  async run() {
+    const source = this.sources.current;
+    if (!source || !this.state.project?.model) return;
+    this._say("Fitting…");
+    const newest = await Promise.all(this.sides.map((side) => side.run(this.store, source)));
+    if (newest.every(Boolean)) this._verdict();
+  }
+
+  swap() {
+    const [a, b] = [this.left.method, this.right.method];
+    const fits = [this.left.fit, this.right.fit];
+    this.sides.forEach((side) => side.reset());
+    this.left.select.value = b;
+    this.right.select.value = a;
+    this.left.take(fits[1]);
+    this.right.take(fits[0]);
+    this._verdict();
+  }
+
+  async _method(side) {
+    const source = this.sources.current;
+    side.take(null);
+    if (!source || !this.state.project?.model) return;
+    if (await side.run(this.store, source)) this._verdict();
+  }
+
+  _source() {
+    const source = this.sources.current;
+    if (this._seen !== source) {
+      this._seen = source;
+      this.truth = null;
+      for (const side of this.sides) {
+        side.reset();
+        side.show(source);
+        if (source) side.viewer.fit();
+      }
+    }
+    this._emptiness();
+    if (!source || !this.visible) return;
+    this._truth();
+    if (!this.left.fit && !this.right.fit) this.run();
+  }
+
+  async _truth() {
+    const source = this.sources.current;
+    const marks = source?.ofFolder ? await api.get(source.address("landmarks")).catch(() => null) : null;
+    if (this.sources.current !== source) return;
+    this.truth = marks?.source === "file" && marks.points.some(Boolean) ? marks.points : null;
+    this._truthButton.disabled = !this.truth;
+    this.sides.forEach((side) => side.viewer.redraw());
+  }
+
+  _project() {
+    const { methods = [], default_method: first, model } = this.state.project ?? {};
+    const names = methods.map(({ name }) => name);
+    if (this._names !== names.join()) {
+      this._names = names.join();
+      this.left.methods(methods, first ?? names[0]);
+      this.right.methods(
+        methods,
+        FAMILIAR.find((name) => names.includes(name) && name !== first) ?? names[1] ?? names[0],
+      );
+    }
+    const trained = model?.trained ?? null;
+    const another = this._trained !== undefined && this._trained !== trained;
+    this._trained = trained;
+    this._overlays.get("contours").disabled = !model?.contours?.length;
+    this._press();
+    this._emptiness();
+    if (!another) return;
+    this.sides.forEach((side) => side.reset());
+    if (this.visible) this.run();
+  }
+
+  _verdict() {
+    const [a, b] = this.sides.map((side) => side.fit);
+    this._say(a && b ? comparison(a, b, meanDistance(a.shape, b.shape)) : "");
+    const nearer =
+      a?.error && b?.error && a.error.pixels !== b.error.pixels
+        ? a.error.pixels < b.error.pixels
+          ? this.left
+          : this.right
+        : null;
+    for (const side of this.sides) side.element.classList.toggle("nearer", side === nearer);
+  }
+
+  _say(text, bad = false) {
+    this._verdictText.textContent = text;
+    this._verdictText.classList.toggle("error-text", bad);
+    if (bad || text === "Fitting…") for (const side of this.sides) side.element.classList.remove("nearer");
+  }
+
+  // The page.
+
+  _build(root) {
+    this._overlays = new Map(
+      OVERLAYS.map(({ name, label, key, title }) => [
+        name,
+        button(label, {
+          small: true,
+          shortcut: key,
+          title,
+          pressed: this.shown.has(name),
+          onclick: () => this._toggle(name),
+        }),
+      ]),
+    );
+    this._truthButton = button("Truth", {
+      small: true,
+      shortcut: "T",
+      pressed: this.showTruth,
+      disabled: true,
+      testid: "compare-truth",
+      title: "The picture's own landmarks, as crosses",
+      onclick: () => this._toggleTruth(),
+    });
+    this._runButton = button("Fit both", {
+      icon: "target",
+      kind: "primary",
+      small: true,
+      shortcut: "Enter",
+      testid: "compare-run",
+      onclick: () => this.run(),
+    });
+    const swap = button("Swap", {
+      icon: "swap",
+      small: true,
+      shortcut: "X",
+      testid: "compare-swap",
+      onclick: () => this.swap(),
+    });
+    this._verdictText = h("p", {
+      class: "compare-verdict grow",
+      role: "status",
+      "aria-live": "polite",
+      dataset: { testid: "compare-verdict" },
+    });
+    this._name = h("span", { class: "fit-source-name" });
+    const toolbar = h(
+      "div",
+      { class: "toolbar", role: "toolbar", "aria-label": "Compare" },
+      this._runButton,
+      swap,
+      h("span", { class: "rule" }),
+      [...this._overlays.values()],
+      this._truthButton,
+      h("span", { class: "grow" }),
+      this._name,
+    );
+    this._pair = h("div", { class: "compare-pair" }, this.left.element, this.right.element);
+    this._empty = h("div", { class: "empty big" });
+    const overlay = h(
+      "div",
+      { class: "fit-dropping", hidden: true, "aria-hidden": "true" },
+      h("p", {}, icon("upload", 28), "Drop the picture to compare on it"),
+    );
+    const area = h(
+      "div",
+      { class: "workspace compare-tab" },
+      toolbar,
+      this._pair,
+      this._empty,
+      h("div", { class: "compare-foot" }, this._verdictText),
+      overlay,
+    );
+    root.append(area);
+    this.intake = intake(area, overlay, this.sources, (error) => this.app.toast(error, "bad"));
+  }
+
+  /** Zoom and pan of either side move the other. */
+  _together() {
+    const follow = (one, other) =>
+      one.viewer.addEventListener("view", () => {
+        if (one.viewer.width === other.viewer.width) other.viewer.setView(one.viewer.view, true);
+      });
+    follow(this.left, this.right);
+    follow(this.right, this.left);
+  }
+
+  _toggle(name) {
+    if (!this.shown.delete(name)) this.shown.add(name);
+    this._press();
+    this.sides.forEach((side) => side.viewer.redraw());
+  }
+
+  _press() {
+    for (const [name, each] of this._overlays)
+      each.setAttribute("aria-pressed", String(this.shown.has(name) && !each.disabled));
+  }
+
+  _toggleTruth() {
+    this.showTruth = !this.showTruth;
+    this._truthButton.setAttribute("aria-pressed", String(this.showTruth));
+    this.sides.forEach((side) => side.viewer.redraw());
+  }
+
+  _draw(ctx, viewer, side) {
+    if (this.truth && this.showTruth) drawTruth(ctx, viewer, this.truth);
+    if (side.fit) drawFit(ctx, viewer, side.fit, this.shown);
+  }
+
+  _emptiness() {
+    const source = this.sources.current;
+    const model = this.state.project?.model;
+    const works = Boolean(source && model);
+    this._pair.hidden = !works;
+    this._empty.hidden = works;
+    this._runButton.disabled = !works;
+    this._name.textContent = source?.name ?? "";
+    this._name.title = source?.name ?? "";
+    if (works) return;
+    if (!model) {
+      this._empty.replaceChildren(
+        icon("compare", 56),
+        h("h2", {}, "Two methods, side by side"),
+        ...modelNeeded(this.app),
+      );
+      return;
+    }
+    this._empty.replaceChildren(
+      icon("compare", 56),
+      h("h2", {}, "Two methods, side by side"),
+      h("p", {}, "Pick a picture at the left, or drop one here."),
+    );
+  }
+}

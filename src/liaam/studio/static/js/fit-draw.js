@@ -1,0 +1,87 @@
+// How Fit and Compare show a fit: over its picture, and in numbers.
+
+import { button, h } from "./ui.js";
+import { drawContours, drawEllipses, drawMesh, drawPoints } from "./viewer.js";
+
+export const OVERLAYS = [
+  { name: "contours", label: "Contours", key: "C", title: "Lines through the landmarks" },
+  { name: "landmarks", label: "Points", key: "L", title: "The fitted landmarks" },
+  { name: "mesh", label: "Mesh", key: "M", title: "The model's triangles" },
+  { name: "ellipses", label: "Ellipses", key: "E", title: "Ellipses that hold 95 % of where each point may be" },
+];
+
+/** A button whose label gives way to its icon where there is little room. */
+export function roomy(element) {
+  const label = element.lastChild;
+  element.setAttribute("aria-label", label.textContent);
+  label.replaceWith(h("span", { class: "fit-roomy" }, label.textContent));
+  return element;
+}
+
+/** What to do where there is no model: words, and the way to the tab that makes one. */
+export function modelNeeded(app, testid = null) {
+  return [
+    h(
+      "p",
+      { class: "muted" },
+      "There is no model yet. Place landmarks on a few pictures and train one, or start the studio with ",
+      h("code", { class: "fit-code" }, "--model"),
+      ".",
+    ),
+    button("Annotate pictures", { icon: "edit", kind: "primary", testid, onclick: () => app.openTab("annotate") }),
+  ];
+}
+
+/** Terms and values as the entries of a <dl>. */
+export function entries(rows) {
+  return rows.map(([term, value]) => h("div", {}, h("dt", {}, term), h("dd", { class: "number" }, value)));
+}
+
+/** Fits that may be used are yellow as landmarks are everywhere; others are orange, and dashed. */
+const GOOD = { colour: "#ffd166", dash: [] };
+const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
+
+/** Draw a fit's shape (or another shape of its iterations) with the overlays named in a set. */
+export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true } = {}) {
+  const { colour, dash } = fit.ok ? GOOD : UNSURE;
+  if (shown.has("mesh")) drawMesh(ctx, viewer, shape, fit.triangles);
+  // Uncertainty is known of the result only.
+  if (shown.has("ellipses") && final) drawEllipses(ctx, viewer, shape, fit.covariances);
+  if (shown.has("contours")) drawContours(ctx, viewer, shape, fit.contours ?? [], { colour, dash });
+  if (shown.has("landmarks")) drawPoints(ctx, viewer, shape, { colour, radius: 3 });
+}
+
+/** Draw known landmarks: crosses, so that they are told from a fit's points without colour. */
+export function drawTruth(ctx, viewer, points, colour = "#6df2a4") {
+  const arm = 5;
+  ctx.beginPath();
+  for (const point of points) {
+    if (!point) continue;
+    const [x, y] = viewer.toScreen(point);
+    ctx.moveTo(x - arm, y - arm);
+    ctx.lineTo(x + arm, y + arm);
+    ctx.moveTo(x - arm, y + arm);
+    ctx.lineTo(x + arm, y - arm);
+  }
+  for (const [stroke, width] of [
+    ["rgb(0 0 0 / 60%)", 3.4],
+    [colour, 1.6],
+  ]) {
+    ctx.strokeStyle = stroke;
+    ctx.lineWidth = width;
+    ctx.stroke();
+  }
+}
+
+/** Draw an image over all of the viewer's picture, right of a line (css pixels) where one is given. */
+export function drawOver(ctx, viewer, image, from = null) {
+  ctx.save();
+  if (from !== null) {
+    ctx.beginPath();
+    ctx.rect(from, 0, viewer.canvas.clientWidth, viewer.canvas.clientHeight);
+    ctx.clip();
+  }
+  ctx.imageSmoothingEnabled = viewer.scale < 3;
+  ctx.drawImage(image, viewer.left, viewer.top, viewer.scale * viewer.width, viewer.scale * viewer.height);
+  ctx.restore();
+}

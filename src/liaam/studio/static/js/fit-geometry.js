@@ -1,0 +1,217 @@
+// Geometry of shapes and lights in a picture. Points are [x, y] in image pixels. Nothing here touches the page.
+
+/** Smallest box around points: {x0, y0, x1, y1}; null without points that are finite. */
+export function boundsOf(points) {
+  const finite = (points ?? []).filter((p) => p && Number.isFinite(p[0]) && Number.isFinite(p[1]));
+  if (!finite.length) return null;
+  const xs = finite.map((p) => p[0]);
+  const ys = finite.map((p) => p[1]);
+  return { x0: Math.min(...xs), y0: Math.min(...ys), x1: Math.max(...xs), y1: Math.max(...ys) };
+}
+
+/** Box between two corners, in whatever order they were drawn, within a picture. */
+export function boxBetween([ax, ay], [bx, by], width, height) {
+  const inside = (value, size) => Math.min(Math.max(value, 0), size - 1);
+  const [x0, x1] = [inside(Math.min(ax, bx), width), inside(Math.max(ax, bx), width)];
+  const [y0, y1] = [inside(Math.min(ay, by), height), inside(Math.max(ay, by), height)];
+  return [x0, y0, x1, y1];
+}
+
+/** Whether a box is large enough to have been meant. */
+export function isDrawn([x0, y0, x1, y1], least = 8) {
+  return x1 - x0 >= least && y1 - y0 >= least;
+}
+
+/** A shape in units of its box's longer half side about its box's centre: what a placement is applied to. */
+export function normalised(points) {
+  const box = boundsOf(points);
+  const half = Math.max(box.x1 - box.x0, box.y1 - box.y0) / 2 || 1;
+  const [cx, cy] = [(box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2];
+  return points.map(([x, y]) => [(x - cx) / half, (y - cy) / half]);
+}
+
+/** Placement {x, y, size, turn}: where the mean shape lies; size is the longer half side in pixels, turn in radians. */
+export function placed(unit, { x, y, size, turn }) {
+  const c = Math.cos(turn) * size;
+  const s = Math.sin(turn) * size;
+  return unit.map(([u, v]) => [x + c * u - s * v, y + s * u + c * v]);
+}
+
+/** Placement that fills about half of a picture's shorter side. */
+export function firstPlacement(width, height) {
+  return { x: (width - 1) / 2, y: (height - 1) / 2, size: 0.3 * Math.min(width, height), turn: 0 };
+}
+
+/** Least size of a dragged shape: half sides of a few pixels, which can still be grasped. */
+const LEAST_SIZE = 6;
+
+/** Placement after its corner (size) or its knob (turn) was dragged from one point to another about the centre. */
+export function pulled(placement, from, to, what) {
+  const [ax, ay] = [from[0] - placement.x, from[1] - placement.y];
+  const [bx, by] = [to[0] - placement.x, to[1] - placement.y];
+  const [before, after] = [Math.hypot(ax, ay), Math.hypot(bx, by)];
+  if (!before || !after) return placement;
+  if (what === "turn") return { ...placement, turn: placement.turn + Math.atan2(by, bx) - Math.atan2(ay, ax) };
+  return { ...placement, size: Math.max(LEAST_SIZE, (placement.size * after) / before) };
+}
+
+/** Handles of a placed shape: its box's four corners, turned with it, and a knob above the middle of its top side. */
+export function handlesOf(unit, placement, gap) {
+  const box = boundsOf(unit);
+  const corners = [
+    [box.x0, box.y0],
+    [box.x1, box.y0],
+    [box.x1, box.y1],
+    [box.x0, box.y1],
+  ];
+  const middle = [0, box.y0];
+  const knob = [0, box.y0 - gap / placement.size];
+  const [top, above, ...rest] = placed([middle, knob, ...corners], placement);
+  return { corners: rest, top, knob: above };
+}
+
+/** Whether a point is in a box that is turned with a placement. */
+export function isWithin(unit, placement, [px, py]) {
+  const box = boundsOf(unit);
+  const c = Math.cos(placement.turn) / placement.size;
+  const s = Math.sin(placement.turn) / placement.size;
+  const [dx, dy] = [px - placement.x, py - placement.y];
+  const [u, v] = [c * dx + s * dy, c * dy - s * dx];
+  return u >= box.x0 && u <= box.x1 && v >= box.y0 && v <= box.y1;
+}
+
+/** Box after a key: arrows move it, comma and full stop shrink and grow it; null for other keys. */
+export function boxAfterKey(box, { key, shiftKey = false }, width, height) {
+  const step = shiftKey ? 10 : 1;
+  const [x0, y0, x1, y1] = box ?? [0.25 * width, 0.2 * height, 0.75 * width, 0.8 * height];
+  const move = { ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, -step], ArrowDown: [0, step] }[key];
+  const grow = { ",": -step, "<": -step, ".": step, ">": step }[key];
+  if (move) return boxMoved([x0, y0, x1, y1], move, width, height);
+  if (!grow) return null;
+  if (x1 - x0 + 2 * grow < 8 || y1 - y0 + 2 * grow < 8) return [x0, y0, x1, y1];
+  return boxBetween([x0 - grow, y0 - grow], [x1 + grow, y1 + grow], width, height);
+}
+
+/** Box moved by [dx, dy], as far as the picture goes. */
+export function boxMoved([x0, y0, x1, y1], [dx, dy], width, height) {
+  const mx = Math.min(Math.max(dx, -x0), width - 1 - x1);
+  const my = Math.min(Math.max(dy, -y0), height - 1 - y1);
+  return [x0 + mx, y0 + my, x1 + mx, y1 + my];
+}
+
+/** Placement after a key, as [x, y, size, turn] all can be set without a pointer; null for other keys. */
+export function placementAfterKey(placement, { key, shiftKey = false }) {
+  const step = shiftKey ? 10 : 1;
+  const { x, y, size, turn } = placement;
+  const degree = Math.PI / 180;
+  switch (key) {
+    case "ArrowLeft":
+      return { ...placement, x: x - step };
+    case "ArrowRight":
+      return { ...placement, x: x + step };
+    case "ArrowUp":
+      return { ...placement, y: y - step };
+    case "ArrowDown":
+      return { ...placement, y: y + step };
+    case "[":
+    case "{":
+      return { ...placement, turn: turn - step * degree };
+    case "]":
+    case "}":
+      return { ...placement, turn: turn + step * degree };
+    case ",":
+    case "<":
+      return { ...placement, size: Math.max(LEAST_SIZE, size * (1 - 0.01 * step)) };
+    case ".":
+    case ">":
+      return { ...placement, size: size * (1 + 0.01 * step) };
+    default:
+      return null;
+  }
+}
+
+/** Points on the way between two shapes, 0 at the first. */
+export function between(first, second, share) {
+  return first.map(([x, y], i) => [x + share * (second[i][0] - x), y + share * (second[i][1] - y)]);
+}
+
+/** Mean distance between two shapes, pixels. Points that either lacks do not count; NaN where none is left. */
+export function meanDistance(first, second) {
+  let sum = 0;
+  let count = 0;
+  for (let i = 0; i < first.length; i += 1) {
+    const [a, b] = [first[i], second[i]];
+    if (!a || !b) continue;
+    sum += Math.hypot(a[0] - b[0], a[1] - b[1]);
+    count += 1;
+  }
+  return count ? sum / count : NaN;
+}
+
+/** Sine of the steepest angle a light is set to: at 90 degrees it would not reach the front at all. */
+const RIM = Math.sin((85 * Math.PI) / 180);
+
+/** Ball that a light is moved over: {x, y, radius}, around a fitted shape. */
+export function ballOf(points) {
+  const box = boundsOf(points);
+  if (!box) return null;
+  const [w, h] = [box.x1 - box.x0, box.y1 - box.y0];
+  return { x: (box.x0 + box.x1) / 2, y: (box.y0 + box.y1) / 2, radius: Math.max(4, 0.62 * Math.max(w, h)) };
+}
+
+/** Unit direction to a light (x right, y down, z to the viewer) from a place over the ball: centre frontal, rim grazing. */
+export function directionAt([px, py], ball) {
+  let x = (px - ball.x) / ball.radius;
+  let y = (py - ball.y) / ball.radius;
+  const r = Math.hypot(x, y);
+  if (r > RIM) [x, y] = [(x * RIM) / r, (y * RIM) / r];
+  return [x, y, Math.sqrt(Math.max(0, 1 - x * x - y * y))];
+}
+
+/** Place over the ball of a direction: the inverse of directionAt. */
+export function placeOf([x, y], ball) {
+  return [ball.x + x * ball.radius, ball.y + y * ball.radius];
+}
+
+/** Direction after an arrow key; null for other keys. */
+export function directionAfterKey(direction, { key, shiftKey = false }) {
+  const step = shiftKey ? 0.15 : 0.04;
+  const move = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[key];
+  if (key === "Home") return [0, 0, 1];
+  if (!move) return null;
+  return directionAt([direction[0] + step * move[0], direction[1] + step * move[1]], { x: 0, y: 0, radius: 1 });
+}
+
+/** Direction in words, for people who do not see the handle: "from the upper left, 42 degrees off the view". */
+export function directionInWords([x, y, z]) {
+  const angle = Math.round((Math.acos(Math.min(1, Math.max(-1, z))) * 180) / Math.PI);
+  if (angle < 5) return "from the front";
+  const vertical = y < -0.38 * Math.hypot(x, y) ? "upper " : y > 0.38 * Math.hypot(x, y) ? "lower " : "";
+  const horizontal = x < -0.38 * Math.hypot(x, y) ? "left" : x > 0.38 * Math.hypot(x, y) ? "right" : "";
+  const side = `${vertical}${horizontal}`.trim();
+  return `from the ${{ upper: "top", lower: "bottom" }[side] ?? side}, ${angle}° off the view`;
+}
+
+/**
+ * Curves of a fit's cost for a plot of width x height: one run per level, each scaled to its own costs, because costs
+ * compare within a level only. x is the iteration.
+ */
+export function costRuns(iterations, width, height, margin = 4) {
+  const n = iterations.length;
+  const across = (i) => (n > 1 ? margin + (i * (width - 2 * margin)) / (n - 1) : width / 2);
+  const runs = [];
+  iterations.forEach(({ level, cost }, index) => {
+    if (runs.at(-1)?.level !== level) runs.push({ level, points: [] });
+    runs.at(-1).points.push({ index, cost });
+  });
+  for (const run of runs) {
+    const costs = run.points.map((p) => p.cost).filter(Number.isFinite);
+    const [low, high] = [Math.min(...costs), Math.max(...costs)];
+    for (const point of run.points) {
+      const share = high > low && Number.isFinite(point.cost) ? (point.cost - low) / (high - low) : 0;
+      point.x = across(point.index);
+      point.y = height - margin - share * (height - 2 * margin);
+    }
+  }
+  return runs;
+}

@@ -1,0 +1,178 @@
+// The way a fit went: a slider through its iterations, a play button, and the cost of each level.
+
+import { costRuns } from "./fit-geometry.js";
+import { significant } from "./fit-run.js";
+import { button, h, icon } from "./ui.js";
+
+const SVG = "http://www.w3.org/2000/svg";
+const [WIDTH, HEIGHT] = [264, 58];
+const STEP = 140; // ms between iterations that are played
+
+function svg(tag, attributes, ...children) {
+  const element = document.createElementNS(SVG, tag);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  element.append(...children);
+  return element;
+}
+
+export class Iterations {
+  /** `onmove(index, last)` is called when another iteration is to be shown. */
+  constructor(onmove) {
+    this._onmove = onmove;
+    this._timer = null;
+    this.iterations = [];
+    this.index = 0;
+    this.slider = h("input", {
+      type: "range",
+      class: "slider",
+      min: "0",
+      max: "0",
+      value: "0",
+      "aria-label": "Iteration",
+      dataset: { testid: "fit-iterations" },
+      oninput: () => {
+        this.pause();
+        this.go(Number(this.slider.value));
+      },
+    });
+    this.player = button("Play the iterations", {
+      icon: "play",
+      iconOnly: true,
+      small: true,
+      shortcut: "P",
+      testid: "fit-play",
+      onclick: () => this.toggle(),
+    });
+    this.text = h("p", { class: "small muted fit-iteration-text" });
+    this.plot = svg("svg", {
+      viewBox: `0 0 ${WIDTH} ${HEIGHT}`,
+      class: "fit-plot",
+      role: "img",
+      "aria-label": "Cost by iteration",
+    });
+    this.plot.addEventListener("pointerdown", (event) => this._pick(event));
+    this.plot.addEventListener("pointermove", (event) => {
+      if (event.buttons & 1) this._pick(event);
+    });
+    this.element = h(
+      "div",
+      { class: "column fit-iterations" },
+      this.plot,
+      h("div", { class: "row fit-play-row" }, this.player, this.slider),
+      this.text,
+    );
+    this.show([]);
+  }
+
+  get last() {
+    return this.iterations.length - 1;
+  }
+
+  /** Take a fit's iterations; its result, the last, is shown. */
+  show(iterations) {
+    this.pause();
+    this.iterations = iterations ?? [];
+    this.index = Math.max(0, this.last);
+    this._turns = this.iterations.some(({ theta_deg: theta }) => theta !== this.iterations[0].theta_deg);
+    this.slider.max = String(Math.max(0, this.last));
+    this.slider.disabled = this.player.disabled = this.iterations.length < 2;
+    this._draw();
+    this._mark();
+  }
+
+  go(index) {
+    if (!this.iterations.length) return;
+    this.index = Math.min(Math.max(index, 0), this.last);
+    this._mark();
+    this._onmove(this.index, this.index === this.last);
+  }
+
+  step(by) {
+    this.pause();
+    this.go(this.index + by);
+  }
+
+  toggle() {
+    if (this._timer) this.pause();
+    else this.play();
+  }
+
+  play() {
+    if (this.iterations.length < 2) return;
+    if (this.index === this.last) this.go(0);
+    this._timer = setInterval(() => {
+      this.go(this.index + 1);
+      if (this.index === this.last) this.pause();
+    }, STEP);
+    this._face(true);
+  }
+
+  pause() {
+    clearInterval(this._timer);
+    this._timer = null;
+    this._face(false);
+  }
+
+  _face(playing) {
+    this.player.replaceChildren(icon(playing ? "pause" : "play"));
+    this.player.setAttribute("aria-label", playing ? "Pause" : "Play the iterations");
+  }
+
+  _draw() {
+    this._runs = costRuns(this.iterations, WIDTH, HEIGHT, 6);
+    const levels = this._runs.length;
+    this._cursor = svg("line", { class: "cursor", y1: 0, y2: HEIGHT });
+    this._dot = svg("circle", { class: "dot-now", r: 3.5 });
+    this.plot.replaceChildren(
+      ...this._runs.map(({ level, points }, run) => {
+        const line = points.map(({ x, y }) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ");
+        const left = run ? (points[0].x + this._runs[run - 1].points.at(-1).x) / 2 : 0;
+        const next = this._runs[run + 1];
+        const right = next ? (points.at(-1).x + next.points[0].x) / 2 : WIDTH;
+        return svg(
+          "g",
+          {},
+          ...(run ? [svg("line", { class: "between", x1: left, x2: left, y1: 0, y2: HEIGHT })] : []),
+          svg("polyline", { points: line, class: "cost" }),
+          ...points.map(({ x, y }) => svg("circle", { cx: x, cy: y, r: 1.6, class: "cost-point" })),
+          // Costs fall: the top right of a level's part is free.
+          svg(
+            "text",
+            { x: right - 5, y: 12, class: "level", "text-anchor": "end" },
+            levels > 1 && right - left > 36 ? `level ${level}` : "",
+          ),
+        );
+      }),
+      ...(this.iterations.length ? [this._cursor, this._dot] : []),
+    );
+  }
+
+  _mark() {
+    this.slider.value = String(this.index);
+    const now = this.iterations[this.index];
+    if (!now) {
+      this.text.textContent = "A fit shows here how it went.";
+      return;
+    }
+    const at = this._runs.flatMap((run) => run.points).find((point) => point.index === this.index);
+    this._cursor.setAttribute("x1", at.x);
+    this._cursor.setAttribute("x2", at.x);
+    this._dot.setAttribute("cx", at.x);
+    this._dot.setAttribute("cy", at.y);
+    // Methods that do not estimate the angle have the same one all along.
+    const theta = now.theta_deg == null || !this._turns ? "" : ` · θ ${now.theta_deg.toFixed(1)}°`;
+    const text = `${this.index} of ${this.last} · level ${now.level} · cost ${significant(now.cost)}${theta}`;
+    this.text.textContent = text;
+    this.slider.setAttribute("aria-valuetext", `iteration ${text}`);
+  }
+
+  _pick(event) {
+    if (!this.iterations.length) return;
+    const box = this.plot.getBoundingClientRect();
+    const x = ((event.clientX - box.left) / box.width) * WIDTH;
+    const points = this._runs.flatMap((run) => run.points);
+    const nearest = points.reduce((best, point) => (Math.abs(point.x - x) < Math.abs(best.x - x) ? point : best));
+    this.pause();
+    this.go(nearest.index);
+  }
+}

@@ -1,0 +1,243 @@
+// The picture that Fit and Compare work on: one of the folder, or one that was dropped, pasted or opened.
+
+import { api } from "./api.js";
+import { isTyping } from "./ui.js";
+
+/** Longest side of the copy that is shown, pixels. */
+const SHOWN = 2048;
+
+/** One picture to fit. `ready` resolves once the server knows it; `image` is what is shown until and after then. */
+export class Source {
+  constructor(kind, name) {
+    this.kind = kind;
+    this.name = name;
+    this.id = null;
+    this.image = null;
+    this.width = this.height = 0;
+    this.ready = null;
+    this.started = performance.now();
+    this.key = kind === "picture" ? `picture ${name}` : `upload ${(uploads += 1)}`;
+  }
+
+  get ofFolder() {
+    return this.kind === "picture";
+  }
+
+  /** What a request calls it by. */
+  get reference() {
+    return this.ofFolder ? { picture: this.name } : { upload: this.id };
+  }
+
+  address(what, query = {}) {
+    return this.ofFolder ? api.url("pictures", this.name, what, query) : api.url("uploads", this.id, what, query);
+  }
+}
+
+let uploads = 0;
+
+const shared = new WeakMap();
+
+/** The one source of an app: Fit and Compare show the same picture. */
+export function sourcesOf(app) {
+  if (!shared.has(app)) shared.set(app, new Sources(app.state));
+  return shared.get(app);
+}
+
+/**
+ * Keeps the current source. Says "taken" when a file has come and is on its way to the server, "change" when another
+ * source is shown, "ready" when the server has it, "failed" with the error when it cannot be had.
+ */
+export class Sources extends EventTarget {
+  constructor(state) {
+    super();
+    this.state = state;
+    this.current = null;
+    this._watchers = 0;
+    this._chosen = false; // in the strip, since a picture was opened
+    this._wanted = null;
+    state.addEventListener("select", () => {
+      this._chosen = true;
+      this._follow();
+    });
+    state.addEventListener("project", () => {
+      if (!this.current) this._follow();
+    });
+  }
+
+  /** A tab that shows the source opens (true) or is left (false): pictures are loaded while one is open only. */
+  watch(open) {
+    this._watchers += open ? 1 : -1;
+    // An opened picture stays until another one of the folder is chosen, be it in a tab that does not show sources.
+    if (open && (this.current?.kind !== "upload" || this._chosen)) this._follow();
+  }
+
+  /** Show the strip's picture again after an opened one. */
+  backToFolder() {
+    this.current = null;
+    this._wanted = null;
+    this._follow();
+    if (!this.state.current) this._say("change");
+  }
+
+  _follow() {
+    const name = this.state.current;
+    if (!this._watchers || !name) return;
+    if (this.current?.ofFolder && this.current.name === name) return;
+    this._open(name);
+  }
+
+  async _open(name) {
+    const source = new Source("picture", name);
+    this._wanted = source;
+    source.ready = Promise.resolve(source);
+    try {
+      const known = this.state.picture(name);
+      if (known?.error) throw new Error(known.error);
+      const image = await loaded(source.address("image", { size: SHOWN }));
+      const size = known?.width ? known : await this._sizeOf(source, image);
+      Object.assign(source, { image, width: size.width, height: size.height });
+    } catch (error) {
+      if (this._wanted !== source) return;
+      // The strip has gone on to it: the picture before must not stay as if it were this one.
+      this._show(null);
+      this._say("failed", { error: namely(error, name), source });
+      return;
+    }
+    if (this._wanted === source) this._show(source);
+  }
+
+  /** The picture's own size, where the project does not tell: the copy's is it unless the copy was made smaller. */
+  async _sizeOf(source, image) {
+    if (Math.max(image.naturalWidth, image.naturalHeight) < SHOWN) {
+      return { width: image.naturalWidth, height: image.naturalHeight };
+    }
+    return api.get(source.address("landmarks"));
+  }
+
+  /** Take a file: it is shown from here at once, while it is on its way to the server. */
+  async take(file) {
+    const source = new Source("upload", file.name || "pasted picture.png");
+    const limit = this.state.project?.limits?.upload_bytes;
+    if (limit && file.size > limit) {
+      const error = new Error(
+        `${source.name} has ${megabytes(file.size)}, more than the ${megabytes(limit)} that can be ` +
+          "opened here: put it into the folder, or make it smaller.",
+      );
+      this._say("failed", { error, source });
+      return null;
+    }
+    this._wanted = source;
+    this._chosen = false;
+    source.ready = this._send(source, file);
+    this._say("taken", { source });
+    const seen = createImageBitmap(file).then(
+      (image) => {
+        if (this._wanted !== source || source.image) return;
+        Object.assign(source, { image, width: image.width, height: image.height });
+        this._show(source);
+      },
+      () => null,
+    ); // formats that only the server reads are shown when it has them
+    try {
+      await source.ready;
+      await seen;
+      if (this._wanted !== source) return source;
+      if (!source.image) {
+        source.image = await loaded(source.address("image", { size: SHOWN }));
+        this._show(source);
+      }
+    } catch (error) {
+      if (this._wanted === source) this._say("failed", { error, source });
+      return null;
+    }
+    return source;
+  }
+
+  async _send(source, file) {
+    const { id, width, height } = await api.upload(api.url("uploads", { name: source.name }), file);
+    const known = source.width;
+    Object.assign(source, { id, width, height });
+    // The server's size is the one of landmark coordinates.
+    if (known && this.current === source) this._say("ready", { source });
+    return source;
+  }
+
+  _show(source) {
+    this.current = source;
+    this._say("change", { source });
+  }
+
+  _say(type, detail = {}) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+}
+
+async function loaded(address) {
+  const image = new Image();
+  image.src = address;
+  try {
+    await image.decode();
+  } catch {
+    // An <img> does not tell what the server said: ask for the sentence.
+    await api.buffer(address);
+    throw new Error("The browser cannot show what the server sent of this picture: reload the page.");
+  }
+  return image;
+}
+
+function namely(error, name) {
+  return error.message.includes(name) ? error : new Error(`${name}: ${error.message}`);
+}
+
+const megabytes = (octets) => `${(octets / 1e6).toFixed(0)} MB`;
+
+/** Whether a drag carries files. */
+const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
+
+/** Let a tab take pictures by dropping and pasting; gives {open(bool)}: pasting goes to the tab that is open. */
+export function intake(root, overlay, sources, complain) {
+  let depth = 0;
+  let open = false;
+  const show = () => {
+    overlay.hidden = depth === 0;
+  };
+  const take = (file) => {
+    if (file) sources.take(file);
+    else complain(new Error("Nothing that was dropped is a file: drop a picture file."));
+  };
+  root.addEventListener("dragenter", (event) => {
+    if (carriesFiles(event)) {
+      depth += 1;
+      show();
+    }
+  });
+  root.addEventListener("dragleave", (event) => {
+    if (carriesFiles(event)) {
+      depth = Math.max(0, depth - 1);
+      show();
+    }
+  });
+  root.addEventListener("dragover", (event) => {
+    if (!carriesFiles(event)) return;
+    event.preventDefault();
+    event.dataTransfer.dropEffect = "copy";
+  });
+  root.addEventListener("drop", (event) => {
+    event.preventDefault();
+    depth = 0;
+    show();
+    take(event.dataTransfer?.files[0]);
+  });
+  document.addEventListener("paste", (event) => {
+    if (!open || isTyping(event)) return;
+    const file = [...(event.clipboardData?.files ?? [])][0];
+    if (!file) return;
+    event.preventDefault();
+    take(file);
+  });
+  return {
+    open: (now) => {
+      open = now;
+    },
+  };
+}

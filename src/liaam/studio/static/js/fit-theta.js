@@ -1,0 +1,222 @@
+// The invariant image with its theta slider.
+
+import { api } from "./api.js";
+import {
+  COLOURS,
+  foldedTheta,
+  measurable,
+  paintInvariant,
+  parseChroma,
+  PHYSICAL,
+  robustRange,
+  sampleChroma,
+  steadyRange,
+  thetaAfterKey,
+} from "./invariant.js";
+import { FrameMeter } from "./fit-schedule.js";
+import { button, h, segmented } from "./ui.js";
+
+/** Longest side of the chroma that is asked for: native for 640x480, and quick to draw for all. */
+const SIZE = 1024;
+
+/** Where the sensors of real cameras put the angle, for pictures without a model or a fit, degrees. */
+const USUAL = 118;
+
+/** Keys come singly: contrast is held until they pause, as it is until a drag ends. */
+const PAUSE = 350;
+
+export class InvariantView extends EventTarget {
+  constructor(viewer) {
+    super();
+    this.viewer = viewer;
+    this.meter = new FrameMeter();
+    this.theta = USUAL;
+    this.marks = { model: null, fit: null };
+    this.canvas = document.createElement("canvas");
+    this._chroma = null;
+    this._dirty = false;
+    this._held = null;
+    this._chosen = false;
+    this.colours = "grey";
+    this.controls = this._controls();
+    this._show();
+  }
+
+  /** Whether there is something to draw. */
+  get image() {
+    if (!this._chroma) return null;
+    if (this._dirty) this._paint();
+    return this.canvas;
+  }
+
+  /** Forget the picture; its chroma is fetched when the view is opened. */
+  clear() {
+    this._chroma = null;
+    this._chosen = false;
+    this._note.textContent = "";
+    this._asked = null;
+  }
+
+  /** Fetch the source's chroma unless it is here. */
+  async load(source) {
+    if (this._asked === source) return;
+    this._asked = source;
+    await source.ready;
+    let chroma;
+    try {
+      chroma = parseChroma(await api.buffer(source.address("chroma", { size: SIZE })));
+    } catch (error) {
+      if (this._asked !== source) return;
+      this._asked = null;
+      throw error;
+    }
+    if (this._asked !== source) return;
+    this._take(chroma);
+  }
+
+  _take(chroma) {
+    this._chroma = chroma;
+    this._sample = sampleChroma(chroma);
+    this.canvas.width = chroma.width;
+    this.canvas.height = chroma.height;
+    this._image = new ImageData(chroma.width, chroma.height);
+    this._pixels = new Uint32Array(this._image.data.buffer);
+    this._context = this.canvas.getContext("2d");
+    const share = measurable(chroma);
+    this._note.textContent = share < 0.5 ? `${Math.round(100 * (1 - share))} % too dark or overexposed (hatched)` : "";
+    this._settle();
+  }
+
+  /** Angles worth a mark, degrees; the fit's or else the model's is shown until the slider is moved. */
+  mark({ model = null, fit = null }) {
+    this.marks = { model: model == null ? null : foldedTheta(model), fit: fit == null ? null : foldedTheta(fit) };
+    if (!this._chosen) this.theta = this._default;
+    this._show();
+    this._settle();
+  }
+
+  get _default() {
+    return Math.round(10 * (this.marks.fit ?? this.marks.model ?? USUAL)) / 10;
+  }
+
+  key(event) {
+    const next = thetaAfterKey(this.theta, event);
+    if (next === null) return false;
+    this._move(next);
+    clearTimeout(this._timer);
+    this._timer = setTimeout(() => this._settle(), PAUSE);
+    return true;
+  }
+
+  _move(theta) {
+    this._chosen = true;
+    this.theta = theta;
+    if (this._chroma) this._held ??= this._range;
+    this._dirty = true;
+    this._show();
+    this.viewer.redraw();
+  }
+
+  /** A drag has ended: take the contrast that suits this angle. */
+  _settle() {
+    this._held = null;
+    if (!this._chroma) return;
+    this._range = robustRange(this._sample, this._radians);
+    this._dirty = true;
+    this.viewer.redraw();
+  }
+
+  get _radians() {
+    return (this.theta * Math.PI) / 180;
+  }
+
+  _paint() {
+    const range = this._held ? steadyRange(this._sample, this._radians, this._held) : this._range;
+    paintInvariant(this._chroma, this._radians, range, COLOURS[this.colours], this._pixels);
+    this._context.putImageData(this._image, 0, 0);
+    this._dirty = false;
+    if (this._held) this.meter.tick();
+  }
+
+  _controls() {
+    this._slider = h("input", {
+      type: "range",
+      class: "slider",
+      min: "0",
+      max: "180",
+      step: "0.1",
+      "aria-label": "Angle θ of the invariant, degrees",
+      dataset: { testid: "theta-slider" },
+      oninput: () => this._move(Number(this._slider.value)),
+      onchange: () => this._settle(),
+      onkeydown: (event) => {
+        if (!this.key(event)) return;
+        event.preventDefault();
+        event.stopPropagation();
+      },
+    });
+    this._text = h("output", { class: "number fit-theta-text", dataset: { testid: "theta-value" } });
+    this._marks = h("div", { class: "fit-theta-marks", "aria-hidden": "true" });
+    this._note = h("span", { class: "small muted" });
+    this._reset = button("Reset", {
+      small: true,
+      testid: "theta-reset",
+      title: "Back to the fit's or the model's angle",
+      onclick: () => {
+        this.theta = this._default;
+        this._chosen = false;
+        this._show();
+        this._settle();
+      },
+    });
+    const colours = segmented(
+      "Colours",
+      [
+        { value: "grey", label: "Grey" },
+        { value: "viridis", label: "Viridis" },
+      ],
+      this.colours,
+      (value) => {
+        this.colours = value;
+        this._dirty = true;
+        this.viewer.redraw();
+      },
+    );
+    return h(
+      "div",
+      { class: "fit-controls" },
+      h("span", { class: "fit-theta-name" }, "θ"),
+      h("div", { class: "fit-theta" }, this._slider, this._marks),
+      this._text,
+      this._reset,
+      colours.element,
+      this._note,
+    );
+  }
+
+  _show() {
+    this._slider.value = String(this.theta);
+    this._text.textContent = `${this.theta.toFixed(1)}°`;
+    this._slider.setAttribute("aria-valuetext", `${this.theta.toFixed(1)} degrees`);
+    const { model, fit } = this.marks;
+    const place = (degrees) => ({ "--at": String(degrees / 180) });
+    const mark = (degrees, name, title) => {
+      const element = h("span", { class: `mark ${name}`, title }, title);
+      for (const [key, value] of Object.entries(place(degrees))) element.style.setProperty(key, value);
+      return element;
+    };
+    const range = h("span", { class: "range", title: "Real cameras lie between 90° and 135°" });
+    range.style.setProperty("--from", String(PHYSICAL[0] / 180));
+    range.style.setProperty("--to", String(PHYSICAL[1] / 180));
+    const key = `${model}|${fit}`;
+    if (this._marked === key) return;
+    this._marked = key;
+    this._marks.replaceChildren(
+      range,
+      ...[
+        model != null && mark(model, "model", "model"),
+        fit != null && (model == null || Math.abs(fit - model) > 0.05) && mark(fit, "fit", "fit"),
+      ].filter(Boolean),
+    );
+  }
+}

@@ -1,0 +1,357 @@
+// The picture with its layers: what is shown (one view), what is drawn over it, the divider, and each view's controls.
+
+import { api } from "./api.js";
+import { Divider } from "./divider.js";
+import { drawFit, drawOver, OVERLAYS, roomy } from "./fit-draw.js";
+import { isGone, significant } from "./fit-run.js";
+import { InvariantView } from "./fit-theta.js";
+import { Light, Relighter } from "./relight.js";
+import { button, h, segmented } from "./ui.js";
+import { Viewer } from "./viewer.js";
+
+export const VIEWS = [
+  {
+    name: "picture",
+    label: "Picture",
+    hint: "Drop another picture anywhere here, paste one, or pick one at the left.",
+  },
+  {
+    name: "flat",
+    label: "Flat",
+    after: "Without its shading",
+    hint: "The object as it would look under the light of training, without this picture's shading.",
+  },
+  {
+    name: "shading",
+    label: "Shading",
+    after: "Shading",
+    hint: "What this light adds to the object: the picture divided by its flat appearance.",
+  },
+  { name: "residual", label: "Residual", after: "Residual", hint: "What the model leaves unexplained at each pixel." },
+  { name: "invariant", label: "Invariant", after: "Invariant" },
+  { name: "relit", label: "Relight", after: "Relit" },
+];
+
+/** Layers that the server makes, once a fit. */
+const FETCHED = ["flat", "shading", "residual"];
+const LAYER_SIZE = 1600;
+
+export class FitView {
+  /** `gone(fit)` is called when the server has forgotten the fit. */
+  constructor({ gone }) {
+    this._gone = gone;
+    this.container = h("div", { class: "fit-viewer", dataset: { testid: "fit-viewer" } });
+    this.viewer = new Viewer(this.container, { label: "Picture to fit" });
+    this.source = null;
+    this.fit = null;
+    this.name = "picture";
+    // Each view has its own overlays: what is drawn on the picture would hide what the others are looked at for.
+    this._drawn = new Map(
+      VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]),
+    );
+    this.iteration = null; // {shape, final} of the slider, null for the result
+    this.tool = null; // of the start, while one is set by hand
+    this._images = new Map();
+    this._faults = new Map(); // view -> why the server could not give it
+    this._split = false;
+    this.divider = new Divider(this.viewer, () => this.viewer.redraw());
+    this.invariant = new InvariantView(this.viewer);
+    this.light = new Light(this.viewer);
+    this.relighter = new Relighter({
+      done: (image, fit) => this._relit(image, fit),
+      failed: (error, { fit }) => this._failed("relit", error, fit),
+    });
+    this.light.addEventListener("change", () => this._relight(false));
+    this.light.addEventListener("rest", () => this._relight(true));
+    this._build();
+    this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
+    this.viewer.tool = this._tools();
+    this.show("picture");
+  }
+
+  // What is shown.
+
+  /** Show another picture; its layers are fetched when they are asked for. */
+  setSource(source) {
+    const another = source?.key !== this.source?.key;
+    this.source = source;
+    this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0);
+    if (!another) return;
+    if (source) this.viewer.fit();
+    this.invariant.clear();
+    this.setFit(null);
+  }
+
+  /** Take a fit of the source, or null. */
+  setFit(fit) {
+    this.fit = fit;
+    this.iteration = null;
+    this._images.clear();
+    this._faults.clear();
+    this.relighter.cancel();
+    this.light.over(fit?.shape ?? null);
+    this.show(this.name);
+  }
+
+  setAngles(angles) {
+    this.invariant.mark(angles);
+  }
+
+  setIteration(iteration) {
+    this.iteration = iteration;
+    this.viewer.redraw();
+  }
+
+  /** Names of the overlays of the view. */
+  get shown() {
+    return this._drawn.get(this.name);
+  }
+
+  /** Choose a view by its name. */
+  show(name) {
+    this.name = name;
+    this._faults.delete(name); // choosing it again tries again
+    this._choice.value = name;
+    this._load();
+    this._dress();
+    this.viewer.redraw();
+  }
+
+  /** Say whether the model has contours to draw. */
+  set hasContours(has) {
+    const chooser = this._overlays.get("contours");
+    chooser.disabled = !has;
+    this._dress();
+    chooser.title = has ? "Lines through the landmarks (C)" : "This model has no contours: define them in the template";
+  }
+
+  /** Choose the next view (or the one before) that can be seen. */
+  cycle(by) {
+    const can = VIEWS.map((view) => view.name).filter((name) => !this._why(name));
+    this.show(can[(can.indexOf(this.name) + by + can.length) % can.length] ?? "picture");
+  }
+
+  toggle(overlay) {
+    if (!this.shown.delete(overlay)) this.shown.add(overlay);
+    this._dress();
+    this.viewer.redraw();
+  }
+
+  get split() {
+    return this._split;
+  }
+
+  set split(now) {
+    this._split = now && Boolean(this.source);
+    // Nothing is beside the picture itself: go on to what people look for.
+    if (this._split && this.name === "picture")
+      this.show(["flat", "invariant"].find((name) => !this._why(name)) ?? "picture");
+    else this._dress();
+    this.viewer.redraw();
+  }
+
+  key(event) {
+    if (this.name === "invariant" && event.key.startsWith("Arrow")) return this.invariant.key(event);
+    if (this.name === "relit" && this.light.visible && event.key.startsWith("Arrow")) return this.light.key(event);
+    return this.viewer.key(event);
+  }
+
+  // Why a view cannot be seen now: a sentence, or "".
+
+  _why(name) {
+    if (name === "picture") return "";
+    if (this._faults.has(name)) return this._faults.get(name);
+    if (!this.source) return "Open a picture first.";
+    if (name === "invariant") return "";
+    if (!this.fit) return "This picture has not been fitted yet.";
+    const layer = name === "relit" ? "flat" : name;
+    if (this.fit.layers.includes(layer)) return "";
+    return `A fit by ${this.fit.method} has no such layer: choose another method, such as soft-li, and a picture in colour.`;
+  }
+
+  async _load() {
+    if (this._why(this.name)) return;
+    if (FETCHED.includes(this.name)) await this._fetch(this.name);
+    if (this.name === "relit" && !this._images.has("relit")) this._relight(true);
+    if (this.name !== "invariant") return;
+    const { source } = this;
+    try {
+      await this.invariant.load(source);
+    } catch (error) {
+      if (this.source === source) this._failed("invariant", error);
+    }
+  }
+
+  async _fetch(layer) {
+    const { fit } = this;
+    if (this._images.has(layer)) return;
+    this._images.set(layer, null); // is on its way
+    this._busy(true);
+    try {
+      const blob = await api.blob(api.url("fits", fit.id, "layers", layer, { size: LAYER_SIZE }));
+      const image = await createImageBitmap(blob);
+      if (this.fit === fit) this._images.set(layer, image);
+    } catch (error) {
+      if (this.fit !== fit) return;
+      this._images.delete(layer);
+      this._failed(layer, error, fit);
+    } finally {
+      if (this.fit === fit) this._busy(false);
+      this.viewer.redraw();
+    }
+  }
+
+  /** A view could not be had: say so where it would be. A fit that the server has forgotten can be made again. */
+  _failed(name, error, fit = null) {
+    if (fit && fit !== this.fit) return;
+    if (fit && isGone(error)) {
+      this._gone(fit);
+      return;
+    }
+    this._faults.set(name, error.message);
+    this._dress();
+    this.viewer.redraw();
+  }
+
+  _relight(resting) {
+    if (this.name !== "relit" || this._why("relit")) return;
+    this.relighter.ask(this.fit, this.light, resting);
+    this.viewer.redraw();
+  }
+
+  _relit(image, fit) {
+    if (this.fit !== fit) return;
+    this._images.get("relit")?.close();
+    this._images.set("relit", image);
+    this.viewer.redraw();
+  }
+
+  _busy(now) {
+    this.container.classList.toggle("busy", now);
+  }
+
+  // The page.
+
+  _build() {
+    this._choice = segmented(
+      "What to show",
+      VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint })),
+      this.name,
+      (name) => this.show(name),
+    );
+    for (const each of this._choice.element.children) each.dataset.testid = `layer-${each.dataset.value}`;
+    this._splitter = roomy(
+      button("Before | after", {
+        icon: "compare",
+        small: true,
+        pressed: false,
+        shortcut: "S",
+        testid: "fit-split",
+        title: "The picture at the left of a line, the view at its right",
+        onclick: () => {
+          this.split = !this.split;
+        },
+      }),
+    );
+    this._overlays = new Map(
+      OVERLAYS.map(({ name, label, key, title }) => [
+        name,
+        button(label, {
+          small: true,
+          shortcut: key,
+          title,
+          pressed: this.shown.has(name),
+          testid: `layer-${name}`,
+          onclick: () => this.toggle(name),
+        }),
+      ]),
+    );
+    this._hint = h("p", { class: "small muted fit-hint" });
+    this._bars = { invariant: this.invariant.controls, relit: this.light.controls };
+    this._legend = h("div", { class: "fit-legend small muted" });
+    this.bar = h("div", { class: "fit-bar" }, this._hint, this._legend, Object.values(this._bars));
+  }
+
+  get chooser() {
+    return this._choice.element;
+  }
+
+  get splitter() {
+    return this._splitter;
+  }
+
+  get overlayButtons() {
+    return [...this._overlays.values()];
+  }
+
+  /** Make the controls fit the view. */
+  _dress() {
+    const view = VIEWS.find(({ name }) => name === this.name);
+    const why = this._why(this.name);
+    for (const each of this._choice.element.children)
+      each.classList.toggle("unavailable", Boolean(this._why(each.dataset.value)));
+    for (const [name, each] of this._overlays)
+      each.setAttribute("aria-pressed", String(this.shown.has(name) && !each.disabled));
+    for (const [name, bar] of Object.entries(this._bars)) bar.hidden = name !== this.name || Boolean(why);
+    this._hint.textContent = this.source ? why || view.hint || "" : "";
+    this._splitter.disabled = !this.source;
+    this._hint.classList.toggle("error-text", this._faults.has(this.name));
+    this._hint.hidden = !why && this.name in this._bars;
+    this._explain(why ? null : this.fit?.scale?.[this.name]);
+    this.light.visible = this.name === "relit" && !why;
+    const beside = this._split && this.name !== "picture" && !why;
+    this.divider.visible = beside;
+    this._splitter.setAttribute("aria-pressed", String(this._split));
+    if (beside) this.divider.label("Picture", view.after);
+  }
+
+  /** The colours of a layer: what they run from and to. */
+  _explain(scale) {
+    this._legend.hidden = !scale;
+    if (!scale) return;
+    const shading = this.name === "shading";
+    // Shading is a logarithm: people read it as so many times the light of training.
+    const [low, high] = shading
+      ? [`1/${significant(Math.exp(scale.limit))}`, `${significant(Math.exp(scale.limit))}×`]
+      : [`−${significant(scale.limit, 2)}`, `+${significant(scale.limit, 2)}`];
+    const what = shading ? "light" : scale.what;
+    this._legend.replaceChildren(
+      h("span", {}, what),
+      h("span", { class: "number" }, low),
+      h("span", { class: `fit-ramp ${this.name}`, role: "img", "aria-label": `Colours from ${low} to ${high}` }),
+      h("span", { class: "number" }, high),
+    );
+  }
+
+  _image() {
+    if (this._why(this.name)) return null;
+    return this.name === "invariant" ? this.invariant.image : (this._images.get(this.name) ?? null);
+  }
+
+  _draw(ctx, viewer) {
+    const image = this._image();
+    if (image) drawOver(ctx, viewer, image, this.divider.visible ? this.divider.x : null);
+    if (this.fit && !this.tool?.hidesFit) drawFit(ctx, viewer, this.fit, this.shown, this.iteration ?? {});
+    this.tool?.draw(ctx, viewer);
+    this.light.draw(ctx, viewer);
+  }
+
+  /** The start's tool is asked first, then the light; what neither takes pans. */
+  _tools() {
+    let holder = null;
+    const active = () => [this.tool, this.light.visible ? this.light.tool : null].filter(Boolean);
+    return {
+      down: (event, xy) => {
+        holder = active().find((tool) => tool.down(event, xy)) ?? null;
+        return Boolean(holder);
+      },
+      move: (event, xy) => holder?.move(event, xy),
+      up: (event, xy) => holder?.up(event, xy),
+      cancel: (event, xy) => holder?.cancel(event, xy),
+      cursor: (event, xy) =>
+        active()
+          .map((tool) => tool.cursor(event, xy))
+          .find(Boolean) ?? "",
+    };
+  }
+}

@@ -1,0 +1,577 @@
+// The Fit tab: a picture comes in, the model is fitted to it, and the result is looked at from all sides.
+
+import { FitView } from "./fit-view.js";
+import { entries, modelNeeded } from "./fit-draw.js";
+import { ExportMenu, useAsAnnotation } from "./fit-export.js";
+import { Iterations } from "./fit-iterations.js";
+import { factsOf, fitsOf, verdictOf } from "./fit-run.js";
+import { afterPaint } from "./fit-schedule.js";
+import { intake, sourcesOf } from "./fit-source.js";
+import { BoxTool, meanShape, MeanTool } from "./fit-start.js";
+import { button, h, icon, segmented } from "./ui.js";
+
+const STARTS = [
+  {
+    value: "auto",
+    label: "Automatic",
+    title: "The model searches the picture for its object",
+    hint: "The model searches the whole picture.",
+  },
+  {
+    value: "box",
+    label: "Box",
+    title: "Draw a box around the object",
+    hint: "Draw a box around the object. Keys: arrows move it, comma and full stop resize it, Enter fits.",
+  },
+  {
+    value: "mean",
+    label: "Mean shape",
+    title: "Drag the model's mean shape onto the object",
+    hint: "Drag it onto the object; corners set its size, the knob turns it. Keys: arrows, comma and full stop, brackets. Enter fits.",
+  },
+];
+
+const SHORTCUTS = [
+  { keys: "Enter F", what: "Fit" },
+  { keys: "V Shift+V", what: "Next, previous view" },
+  { keys: "S", what: "Before and after" },
+  { keys: "C L M E", what: "Contours, points, mesh, ellipses" },
+  { keys: ", .", what: "Iteration back, on (or size of the start)" },
+  { keys: "P", what: "Play the iterations" },
+  { keys: "Arrows", what: "Move θ (Shift: 0.1°), the light, or the start" },
+];
+
+export function mount(root, app) {
+  const tab = new FitTab(root, app);
+  return {
+    show: (options) => tab.open(options),
+    hide: () => tab.leave(),
+    shortcuts: SHORTCUTS,
+    key: (event) => tab.key(event),
+  };
+}
+
+class FitTab {
+  constructor(root, app) {
+    this.app = app;
+    this.state = app.state;
+    this.sources = sourcesOf(app);
+    this.store = fitsOf(app);
+    this.visible = false;
+    this.start = "auto";
+    this.method = null;
+    this.fit = null;
+    this.lastDropMs = null;
+    this._run = 0; // number of the newest run: older answers are dropped
+    this.view = new FitView({ gone: (fit) => this._forgotten(fit) });
+    this.box = new BoxTool(this.view.viewer, () => this.run());
+    this.mean = new MeanTool(this.view.viewer);
+    this.iterations = new Iterations((index, last) => this._iterate(index, last));
+    this.exports = new ExportMenu({ light: () => this.view.light, annotate: (fit) => this._annotate(fit) });
+    this._build(root);
+    this._listen();
+    this._expose();
+    this._project();
+    this._source();
+  }
+
+  // Opening and leaving.
+
+  open({ name } = {}) {
+    if (name) this.state.select(name);
+    if (!this.visible) this.sources.watch(true);
+    this.visible = true;
+    this.intake.open(true);
+    this._source();
+  }
+
+  leave() {
+    if (this.visible) this.sources.watch(false);
+    this.visible = false;
+    this.intake.open(false);
+    this.iterations.pause();
+    this.exports.close();
+  }
+
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return false;
+    const onControl = event.target instanceof HTMLElement && event.target.matches("button, a, [role=radio]");
+    if (event.key === "Enter" && onControl) return false; // Enter is the control's own
+    if (this._startTool()?.key(event)) return true;
+    const letter = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    const actions = {
+      Enter: () => this.run(),
+      f: () => this.run(),
+      v: () => this.view.cycle(event.shiftKey ? -1 : 1),
+      s: () => {
+        this.view.split = !this.view.split;
+      },
+      c: () => this.view.toggle("contours"),
+      l: () => this.view.toggle("landmarks"),
+      m: () => this.view.toggle("mesh"),
+      e: () => this.view.toggle("ellipses"),
+      ",": () => this.iterations.step(-1),
+      ".": () => this.iterations.step(1),
+      p: () => this.iterations.toggle(),
+    };
+    if (!actions[letter]) return this.view.key(event);
+    actions[letter]();
+    return true;
+  }
+
+  // Fitting.
+
+  /** Fit the picture that is shown, from the start that is set. Resolves once the fit is painted. */
+  async run() {
+    const source = this.sources.current;
+    const { model } = this.state.project ?? {};
+    if (!source || !model) return null;
+    const start = this._start();
+    if (start === undefined) return null;
+    const run = (this._run += 1);
+    this._busy(true);
+    try {
+      const fit = await this._asked(source, start);
+      if (run !== this._run || this.sources.current !== source) return null;
+      this._take(fit);
+      await afterPaint();
+      return fit;
+    } catch (error) {
+      if (run === this._run) this._refused(error);
+      return null;
+    } finally {
+      if (run === this._run) this._busy(false);
+    }
+  }
+
+  /** A file has come: ask for its fit while the browser still decodes it. */
+  _early(source) {
+    this.lastDropMs = null;
+    if (!this.visible || !this.state.project?.model) return;
+    const { method } = this;
+    const answer = this.store.run(source, method);
+    answer.catch(() => {}); // told by the run that waits for it, or by the upload
+    this._ahead = { source, method, answer };
+  }
+
+  /** The fit's answer: the one that was asked for ahead, if it is of this source, method and start. */
+  _asked(source, start) {
+    const { _ahead: ahead, method } = this;
+    this._ahead = null;
+    if (ahead && start === null && ahead.source === source && ahead.method === method) return ahead.answer;
+    return this.store.run(source, method, start);
+  }
+
+  /** The start that is set; undefined (and a sentence) where it is not finished. */
+  _start() {
+    const tool = this._startTool();
+    if (!tool) return null;
+    if (tool.start) return tool.start;
+    this._tell(
+      "info",
+      this.start === "box"
+        ? "Draw a box around the object first."
+        : "The mean shape is not known yet: fit automatically once.",
+    );
+    return undefined;
+  }
+
+  _startTool() {
+    return { box: this.box, mean: this.mean }[this.start] ?? null;
+  }
+
+  _take(fit) {
+    this.fit = fit;
+    const ofFolder = Boolean(this.sources.current?.ofFolder);
+    this.view.setFit(fit);
+    this.view.setAngles({ model: this.state.project.model?.theta_deg, fit: fit?.theta_deg });
+    this.iterations.show(fit?.iterations ?? []);
+    this.exports.show(fit, ofFolder);
+    this._result();
+    if (this.start === "mean") this._useMean();
+    this.mean.settled = Boolean(fit);
+  }
+
+  _iterate(index, last) {
+    this.view.setIteration(last ? null : { shape: this.fit.iterations[index].shape, final: false });
+  }
+
+  _forgotten(fit) {
+    this.store.forget(fit);
+    this.app.toast("The server no longer keeps this fit, so it is fitted again.");
+    this.run();
+  }
+
+  async _annotate(fit) {
+    try {
+      if (await useAsAnnotation(this.app, fit)) this.app.toast(`Saved as the landmarks of ${fit.picture}.`, "good");
+    } catch (error) {
+      this._complain(error);
+    }
+  }
+
+  // The source.
+
+  _listen() {
+    this.sources.addEventListener("taken", ({ detail }) => this._early(detail.source));
+    this.sources.addEventListener("change", () => this._source());
+    this.sources.addEventListener("ready", () => this.view.setSource(this.sources.current));
+    this.sources.addEventListener("failed", ({ detail }) => {
+      if (this.visible) this._refused(detail.error);
+    });
+    this.state.addEventListener("project", () => this._project());
+    this.state.addEventListener("training", ({ detail }) => {
+      if (detail.state === "done") this.state.refresh().catch(() => {});
+    });
+  }
+
+  /** Another picture: show it, and its fit where there is one or one can be made without asking. */
+  _source() {
+    const source = this.sources.current;
+    if (this._seen !== source) {
+      this._seen = source;
+      this._run += 1;
+      this._busy(false);
+      this.view.setSource(source);
+      this.box.clear();
+      this.mean.clear();
+      this._take(null);
+      if (source?.kind === "upload") this._setStart("auto");
+    }
+    this._emptiness();
+    if (!source || this.fit || !this.visible) return;
+    const known = this.store.recall(source, this.method);
+    if (known) this._take(known);
+    else if (this.state.project.model && this.start === "auto") this._runAtOnce(source);
+    else this._result();
+  }
+
+  async _runAtOnce(source) {
+    const fit = await this.run();
+    if (fit && source.kind === "upload" && !source.told) {
+      source.told = true;
+      this.lastDropMs = performance.now() - source.started;
+    }
+  }
+
+  /** The project has changed: other methods, another model, or none. */
+  _project() {
+    const { methods = [], default_method: first, model } = this.state.project ?? {};
+    const names = methods.map((method) => method.name).join();
+    if (this._methodNames !== names) {
+      this._methodNames = names;
+      this.method ??= first ?? methods[0]?.name ?? "soft-li";
+      const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
+      this._method.replaceChildren(...sorted.map(({ name }) => h("option", { value: name }, name)));
+      this._method.value = this.method;
+      this._summary();
+    }
+    const trained = model?.trained ?? null;
+    const another = this._trained !== undefined && this._trained !== trained;
+    this._trained = trained;
+    this.view.hasContours = Boolean(model?.contours?.length);
+    this._emptiness();
+    if (!another) return;
+    // Another model: what was fitted with the last one is no longer true of it.
+    this._run += 1;
+    this.mean.unit = null;
+    this._take(null);
+    this._source();
+  }
+
+  // The page.
+
+  _build(root) {
+    this._file = h("input", {
+      type: "file",
+      accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp",
+      class: "visually-hidden",
+      tabindex: "-1",
+      "aria-label": "Open a picture to fit",
+      dataset: { testid: "fit-file" },
+      onchange: () => {
+        const [file] = this._file.files;
+        this._file.value = "";
+        if (file) this.sources.take(file);
+      },
+    });
+    const toolbar = h(
+      "div",
+      { class: "toolbar", role: "toolbar", "aria-label": "What to show" },
+      this.view.chooser,
+      this.view.splitter,
+      h("span", { class: "grow" }),
+      this.exports.element,
+    );
+    this._empty = h("div", { class: "empty big fit-empty" });
+    const overlay = h(
+      "div",
+      { class: "fit-dropping", hidden: true, "aria-hidden": "true" },
+      h("p", {}, icon("upload", 28), "Drop the picture to fit it"),
+    );
+    const stage = h("div", { class: "fit-stage" }, this.view.container, this._empty);
+    this._ofFits = [this._panelDraw(), this._panelIterations()];
+    this._side = h("div", { class: "side fit-side" }, this._panelStart(), this._panelResult(), this._ofFits);
+    this._area = h(
+      "div",
+      { class: "fit-tab", dataset: { testid: "fit-drop" } },
+      h("div", { class: "workspace" }, toolbar, stage, this.view.bar),
+      this._side,
+      overlay,
+      this._file,
+    );
+    root.append(this._area);
+    this.intake = intake(this._area, overlay, this.sources, (error) => this._complain(error));
+  }
+
+  _panelStart() {
+    this._label = h("span", { class: "fit-source-name grow" });
+    this._back = button("Back to the folder", {
+      icon: "left",
+      iconOnly: true,
+      small: true,
+      kind: "ghost",
+      hidden: true,
+      onclick: () => this.sources.backToFolder(),
+    });
+    const open = button("Open…", {
+      icon: "image",
+      small: true,
+      title: "Open a picture from elsewhere; it is not put into the folder",
+      onclick: () => this._file.click(),
+    });
+    this._starts = segmented("Where to start", STARTS, this.start, (value) => this._setStart(value));
+    for (const each of this._starts.element.children) each.dataset.testid = `start-${each.dataset.value}`;
+    // Who clicks wants to go on at the picture, and its keys; arrow keys in the row of choices stay there.
+    this._starts.element.addEventListener("click", () => {
+      if (this._startTool()) this.view.viewer.canvas.focus({ preventScroll: true });
+    });
+    this._startHint = h("p", { class: "small muted", hidden: true });
+    this._method = h("select", {
+      class: "text",
+      "aria-describedby": "fit-method-summary",
+      dataset: { testid: "fit-method" },
+      onchange: () => {
+        this.method = this._method.value;
+        this._summary();
+        this._take(null);
+        const source = this.sources.current;
+        const known = source && !this._startTool() && this.store.recall(source, this.method);
+        if (known) this._take(known);
+        else this.run();
+      },
+    });
+    this._methodSummary = h("p", { class: "small muted fit-method-summary", id: "fit-method-summary" });
+    this._runButton = h(
+      "button",
+      {
+        type: "button",
+        class: "button primary",
+        "aria-keyshortcuts": "Enter",
+        dataset: { testid: "fit-run" },
+        onclick: () => this.run(),
+      },
+      icon("target"),
+      "Fit",
+      h("kbd", { class: "kbd" }, "Enter"),
+    );
+    this._needsModel = h("div", { class: "column" }, modelNeeded(this.app, "fit-to-annotate"));
+    this._withModel = h(
+      "div",
+      { class: "column" },
+      h("div", { class: "column tight" }, this._starts.element, this._startHint),
+      h(
+        "div",
+        { class: "row fit-method" },
+        h("label", { class: "field grow" }, "Method", this._method),
+        this._runButton,
+      ),
+      this._methodSummary,
+    );
+    return h(
+      "section",
+      { class: "panel", "aria-label": "Fit" },
+      h("div", { class: "row fit-source" }, this._back, this._label, open),
+      this._needsModel,
+      this._withModel,
+    );
+  }
+
+  _panelResult() {
+    this._status = h("div", {
+      class: "column tight fit-status",
+      role: "status",
+      "aria-live": "polite",
+      dataset: { testid: "fit-status" },
+    });
+    this._remedies = h(
+      "div",
+      { class: "row tight fit-remedies", hidden: true },
+      button("Draw a box", { icon: "box", small: true, onclick: () => this._setStart("box", true) }),
+      button("Drag the mean", { icon: "target", small: true, onclick: () => this._setStart("mean", true) }),
+    );
+    this._facts = h("dl", { class: "fit-facts" });
+    return h(
+      "section",
+      { class: "panel fit-result", "aria-label": "Result" },
+      this._status,
+      this._remedies,
+      this._facts,
+    );
+  }
+
+  _panelDraw() {
+    return h(
+      "section",
+      { class: "panel", "aria-label": "Drawn over the picture" },
+      h("div", { class: "row tight fit-overlays" }, this.view.overlayButtons),
+    );
+  }
+
+  _panelIterations() {
+    return h("section", { class: "panel", "aria-label": "Iterations" }, this.iterations.element);
+  }
+
+  _summary() {
+    const method = this.state.project?.methods?.find(({ name }) => name === this.method);
+    this._methodSummary.textContent = method ? `${method.summary}${method.needs_colour ? " Needs colour." : ""}` : "";
+  }
+
+  _setStart(value, focus = false) {
+    this.start = value;
+    this._starts.value = value;
+    const { hint } = STARTS.find((start) => start.value === value);
+    this._startHint.textContent = hint;
+    this._startHint.hidden = value === "auto";
+    if (value === "mean") {
+      this.mean.settled = false;
+      this._useMean();
+    }
+    this.view.tool = this._startTool();
+    this.view.viewer.redraw();
+    if (focus) this.view.viewer.canvas.focus();
+  }
+
+  /** Give the mean's tool its shape; where only a fit tells it, one is made. */
+  async _useMean() {
+    if (this.mean.unit) return;
+    const { project } = this.state;
+    let shape = meanShape(project, this.fit);
+    const source = this.sources.current;
+    if (!shape && source && project.model) {
+      try {
+        shape = meanShape(project, await this.store.run(source, project.default_method));
+      } catch (error) {
+        this._complain(error);
+      }
+    }
+    if (shape && source === this.sources.current) this.mean.use(shape, project.model);
+  }
+
+  _busy(now) {
+    this._runButton.disabled = now || !this.sources.current;
+    this.view.container.classList.toggle("busy", now);
+    if (now && !this.fit) this._tell("info", "Fitting…");
+  }
+
+  /** Say in the result's panel what happened. */
+  _tell(kind, message, title = "") {
+    this._status.replaceChildren(
+      ...[
+        title && h("span", { class: `badge ${kind}` }, title),
+        h("p", { class: kind === "bad" && !title ? "error-text" : "small" }, message),
+      ].filter(Boolean),
+    );
+    this._remedies.hidden = true;
+    this._facts.replaceChildren();
+  }
+
+  _result() {
+    const { fit } = this;
+    if (!fit) {
+      const { model } = this.state.project ?? {};
+      this._tell(
+        "info",
+        !model ? "" : this.sources.current ? "Not fitted yet." : "Open a picture to fit the model to it.",
+      );
+      return;
+    }
+    const { kind, title, advice } = verdictOf(fit);
+    this._status.replaceChildren(
+      ...[
+        h("span", { class: `badge ${kind}`, dataset: { status: fit.status } }, title),
+        h("p", { class: "small" }, fit.message),
+        advice && h("p", { class: "small muted" }, advice),
+      ].filter(Boolean),
+    );
+    this._remedies.hidden = !advice;
+    this._facts.replaceChildren(...entries(factsOf(fit)));
+  }
+
+  /** Say why nothing came of it; what was there before stays. */
+  _refused(error) {
+    this._tell("bad", error.message);
+  }
+
+  _complain(error) {
+    this.app.toast(error, "bad");
+  }
+
+  _emptiness() {
+    const source = this.sources.current;
+    const { model, pictures = [] } = this.state.project ?? {};
+    this._label.textContent = source?.name ?? "No picture";
+    this._label.title = source?.name ?? "";
+    this._back.hidden = source?.kind !== "upload" || !this.state.current;
+    this._needsModel.hidden = Boolean(model);
+    this._withModel.hidden = !model;
+    for (const panel of this._ofFits) panel.hidden = !model;
+    this._runButton.disabled = !source;
+    this._empty.hidden = Boolean(source);
+    this.view.container.classList.toggle("without", !source);
+    if (source) return;
+    const where = pictures.length ? "pick one at the left, drop one here, or open one" : "drop one here, or open one";
+    this._empty.replaceChildren(
+      icon("image", 56),
+      h("h2", {}, "A picture to fit"),
+      h("p", {}, `Take any picture of what the model knows: ${where}. It stays on this machine.`),
+      button("Open a picture…", { icon: "upload", kind: "primary", onclick: () => this._file.click() }),
+    );
+  }
+
+  /**
+   * For tests of the page: `lastDropMs` from the newest drop to the first frame painted with its fit, frames per second
+   * of the newest drag of theta, and what is shown.
+   */
+  _expose() {
+    const tab = this;
+    window.liaamStudio.fit = {
+      get lastDropMs() {
+        return tab.lastDropMs;
+      },
+      invariantFps: () => tab.view.invariant.meter.rate(),
+      get fit() {
+        return tab.fit;
+      },
+      get view() {
+        return tab.view.name;
+      },
+      get theta() {
+        return tab.view.invariant.theta;
+      },
+      get light() {
+        return { direction: tab.view.light.direction, ambient: tab.view.light.ambient };
+      },
+      get relightBusy() {
+        return tab.view.relighter.busy;
+      },
+      get start() {
+        return tab._startTool()?.start ?? null;
+      },
+      get shownShape() {
+        return tab.view.iteration?.shape ?? tab.fit?.shape ?? null;
+      },
+      viewer: this.view.viewer,
+    };
+  }
+}

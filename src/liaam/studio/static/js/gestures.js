@@ -1,0 +1,265 @@
+// From pointers to edits of points: dragging, selecting with a box, placing, and the handles that turn and scale.
+// What is edited is a document (the marks of a picture, or a template that is being made):
+//   points, invisible (Set), selection (Set)     what is shown now
+//   select(indices, active)                      choose points
+//   preview(points), revert()                    show points during a gesture; put them back
+//   commit(points, what)                         end of a gesture: one step of undo
+//   follow(before, after, indices) -> points     moves that come along (twins)
+//   adding(xy) -> gesture | null                 a press on an empty place puts a point there
+//   press(index) -> bool                         a press on a point that means something else than dragging it
+//   framed() -> indices                          the points that have handles around them
+// A gesture is {move(xy, event), up(), cancel(), loupe: xy | null}.
+
+import { bounds, centroid, inBox, move, nearest, turn } from "./points.js";
+
+const REACH = { mouse: 9, pen: 14, touch: 24 }; // css pixels from a point that still hit it
+const REACH_PLACING = { mouse: 5, pen: 7, touch: 11 }; // closer while placing, so that neighbours can be set
+const HANDLE_REACH = { mouse: 11, pen: 15, touch: 24 };
+const FRAME = 16; // css pixels between the points and their frame
+const KNOB = 26; // css pixels from the frame to the knobs
+const STILL = 4; // css pixels that a click may wander
+const SLIP = { mouse: 1, pen: 2, touch: 5 }; // css pixels that a click on a point may wander without moving it
+
+const distance = (p, q) => Math.hypot(p[0] - q[0], p[1] - q[1]);
+
+/** The frame of `indices` in css pixels: its box, and handles {kind, at, centre} (centre: what stays in place). */
+export function frameOf(viewer, points, indices) {
+  const box = indices.length > 1 ? bounds(points, indices) : null;
+  if (box === null) return null;
+  const [x0, y0] = viewer.toScreen([box[0], box[1]]).map((v) => v - FRAME);
+  const [x1, y1] = viewer.toScreen([box[2], box[3]]).map((v) => v + FRAME);
+  const middle = (x0 + x1) / 2;
+  const corners = [
+    [x0, y0, x1, y1],
+    [x1, y0, x0, y1],
+    [x1, y1, x0, y0],
+    [x0, y1, x1, y0],
+  ];
+  return {
+    box: [x0, y0, x1, y1],
+    handles: [
+      ...corners.map(([x, y, ox, oy]) => ({ kind: "scale", at: [x, y], fixed: [ox, oy] })),
+      { kind: "turn", at: [middle, y0 - KNOB] },
+      { kind: "move", at: [middle, y1 + KNOB] },
+    ],
+  };
+}
+
+function handleAt(viewer, doc, at, type) {
+  const frame = frameOf(viewer, doc.points, doc.framed());
+  if (frame === null) return null;
+  return frame.handles.find((handle) => distance(handle.at, at) <= (HANDLE_REACH[type] ?? HANDLE_REACH.mouse)) ?? null;
+}
+
+function dragging(doc, index, indices, start, what) {
+  const before = doc.points;
+  let [dx, dy] = [0, 0];
+  const after = () => doc.follow(before, move(before, indices, dx, dy), indices);
+  return {
+    loupe: index < 0 ? null : before[index],
+    move(xy) {
+      [dx, dy] = [xy[0] - start[0], xy[1] - start[1]];
+      const points = after();
+      this.loupe = index < 0 ? null : points[index];
+      doc.preview(points);
+    },
+    up: () => (dx || dy ? doc.commit(after(), what) : doc.revert()),
+    cancel: () => doc.revert(),
+  };
+}
+
+function turning(viewer, doc, handle, indices) {
+  const before = doc.points;
+  const box = bounds(before, indices);
+  const fixed = handle.kind === "scale" ? viewer.toImage(handle.fixed) : [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
+  const start = viewer.toImage(handle.at);
+  let points = before;
+  return {
+    loupe: null,
+    move(xy, event) {
+      if (handle.kind === "scale") {
+        const factor = Math.max(distance(xy, fixed) / Math.max(distance(start, fixed), 1e-9), 0.02);
+        points = turn(before, indices, fixed, 0, factor);
+      } else {
+        const angle =
+          Math.atan2(xy[1] - fixed[1], xy[0] - fixed[0]) - Math.atan2(start[1] - fixed[1], start[0] - fixed[0]);
+        const step = Math.PI / 36;
+        points = turn(before, indices, fixed, event.shiftKey ? Math.round(angle / step) * step : angle);
+      }
+      doc.preview(points);
+    },
+    up: () => (points === before ? doc.revert() : doc.commit(points, handle.kind === "scale" ? "scale" : "turn")),
+    cancel: () => doc.revert(),
+  };
+}
+
+function boxing(doc, start, adds) {
+  const kept = adds ? [...doc.selection] : [];
+  return {
+    loupe: null,
+    box: [...start, ...start],
+    move(xy) {
+      this.box = [...start, ...xy];
+      doc.select([...new Set([...kept, ...inBox(doc.points, this.box)])]);
+    },
+    up: () => doc.select([...doc.selection]),
+    cancel: () => doc.select(kept),
+  };
+}
+
+/** The viewer's tool that edits what `current()` gives.
+ *  options.boxes() -> whether a drag on an empty place draws a box; options.onend(): after every gesture. */
+export class PointTool {
+  constructor(viewer, current, { boxes = () => false, onend = () => {} } = {}) {
+    Object.assign(this, { viewer, current, boxes, onend });
+    this.gesture = null;
+    this.hovered = -1;
+    this.pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered
+    this.pressed = null; // where a pointer went down that was not taken
+    viewer.canvas.addEventListener("pointerup", (event) => this.released(event));
+    viewer.canvas.addEventListener("blur", () => this.leave());
+  }
+
+  find(event, xy) {
+    const doc = this.current();
+    const reach = (doc.placing ? REACH_PLACING : REACH)[event.pointerType] ?? REACH.mouse;
+    return nearest(doc.points, xy, reach / this.viewer.scale, doc.selection);
+  }
+
+  down(event, xy) {
+    this.pressed = null;
+    if (event.button > 0) return false;
+    this.gesture = this.begin(event, xy);
+    this.note(event, xy);
+    if (this.gesture === null) this.pressed = [event.clientX, event.clientY];
+    this.viewer.redraw();
+    return this.gesture !== null;
+  }
+
+  begin(event, xy) {
+    const doc = this.current();
+    if (!doc.editable) return null;
+    const adds = event.shiftKey || event.ctrlKey || event.metaKey;
+    const handle = handleAt(this.viewer, doc, this.viewer.place(event), event.pointerType);
+    const index = this.find(event, xy);
+    if (handle && index < 0) {
+      const indices = doc.framed();
+      return handle.kind === "move"
+        ? dragging(doc, -1, indices, xy, "move")
+        : turning(this.viewer, doc, handle, indices);
+    }
+    if (index >= 0) {
+      if (doc.press(index, event)) return { loupe: null, move() {}, up() {}, cancel() {} };
+      return this.grab(doc, index, adds, xy, SLIP[event.pointerType] ?? SLIP.mouse);
+    }
+    if (adds || this.boxes()) return boxing(doc, xy, adds);
+    return doc.adding(xy);
+  }
+
+  grab(doc, index, adds, xy, slip) {
+    if (adds) {
+      const chosen = new Set(doc.selection);
+      if (chosen.has(index)) chosen.delete(index);
+      else chosen.add(index);
+      doc.select([...chosen], chosen.has(index) ? index : -1);
+      if (!chosen.has(index)) return { loupe: null, move() {}, up() {}, cancel() {} };
+    } else if (!doc.selection.has(index)) {
+      doc.select([index], index);
+    } else {
+      doc.select([...doc.selection], index);
+    }
+    const gesture = dragging(doc, index, [...doc.selection], xy, "move");
+    const still = () => !adds && doc.selection.size > 1 && doc.select([index], index); // a click on one of several
+    let far = false;
+    const { up } = gesture;
+    const at = this.viewer.toScreen(xy);
+    const shift = gesture.move;
+    gesture.move = function (to, event) {
+      far ||= distance(event.at, at) > slip; // a click must not move a point by a hair
+      if (far) shift.call(this, to);
+    };
+    gesture.up = () => (far ? up() : (doc.revert(), still()));
+    return gesture;
+  }
+
+  move(event, xy) {
+    if (!this.gesture) return;
+    this.note(event, xy);
+    this.gesture.move(xy, { shiftKey: event.shiftKey, at: this.viewer.place(event) });
+    this.viewer.redraw();
+  }
+
+  up(event, xy) {
+    if (!this.gesture) return;
+    this.note(event, xy);
+    const { gesture } = this;
+    this.gesture = null;
+    gesture.up();
+    this.onend();
+    this.viewer.redraw();
+  }
+
+  cancel() {
+    this.gesture?.cancel();
+    this.gesture = null;
+    this.pressed = null;
+    this.viewer.redraw();
+  }
+
+  /** A click on an empty place that moved nothing lets go of the selection. */
+  released(event) {
+    const { pressed } = this;
+    this.pressed = null;
+    if (pressed && distance(pressed, [event.clientX, event.clientY]) <= STILL) this.current().select([], -1);
+  }
+
+  hover(event, xy) {
+    this.note(event, xy);
+    const index = this.find(event, xy);
+    if (index === this.hovered && !this.current().placing && !this.current().followsPointer) return;
+    this.hovered = index;
+    this.viewer.redraw();
+  }
+
+  note(event, xy) {
+    this.pointer = { at: this.viewer.place(event), xy, type: event.pointerType };
+  }
+
+  leave() {
+    this.pointer = null;
+    this.hovered = -1;
+    this.viewer.redraw();
+  }
+
+  cursor(event, xy) {
+    const doc = this.current();
+    if (!doc.editable) return "";
+    const handle = handleAt(this.viewer, doc, this.viewer.place(event), event.pointerType);
+    if (this.find(event, xy) >= 0) return "move";
+    if (handle) return { scale: "nwse-resize", turn: "grab", move: "move" }[handle.kind];
+    return doc.placing || this.boxes() || event.shiftKey ? "crosshair" : "";
+  }
+}
+
+const TURN = Math.PI / 180;
+const GROW = 1.01;
+
+/** What a key does to points: {points, what, key} or null. `indices`: the chosen ones, or all. */
+export function keyEdit(event, points, indices, chosen) {
+  const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+  const arrow = arrows[event.key];
+  const more = event.shiftKey ? 5 : 1;
+  if (arrow && (event.ctrlKey || event.metaKey)) {
+    const centre = centroid(points, indices);
+    if (centre === null) return null;
+    const [angle, factor] = arrow[0] ? [arrow[0] * TURN * more, 1] : [0, GROW ** (-arrow[1] * more)];
+    return {
+      points: turn(points, indices, centre, angle, factor),
+      what: arrow[0] ? "turn" : "scale",
+      key: `turn ${indices.join()}`,
+    };
+  }
+  if (!arrow || chosen.length === 0) return null;
+  const step = event.altKey ? 0.1 : event.shiftKey ? 10 : 1;
+  return { points: move(points, chosen, step * arrow[0], step * arrow[1]), what: "move", key: `move ${chosen.join()}` };
+}

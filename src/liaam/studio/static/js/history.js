@@ -1,0 +1,78 @@
+// Undo and redo over snapshots. States are never changed in place, so a snapshot is a reference and costs nothing
+// but the arrays that differ.
+
+const LIMIT = 500; // steps kept
+const BURST = 800; // milliseconds within which steps of the same key become one
+
+export class History {
+  /** @param {object} state the first state
+   *  @param {{limit?: number, burst?: number, now?: () => number}} options */
+  constructor(state, { limit = LIMIT, burst = BURST, now = () => performance.now() } = {}) {
+    this.state = state;
+    this.limit = limit;
+    this.burst = burst;
+    this.now = now;
+    this.past = [];
+    this.future = [];
+    this.last = { key: null, time: -Infinity };
+  }
+
+  /** A new state. Steps with the same `key` in quick succession (held arrow keys) count as one. */
+  push(state, what = "", key = null) {
+    if (state === this.state) return;
+    const time = this.now();
+    const joins = key !== null && key === this.last.key && time - this.last.time < this.burst && this.past.length > 0;
+    if (!joins) this.past.push({ state: this.state, what });
+    if (this.past.length > this.limit) this.past.shift();
+    this.state = state;
+    this.future = [];
+    this.last = { key, time };
+  }
+
+  /** Start again from a state that came from elsewhere (another tab, another file): its past is not ours. */
+  reset(state) {
+    this.state = state;
+    this.past = [];
+    this.future = [];
+    this.endBurst();
+  }
+
+  endBurst() {
+    this.last = { key: null, time: -Infinity };
+  }
+
+  get canUndo() {
+    return this.past.length > 0;
+  }
+
+  get canRedo() {
+    return this.future.length > 0;
+  }
+
+  /** What the step that would be undone did, for the button's tooltip. */
+  get undoes() {
+    return this.past.at(-1)?.what ?? "";
+  }
+
+  get redoes() {
+    return this.future.at(-1)?.what ?? "";
+  }
+
+  undo() {
+    if (!this.canUndo) return null;
+    const { state, what } = this.past.pop();
+    this.future.push({ state: this.state, what });
+    this.state = state;
+    this.endBurst();
+    return state;
+  }
+
+  redo() {
+    if (!this.canRedo) return null;
+    const { state, what } = this.future.pop();
+    this.past.push({ state: this.state, what });
+    this.state = state;
+    this.endBurst();
+    return state;
+  }
+}

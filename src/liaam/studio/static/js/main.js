@@ -1,0 +1,205 @@
+// The page's frame: tabs, theme, keys, and what is said about training and the connection.
+
+import { api, ApiError } from "./api.js";
+import { State } from "./state.js";
+import { mountStrip } from "./strip.js";
+import * as ui from "./ui.js";
+import { button, dialog, h, isTyping, toast } from "./ui.js";
+
+const TABS = [
+  { name: "annotate", label: "Annotate", what: "Place landmarks, and let the model help" },
+  { name: "fit", label: "Fit", what: "Fit the model to a picture, look, and move the light" },
+  { name: "compare", label: "Compare", what: "Two methods side by side" },
+];
+
+const COMMON_KEYS = [
+  { keys: "1 2 3", what: "Annotate, Fit, Compare" },
+  { keys: "[ ]", what: "Previous, next picture" },
+  { keys: "+ - 0", what: "Zoom in, out, whole picture" },
+  { keys: "Space drag", what: "Pan (also: drag an empty place, middle button, two fingers)" },
+  { keys: "Wheel", what: "Zoom about the pointer" },
+  { keys: "?", what: "This page" },
+];
+
+const state = new State();
+const tabs = new Map(); // name -> {root, tab, button}
+let open = null;
+let wanted = null; // a tab that was asked for while the page was still loading
+
+const app = { state, api, ui, toast, confirm: ui.confirm, openTab };
+
+/** For tests of the page: what tabs expose of themselves. */
+window.liaamStudio = { app, state };
+
+async function start() {
+  theme();
+  try {
+    await state.open();
+  } catch (error) {
+    document.getElementById("loading").textContent = error.message;
+    setTimeout(() => location.reload(), 4000);
+    return;
+  }
+  document.getElementById("loading").remove();
+  document.getElementById("folder").textContent = state.project.folder;
+  document.getElementById("folder").title = state.project.folder;
+  document.title = `${state.project.folder} – liaam studio`;
+  mountStrip(document.getElementById("strip"), state);
+  status();
+  actions();
+  await mountTabs();
+  if (!open) openTab(wanted ?? new URLSearchParams(location.search).get("tab") ?? "annotate");
+  document.addEventListener("keydown", keys);
+}
+
+async function mountTabs() {
+  const bar = document.getElementById("tabs");
+  const stage = document.getElementById("stage");
+  const loaded = TABS.map(async ({ name, label, what }) => {
+    const root = h("section", { id: `tab-${name}`, role: "tabpanel", "aria-label": label, hidden: true });
+    const chooser = h("button", {
+      type: "button", role: "tab", "aria-controls": root.id, "aria-selected": "false", title: what,
+      dataset: { testid: `tab-${name}` }, onclick: () => openTab(name),
+    }, label);
+    bar.append(chooser);
+    stage.append(root);
+    return [name, { root, button: chooser, tab: await load(name, root) }];
+  });
+  for (const [name, tab] of await Promise.all(loaded)) tabs.set(name, tab);
+  bar.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    if (!step) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const names = TABS.map((tab) => tab.name);
+    openTab(names[(names.indexOf(open) + step + names.length) % names.length]);
+    tabs.get(open).button.focus();
+  });
+}
+
+async function load(name, root) {
+  try {
+    return (await import(`./${name}.js`)).mount(root, app);
+  } catch (error) { // a tab that is broken must not take the others with it
+    console.error(error);
+    root.append(h("p", { class: "empty error-text" }, `This part of the studio does not work here: ${error.message}`));
+    return { show() {}, hide() {}, shortcuts: [] };
+  }
+}
+
+function openTab(name, options = {}) {
+  if (!tabs.size) {
+    wanted = name;
+    return;
+  }
+  if (!tabs.has(name)) name = "annotate";
+  if (open === name) {
+    tabs.get(name).tab.show?.(options);
+    return;
+  }
+  if (open) {
+    tabs.get(open).tab.hide?.();
+    tabs.get(open).root.hidden = true;
+  }
+  open = name;
+  for (const [other, { root, button: chooser }] of tabs) {
+    const on = other === name;
+    root.hidden = !on;
+    chooser.setAttribute("aria-selected", String(on));
+    chooser.tabIndex = on ? 0 : -1;
+  }
+  const address = new URL(location.href);
+  address.searchParams.set("tab", name);
+  history.replaceState(null, "", address);
+  tabs.get(name).tab.show?.(options);
+}
+
+function keys(event) {
+  if (event.defaultPrevented || isTyping(event) || document.querySelector("dialog[open]")) return;
+  const plain = !event.ctrlKey && !event.metaKey && !event.altKey;
+  if (tabs.get(open)?.tab.key?.(event)) {
+    event.preventDefault();
+    return;
+  }
+  if (!plain) return;
+  const number = Number(event.key);
+  if (event.key === "?") showKeys();
+  else if (number >= 1 && number <= TABS.length) openTab(TABS[number - 1].name);
+  else if (event.key === "[" || event.key === "PageUp") state.step(-1);
+  else if (event.key === "]" || event.key === "PageDown") state.step(1);
+  else return;
+  event.preventDefault();
+}
+
+function showKeys() {
+  const table = (title, rows) => h("section", {}, h("h2", {}, title), h("dl", {}, rows.map(({ keys: names, what }) => [
+    h("dt", {}, names.split(" ").map((key) => [h("kbd", {}, key), " "])), h("dd", {}, what)])));
+  const sections = [...tabs].filter(([, { tab }]) => tab.shortcuts?.length)
+    .map(([name, { tab }]) => table(TABS.find((each) => each.name === name).label, tab.shortcuts));
+  dialog("Keys", h("div", { class: "keys" }, table("Everywhere", COMMON_KEYS), sections), [{ label: "Close", kind: "primary", value: null }], { wide: true });
+}
+
+// Theme: as the system's, unless a person has chosen.
+
+function theme(next = localStorage.getItem("liaam-theme")) {
+  if (next) document.documentElement.dataset.theme = next;
+  else delete document.documentElement.dataset.theme;
+}
+
+function isDark() {
+  const chosen = document.documentElement.dataset.theme;
+  return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+}
+
+function actions() {
+  const toggle = button("Light or dark", {
+    icon: isDark() ? "sun" : "moon", iconOnly: true, kind: "ghost",
+    onclick: () => {
+      const next = isDark() ? "light" : "dark";
+      localStorage.setItem("liaam-theme", next);
+      theme(next);
+      toggle.replaceChildren(ui.icon(next === "dark" ? "sun" : "moon"));
+    },
+  });
+  document.getElementById("top-actions").append(
+    button("Keys", { icon: "keyboard", iconOnly: true, kind: "ghost", shortcut: "?", onclick: showKeys }),
+    toggle,
+  );
+}
+
+// What the top bar says: the model, training, and a lost server.
+
+function status() {
+  const box = document.getElementById("top-status");
+  const offline = h("span", { class: "badge bad", role: "alert", hidden: true }, "server not reachable – trying again");
+  const training = h("span", { class: "badge accent", hidden: true, dataset: { testid: "top-training" } });
+  const model = h("span", { class: "badge", dataset: { testid: "top-model" } });
+  box.append(offline, training, model);
+  const show = () => {
+    const { training: now, model: has } = state.project;
+    training.hidden = now?.state !== "running";
+    if (now?.state === "running") {
+      const share = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
+      training.textContent = `${now.phase === "proposals" ? "Placing points" : "Training"}${share}`;
+    }
+    model.textContent = has ? `Model of ${has.n_images} pictures` : "No model yet";
+    model.className = has ? "badge good" : "badge";
+  };
+  let before = null;
+  state.addEventListener("training", ({ detail }) => {
+    show();
+    if (detail.state === "failed" && before !== "failed") toast(`Training failed: ${detail.error}`, "bad");
+    before = detail.state;
+  });
+  state.addEventListener("project", show);
+  state.addEventListener("online", ({ detail }) => { offline.hidden = detail; });
+  show();
+}
+
+addEventListener("unhandledrejection", (event) => {
+  if (!(event.reason instanceof ApiError)) return;
+  event.preventDefault();
+  toast(event.reason.message, "bad");
+});
+
+start();

@@ -1,0 +1,217 @@
+// Points of a picture, as values: every function returns new arrays and changes none. A point is [x, y] in pixels of
+// the picture, or null where it is not placed. Nothing here knows of the page.
+
+export const NONE = Object.freeze([]);
+
+const isPlaced = (point) => point !== null && point !== undefined;
+
+export const indicesOf = (points) => points.map((_, index) => index);
+export const placed = (points) => indicesOf(points).filter((index) => isPlaced(points[index]));
+export const missing = (points) => indicesOf(points).filter((index) => !isPlaced(points[index]));
+
+/** To a hundredth of a pixel: finer than a hand, and files stay readable. */
+export const rounded = ([x, y]) => [Math.round(x * 100) / 100, Math.round(y * 100) / 100];
+
+export function place(points, index, xy) {
+  return points.map((point, i) => (i === index ? rounded(xy) : point));
+}
+
+export function remove(points, indices) {
+  const gone = new Set(indices);
+  return points.map((point, i) => (gone.has(i) ? null : point));
+}
+
+function change(points, indices, update) {
+  const result = points.slice();
+  for (const i of indices) if (isPlaced(points[i])) result[i] = update(points[i], i);
+  return result;
+}
+
+export const move = (points, indices, dx, dy) => change(points, indices, ([x, y]) => rounded([x + dx, y + dy]));
+
+/** Turn by `angle` (radians, clockwise on the screen) and scale by `factor`, about `centre`. */
+export function turn(points, indices, centre, angle, factor = 1) {
+  const [cos, sin] = [factor * Math.cos(angle), factor * Math.sin(angle)];
+  return change(points, indices, ([x, y]) => {
+    const [dx, dy] = [x - centre[0], y - centre[1]];
+    return rounded([centre[0] + cos * dx - sin * dy, centre[1] + sin * dx + cos * dy]);
+  });
+}
+
+export function bounds(points, indices = placed(points)) {
+  const own = indices.filter((i) => isPlaced(points[i]));
+  if (own.length === 0) return null;
+  const xs = own.map((i) => points[i][0]);
+  const ys = own.map((i) => points[i][1]);
+  return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+}
+
+export function centroid(points, indices = placed(points)) {
+  const own = indices.filter((i) => isPlaced(points[i]));
+  if (own.length === 0) return null;
+  const sum = own.reduce(([x, y], i) => [x + points[i][0], y + points[i][1]], [0, 0]);
+  return [sum[0] / own.length, sum[1] / own.length];
+}
+
+export function inBox(points, [x0, y0, x1, y1]) {
+  const [left, right, top, bottom] = [Math.min(x0, x1), Math.max(x0, x1), Math.min(y0, y1), Math.max(y0, y1)];
+  return placed(points).filter((i) => {
+    const [x, y] = points[i];
+    return x >= left && x <= right && y >= top && y <= bottom;
+  });
+}
+
+/** The placed point nearest to xy within `radius`, or -1. Of equals the selected one wins, so that a point that was
+ *  chosen can be dragged off another that it lies on. */
+export function nearest(points, xy, radius, preferred = new Set()) {
+  let best = -1;
+  let least = radius;
+  points.forEach((point, i) => {
+    if (!isPlaced(point)) return;
+    const away = Math.hypot(point[0] - xy[0], point[1] - xy[1]) * (preferred.has(i) ? 0.6 : 1);
+    if (away <= least) [best, least] = [i, away];
+  });
+  return best;
+}
+
+/** The first point without a place after `index`, going round; -1 if all are placed. */
+export function nextMissing(points, index = -1) {
+  for (let step = 1; step <= points.length; step++) {
+    const i = (index + step + points.length) % points.length;
+    if (!isPlaced(points[i])) return i;
+  }
+  return -1;
+}
+
+/** The least-squares similarity that takes `from` to `to`, over points placed in both: {a, b, x, y} with
+ *  x' = a x - b y + x0 and y' = b x + a y + y0; a shift only with one common point, null without any. */
+export function similarity(from, to) {
+  const both = indicesOf(from).filter((i) => isPlaced(from[i]) && isPlaced(to[i]));
+  if (both.length === 0) return null;
+  const p = centroid(from, both);
+  const q = centroid(to, both);
+  let [dot, cross, square] = [0, 0, 0];
+  for (const i of both) {
+    const [px, py, qx, qy] = [from[i][0] - p[0], from[i][1] - p[1], to[i][0] - q[0], to[i][1] - q[1]];
+    dot += px * qx + py * qy;
+    cross += px * qy - py * qx;
+    square += px * px + py * py;
+  }
+  const [a, b] = square > 1e-9 && Math.hypot(dot, cross) > 1e-9 ? [dot / square, cross / square] : [1, 0];
+  return { a, b, x: q[0] - a * p[0] + b * p[1], y: q[1] - b * p[0] - a * p[1] };
+}
+
+export const carry = ({ a, b, x, y }, [px, py]) => [a * px - b * py + x, b * px + a * py + y];
+
+/** Where the layout expects each point, given those that are placed. */
+export function expected(layout, points) {
+  const map = similarity(layout, points);
+  return map === null ? layout.map((p) => p && rounded(p)) : layout.map((p) => p && rounded(carry(map, p)));
+}
+
+/** Shift and scale the layout so that it lies in the middle of a picture and fills `share` of it. */
+export function fitInto(layout, width, height, share = 0.6) {
+  const box = bounds(layout);
+  if (box === null) return layout;
+  const [w, h] = [Math.max(box[2] - box[0], 1e-6), Math.max(box[3] - box[1], 1e-6)];
+  const scale = share * Math.min(width / w, height / h);
+  const [cx, cy] = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
+  return layout.map((p) => p && rounded([width / 2 + scale * (p[0] - cx), height / 2 + scale * (p[1] - cy)]));
+}
+
+const spread = (points, centre) =>
+  Math.sqrt(points.reduce((sum, [x, y]) => sum + (x - centre[0]) ** 2 + (y - centre[1]) ** 2, 0) / points.length);
+
+/** The mean of complete shapes, placed into a picture of width x height as they lie, on average, in theirs: shapes are
+ *  aligned first, so that turned heads do not blur the mean.
+ *  @param {{points: number[][], width: number, height: number}[]} shapes */
+export function meanLayout(shapes, width, height) {
+  const whole = shapes.filter((shape) => shape.points.length > 0 && shape.points.every(isPlaced));
+  if (whole.length === 0) return null;
+  const first = whole[0].points;
+  const aligned = whole.map((shape) => expected(shape.points, first));
+  const mean = first.map((_, i) => [0, 1].map((axis) => aligned.reduce((s, p) => s + p[i][axis], 0) / aligned.length));
+  let [x, y, size, cos, sin] = [0, 0, 0, 0, 0];
+  for (const shape of whole) {
+    const middle = centroid(shape.points);
+    const { a, b } = similarity(mean, shape.points);
+    x += middle[0] / shape.width / whole.length;
+    y += middle[1] / shape.height / whole.length;
+    size += spread(shape.points, middle) / Math.hypot(shape.width, shape.height) / whole.length;
+    cos += a / Math.hypot(a, b);
+    sin += b / Math.hypot(a, b);
+  }
+  const middle = centroid(mean);
+  const factor = (size * Math.hypot(width, height)) / Math.max(spread(mean, middle), 1e-9);
+  const turned = turn(mean, indicesOf(mean), middle, Math.atan2(sin, cos), factor);
+  return move(turned, indicesOf(turned), x * width - middle[0], y * height - middle[1]);
+}
+
+/** Unit normal of the object's axis of symmetry, from the twins that are placed; horizontal where none are. */
+export function axisNormal(points, mirror) {
+  let [x, y] = [0, 0];
+  (mirror ?? []).forEach((twin, i) => {
+    if (twin <= i || !isPlaced(points[i]) || !isPlaced(points[twin])) return;
+    const [dx, dy] = [points[twin][0] - points[i][0], points[twin][1] - points[i][1]];
+    const sign = x * dx + y * dy < 0 ? -1 : 1; // pairs may be listed either way round
+    x += sign * dx;
+    y += sign * dy;
+  });
+  const length = Math.hypot(x, y);
+  return length < 1e-9 ? [1, 0] : [x / length, y / length];
+}
+
+/** The moves of twins that go with the moves of `indices` from `before` to `after`: each by its partner's move,
+ *  mirrored. Points that are moved themselves keep their own move; points on the axis slide along it freely. */
+export function withTwins(before, after, indices, mirror) {
+  if (!mirror) return after;
+  const [nx, ny] = axisNormal(before, mirror);
+  const moved = new Set(indices);
+  const result = after.slice();
+  for (const i of indices) {
+    const twin = mirror[i];
+    if (twin === i || moved.has(twin) || !isPlaced(before[twin]) || !isPlaced(before[i]) || !isPlaced(after[i]))
+      continue;
+    const [dx, dy] = [after[i][0] - before[i][0], after[i][1] - before[i][1]];
+    const along = 2 * (dx * nx + dy * ny);
+    result[twin] = rounded([before[twin][0] + dx - along * nx, before[twin][1] + dy - along * ny]);
+  }
+  return result;
+}
+
+/** Flip left and right: each point goes to where its twin's mirror image lies, about the middle of the points. */
+export function flip(points, mirror) {
+  const box = bounds(points);
+  if (box === null) return points;
+  const sum = box[0] + box[2];
+  return points.map((_, i) => {
+    const source = points[mirror ? mirror[i] : i];
+    return isPlaced(source) ? rounded([sum - source[0], source[1]]) : null;
+  });
+}
+
+export const flipIndices = (indices, mirror) =>
+  mirror ? indices.map((i) => mirror[i]).sort((a, b) => a - b) : indices;
+
+export function toggle(indices, changed) {
+  const result = new Set(indices);
+  const add = !changed.every((i) => result.has(i)); // mixed: all become so, as with any group of switches
+  for (const i of changed) add ? result.add(i) : result.delete(i);
+  return [...result].sort((a, b) => a - b);
+}
+
+export const samePoint = (p, q) => p === q || (isPlaced(p) && isPlaced(q) && p[0] === q[0] && p[1] === q[1]);
+export const samePoints = (p, q) => p.length === q.length && p.every((point, i) => samePoint(point, q[i]));
+
+/** Whether two contents of a landmark file are the same up to what a file rounds away. */
+export function sameMarks(one, other, tolerance = 0.006) {
+  const near = (p, q) =>
+    !isPlaced(p) || !isPlaced(q)
+      ? isPlaced(p) === isPlaced(q)
+      : Math.abs(p[0] - q[0]) <= tolerance && Math.abs(p[1] - q[1]) <= tolerance;
+  return (
+    one.points.length === other.points.length &&
+    one.points.every((p, i) => near(p, other.points[i])) &&
+    one.invisible.join() === other.invisible.join()
+  );
+}

@@ -1,0 +1,212 @@
+// The landmark template as a value: which points there are, what they are called, which paths run through them, which
+// are twins. Every function gives a new draft and changes none.
+//
+// A draft is {names, points, contours: [{indices, closed}], mirror: twin of each point (itself if none), origins: index of each
+//  point in the saved template or null, path: the contour that clicks continue or -1, twinPath: its mirror image or -1}
+
+import { indicesOf, rounded } from "./points.js";
+
+export const EMPTY = Object.freeze({
+  names: [],
+  points: [],
+  contours: [],
+  mirror: [],
+  origins: [],
+  path: -1,
+  twinPath: -1,
+});
+
+/** A draft of a saved template; `points` where they lie on the picture, or null for its own layout. */
+export function draftOf(template, points = null) {
+  return {
+    names: template.names.slice(),
+    points: points ?? template.points ?? template.names.map(() => null),
+    contours: template.contours.map(({ indices, closed }) => ({ indices: indices.slice(), closed: Boolean(closed) })),
+    mirror: template.mirror?.slice() ?? indicesOf(template.names),
+    origins: indicesOf(template.names),
+    path: -1,
+    twinPath: -1,
+  };
+}
+
+export function freshName(names) {
+  let number = names.length + 1;
+  while (names.includes(`point ${number}`)) number += 1;
+  return `point ${number}`;
+}
+
+function appended(draft, xy) {
+  return {
+    ...draft,
+    names: [...draft.names, freshName(draft.names)],
+    points: [...draft.points, rounded(xy)],
+    mirror: [...draft.mirror, draft.names.length],
+    origins: [...draft.origins, null],
+  };
+}
+
+function extend(contours, path, index) {
+  return contours.map((contour, k) => (k === path ? { ...contour, indices: [...contour.indices, index] } : contour));
+}
+
+const twinsOf = (indices, mirror) => indices.map((i) => mirror[i]);
+
+/** Add a point to the current path, and its twin across `axis` (x of a vertical line) where one is given; closer to
+ *  the axis than `tolerance` it lies on it and is its own twin. */
+export function addPoint(draft, xy, { axis = null, tolerance = 0 } = {}) {
+  const onAxis = axis !== null && Math.abs(xy[0] - axis) <= tolerance;
+  const index = draft.names.length;
+  let next = appended(draft, onAxis ? [axis, xy[1]] : xy);
+  if (next.path < 0)
+    next = { ...next, contours: [...next.contours, { indices: [], closed: false }], path: next.contours.length };
+  next.contours = extend(next.contours, next.path, index);
+  if (axis === null) return next;
+  if (onAxis) return next.twinPath < 0 ? next : { ...next, contours: extend(next.contours, next.twinPath, index) };
+  next = appended(next, [2 * axis - xy[0], xy[1]]);
+  next.mirror = next.mirror.map((twin, i) => (i === index ? index + 1 : i === index + 1 ? index : twin));
+  if (next.twinPath >= 0) return { ...next, contours: extend(next.contours, next.twinPath, index + 1) };
+  // The mirrored path begins with the twins of what the path has so far.
+  const indices = twinsOf(next.contours[next.path].indices, next.mirror);
+  return { ...next, contours: [...next.contours, { indices, closed: false }], twinPath: next.contours.length };
+}
+
+/** A path and its mirror image as they are kept: one path where they meet on the axis, two where they do not. */
+export function joined(path, twin, closed) {
+  const shares = (i) => path[i] === twin[i];
+  const [starts, ends] = [shares(0), shares(path.length - 1)];
+  const back = twin.slice(starts ? 1 : 0, ends ? -1 : undefined).reverse();
+  if (starts && ends && path.length > 1) return [{ indices: [...path, ...back], closed: true }];
+  if (starts && !closed) return [{ indices: [...back, ...path], closed: false }];
+  if (ends || (starts && closed)) return [{ indices: [...path, ...back], closed }];
+  return [
+    { indices: path, closed },
+    { indices: twin, closed },
+  ];
+}
+
+/** End the current path; the next click begins another. */
+export function newPath(draft, closed = false) {
+  if (draft.path < 0) return draft;
+  const { indices } = draft.contours[draft.path];
+  const twin = draft.twinPath < 0 ? null : draft.contours[draft.twinPath].indices;
+  const done = twin ? joined(indices, twin, closed) : [{ indices, closed: closed && indices.length > 2 }];
+  const contours = draft.contours.flatMap((contour, k) =>
+    k === draft.path ? done : k === draft.twinPath ? [] : [contour],
+  );
+  return { ...draft, contours: contours.filter((contour) => contour.indices.length > 1), path: -1, twinPath: -1 };
+}
+
+export const closePath = (draft) => newPath(draft, true);
+
+/** Go on with a path that was ended. */
+export function continuePath(draft, path) {
+  const ended = newPath(draft);
+  const contour = draft.contours[path];
+  const at = ended.contours.findIndex((other) => other.indices === contour?.indices);
+  if (at < 0) return ended;
+  return { ...ended, contours: ended.contours.map((c, k) => (k === at ? { ...c, closed: false } : c)), path: at };
+}
+
+/** Run the current path through a point that is there already; a path goes through a point once. */
+export function connect(draft, index) {
+  if (draft.contours[draft.path]?.indices.includes(index)) return draft;
+  if (draft.path < 0)
+    return {
+      ...draft,
+      contours: [...draft.contours, { indices: [index], closed: false }],
+      path: draft.contours.length,
+    };
+  return { ...draft, contours: extend(draft.contours, draft.path, index) };
+}
+
+export function setClosed(draft, path, closed) {
+  return { ...draft, contours: draft.contours.map((c, k) => (k === path ? { ...c, closed } : c)) };
+}
+
+export function removePath(draft, path) {
+  const ended = { ...draft, path: -1, twinPath: -1 };
+  return { ...ended, contours: draft.contours.filter((_, k) => k !== path) };
+}
+
+export function rename(draft, index, name) {
+  return { ...draft, names: draft.names.map((old, i) => (i === index ? name : old)) };
+}
+
+/** The draft with its points in another order: order[new index] = old index; points left out are deleted. */
+export function arranged(draft, order) {
+  const now = new Map(order.map((old, i) => [old, i]));
+  const pick = (list) => order.map((old) => list[old]);
+  const kept = draft.contours.map(({ indices, closed }) => {
+    const left = indices.filter((i) => now.has(i)).map((i) => now.get(i));
+    return { indices: left, closed: closed && left.length > 2 };
+  });
+  // A path being drawn may be of one point; any other needs two.
+  const alive = kept.map((contour, k) => contour.indices.length > (k === draft.path || k === draft.twinPath ? 0 : 1));
+  const place_ = (k) => (k < 0 || !alive[k] ? -1 : alive.slice(0, k).filter(Boolean).length);
+  return {
+    names: pick(draft.names),
+    points: pick(draft.points),
+    origins: pick(draft.origins),
+    mirror: order.map((old, i) => now.get(draft.mirror[old]) ?? i),
+    contours: kept.filter((_, k) => alive[k]),
+    path: place_(draft.path),
+    twinPath: place_(draft.twinPath),
+  };
+}
+
+export function deletePoints(draft, indices) {
+  const gone = new Set(indices);
+  return arranged(
+    draft,
+    indicesOf(draft.names).filter((i) => !gone.has(i)),
+  );
+}
+
+export function reorder(draft, from, to) {
+  const order = indicesOf(draft.names);
+  const [moved] = order.splice(from, 1);
+  order.splice(Math.min(Math.max(to, 0), order.length), 0, moved);
+  return arranged(draft, order);
+}
+
+/** What is wrong with a draft, in a sentence; null where it can be saved. */
+export function fault(draft) {
+  if (draft.names.length < 3)
+    return `A template needs at least three points; there ${draft.names.length === 1 ? "is one" : `are ${draft.names.length || "none"}`} so far.`;
+  const blank = draft.names.findIndex((name) => !name.trim());
+  if (blank >= 0) return `Point ${blank + 1} has no name; give it one.`;
+  const twice = draft.names.find((name, i) => draft.names.findIndex((other) => other.trim() === name.trim()) !== i);
+  if (twice !== undefined) return `Two points are called '${twice}'; names have to differ.`;
+  const lost = draft.points.findIndex((point) => !point);
+  if (lost >= 0) return `'${draft.names[lost]}' has no place; click it on the picture or delete it.`;
+  return null;
+}
+
+/** As the server keeps it. */
+export function templateOf(draft) {
+  const { names, points, contours, mirror } = newPath(draft);
+  return {
+    names: names.map((name) => name.trim()),
+    points,
+    contours: contours.map(({ indices, closed }) => ({ indices, closed })),
+    mirror: mirror.some((twin, i) => twin !== i) ? mirror : null,
+  };
+}
+
+/** Whether saved landmark files have to be rewritten. */
+export function rearranges(draft, count) {
+  return draft.origins.length !== count || draft.origins.some((origin, i) => origin !== i);
+}
+
+/** What saving does to the files, in words. */
+export function changes(draft, count) {
+  const kept = draft.origins.filter((origin) => origin !== null);
+  const [added, deleted] = [draft.origins.length - kept.length, count - kept.length];
+  const moved = kept.some((origin, i) => i > 0 && origin < kept[i - 1]);
+  const points = (number) => `${number} ${number === 1 ? "point" : "points"}`;
+  return [
+    deleted > 0 && `${points(deleted)} will be deleted, with the places they have`,
+    added > 0 && `${points(added)} will be new and missing in the other pictures until placed there`,
+    moved && "the order of the points changes",
+  ].filter(Boolean);
+}

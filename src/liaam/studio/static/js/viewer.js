@@ -1,0 +1,385 @@
+// A picture to zoom and pan, with layers drawn over it and a tool that may take the pointer.
+//
+// Landmark coordinates have (0, 0) at the centre of the top-left pixel; the canvas has it at that pixel's corner.
+
+import { button, h } from "./ui.js";
+
+const LARGEST = 64; // screen pixels for one of the picture
+const EASE = 0.0016; // zoom per pixel of wheel
+const SHARP_FROM = 3; // from this zoom on, pixels are shown as squares
+
+export class Viewer extends EventTarget {
+  constructor(container, { label = "Picture" } = {}) {
+    super();
+    this.container = container;
+    this.canvas = h("canvas", { tabindex: "0", role: "application", "aria-label": label });
+    this.tool = null;
+    this.source = null;
+    this.width = this.height = 0;
+    this.scale = 1;
+    this.left = this.top = 0; // where the picture's corner is, css pixels
+    this._layers = [];
+    this._pointers = new Map();
+    this._taken = null;
+    this._fitted = true;
+    this._waiting = false;
+    this._space = false;
+    this._zoomText = h("span", { class: "number", "aria-hidden": "true" }, "100 %");
+    container.classList.add("viewer");
+    container.append(this.canvas, h("div", { class: "viewer-zoom", role: "group", "aria-label": "Zoom" },
+      button("Zoom out", { icon: "minus", iconOnly: true, kind: "ghost", small: true, shortcut: "-", onclick: () => this.zoomBy(1 / 1.3) }),
+      this._zoomText,
+      button("Zoom in", { icon: "plus", iconOnly: true, kind: "ghost", small: true, shortcut: "+", onclick: () => this.zoomBy(1.3) }),
+      button("Whole picture", { icon: "fit", iconOnly: true, kind: "ghost", small: true, shortcut: "0", onclick: () => this.fit() }),
+    ));
+    this._listen();
+    new ResizeObserver(() => this._resize()).observe(container);
+    this._resize();
+  }
+
+  /** Show a picture; width and height are those of landmark coordinates, the source may be of any resolution. */
+  setPicture(source, width = 0, height = 0) {
+    const same = width === this.width && height === this.height;
+    this.source = source;
+    this.width = width;
+    this.height = height;
+    if (!same) this.fit();
+    this.redraw();
+  }
+
+  /** Show the same picture in another guise; the view stays. */
+  setSource(source) {
+    this.source = source;
+    this.redraw();
+  }
+
+  /** Show all of the picture. */
+  fit() {
+    this._fitted = true;
+    const { w, h } = this._size();
+    if (!this.width || !w || !h) return;
+    const margin = Math.min(24, 0.04 * w);
+    this.scale = Math.min((w - 2 * margin) / this.width, (h - 2 * margin) / this.height, LARGEST);
+    this.left = (w - this.scale * this.width) / 2;
+    this.top = (h - this.scale * this.height) / 2;
+    this._changed();
+  }
+
+  /** Show a box [x0, y0, x1, y1] of the picture, with room around it. */
+  show([x0, y0, x1, y1], room = 0.3) {
+    const { w, h } = this._size();
+    const width = (x1 - x0) * (1 + 2 * room), height = (y1 - y0) * (1 + 2 * room);
+    if (!(width > 0 && height > 0 && w && h)) return;
+    this._fitted = false;
+    this.scale = Math.min(w / width, h / height, LARGEST);
+    this.left = w / 2 - this.scale * ((x0 + x1) / 2 + 0.5);
+    this.top = h / 2 - this.scale * ((y0 + y1) / 2 + 0.5);
+    this._changed();
+  }
+
+  zoomBy(factor, at = null) {
+    if (!this.width) return;
+    const { w, h } = this._size();
+    const [cx, cy] = at ?? [w / 2, h / 2];
+    const least = 0.25 * Math.min(w / this.width, h / this.height, 1);
+    const scale = Math.min(Math.max(this.scale * factor, least), LARGEST);
+    const ratio = scale / this.scale;
+    this.left = cx - ratio * (cx - this.left);
+    this.top = cy - ratio * (cy - this.top);
+    this.scale = scale;
+    this._fitted = false;
+    this._changed();
+  }
+
+  panBy(dx, dy) {
+    this.left += dx;
+    this.top += dy;
+    this._fitted = false;
+    this._changed();
+  }
+
+  /** Take over another viewer's view (of a picture of the same size). */
+  setView({ scale, left, top }, silent = false) {
+    Object.assign(this, { scale, left, top, _fitted: false });
+    this._changed(silent);
+  }
+
+  get view() {
+    return { scale: this.scale, left: this.left, top: this.top };
+  }
+
+  toScreen([x, y]) {
+    return [this.left + this.scale * (x + 0.5), this.top + this.scale * (y + 0.5)];
+  }
+
+  /** Picture coordinates of an event, or of [cx, cy] in the canvas. */
+  toImage(place) {
+    const [cx, cy] = Array.isArray(place) ? place : this.place(place);
+    return [(cx - this.left) / this.scale - 0.5, (cy - this.top) / this.scale - 0.5];
+  }
+
+  /** Where an event is in the canvas, css pixels. */
+  place(event) {
+    const box = this.canvas.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  }
+
+  /** Where a landmark is on the page, for tests and tooltips. */
+  toClient(point) {
+    const box = this.canvas.getBoundingClientRect();
+    const [x, y] = this.toScreen(point);
+    return [box.left + x, box.top + y];
+  }
+
+  addLayer(draw) {
+    this._layers.push(draw);
+    this.redraw();
+    return () => {
+      this._layers = this._layers.filter((other) => other !== draw);
+      this.redraw();
+    };
+  }
+
+  redraw() {
+    if (this._waiting) return;
+    this._waiting = true;
+    requestAnimationFrame(() => {
+      this._waiting = false;
+      this._draw();
+    });
+  }
+
+  /** Keys of the view; gives whether the key was taken. */
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return false;
+    const keys = { "+": () => this.zoomBy(1.3), "=": () => this.zoomBy(1.3), "-": () => this.zoomBy(1 / 1.3), 0: () => this.fit() };
+    if (!keys[event.key]) return false;
+    keys[event.key]();
+    return true;
+  }
+
+  _size() {
+    return { w: this.canvas.clientWidth, h: this.canvas.clientHeight };
+  }
+
+  _resize() {
+    const ratio = window.devicePixelRatio || 1;
+    const { w, h } = this._size();
+    if (!w || !h) return;
+    this.canvas.width = Math.round(w * ratio);
+    this.canvas.height = Math.round(h * ratio);
+    if (this._fitted) this.fit();
+    // At once: a canvas that was resized is blank until it is drawn.
+    this._draw();
+  }
+
+  _changed(silent = false) {
+    this._zoomText.textContent = `${Math.round(100 * this.scale)} %`;
+    this.redraw();
+    if (!silent) this.dispatchEvent(new Event("view"));
+  }
+
+  _draw() {
+    const ctx = this.canvas.getContext("2d");
+    const ratio = this.canvas.width / (this.canvas.clientWidth || 1);
+    ctx.setTransform(1, 0, 0, 1, 0, 0);
+    ctx.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+    if (this.source && this.width) {
+      ctx.imageSmoothingEnabled = this.scale < SHARP_FROM;
+      ctx.imageSmoothingQuality = "high";
+      ctx.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
+    }
+    for (const draw of this._layers) {
+      ctx.save();
+      draw(ctx, this);
+      ctx.restore();
+    }
+  }
+
+  // Pointers: the tool is asked first; what it does not take pans, and two fingers zoom.
+
+  _listen() {
+    const canvas = this.canvas;
+    canvas.addEventListener("pointerdown", (event) => this._down(event));
+    canvas.addEventListener("pointermove", (event) => this._move(event));
+    canvas.addEventListener("pointerup", (event) => this._up(event));
+    canvas.addEventListener("pointercancel", (event) => this._cancel(event));
+    canvas.addEventListener("pointerleave", (event) => { if (!this._pointers.size) this.tool?.leave?.(event); });
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      const step = event.deltaMode === 1 ? 16 * event.deltaY : event.deltaY;
+      this.zoomBy(Math.exp(-EASE * Math.max(-300, Math.min(300, step)) * (event.ctrlKey ? 4 : 1)), this.place(event));
+    }, { passive: false });
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("keydown", (event) => { if (event.key === " ") this._hold(event, true); });
+    canvas.addEventListener("keyup", (event) => { if (event.key === " ") this._hold(event, false); });
+    canvas.addEventListener("blur", () => { this._space = false; });
+  }
+
+  _hold(event, down) {
+    event.preventDefault();
+    this._space = down;
+    canvasCursor(this.canvas, down ? "grab" : "");
+  }
+
+  _down(event) {
+    this.canvas.focus({ preventScroll: true });
+    this._pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    try {
+      this.canvas.setPointerCapture(event.pointerId);
+    } catch {
+      // A pointer that is gone already cannot be captured.
+    }
+    if (this._pointers.size === 2) { // a second finger: no longer the tool's
+      if (this._taken != null) this.tool?.cancel?.(event);
+      this._taken = null;
+      return;
+    }
+    const mine = this._space || event.button === 1 || event.button === 2;
+    if (!mine && this._pointers.size === 1 && this.tool?.down?.(event, this.toImage(event))) this._taken = event.pointerId;
+    else canvasCursor(this.canvas, "grabbing");
+    event.preventDefault();
+  }
+
+  _move(event) {
+    const before = this._pointers.get(event.pointerId);
+    if (!before) {
+      this.tool?.hover?.(event, this.toImage(event));
+      canvasCursor(this.canvas, this._space ? "grab" : this.tool?.cursor?.(event, this.toImage(event)) ?? "");
+      return;
+    }
+    if (this._taken === event.pointerId) {
+      this.tool?.move?.(event, this.toImage(event));
+      return;
+    }
+    const now = [event.clientX, event.clientY];
+    if (this._pointers.size === 2) this._pinch(event.pointerId, before, now);
+    else if (this._taken == null) this.panBy(now[0] - before[0], now[1] - before[1]);
+    this._pointers.set(event.pointerId, now);
+  }
+
+  _pinch(id, before, now) {
+    const other = [...this._pointers].find(([key]) => key !== id)[1];
+    const box = this.canvas.getBoundingClientRect();
+    const apart = (a) => Math.hypot(a[0] - other[0], a[1] - other[1]) || 1;
+    const middle = (a) => [(a[0] + other[0]) / 2 - box.left, (a[1] + other[1]) / 2 - box.top];
+    const [from, to] = [middle(before), middle(now)];
+    this.panBy(to[0] - from[0], to[1] - from[1]);
+    this.zoomBy(apart(now) / apart(before), to);
+  }
+
+  _up(event) {
+    if (!this._pointers.delete(event.pointerId)) return;
+    canvasCursor(this.canvas, "");
+    if (this._taken !== event.pointerId) return;
+    this._taken = null;
+    this.tool?.up?.(event, this.toImage(event));
+  }
+
+  _cancel(event) {
+    this._pointers.delete(event.pointerId);
+    canvasCursor(this.canvas, "");
+    if (this._taken !== event.pointerId) return;
+    this._taken = null;
+    this.tool?.cancel?.(event);
+  }
+}
+
+function canvasCursor(canvas, cursor) {
+  if (canvas.style.cursor !== cursor) canvas.style.cursor = cursor;
+}
+
+// What tabs draw over pictures. Lines have a dark rim so that they are seen on any picture.
+
+const CHI = Math.sqrt(-2 * Math.log(1 - 0.95)); // radius of a 95 % ellipse, standard deviations
+
+function stroked(ctx, colour, width, dash = []) {
+  ctx.lineJoin = "round";
+  ctx.setLineDash(dash);
+  ctx.strokeStyle = "rgb(0 0 0 / 45%)";
+  ctx.lineWidth = width + 1.6;
+  ctx.stroke();
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = width;
+  ctx.stroke();
+  ctx.setLineDash([]);
+}
+
+/** Draw contours; parts that run through a point without place are left out. */
+export function drawContours(ctx, viewer, points, contours, { colour = "#ffd166", width = 1.6, dash = [] } = {}) {
+  ctx.beginPath();
+  for (const { indices, closed } of contours) {
+    const line = closed ? [...indices, indices[0]] : indices;
+    let pen = false;
+    for (const index of line) {
+      const point = points[index];
+      if (!point) { pen = false; continue; }
+      const [x, y] = viewer.toScreen(point);
+      if (pen) ctx.lineTo(x, y);
+      else ctx.moveTo(x, y);
+      pen = true;
+    }
+  }
+  stroked(ctx, colour, width, dash);
+}
+
+/** Draw points: hollow where invisible, ringed where selected. */
+export function drawPoints(ctx, viewer, points, options = {}) {
+  const { colour = "#ffd166", radius = 4, selected = new Set(), invisible = new Set(), hovered = -1 } = options;
+  points.forEach((point, i) => {
+    if (!point) return;
+    const [x, y] = viewer.toScreen(point);
+    ctx.beginPath();
+    ctx.arc(x, y, i === hovered ? radius + 1.5 : radius, 0, 2 * Math.PI);
+    ctx.lineWidth = 1.5;
+    if (invisible.has(i)) {
+      stroked(ctx, colour, 1.5);
+    } else {
+      ctx.fillStyle = selected.has(i) ? "#ffffff" : colour;
+      ctx.fill();
+      ctx.strokeStyle = "rgb(0 0 0 / 70%)";
+      ctx.stroke();
+    }
+    if (!selected.has(i)) return;
+    ctx.beginPath();
+    ctx.arc(x, y, radius + 4, 0, 2 * Math.PI);
+    stroked(ctx, "#5ad1ff", 2);
+  });
+}
+
+export function drawMesh(ctx, viewer, points, triangles, { colour = "rgb(255 255 255 / 70%)", width = 1 } = {}) {
+  const at = points.map((point) => point && viewer.toScreen(point));
+  ctx.beginPath();
+  for (const [a, b, c] of triangles) {
+    if (!at[a] || !at[b] || !at[c]) continue;
+    ctx.moveTo(...at[a]);
+    ctx.lineTo(...at[b]);
+    ctx.lineTo(...at[c]);
+    ctx.closePath();
+  }
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = width;
+  ctx.stroke();
+}
+
+/** Draw the ellipses that hold 95 % of each landmark's probability. */
+export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1ff", width = 1.3 } = {}) {
+  points.forEach((point, i) => {
+    const covariance = covariances?.[i];
+    if (!point || !covariance) return;
+    const { radii: [major, minor], turn } = ellipse(covariance);
+    const [x, y] = viewer.toScreen(point);
+    ctx.beginPath();
+    ctx.ellipse(x, y, Math.min(major * viewer.scale, 1e4), Math.min(minor * viewer.scale, 1e4), turn, 0, 2 * Math.PI);
+    stroked(ctx, colour, width);
+  });
+}
+
+/** Radii and turn of the ellipse that holds 95 % of a Gaussian with covariance [[a, b], [b, c]]. */
+export function ellipse([[a, b], [, c]]) {
+  const middle = (a + c) / 2;
+  const spread = Math.hypot((a - c) / 2, b);
+  const radius = (variance) => CHI * Math.sqrt(Math.max(variance, 0));
+  return { radii: [radius(middle + spread), radius(middle - spread)], turn: 0.5 * Math.atan2(2 * b, a - c) };
+}

@@ -1,0 +1,196 @@
+"""Pictures that are dropped on the page: checked before they are decoded, and kept in memory only, the newest few."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from liaam.errors import ImageError
+from liaam.io import decode_image, encoded_size, is_image, is_raw
+from liaam.photometry.encoding import as_colour
+from liaam.studio.pictures import Pictures, Source
+from liaam.studio.safety import Refusal
+from liaam.studio.settings import Settings
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+LONGEST_NAME = 120
+"""Characters of a name that are kept."""
+
+_GONE = "this picture is no longer in memory, where only the {} newest are kept: drop it once more"
+
+
+@dataclass(frozen=True, eq=False)
+class Upload:
+    """A dropped picture.
+
+    Attributes
+    ----------
+    id : str
+    name : str
+        Its file's name, without folders.
+    data : bytes
+        The file.
+    width, height : int
+        Upright, pixels.
+    """
+
+    id: str
+    name: str
+    data: bytes
+    width: int
+    height: int
+
+
+class Uploads:
+    """The newest dropped pictures; may be used from any thread.
+
+    Parameters
+    ----------
+    pictures : Pictures
+        Where decoded ones are kept.
+    settings : Settings, optional
+        How many, of how many bytes and pixels.
+    """
+
+    def __init__(self, pictures: Pictures, settings: Settings | None = None) -> None:
+        self._pictures = pictures
+        self._settings = settings or Settings()
+        self._lock = threading.Lock()
+        self._uploads: OrderedDict[str, Upload] = OrderedDict()
+        self.listeners: list[Callable[[Source], object]] = []
+        """Called with each picture that is added, in the thread that adds it."""
+
+    def __len__(self) -> int:
+        return len(self._uploads)
+
+    def add(self, data: bytes, name: str) -> Upload:
+        """Check, decode and keep a picture.
+
+        Raises
+        ------
+        Refusal
+            413 for too many bytes or pixels, 415 for what is no picture that can be read, 422 for one that is empty,
+            damaged, or too small.
+        """
+        name = plain_name(name)
+        width, height = self._checked(data, name)
+        try:
+            image = as_colour(decode_image(data, name, self._settings.pixels), name)
+        except ImageError as fault:
+            raise Refusal(422, str(fault)) from fault
+        upload = Upload(secrets.token_urlsafe(9), name, data, width, height)
+        source = self._source(upload)
+        self._pictures.keep(source, image)
+        with self._lock:
+            self._uploads[upload.id] = upload
+            while len(self._uploads) > self._settings.uploads_kept:
+                self._uploads.popitem(last=False)
+        for listener in self.listeners:
+            listener(source)
+        return upload
+
+    def get(self, number: str) -> Upload:
+        """Upload of an id.
+
+        Raises
+        ------
+        Refusal
+            404 for one that is not kept.
+        """
+        with self._lock:
+            upload = self._uploads.get(number)
+        if upload is None:
+            raise Refusal(404, _GONE.format(self._settings.uploads_kept))
+        return upload
+
+    def source(self, number: str) -> Source:
+        """Picture of an upload, for as long as it is kept."""
+        return self._source(self.get(number))
+
+    def _source(self, upload: Upload) -> Source:
+        # A source may outlive the upload, whose bytes it must not keep.
+        number, name, pixels = upload.id, upload.name, self._settings.pixels
+        return Source(
+            name,
+            f"upload-{number}",
+            upload.width,
+            upload.height,
+            lambda: decode_image(self.get(number).data, name, pixels),
+        )
+
+    def _checked(self, data: bytes, name: str) -> tuple[int, int]:
+        """Width and height from the header, if it may be decoded."""
+        limits = self._settings
+        if len(data) > limits.upload_bytes:
+            raise Refusal(413, f"{name} has {len(data):,} bytes, more than {limits.upload_bytes:,}: make it smaller")
+        if not data:
+            raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
+        if is_raw(name):
+            raise Refusal(415, f"{name} is a RAW file, which is read from the folder only: put it there")
+        if not is_image(data):
+            raise Refusal(
+                415,
+                f"{name} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image, whatever its name says: open it in an image "
+                "program and save it as PNG",
+            )
+        try:
+            width, height = encoded_size(data, name)
+        except ImageError as fault:
+            raise Refusal(422, str(fault)) from fault
+        if width * height > limits.pixels:
+            raise Refusal(
+                413, f"{name} has {width} x {height} pixels, more than {limits.pixels:,}: make the picture smaller"
+            )
+        return width, height
+
+
+def plain_name(name: str) -> str:
+    """Name of a file without folders and without what cannot be shown; "picture" where nothing is left."""
+    last = name.replace("\\", "/").rpartition("/")[2]
+    shown = "".join(letter if letter.isprintable() else " " for letter in last).strip()
+    return shown[-LONGEST_NAME:] or "picture"
+
+
+async def read_body(request: Request, limit: int) -> bytes:
+    """Body of a request, counted while it is read.
+
+    Raises
+    ------
+    Refusal
+        413 for more than ``limit`` bytes.
+    """
+    parts, size = [], 0
+    async for part in request.stream():
+        size += len(part)
+        if size > limit:
+            raise Refusal(413, f"the file is larger than {limit:,} bytes: make it smaller")
+        parts.append(part)
+    return b"".join(parts)
+
+
+async def read_json(request: Request, limit: int) -> Any:
+    """Body of a request, which has to be JSON.
+
+    Raises
+    ------
+    Refusal
+        415 for another type, 413 for more than ``limit`` bytes, 400 for what is no JSON.
+    """
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != "application/json":
+        raise Refusal(415, f"the request is of type '{kind[:50]}': send application/json")
+    try:
+        return json.loads(await read_body(request, limit), parse_constant=_no_number)
+    except (ValueError, RecursionError) as fault:  # UnicodeDecodeError is a ValueError
+        raise Refusal(400, f"the request is not JSON ({str(fault)[:100]})") from fault
+
+
+def _no_number(text: str) -> Any:
+    raise ValueError(f"{text} is no number of JSON")

@@ -1,0 +1,107 @@
+"""What a person does with the studio, by mouse and keyboard."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+TIMEOUT = 120_000
+"""Milliseconds that training may take on a busy machine."""
+
+POINTS = [0, 2, 4, 6, 8, 10, 12, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31, 33, 34, 36, 38, 39, 41, 43, 45, 49, 51, 52, 55]
+"""Landmarks of the scenes that are placed: jaw, eyes, brows, mouth, nose."""
+
+PATHS = [(7, False), (4, True), (4, True), (3, False), (3, False), (4, True), (4, False)]
+"""How many of them make a path, and whether it is closed."""
+
+
+def client(page, where) -> list[float]:
+    """Where a point of the picture is on the page."""
+    return page.evaluate("where => window.liaamStudio.annotate.toClient(where)", where)
+
+
+def annotate(page, what: str):
+    """Ask the Annotate tab's hooks."""
+    return page.evaluate(f"() => window.liaamStudio.annotate.{what}")
+
+
+def points_of(page) -> np.ndarray:
+    """Landmarks as they are shown, (n, 2), NaN without place."""
+    return np.array([point or [np.nan, np.nan] for point in annotate(page, "points()")], dtype=float).reshape(-1, 2)
+
+
+def wait_for(page, condition: str, argument=None) -> None:
+    """Wait until JavaScript says yes."""
+    page.wait_for_function(condition, arg=argument, timeout=TIMEOUT)
+
+
+def opened(page, name: str) -> None:
+    """Wait until a picture is open for annotation."""
+    wait_for(
+        page,
+        "name => window.liaamStudio.annotate?.name() === name && window.liaamStudio.annotate.source() !== null",
+        name,
+    )
+
+
+def open_picture(page, name: str) -> None:
+    """Click a picture in the strip."""
+    page.locator(f"[data-testid=strip] [data-name='{name}']").click()
+    opened(page, name)
+
+
+def saved(page) -> None:
+    """Wait until all is saved."""
+    page.wait_for_selector("[data-testid=save-status][data-state=saved]", timeout=TIMEOUT)
+    wait_for(page, "() => !window.liaamStudio.annotate.isDirty()")
+
+
+def make_template(page, truth: np.ndarray) -> None:
+    """Click the template on the first picture, path by path, and say that it is done."""
+    wait_for(page, "() => window.liaamStudio.annotate?.source() === 'template'")
+    first = 0
+    for k, (count, closed) in enumerate(PATHS):
+        for point in truth[first : first + count]:
+            page.mouse.click(*client(page, point.tolist()))
+        first += count
+        if closed:
+            page.locator("[data-testid=template-close-path]").click()
+        elif k < len(PATHS) - 1:
+            page.locator("[data-testid=template-new-path]").click()
+    page.locator("[data-testid=template-done]").click()
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'file'")
+    saved(page)
+
+
+def drag(page, start: Sequence[float], end: Sequence[float], steps: int = 3) -> None:
+    """Drag with the mouse, page coordinates."""
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(*end, steps=steps)
+    page.mouse.up()
+
+
+def place_all(page, truth: np.ndarray, near: float = 1.5) -> int:
+    """Drag each point that is further off than ``near`` pixels to where it belongs; gives how many were."""
+    moved = 0
+    for i, target in enumerate(truth):
+        now = points_of(page)[i]
+        if np.linalg.norm(now - target) > near:
+            drag(page, client(page, i), client(page, target.tolist()))
+            moved += 1
+    return moved
+
+
+def errors(page, truth: np.ndarray) -> np.ndarray:
+    """Distance of each point shown from the truth, pixels."""
+    return np.linalg.norm(points_of(page) - truth, axis=1)
+
+
+def picture(page, name: str) -> dict:
+    """What the page knows of a picture."""
+    return page.evaluate("name => window.liaamStudio.state.picture(name)", name)
+
+
+def shoot(page, folder: Path, name: str) -> None:
+    """Keep a screenshot."""
+    page.screenshot(path=folder / f"{name}.png")

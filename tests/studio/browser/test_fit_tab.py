@@ -1,0 +1,259 @@
+"""The Fit and Compare tabs in a real browser: what comes in, what is shown, and what the server is asked."""
+
+import base64
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from people import shoot, wait_for
+
+from liaam.io import read_landmarks, write_image, write_landmarks
+from liaam.training import train
+
+DROP = """([data, name]) => {
+  const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+  const transfer = new DataTransfer();
+  transfer.items.add(new File([bytes], name));
+  const event = new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true });
+  document.querySelector("[data-testid=fit-drop]").dispatchEvent(event);
+}"""
+
+PIXEL = """([x, y]) => {
+  const { canvas } = window.liaamStudio.fit.viewer;
+  const ratio = canvas.width / canvas.clientWidth;
+  return [...canvas.getContext("2d").getImageData(Math.round(x * ratio), Math.round(y * ratio), 1, 1).data];
+}"""
+
+UNNAMED = """() => [...document.querySelectorAll("#tab-fit :is(button, input, select, a, canvas, [role=slider])")]
+  .filter((each) => each.offsetParent && !each.closest("[aria-hidden=true]"))
+  .filter((each) => !each.getAttribute("aria-label") && !(each.closest("label") ?? each).textContent.trim())
+  .map((each) => each.outerHTML)"""
+
+
+@pytest.fixture(scope="session")
+def portrait_model(portraits, tmp_path_factory) -> Path:
+    """Give a model of the portraits."""
+    path = tmp_path_factory.mktemp("model") / "portraits.liaam"
+    train([(scene.image, scene.landmarks) for scene in portraits[:8]]).save(path)
+    return path
+
+
+@pytest.fixture
+def lit_file(lit_portrait, tmp_path) -> Path:
+    """Give the picture under hard light as a file outside the folder."""
+    path = tmp_path / "lit.png"
+    write_image(path, lit_portrait.image)
+    return path
+
+
+@pytest.fixture
+def fit_tab(serve, page, folder, portraits, portrait_model):
+    """Give the page with the Fit tab open on the first portrait, of which the landmarks are known."""
+    write_landmarks(folder / "portrait-01.pts", portraits[0].landmarks)
+    page.goto(serve(folder, "--model", str(portrait_model)).address)
+    page.wait_for_selector("[role=tab][aria-selected=true]")
+    page.locator("[data-testid=strip] [data-name='portrait-01.png']").click()
+    page.locator("[data-testid=tab-fit]").click()
+    wait_for(page, "() => window.liaamStudio.fit.fit?.picture === 'portrait-01.png'")
+    return page
+
+
+def hook(page, what: str):
+    """Ask the Fit tab's hooks."""
+    return page.evaluate(f"() => window.liaamStudio.fit.{what}")
+
+
+def drop(page, path: Path) -> None:
+    """Drop a file onto the tab."""
+    page.evaluate(DROP, [base64.b64encode(path.read_bytes()).decode(), path.name])
+
+
+def dropped(page, path: Path) -> dict:
+    """Drop a file, and give the fit that comes of it."""
+    drop(page, path)
+    wait_for(page, "() => window.liaamStudio.fit.fit?.upload && window.liaamStudio.fit.lastDropMs !== null")
+    return hook(page, "fit")
+
+
+def centre(page, testid: str) -> tuple[float, float]:
+    """Middle of a control on the page."""
+    box = page.locator(f"[data-testid={testid}]").bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def test_a_dropped_picture_is_fitted_with_one_upload_and_one_fit(fit_tab, lit_file, lit_portrait, artefacts):
+    asked = []
+    fit_tab.on("request", lambda request: asked.append((request.method, request.url.split("/api/")[-1].split("?")[0])))
+    fit = dropped(fit_tab, lit_file)
+    assert fit["ok"], fit["message"]
+    assert np.linalg.norm(np.array(fit["shape"]) - lit_portrait.landmarks, axis=1).mean() < 5.0
+    assert hook(fit_tab, "lastDropMs") > 0
+    assert [each for each in asked if each[0] == "POST"] == [("POST", "uploads"), ("POST", "fits")]
+    # It was shown from the file: the picture itself was not asked back from the server.
+    assert not [what for _, what in asked if what.startswith("uploads/") and what.endswith("/image")]
+    assert fit_tab.evaluate(UNNAMED) == []
+    shoot(fit_tab, artefacts, "20-dropped")
+
+
+def test_a_file_that_is_no_picture_is_refused_and_the_fit_before_stays(fit_tab, tmp_path):
+    (tmp_path / "notes.png").write_text("no picture")
+    before = hook(fit_tab, "fit.id")
+    drop(fit_tab, tmp_path / "notes.png")
+    fit_tab.wait_for_selector("[data-testid=fit-status] .error-text")
+    assert "notes.png" in fit_tab.locator("[data-testid=fit-status]").inner_text()
+    assert hook(fit_tab, "fit.id") == before
+
+
+def test_theta_is_dragged_and_moved_by_keys(fit_tab, lit_file, artefacts):
+    dropped(fit_tab, lit_file)
+    fit_tab.locator("[data-testid=layer-invariant]").click()
+    slider = fit_tab.locator("[data-testid=theta-slider]")
+    box = slider.bounding_box()
+    place = [box["width"] * 0.5, box["height"] / 2]
+    seen = set()
+    fit_tab.mouse.move(box["x"] + place[0], box["y"] + place[1])
+    fit_tab.mouse.down()
+    middle = hook(fit_tab, "viewer.toScreen([320, 200])")
+    for step in range(20):
+        fit_tab.mouse.move(box["x"] + place[0] + 5 * step, box["y"] + place[1])
+        fit_tab.evaluate("() => new Promise(requestAnimationFrame)")
+        seen.add(tuple(fit_tab.evaluate(PIXEL, middle)))
+    fit_tab.mouse.up()
+    assert len(seen) > 5, "the invariant image does not follow theta"
+    assert hook(fit_tab, "invariantFps()") > 0
+    theta = hook(fit_tab, "theta")
+    slider.focus()
+    fit_tab.keyboard.press("ArrowRight")
+    fit_tab.keyboard.press("Shift+ArrowLeft")
+    assert hook(fit_tab, "theta") == pytest.approx(theta + 0.9, abs=0.051)
+    shoot(fit_tab, artefacts, "21-invariant")
+
+
+def test_the_divider_has_the_picture_at_its_left(fit_tab, lit_file, artefacts):
+    fit = dropped(fit_tab, lit_file)
+    x, y = np.mean(fit["shape"], axis=0)
+    place = hook(fit_tab, f"viewer.toScreen([{x}, {y}])")
+    plain = fit_tab.evaluate(PIXEL, place)
+    fit_tab.locator("[data-testid=layer-flat]").click()
+    for overlay in ("landmarks", "mesh"):
+        assert fit_tab.locator(f"[data-testid=layer-{overlay}]").get_attribute("aria-pressed") == "false"
+    wait_for(fit_tab, f"() => String(({PIXEL})([{place[0]}, {place[1]}])) !== '{','.join(map(str, plain))}'")
+    flat = fit_tab.evaluate(PIXEL, place)
+    fit_tab.locator("[data-testid=fit-split]").click()
+    divider = fit_tab.locator("[data-testid=divider]")
+    viewer = fit_tab.locator("[data-testid=fit-viewer]").bounding_box()
+    for target, expected in ((place[0] + 90, plain), (place[0] - 90, flat)):
+        fit_tab.mouse.move(*centre(fit_tab, "divider"))
+        fit_tab.mouse.down()
+        fit_tab.mouse.move(viewer["x"] + target, viewer["y"] + 90, steps=3)
+        fit_tab.mouse.up()
+        assert abs(int(divider.get_attribute("aria-valuenow")) - 100 * target / viewer["width"]) < 2
+        fit_tab.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        assert np.abs(np.array(fit_tab.evaluate(PIXEL, place)) - expected).max() <= 2
+    at = int(divider.get_attribute("aria-valuenow"))
+    fit_tab.keyboard.press("ArrowRight")
+    assert int(divider.get_attribute("aria-valuenow")) == at + 2
+    shoot(fit_tab, artefacts, "22-divider")
+
+
+def test_a_moved_light_asks_for_one_picture_at_a_time_and_the_last(fit_tab, lit_file, lit_portrait):
+    dropped(fit_tab, lit_file)
+    asked, lock, open_now, most = [], threading.Lock(), [0], [0]
+
+    def answer(route):
+        with lock:
+            open_now[0] += 1
+            most[0] = max(most[0], open_now[0])
+        asked.append(route.request.url)
+        route.fulfill(path=str(lit_file), content_type="image/png")
+        with lock:
+            open_now[0] -= 1
+
+    fit_tab.route("**/relit?*", answer)
+    fit_tab.locator("[data-testid=layer-relit]").click()
+    x, y = centre(fit_tab, "light-handle")
+    fit_tab.mouse.move(x, y)
+    fit_tab.mouse.down()
+    for step in range(40):
+        fit_tab.mouse.move(x + 3 * step, y + 2 * step)
+    fit_tab.mouse.up()
+    wait_for(fit_tab, "() => !window.liaamStudio.fit.relightBusy")
+    assert most[0] == 1
+    assert 0 < len(asked) < 42
+    light = hook(fit_tab, "light")
+    assert f"x={light['direction'][0]:.4f}" in asked[-1]
+    assert np.linalg.norm(light["direction"]) == pytest.approx(1)
+    fit_tab.keyboard.press("ArrowLeft")
+    assert hook(fit_tab, "light.direction[0]") < light["direction"][0]
+
+
+def test_a_box_and_the_mean_shape_are_starts(fit_tab, artefacts):
+    asked = []
+    fit_tab.on("request", lambda request: asked.append(request) if request.url.endswith("/api/fits") else None)
+    viewer = fit_tab.locator("[data-testid=fit-viewer]").bounding_box()
+    shape = np.array(hook(fit_tab, "fit.shape"))
+    corners = [hook(fit_tab, f"viewer.toScreen([{x}, {y}])") for x, y in (shape.min(axis=0), shape.max(axis=0))]
+    fit_tab.locator("[data-testid=start-box]").click()
+    fit_tab.mouse.move(viewer["x"] + corners[0][0], viewer["y"] + corners[0][1])
+    fit_tab.mouse.down()
+    fit_tab.mouse.move(viewer["x"] + corners[1][0], viewer["y"] + corners[1][1], steps=3)
+    with fit_tab.expect_response("**/api/fits"):
+        fit_tab.mouse.up()
+    box = asked[-1].post_data_json["start"]["box"]
+    assert np.abs(np.array(box) - [*shape.min(axis=0), *shape.max(axis=0)]).max() < 1.0
+    fit_tab.locator("[data-testid=start-mean]").click()
+    wait_for(fit_tab, "() => window.liaamStudio.fit.start?.shape")
+    before = np.array(hook(fit_tab, "start.shape"))
+    fit_tab.keyboard.press("Shift+ArrowDown")
+    after = np.array(hook(fit_tab, "start.shape"))
+    assert np.abs(after - before - [0, 10]).max() < 1e-6
+    shoot(fit_tab, artefacts, "23-mean-shape")
+    with fit_tab.expect_response("**/api/fits"):
+        fit_tab.locator("[data-testid=fit-viewer] canvas").press("Enter")
+    assert np.abs(np.array(asked[-1].post_data_json["start"]["shape"]) - after).max() < 1e-6
+
+
+def test_iterations_are_walked_through(fit_tab):
+    fit = hook(fit_tab, "fit")
+    slider = fit_tab.locator("[data-testid=fit-iterations]")
+    assert int(slider.get_attribute("max")) == len(fit["iterations"]) - 1
+    slider.fill("0")
+    assert hook(fit_tab, "shownShape") == fit["iterations"][0]["shape"]
+    assert "level 0" in slider.get_attribute("aria-valuetext")
+    slider.press("End")
+    assert hook(fit_tab, "shownShape") == fit["shape"]
+
+
+def test_a_fit_becomes_the_annotation_after_asking(fit_tab, folder, portraits):
+    shape = np.array(hook(fit_tab, "fit.shape"))
+    fit_tab.locator("[data-testid=export-menu]").click()
+    fit_tab.locator("[data-testid=export-annotation]").click()
+    with fit_tab.expect_response(lambda response: response.request.method == "PUT") as saved:
+        fit_tab.locator("[data-testid=confirm]").click()
+    assert saved.value.ok
+    assert np.abs(read_landmarks(folder / "portrait-01.pts").points - shape).max() < 0.01
+
+
+def test_two_methods_are_compared(fit_tab, artefacts):
+    fit_tab.locator("[data-testid=tab-compare]").click()
+    wait_for(
+        fit_tab,
+        "() => /nearer|Equally/.test(document.querySelector('[data-testid=compare-verdict]').textContent)",
+    )
+    sides = [fit_tab.evaluate(f"() => window.liaamStudio.compare.{side}.fit") for side in ("left", "right")]
+    nearer = min(sides, key=lambda fit: fit["error"]["pixels"])
+    assert sides[0]["method"] != sides[1]["method"]
+    verdict = fit_tab.locator("[data-testid=compare-verdict]").inner_text()
+    assert verdict.startswith(f"{nearer['method']} is nearer")
+    views = "() => [window.liaamStudio.compare.left.viewer.view, window.liaamStudio.compare.right.viewer.view]"
+    start = fit_tab.evaluate(views)
+    fit_tab.locator("[data-testid=compare-right] canvas").hover()
+    fit_tab.mouse.wheel(0, -300)
+    wait_for(fit_tab, f"(scale) => ({views})()[0].scale > scale", start[0]["scale"])
+    left, right = fit_tab.evaluate(views)
+    assert left == right
+    fit_tab.locator("[data-testid=compare-swap]").click()
+    swapped = [fit_tab.evaluate(f"() => window.liaamStudio.compare.{side}.fit.id") for side in ("left", "right")]
+    assert swapped == [fit["id"] for fit in reversed(sides)]
+    shoot(fit_tab, artefacts, "24-compare")

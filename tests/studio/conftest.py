@@ -1,0 +1,104 @@
+"""Projects on generated scenes, and a studio that listens on a real port."""
+
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import pytest
+
+from liaam.datasets.scenes import Head, Scene, make_set
+from liaam.io import Contour, Landmarks, write_image, write_landmarks
+from liaam.studio.app import Studio, make_studio
+from liaam.studio.serving import make_server, open_port
+from liaam.studio.settings import Settings
+
+CONTOURS = (Contour(tuple(range(13))), Contour(tuple(range(21, 29)), closed=True))
+
+
+@pytest.fixture(scope="session")
+def portraits() -> list[Scene]:
+    """Give eight pictures of one person."""
+    return make_set(8, Head(7), seed=3, size=(320, 240))
+
+
+@pytest.fixture(scope="session")
+def pictures(portraits, tmp_path_factory) -> Path:
+    """Give a folder of eight pictures, p1.png to p8.png, with a landmark file, .ljson, for each."""
+    folder = tmp_path_factory.mktemp("portraits")
+    for i, scene in enumerate(portraits, 1):
+        write_image(folder / f"p{i}.png", scene.image)
+        write_landmarks(folder / f"p{i}.ljson", Landmarks(scene.landmarks, CONTOURS))
+    return folder
+
+
+@pytest.fixture
+def folder(pictures, tmp_path) -> Callable[..., Path]:
+    """Make a project's folder: so many pictures, of which the first few have landmarks."""
+
+    def make(n: int = 3, done: int = 0) -> Path:
+        made = tmp_path / "parent" / "project"
+        made.mkdir(parents=True)
+        for i in range(1, n + 1):
+            shutil.copy(pictures / f"p{i}.png", made)
+            if i <= done:
+                shutil.copy(pictures / f"p{i}.ljson", made)
+        return made
+
+    return make
+
+
+@dataclass(frozen=True)
+class Running:
+    """A studio on a port."""
+
+    studio: Studio
+    server: object
+    thread: threading.Thread
+    client: httpx.Client
+    """Knows the token."""
+
+    @property
+    def port(self) -> int:
+        return self.studio.settings.port
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def stop(self) -> None:
+        self.server.should_exit = True
+        self.thread.join(30)
+        assert not self.thread.is_alive()
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Running]]:
+    """Serve a folder as ``liaam studio`` does, in a thread; stopped at the end."""
+    running: list[Running] = []
+
+    def start(folder: Path, model: Path | None = None, **settings) -> Running:
+        listener = open_port("127.0.0.1", 0)
+        studio = make_studio(folder, model, Settings(port=listener.getsockname()[1], **settings))
+        server = make_server(studio)
+        up = threading.Event()
+        server.on_start = up.set
+        thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
+        thread.start()
+        assert up.wait(30)
+        client = httpx.Client(
+            base_url=f"http://127.0.0.1:{studio.settings.port}",
+            headers={"authorization": f"Bearer {studio.settings.token}"},
+            timeout=60,
+            trust_env=False,
+        )
+        running.append(Running(studio, server, thread, client))
+        return running[-1]
+
+    yield start
+    for one in running:
+        one.client.close()
+        one.stop()
+        one.studio.close()

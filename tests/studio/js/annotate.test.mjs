@@ -1,0 +1,655 @@
+// The Annotate tab's parts that need no page: points, undo, saving, templates, and when to train.
+// Run by test_annotate_modules.py, which puts the modules beside this file.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import * as assist from "./modules/assist.js";
+import { loupePlace } from "./modules/drawing.js";
+import { History } from "./modules/history.js";
+import * as points from "./modules/points.js";
+import { contentOf, Page, Saver, Unsaved } from "./modules/saving.js";
+import * as template from "./modules/template.js";
+
+const FACE = [
+  [10, 20],
+  [30, 20],
+  [20, 30],
+  [14, 40],
+  [26, 40],
+];
+const MIRROR = [1, 0, 2, 4, 3];
+const close = (p, q, tolerance = 0.011) =>
+  assert.ok(Math.hypot(p[0] - q[0], p[1] - q[1]) <= tolerance, `${p} is not ${q}`);
+
+// Points ------------------------------------------------------------------------------------------------------------
+
+test("edits give new arrays and leave the old ones", () => {
+  const before = structuredClone(FACE);
+  const moved = points.move(FACE, [0, 2], 1.234, -2);
+  assert.deepEqual(FACE, before);
+  assert.deepEqual(moved[0], [11.23, 18]);
+  assert.equal(moved[1], FACE[1]);
+});
+
+test("points without a place stay so whatever is done to all", () => {
+  const some = points.remove(FACE, [1]);
+  for (const result of [points.move(some, [0, 1, 2], 3, 3), points.turn(some, [0, 1, 2], [0, 0], 1, 2)])
+    assert.equal(result[1], null);
+  assert.deepEqual(points.missing(some), [1]);
+  assert.equal(points.nextMissing(some, 3), 1);
+  assert.equal(points.nextMissing(FACE), -1);
+});
+
+test("a quarter turn and a doubling", () => {
+  const [p] = points.turn([[2, 1]], [0], [1, 1], Math.PI / 2, 2);
+  close(p, [1, 3]);
+});
+
+test("the nearest point within reach; a chosen one wins over one as near", () => {
+  const two = [
+    [0, 0],
+    [4, 0],
+  ];
+  assert.equal(points.nearest(two, [1.9, 0], 5), 0);
+  assert.equal(points.nearest(two, [1.9, 0], 5, new Set([1])), 1);
+  assert.equal(points.nearest(two, [50, 0], 5), -1);
+});
+
+test("a similarity is found from the points in common", () => {
+  const target = points.move(points.turn(FACE, [0, 1, 2, 3, 4], [0, 0], 0.3, 1.7), [0, 1, 2, 3, 4], 12, -5);
+  const some = target.map((p, i) => (i === 3 ? null : p));
+  close(points.expected(FACE, some)[3], target[3], 0.03);
+  assert.deepEqual(
+    points.expected(
+      FACE,
+      FACE.map(() => null),
+    ),
+    FACE,
+  );
+  close(points.expected(FACE, [[15, 25], null, null, null, null])[1], [35, 25]); // one point: a shift
+});
+
+test("the mean layout lies as the shapes do in pictures of another size", () => {
+  const shape = (scale) => ({
+    points: FACE.map(([x, y]) => [x * scale, y * scale]),
+    width: 40 * scale,
+    height: 60 * scale,
+  });
+  const mean = points.meanLayout([shape(1), shape(3)], 80, 120);
+  mean.forEach((p, i) => close(p, [2 * FACE[i][0], 2 * FACE[i][1]], 0.05));
+  assert.equal(points.meanLayout([{ ...shape(1), points: [null, ...FACE.slice(1)] }], 80, 120), null);
+});
+
+test("a layout from elsewhere is put into the middle of the picture", () => {
+  const box = points.bounds(points.fitInto(FACE, 200, 100, 0.6));
+  close([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2], [100, 50]);
+  assert.ok(box[3] - box[1] <= 60.02);
+});
+
+test("a twin moves by its partner's move, mirrored; both chosen move as they are", () => {
+  const after = points.move(FACE, [0], 2, 3);
+  const both = points.withTwins(FACE, after, [0], MIRROR);
+  close(both[1], [28, 23]);
+  assert.deepEqual(points.withTwins(FACE, points.move(FACE, [0, 1], 2, 3), [0, 1], MIRROR)[1], [32, 23]);
+  assert.deepEqual(points.withTwins(FACE, points.move(FACE, [2], 2, 0), [2], MIRROR)[2], [22, 30]);
+});
+
+test("mirroring follows the axis of a turned object", () => {
+  const all = [0, 1, 2, 3, 4];
+  const turned = points.turn(FACE, all, [20, 30], Math.PI / 2);
+  const result = points.withTwins(turned, points.move(turned, [0], 0, 3), [0], MIRROR); // along the pair: mirrored
+  close([result[1][0] - turned[1][0], result[1][1] - turned[1][1]], [0, -3]);
+});
+
+test("flipping twice changes nothing, once swaps what twins mark", () => {
+  const lopsided = points.move(FACE, [3], 0, 5);
+  const once = points.flip(lopsided, MIRROR);
+  close(once[4], [26, 45]);
+  points.flip(once, MIRROR).forEach((p, i) => close(p, lopsided[i]));
+  assert.deepEqual(points.flipIndices([0, 3], MIRROR), [1, 4]);
+});
+
+test("a group of mixed points becomes invisible, then visible", () => {
+  assert.deepEqual(points.toggle([1], [1, 2]), [1, 2]);
+  assert.deepEqual(points.toggle([1, 2], [1, 2]), []);
+});
+
+test("marks are the same up to what a file rounds away", () => {
+  const one = { points: [[1, 2], null], invisible: [] };
+  assert.ok(points.sameMarks(one, { points: [[1.004, 2], null], invisible: [] }));
+  assert.ok(!points.sameMarks(one, { points: [[1.1, 2], null], invisible: [] }));
+  assert.ok(
+    !points.sameMarks(one, {
+      points: [
+        [1, 2],
+        [0, 0],
+      ],
+      invisible: [],
+    }),
+  );
+  assert.ok(!points.sameMarks(one, { points: [[1, 2], null], invisible: [0] }));
+});
+
+// Undo --------------------------------------------------------------------------------------------------------------
+
+test("250 steps back and forth", () => {
+  const history = new History({ n: 0 });
+  for (let n = 1; n <= 250; n++) history.push({ n }, `step ${n}`);
+  for (let n = 249; n >= 0; n--) assert.equal(history.undo().n, n);
+  assert.equal(history.undo(), null);
+  for (let n = 1; n <= 250; n++) assert.equal(history.redo().n, n);
+  assert.equal(history.redo(), null);
+});
+
+test("a new step forgets what was undone", () => {
+  const history = new History(0);
+  history.push(1);
+  history.undo();
+  history.push(2);
+  assert.equal(history.canRedo, false);
+  assert.equal(history.undo(), 0);
+});
+
+test("held keys are one step, until they pause or the key is another", () => {
+  let time = 0;
+  const history = new History(0, { now: () => time, burst: 800 });
+  for (let n = 1; n <= 5; n++) {
+    time += 100;
+    history.push(n, "move", "a");
+  }
+  assert.equal(history.past.length, 1);
+  history.push(6, "move", "b");
+  time += 900;
+  history.push(7, "move", "b");
+  assert.equal(history.past.length, 3);
+  assert.deepEqual([history.undo(), history.undo(), history.undo()], [6, 5, 0]);
+});
+
+test("after an undo held keys begin a new step", () => {
+  const history = new History(0, { now: () => 0 });
+  history.push(1, "", "a");
+  history.push(2, "", null);
+  history.undo();
+  history.push(3, "", "a");
+  assert.equal(history.undo(), 1);
+});
+
+test("the past is bounded", () => {
+  const history = new History(0, { limit: 200 });
+  for (let n = 1; n <= 300; n++) history.push(n);
+  let steps = 0;
+  while (history.undo() !== null) steps += 1;
+  assert.equal(steps, 200);
+});
+
+// Saving ------------------------------------------------------------------------------------------------------------
+
+class Storage {
+  getItem(key) {
+    return this[key] ?? null;
+  }
+  setItem(key, value) {
+    this[key] = value;
+  }
+  removeItem(key) {
+    delete this[key];
+  }
+}
+
+const content = (x, invisible = []) => ({ points: [[x, 0], null], invisible });
+const marks = (x, revision) => ({ ...content(x), revision, source: "file" });
+const settled = () => new Promise((resolve) => setImmediate(resolve));
+
+/** A saver over a server that is told how to answer, with timers that are run by hand. */
+function bench(storage = new Storage()) {
+  const log = { sent: [], states: [], conflicts: [], foreign: [], timers: [] };
+  let revision = 0;
+  const pending = [];
+  const saver = new Saver({
+    put: (name, body) => {
+      log.sent.push({ name, body });
+      return new Promise((resolve, reject) =>
+        pending.push({
+          ok: () => resolve({ revision: `r${(revision += 1)}` }),
+          fail: (error) => reject(error),
+        }),
+      );
+    },
+    unsaved: new Unsaved(storage, "folder"),
+    onStatus: (state) => log.states.push(state),
+    onConflict: (name, current) => log.conflicts.push(current),
+    onForeign: (name) => log.foreign.push(name),
+    setTimer: (run, delay) => {
+      log.timers.push({ run, delay });
+      return log.timers.length;
+    },
+    clearTimer: (id) => {
+      if (id !== null) log.timers[id - 1] = null;
+    },
+  });
+  saver.known("a", "r0", content(0));
+  const run = () => {
+    const due = log.timers.filter(Boolean);
+    log.timers.fill(null);
+    due.forEach((timer) => timer.run());
+  };
+  const answer = async (how, error) => {
+    pending.shift()[how](error);
+    await settled();
+  };
+  return { saver, log, run, answer, storage, state: () => log.states.at(-1) };
+}
+
+test("changes wait for one request, at most 250 ms after the first", async () => {
+  const { saver, log, run, answer, state } = bench();
+  saver.change("a", content(1));
+  saver.change("a", content(2));
+  assert.deepEqual(
+    log.timers.filter(Boolean).map((timer) => timer.delay),
+    [250],
+  );
+  assert.equal(state(), "saving");
+  run();
+  assert.deepEqual(log.sent, [{ name: "a", body: { ...content(2), revision: "r0" } }]);
+  await answer("ok");
+  assert.equal(state(), "saved");
+});
+
+test("one save in flight, the latest wins, with the revision of the one before", async () => {
+  const { saver, log, run, answer, state } = bench();
+  saver.change("a", content(1));
+  run();
+  for (const x of [2, 3, 4]) saver.change("a", content(x));
+  run();
+  assert.equal(log.sent.length, 1);
+  await answer("ok");
+  assert.deepEqual(log.sent[1].body, { ...content(4), revision: "r1" });
+  assert.equal(state(), "saving");
+  await answer("ok");
+  assert.equal(state(), "saved");
+  assert.equal(saver.anyDirty, false);
+});
+
+test("what is the same as saved is not sent", () => {
+  const { saver, log } = bench();
+  saver.change("a", content(0));
+  assert.equal(log.timers.length, 0);
+});
+
+test("an unreachable server: kept, tried again, and at once when it is back", async () => {
+  const { saver, log, run, answer, storage, state } = bench();
+  saver.change("a", content(1));
+  run();
+  await answer("fail", { status: 0 });
+  assert.equal(state(), "offline");
+  assert.deepEqual(new Unsaved(storage, "folder").get("a").wanted, content(1));
+  run();
+  await answer("fail", { status: 0 });
+  assert.deepEqual(
+    log.timers.filter(Boolean).map((timer) => timer.delay),
+    [2000],
+  );
+  saver.retry();
+  await answer("ok");
+  assert.equal(state(), "saved");
+  assert.equal(new Unsaved(storage, "folder").get("a"), null);
+});
+
+test("what the server refuses is not sent again until it changes", async () => {
+  const { saver, log, run, answer, state } = bench();
+  saver.change("a", content(1));
+  run();
+  await answer("fail", { status: 422, message: "no" });
+  assert.equal(state(), "refused");
+  assert.equal(log.timers.filter(Boolean).length, 0);
+  saver.change("a", content(2));
+  run();
+  await answer("ok");
+  assert.equal(state(), "saved");
+});
+
+test("a conflict is the person's to decide: mine goes with the new revision", async () => {
+  const { saver, log, run, answer, state } = bench();
+  saver.change("a", content(1));
+  run();
+  await answer("fail", { status: 409, body: { current: marks(9, "r9") } });
+  assert.equal(state(), "conflict");
+  assert.equal(saver.conflicted, "a");
+  assert.equal(log.conflicts[0].points[0][0], 9);
+  saver.change("a", content(2));
+  run();
+  assert.equal(log.sent.length, 1);
+  saver.settle("a", "mine");
+  assert.deepEqual(log.sent[1].body, { ...content(2), revision: "r9" });
+  await answer("ok");
+  assert.equal(state(), "saved");
+});
+
+test("a conflict: theirs forgets mine", async () => {
+  const { saver, run, answer, storage, state } = bench();
+  saver.change("a", content(1));
+  run();
+  await answer("fail", { status: 409, body: { current: marks(9, "r9") } });
+  saver.settle("a", "theirs");
+  assert.equal(state(), "saved");
+  assert.equal(saver.isDirty("a"), false);
+  assert.equal(new Unsaved(storage, "folder").get("a"), null);
+});
+
+test("a save whose answer was lost is no conflict", async () => {
+  const { saver, log, run, answer, state } = bench();
+  saver.change("a", content(1));
+  run();
+  await answer("fail", { status: 409, body: { current: marks(1, "r5") } });
+  assert.equal(state(), "saved");
+  assert.equal(log.conflicts.length, 0);
+  assert.equal(saver.entry("a").revision, "r5");
+});
+
+test("news of another tab is told once nothing is unsaved; our own is not news", async () => {
+  const { saver, log, run, answer } = bench();
+  saver.change("a", content(1));
+  run();
+  saver.heard("a", "r1");
+  await answer("ok");
+  assert.deepEqual(log.foreign, []);
+  saver.heard("a", "r7");
+  assert.deepEqual(log.foreign, ["a"]);
+});
+
+test("a new page takes up what the old one could not save", async () => {
+  const first = bench();
+  first.saver.change("a", content(1)); // killed before it was sent
+  const second = bench(first.storage);
+  assert.deepEqual(second.saver.restore("a", marks(0, "r0")), content(1));
+  second.run();
+  assert.deepEqual(second.log.sent[0].body, { ...content(1), revision: "r0" });
+});
+
+test("a new page knows a request that landed after the old one was gone", async () => {
+  const first = bench();
+  first.saver.change("a", content(1));
+  first.run(); // sent; the answer never came
+  first.saver.change("a", content(2));
+  const second = bench(first.storage);
+  assert.deepEqual(second.saver.restore("a", marks(1, "r1")), content(2)); // what was sent is there: no conflict
+  assert.equal(second.log.conflicts.length, 0);
+  second.run();
+  assert.equal(second.log.sent[0].body.revision, "r1");
+  const third = bench(first.storage);
+  assert.equal(third.saver.restore("a", marks(2, "r2")), null);
+});
+
+test("a new page asks where the file was changed otherwise", () => {
+  const first = bench();
+  first.saver.change("a", content(1));
+  const second = bench(first.storage);
+  second.saver.restore("a", marks(5, "r5"));
+  assert.equal(second.log.conflicts.length, 1);
+});
+
+test("a storage that cannot be used does not stop saving", async () => {
+  const broken = {
+    getItem() {
+      throw new Error("no");
+    },
+    setItem() {
+      throw new Error("no");
+    },
+    removeItem() {
+      throw new Error("no");
+    },
+  };
+  const { saver, run, answer, state } = bench(broken);
+  saver.change("a", content(1));
+  run();
+  await answer("ok");
+  assert.equal(state(), "saved");
+});
+
+test("a page inherits from dead pages and from itself, not from a tab that lives", async () => {
+  const held = [];
+  const locks = {
+    request: async (name) => {
+      held.push({ name });
+    },
+    query: async () => ({ held }),
+  };
+  const session = new Storage();
+  const dead = new Page({ locks, session });
+  held.length = 0;
+  const living = new Page({ locks, session: new Storage() });
+  const again = new Page({ locks, session });
+  assert.equal(await again.inherits(living.name), false);
+  assert.equal(await again.inherits(dead.name), true);
+  assert.equal(await living.inherits(dead.name), true);
+  assert.equal(again.before, dead.name);
+  assert.equal(await again.inherits(again.name), true);
+  assert.equal(await new Page({ locks: null, session }).inherits(living.name), true); // without locks: nothing is lost
+});
+
+test("a proposal is in no file", () => {
+  assert.deepEqual(contentOf({ points: [[1, 2]], invisible: [0], source: "proposal" }), {
+    points: [null],
+    invisible: [],
+  });
+});
+
+// Templates ---------------------------------------------------------------------------------------------------------
+
+const clicks = (list, options) => list.reduce((draft, xy) => template.addPoint(draft, xy, options), template.EMPTY);
+
+test("clicks make points and go on with the path", () => {
+  const draft = clicks([
+    [0, 0],
+    [1, 0],
+    [1, 1],
+  ]);
+  assert.deepEqual(draft.names, ["point 1", "point 2", "point 3"]);
+  const closed = template.closePath(draft);
+  assert.deepEqual(closed.contours, [{ indices: [0, 1, 2], closed: true }]);
+  const next = template.addPoint(closed, [5, 5]);
+  assert.deepEqual(next.contours[1], { indices: [3], closed: false });
+  assert.deepEqual(template.templateOf(next).contours.length, 1); // a lone point is no path
+  assert.equal(template.templateOf(next).mirror, null);
+});
+
+test("mirrored clicks make twins, and one path where both sides meet on the axis", () => {
+  const options = { axis: 10, tolerance: 0.5 };
+  const jaw = clicks(
+    [
+      [2, 0],
+      [4, 5],
+      [10.2, 8],
+    ],
+    options,
+  );
+  assert.deepEqual(jaw.points, [
+    [2, 0],
+    [18, 0],
+    [4, 5],
+    [16, 5],
+    [10, 8],
+  ]);
+  assert.deepEqual(jaw.mirror, [1, 0, 3, 2, 4]);
+  assert.deepEqual(template.newPath(jaw).contours, [{ indices: [0, 2, 4, 3, 1], closed: false }]);
+  const lips = clicks(
+    [
+      [10, 0],
+      [5, 2],
+      [10, 4],
+    ],
+    options,
+  );
+  assert.deepEqual(template.closePath(lips).contours, [{ indices: [0, 1, 3, 2], closed: true }]);
+  const eyes = clicks(
+    [
+      [2, 0],
+      [4, 1],
+      [3, 2],
+    ],
+    options,
+  );
+  assert.deepEqual(template.closePath(eyes).contours, [
+    { indices: [0, 2, 4], closed: true },
+    { indices: [1, 3, 5], closed: true },
+  ]);
+});
+
+test("every ending of a mirrored path goes through each point once", () => {
+  for (const [path, twin] of [
+    [
+      [0, 1],
+      [0, 2],
+    ],
+    [
+      [1, 0],
+      [2, 0],
+    ],
+    [
+      [0, 1, 3],
+      [0, 2, 3],
+    ],
+    [
+      [1, 4],
+      [2, 5],
+    ],
+    [[0], [0]],
+  ]) {
+    for (const closed of [false, true]) {
+      for (const { indices } of template.joined(path, twin, closed))
+        assert.equal(new Set(indices).size, indices.length, `${path} ${closed}`);
+    }
+  }
+});
+
+test("deleting keeps paths, twins and origins right", () => {
+  const draft = template.draftOf({
+    names: ["a", "b", "c", "d"],
+    contours: [{ indices: [0, 1, 2, 3], closed: true }],
+    mirror: [3, 2, 1, 0],
+    points: [
+      [0, 0],
+      [1, 0],
+      [2, 0],
+      [3, 0],
+    ],
+  });
+  const less = template.deletePoints(draft, [1]);
+  assert.deepEqual(less.contours, [{ indices: [0, 1, 2], closed: true }]);
+  assert.deepEqual(less.mirror, [2, 1, 0]); // the twin of a deleted point is its own
+  assert.deepEqual(less.origins, [0, 2, 3]);
+  assert.deepEqual(template.changes(less, 4), ["1 point will be deleted, with the places they have"]);
+  assert.equal(template.deletePoints(draft, [0, 1, 2]).contours.length, 0);
+});
+
+test("reordering carries everything along", () => {
+  const draft = template.draftOf({
+    names: ["a", "b", "c"],
+    contours: [{ indices: [0, 2], closed: false }],
+    mirror: [2, 1, 0],
+    points: [
+      [0, 0],
+      [1, 0],
+      [2, 0],
+    ],
+  });
+  const moved = template.reorder(draft, 0, 2);
+  assert.deepEqual(moved.names, ["b", "c", "a"]);
+  assert.deepEqual(moved.contours, [{ indices: [2, 1], closed: false }]);
+  assert.deepEqual(moved.mirror, [0, 2, 1]);
+  assert.deepEqual(moved.origins, [1, 2, 0]);
+  assert.ok(template.rearranges(moved, 3));
+  assert.ok(!template.rearranges(template.rename(draft, 0, "x"), 3));
+});
+
+test("a path is gone on with, and goes through a point once", () => {
+  const draft = template.closePath(
+    clicks([
+      [0, 0],
+      [1, 0],
+      [1, 1],
+    ]),
+  );
+  const open = template.continuePath(draft, 0);
+  assert.equal(open.contours[open.path].closed, false);
+  assert.equal(template.connect(open, 1), open);
+  assert.deepEqual(template.addPoint(open, [0, 1]).contours[0].indices, [0, 1, 2, 3]);
+});
+
+test("what is wrong with a template is said", () => {
+  assert.match(template.fault(template.EMPTY), /three points/);
+  const draft = clicks([
+    [0, 0],
+    [1, 0],
+    [1, 1],
+  ]);
+  assert.equal(template.fault(draft), null);
+  assert.match(template.fault(template.rename(draft, 1, " ")), /Point 2 has no name/);
+  assert.match(template.fault(template.rename(draft, 1, "point 1")), /Two points are called 'point 1'/);
+  assert.match(template.fault({ ...draft, points: [[0, 0], null, [1, 1]] }), /'point 2' has no place/);
+});
+
+// Training ----------------------------------------------------------------------------------------------------------
+
+const project = (states, more = {}) => ({
+  template: {},
+  model: null,
+  training: { state: "idle" },
+  ...more,
+  pictures: states.map((state, i) => ({ name: `${i}`, state, rank: null, uncertainty: null })),
+});
+
+test("the first model comes with four pictures, the next after three more", () => {
+  const four = ["done", "done", "done", "done", "new"];
+  const auto = { auto: true };
+  assert.ok(!assist.shouldTrain(project(four.slice(1)), auto));
+  assert.ok(assist.shouldTrain(project(four), auto));
+  assert.ok(!assist.shouldTrain(project(four), { auto: false }));
+  assert.ok(!assist.shouldTrain(project(four, { training: { state: "running" } }), auto));
+  assert.ok(!assist.shouldTrain(project(four, { model: { stale: 2, source: "studio" } }), auto));
+  assert.ok(assist.shouldTrain(project(four, { model: { stale: 3, source: "studio" } }), auto));
+  assert.ok(!assist.shouldTrain(project(four, { model: { stale: 3, source: "file" } }), auto));
+});
+
+test("what failed is not tried again by itself until something changes", () => {
+  const four = project(["done", "done", "done", "done"]);
+  const failedAt = assist.situation(four);
+  assert.ok(!assist.shouldTrain(four, { auto: true, failedAt }));
+  assert.ok(assist.shouldTrain(project(["done", "done", "done", "done", "done"]), { auto: true, failedAt }));
+});
+
+test("next is the picture of the best rank, else the next in the folder, round", () => {
+  const { pictures } = project(["new", "done", "new", "broken", "new"]);
+  assert.equal(assist.nextToTeach(pictures, "2").name, "4");
+  assert.equal(assist.nextToTeach(pictures, "4").name, "0");
+  pictures[2].rank = 2;
+  pictures[4].rank = 1;
+  assert.equal(assist.nextToTeach(pictures, "0").name, "4");
+  assert.equal(assist.nextToTeach(project(["done", "done"]).pictures, "0"), null);
+});
+
+test("the reason is the uncertainty, in words", () => {
+  const picture = { state: "proposed", uncertainty: 0.031, rank: 1, doubtful: false };
+  const others = [picture, { uncertainty: 0.01 }, { uncertainty: 0.008 }];
+  assert.match(assist.reason(picture, others, {}), /least sure here.*3\.1\s% of the object's size/);
+  assert.match(assist.reason({ ...picture, doubtful: true }, others, {}), /doubts/);
+  assert.match(assist.reason(picture, others, null), /Next in the folder/);
+});
+
+test("the loupe stays inside the canvas and off the finger", () => {
+  for (const type of ["mouse", "touch"]) {
+    for (const at of [
+      [0, 0],
+      [400, 10],
+      [799, 599],
+      [5, 300],
+      [400, 300],
+    ]) {
+      const [x, y] = loupePlace(at, type, 800, 600);
+      assert.ok(x >= 62 && x <= 738 && y >= 62 && y <= 538, `${at}`);
+      assert.ok(Math.hypot(x - at[0], y - at[1]) > 62, `${type} ${at} is under the loupe`);
+    }
+  }
+});

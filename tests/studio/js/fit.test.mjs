@@ -1,0 +1,464 @@
+// The Fit and Compare tabs' pure parts. Run by test_fit_modules.py, which puts the modules beside this file.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+
+import { shareAfterKey } from "./modules/divider.js";
+import * as geometry from "./modules/fit-geometry.js";
+import { cleaned, comparison, duration, factsOf, FitStore, significant, verdictOf } from "./modules/fit-run.js";
+import { FrameMeter, LatestWins } from "./modules/fit-schedule.js";
+import { meanShape } from "./modules/fit-start.js";
+import * as inv from "./modules/invariant.js";
+import { lightQuery } from "./modules/relight.js";
+
+const close = (a, b, tolerance = 1e-6) => assert.ok(Math.abs(a - b) <= tolerance, `${a} is not ${b}`);
+const closePoints = (a, b, tolerance = 1e-6) => a.forEach((p, i) => p.forEach((v, k) => close(v, b[i][k], tolerance)));
+
+function buffer(width, height, pairs) {
+  const bytes = new ArrayBuffer(8 + 4 * width * height);
+  new Uint32Array(bytes, 0, 2).set([width, height]);
+  new Int16Array(bytes, 8).set(pairs.flat());
+  return bytes;
+}
+
+const level = (pixel) => pixel & 255;
+
+// Invariant image
+
+test("the invariant image is liaam's own, at each angle", () => {
+  const folder = process.env.LIAAM_INVARIANT;
+  const bytes = readFileSync(`${folder}/chroma.bin`);
+  const chroma = inv.parseChroma(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength));
+  const cases = JSON.parse(readFileSync(`${folder}/expected.json`, "utf8"));
+  const out = new Uint32Array(chroma.width * chroma.height);
+  assert.ok(cases.length >= 3);
+  for (const { theta, values } of cases) {
+    assert.equal(values.length, out.length);
+    const range = inv.robustRange(inv.sampleChroma(chroma), theta);
+    inv.paintInvariant(chroma, theta, range, inv.COLOURS.grey, out);
+    let seen = 0;
+    values.forEach((value, i) => {
+      if (value === null) {
+        assert.equal(chroma.values[2 * i], inv.MASKED);
+        return;
+      }
+      seen += 1;
+      const wanted = Math.min(255, Math.max(0, 128 + (128 * (value - range.centre)) / range.half));
+      // 16 bits of log-chromaticity leave a small part of a grey level.
+      assert.ok(Math.abs(level(out[i]) - wanted) < 1.2, `pixel ${i} at ${theta}: ${level(out[i])} for ${wanted}`);
+    });
+    assert.ok(seen > 0.2 * values.length);
+  }
+});
+
+test("pixels that cannot be measured are hatched, never black", () => {
+  const chroma = inv.parseChroma(
+    buffer(
+      16,
+      1,
+      Array.from({ length: 16 }, () => [inv.MASKED, inv.MASKED]),
+    ),
+  );
+  const out = new Uint32Array(16);
+  inv.paintInvariant(chroma, 1, inv.robustRange(inv.sampleChroma(chroma), 1), inv.COLOURS.grey, out);
+  assert.equal(new Set(out).size, 2);
+  for (const pixel of out) assert.ok(level(pixel) > 30 && pixel >>> 24 === 255);
+  assert.equal(inv.measurable(chroma), 0);
+});
+
+test("chroma that is cut short is refused with a remedy", () => {
+  assert.throws(() => inv.parseChroma(new ArrayBuffer(3)), /reload/);
+  assert.throws(
+    () =>
+      inv.parseChroma(
+        buffer(2, 2, [
+          [1, 1],
+          [1, 1],
+          [1, 1],
+          [1, 1],
+        ]).slice(0, 20),
+      ),
+    /20 octets in place of 24/,
+  );
+});
+
+test("contrast is held while theta moves, and outliers do not set it", () => {
+  const pairs = Array.from({ length: 1000 }, (_, i) => [i === 0 ? 32000 : i, 2 * i]);
+  const sample = inv.sampleChroma(inv.parseChroma(buffer(100, 10, pairs)));
+  const held = inv.robustRange(sample, 0);
+  assert.ok(held.half < 0.6 * (1000 / inv.STEPS));
+  for (const theta of [0.1, 1, 2]) assert.equal(inv.steadyRange(sample, theta, held).half, held.half);
+  const flat = inv.sampleChroma(
+    inv.parseChroma(
+      buffer(
+        10,
+        10,
+        Array.from({ length: 100 }, () => [7, 7]),
+      ),
+    ),
+  );
+  assert.ok(inv.robustRange(flat, 1).half >= 0.02);
+});
+
+test("the sample does not look at a few columns only", () => {
+  const [width, height] = [640, 480];
+  const pairs = Array.from({ length: width * height }, (_, i) => [i % width, 0]);
+  const columns = new Set(inv.sampleChroma(inv.parseChroma(buffer(width, height, pairs))).red);
+  assert.ok(columns.size > 500, `${columns.size} columns`);
+});
+
+test("colour tables go from their first to their last colour", () => {
+  assert.equal(inv.COLOURS.grey[0], 0xff000000);
+  assert.equal(inv.COLOURS.grey[255], 0xffffffff);
+  assert.equal(inv.COLOURS.viridis[0], 0xff540144);
+  assert.equal(inv.COLOURS.viridis[255], 0xff25e7fd);
+});
+
+test("keys move theta by one degree, with shift by a tenth, within 0 to 180", () => {
+  assert.equal(inv.thetaAfterKey(120, { key: "ArrowRight" }), 121);
+  assert.equal(inv.thetaAfterKey(120, { key: "ArrowLeft", shiftKey: true }), 119.9);
+  assert.equal(inv.thetaAfterKey(179.5, { key: "ArrowUp" }), 180);
+  assert.equal(inv.thetaAfterKey(0, { key: "ArrowDown" }), 0);
+  assert.equal(inv.thetaAfterKey(5, { key: "a" }), null);
+  close(inv.foldedTheta(-62), 118);
+  close(inv.foldedTheta(298), 118);
+});
+
+// Scheduling
+
+const settled = () =>
+  new Promise((resolve) => {
+    setImmediate(resolve);
+  });
+
+test("never more than one request is under way, and the newest wish wins", async () => {
+  const asked = [];
+  const done = [];
+  let open = 0;
+  const lights = new LatestWins(
+    (wish) =>
+      new Promise((resolve) => {
+        open += 1;
+        assert.equal(open, 1);
+        asked.push({
+          wish,
+          answer: () => {
+            open -= 1;
+            resolve(wish);
+          },
+        });
+      }),
+    { done: (answer) => done.push(answer) },
+  );
+  for (const wish of [1, 2, 3, 4]) lights.ask(wish);
+  assert.deepEqual(
+    asked.map(({ wish }) => wish),
+    [1],
+  );
+  asked[0].answer();
+  await settled();
+  assert.deepEqual(
+    asked.map(({ wish }) => wish),
+    [1, 4],
+  );
+  asked[1].answer();
+  await settled();
+  assert.deepEqual(done, [1, 4]);
+  assert.equal(lights.busy, false);
+});
+
+test("a failure is told only if nothing newer is wished for, and cancelled answers are dropped", async () => {
+  const [failed, done] = [[], []];
+  const lights = new LatestWins(
+    async (wish) => {
+      if (wish < 3) throw new Error(String(wish));
+      return wish;
+    },
+    { done: (answer) => done.push(answer), failed: (error) => failed.push(error.message) },
+  );
+  lights.ask(1);
+  lights.ask(2);
+  await settled();
+  assert.deepEqual(failed, ["2"]);
+  lights.ask(3);
+  lights.cancel();
+  await settled();
+  assert.deepEqual(done, []);
+  lights.ask(4);
+  await settled();
+  assert.deepEqual(done, [4]);
+});
+
+test("frames are counted over one drag", () => {
+  const meter = new FrameMeter();
+  assert.equal(meter.rate(), 0);
+  for (const time of [0, 20, 40]) meter.tick(time);
+  close(meter.rate(), 50);
+  for (const time of [5000, 5100]) meter.tick(time);
+  close(meter.rate(), 10);
+});
+
+// Geometry
+
+test("a light's direction and its place over the ball are inverses", () => {
+  const ball = geometry.ballOf([
+    [0, 0],
+    [100, 50],
+  ]);
+  assert.deepEqual(geometry.directionAt([ball.x, ball.y], ball), [0, 0, 1]);
+  for (const place of [
+    [60, 10],
+    [40, 30],
+  ]) {
+    const direction = geometry.directionAt(place, ball);
+    close(Math.hypot(...direction), 1);
+    closePoints([geometry.placeOf(direction, ball)], [place]);
+  }
+  const grazing = geometry.directionAt([1e4, ball.y], ball);
+  close(Math.hypot(...grazing), 1);
+  assert.ok(grazing[0] > 0.99 && grazing[2] > 0 && grazing[2] < 0.1);
+  assert.equal(geometry.ballOf([null, [NaN, 1]]), null);
+});
+
+test("a light is told in words, and moved by keys", () => {
+  assert.equal(geometry.directionInWords([0, 0, 1]), "from the front");
+  assert.match(geometry.directionInWords([-0.5, -0.5, Math.SQRT1_2]), /^from the upper left, 45°/);
+  assert.match(geometry.directionInWords([0, 0.6, 0.8]), /^from the bottom/);
+  const [x] = geometry.directionAfterKey([0, 0, 1], { key: "ArrowRight" });
+  assert.ok(x > 0);
+  assert.equal(geometry.directionAfterKey([0, 0, 1], { key: "q" }), null);
+  assert.deepEqual(geometry.directionAfterKey([0.5, 0, 0.8], { key: "Home" }), [0, 0, 1]);
+  assert.deepEqual(lightQuery({ direction: [0, -0.5, 0.866], ambient: 0.25 }, 640), {
+    x: "0.0000",
+    y: "-0.5000",
+    z: "0.8660",
+    ambient: "0.250",
+    size: 640,
+  });
+});
+
+test("a box is what was drawn, in whatever direction, within the picture", () => {
+  const box = geometry.boxBetween([50, -20], [10, 30], 100, 80);
+  assert.deepEqual(box, [10, 0, 50, 30]);
+  assert.ok(geometry.isDrawn(box) && !geometry.isDrawn([1, 1, 4, 40]));
+  assert.deepEqual(geometry.boxMoved(box, [-30, 5], 100, 80), [0, 5, 40, 35]);
+  assert.deepEqual(geometry.boxAfterKey(box, { key: "ArrowRight", shiftKey: true }, 100, 80), [20, 0, 60, 30]);
+  assert.ok(geometry.isDrawn(geometry.boxAfterKey(null, { key: "." }, 100, 80)));
+  assert.equal(geometry.boxAfterKey(box, { key: "x" }, 100, 80), null);
+});
+
+test("the mean shape is placed, pulled and turned about its own middle", () => {
+  const unit = geometry.normalised([
+    [10, 10],
+    [30, 10],
+    [30, 50],
+    [10, 50],
+  ]);
+  closePoints(unit, [
+    [-0.5, -1],
+    [0.5, -1],
+    [0.5, 1],
+    [-0.5, 1],
+  ]);
+  const placement = { x: 100, y: 80, size: 40, turn: 0 };
+  closePoints(geometry.placed(unit, placement), [
+    [80, 40],
+    [120, 40],
+    [120, 120],
+    [80, 120],
+  ]);
+  const large = geometry.pulled(placement, [120, 120], [140, 160], "size");
+  close(large.size, 80);
+  close(large.turn, 0);
+  const turned = geometry.pulled(placement, [100, 20], [160, 80], "turn");
+  close(turned.turn, Math.PI / 2);
+  close(turned.size, 40);
+  closePoints([geometry.placed(unit, turned)[0]], [[140, 60]]);
+  assert.ok(geometry.isWithin(unit, turned, [135, 80]) && !geometry.isWithin(unit, turned, [100, 110]));
+  const { corners, knob } = geometry.handlesOf(unit, placement, 20);
+  closePoints(corners, geometry.placed(unit, placement));
+  closePoints([knob], [[100, 20]]);
+  assert.equal(geometry.placementAfterKey(placement, { key: "ArrowUp", shiftKey: true }).y, 70);
+  close(geometry.placementAfterKey(placement, { key: "]" }).turn, Math.PI / 180);
+  assert.equal(geometry.placementAfterKey(placement, { key: "z" }), null);
+});
+
+test("costs are drawn by level, each to its own scale", () => {
+  const steps = [
+    [0, 10],
+    [0, 5],
+    [1, 400],
+    [1, 300],
+    [1, 200],
+    [2, 7],
+  ].map(([stage, cost]) => ({ level: stage, cost }));
+  const runs = geometry.costRuns(steps, 100, 50, 5);
+  assert.deepEqual(
+    runs.map(({ level: stage, points }) => [stage, points.length]),
+    [
+      [0, 2],
+      [1, 3],
+      [2, 1],
+    ],
+  );
+  close(runs[0].points[0].y, runs[1].points[0].y);
+  close(runs[1].points.at(-1).y, 45);
+  const across = runs.flatMap(({ points }) => points.map(({ x }) => x));
+  assert.deepEqual(
+    across,
+    [...across].sort((a, b) => a - b),
+  );
+  assert.deepEqual([across[0], across.at(-1)], [5, 95]);
+  for (const { points } of geometry.costRuns(
+    [
+      { level: 0, cost: null },
+      { level: 0, cost: 3 },
+    ],
+    100,
+    50,
+  )) {
+    for (const { x, y } of points) assert.ok(Number.isFinite(x) && Number.isFinite(y));
+  }
+  assert.deepEqual(geometry.costRuns([], 100, 50), []);
+});
+
+test("distances leave out what either shape lacks", () => {
+  close(
+    geometry.meanDistance(
+      [[0, 0], [3, 4], null],
+      [
+        [0, 2],
+        [0, 0],
+        [9, 9],
+      ],
+    ),
+    3.5,
+  );
+  assert.ok(Number.isNaN(geometry.meanDistance([null], [[1, 1]])));
+  closePoints(geometry.between([[0, 0]], [[10, 20]], 0.5), [[5, 10]]);
+});
+
+test("the divider's keys stay within the picture", () => {
+  close(shareAfterKey(0.5, { key: "ArrowLeft" }), 0.48);
+  assert.equal(shareAfterKey(0.95, { key: "ArrowRight", shiftKey: true }), 1);
+  assert.equal(shareAfterKey(0.5, { key: "Home" }), 0);
+  assert.equal(shareAfterKey(0.5, { key: "Tab" }), null);
+});
+
+// What is said
+
+const fit = (changes = {}) => ({
+  id: "1",
+  method: "soft-li",
+  ok: true,
+  status: "converged",
+  message: "",
+  quality: 0.93,
+  seconds: { search: 0.04, fit: 1.23 },
+  theta_deg: 118.04,
+  found: { score: 1, doubtful: false },
+  shape: [[1, 2]],
+  covariances: [
+    [
+      [1, 0],
+      [0, 1],
+    ],
+  ],
+  iterations: [],
+  error: null,
+  ...changes,
+});
+
+test("a fit that failed or is doubtful says what to do", () => {
+  assert.equal(verdictOf(fit()).advice, "");
+  assert.equal(verdictOf(fit()).kind, "good");
+  const doubt = verdictOf(fit({ found: { score: 0.1, doubtful: true } }));
+  assert.equal(doubt.kind, "warn");
+  assert.match(doubt.advice, /box/);
+  const failed = verdictOf(fit({ ok: false, status: "diverged" }));
+  assert.equal(failed.kind, "bad");
+  assert.match(failed.advice, /mean shape/);
+  assert.equal(verdictOf(fit({ found: null })).kind, "good");
+});
+
+test("numbers are told in people's units", () => {
+  assert.deepEqual([duration(0.0384), duration(1.26), duration(NaN)], ["38 ms", "1.3 s", "–"]);
+  assert.deepEqual(
+    [significant(12.3456), significant(0), significant(null), significant(0.00001234)],
+    ["12.3", "0", "–", "1.23e-5"],
+  );
+  assert.deepEqual(factsOf(fit({ error: { pixels: 1.234, percent: 0.4 } })), [
+    ["Quality", "93 %"],
+    ["Error", "1.23 px (0.4 %)"],
+    ["θ", "118.0°"],
+    ["Time", "40 ms search + 1.2 s fit"],
+  ]);
+  assert.deepEqual(factsOf(fit({ quality: null, theta_deg: null, seconds: { search: 0, fit: 0.01 } })), [
+    ["Time", "10 ms"],
+  ]);
+});
+
+test("the comparison names which is nearer, and says when nobody knows", () => {
+  const near = fit({ error: { pixels: 1, percent: 0.5 } });
+  const far = fit({ method: "rgb", error: { pixels: 3, percent: 1.5 } });
+  assert.equal(comparison(near, far, 2), "soft-li is nearer: 1 px (0.5 %) from the landmarks, rgb 3 px (1.5 %).");
+  assert.equal(comparison(far, near, 2), comparison(near, far, 2));
+  assert.match(comparison(near, near, 0), /^Equally near/);
+  assert.match(comparison(near, fit(), 2.5), /No landmarks.*2.5 px apart/);
+  assert.equal(comparison(null, far, 2), "");
+});
+
+test("points that are not finite become null", () => {
+  const { shape, covariances, iterations } = cleaned(
+    fit({
+      shape: [
+        [1, null],
+        [2, 3],
+      ],
+      covariances: [
+        [
+          [null, 1],
+          [1, 2],
+        ],
+      ],
+      iterations: [{ level: 0, cost: 1, shape: [[null, null]] }],
+    }),
+  );
+  assert.deepEqual(shape, [null, [2, 3]]);
+  assert.deepEqual(covariances, [null]);
+  assert.deepEqual(iterations[0].shape, [null]);
+});
+
+test("a fit is remembered by picture, method and model only", async () => {
+  const state = Object.assign(new EventTarget(), { project: { model: { trained: "now" } } });
+  const source = { key: "picture a", ready: Promise.resolve(), reference: { picture: "a" } };
+  const sent = [];
+  globalThis.fetch = async (address, { body }) => {
+    sent.push([address, JSON.parse(body)]);
+    return new Response(JSON.stringify(fit({ picture: "a" })), { status: 200 });
+  };
+  const store = new FitStore(state);
+  const made = await store.run(source, "soft-li", { box: [0, 0, 9, 9] });
+  assert.deepEqual(sent, [["/api/fits", { picture: "a", method: "soft-li", start: { box: [0, 0, 9, 9] } }]]);
+  assert.equal(store.recall(source, "soft-li"), made);
+  assert.equal(store.recall(source, "rgb"), null);
+  state.project.model.trained = "later";
+  assert.equal(store.recall(source, "soft-li"), null);
+  state.project.model.trained = "now";
+  store.forget(made);
+  assert.equal(store.recall(source, "soft-li"), null);
+  await store.run(source, "soft-li");
+  state.dispatchEvent(Object.assign(new Event("landmarks"), { detail: { name: "another" } }));
+  assert.notEqual(store.recall(source, "soft-li"), null);
+  state.dispatchEvent(Object.assign(new Event("landmarks"), { detail: { name: "a" } }));
+  assert.equal(store.recall(source, "soft-li"), null);
+});
+
+test("the mean shape is the model's, else a layout with as many points, else where a fit began", () => {
+  const began = fit({ iterations: [{ shape: [[5, 5]] }] });
+  assert.deepEqual(meanShape({ model: { mean: [[1, 1]], n_points: 1 } }, began), [[1, 1]]);
+  assert.deepEqual(meanShape({ model: { n_points: 1 }, template: { points: [[2, 2]] } }, began), [[2, 2]]);
+  assert.deepEqual(meanShape({ model: { n_points: 2 }, template: { points: [[2, 2]] } }, began), [[5, 5]]);
+  assert.equal(meanShape({ model: { n_points: 2 }, template: null }, null), null);
+});

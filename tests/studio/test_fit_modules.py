@@ -1,0 +1,55 @@
+"""The pure parts of the Fit and Compare tabs, by Node; and that the page's invariant image is liaam's own."""
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from liaam.photometry import CameraModel, invariant_image
+from liaam.studio.pictures import chroma_bytes
+
+HERE = Path(__file__).parent
+MODULES = HERE.parents[1] / "src" / "liaam" / "studio" / "static" / "js"
+ANGLES = (0.0, 90.0, 118.0, 171.5)
+
+
+@pytest.fixture
+def invariants(rng, tmp_path) -> Path:
+    """Give a folder with the chroma of a picture, as the server sends it, and its invariant images."""
+    folder = tmp_path / "invariants"
+    folder.mkdir()
+    image = rng.integers(20, 235, (24, 40, 3)).astype(np.uint8)
+    image[:4, :6], image[10:14, 20:30, 0] = 0, 255  # dark, and saturated
+    (folder / "chroma.bin").write_bytes(chroma_bytes(image, 40))
+    expected = []
+    for angle in ANGLES:
+        theta = float(np.deg2rad(angle))
+        values = invariant_image(image, CameraModel(theta=theta)).ravel()
+        expected.append({"theta": theta, "values": [float(v) if np.isfinite(v) else None for v in values]})
+    (folder / "expected.json").write_text(json.dumps(expected))
+    return folder
+
+
+def test_pure_parts_of_the_page_by_node(invariants, tmp_path):
+    node = shutil.which("node")
+    if not node:
+        pytest.skip("node is not on this machine; the page's modules are tested in the browser only")
+    # Node takes .js for modules where a package.json says so; none is needed beside what is served.
+    shutil.copytree(MODULES, tmp_path / "modules")
+    (tmp_path / "package.json").write_text('{"type": "module"}')
+    shutil.copy(HERE / "js" / "fit.test.mjs", tmp_path)
+    ran = subprocess.run(
+        [node, "--test", "fit.test.mjs"],
+        cwd=tmp_path,
+        env={**os.environ, "LIAAM_INVARIANT": str(invariants)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "# fail 0" in ran.stdout
+    assert "# pass 0" not in ran.stdout

@@ -1,0 +1,536 @@
+"""Fits for the page: what they say, what they show, what they are given away as, and requests that make no sense."""
+
+import io
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import liaam.relighting
+from liaam.datasets.scenes import Scene
+from liaam.fitting import Fitter
+from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.io import Landmarks, decode_image, read_landmarks, write_image, write_landmarks
+from liaam.model import AAM
+from liaam.photometry import to_linear
+from liaam.shape import diagonal_of
+from liaam.studio import layers
+from liaam.studio.app import make_app, make_studio
+from liaam.studio.fits import (
+    FILES,
+    Fits,
+    attachment,
+    error_of,
+    example,
+    numbers,
+    parse_start,
+    truth_of,
+)
+from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
+from liaam.studio.project import Project
+from liaam.studio.safety import Refusal
+from liaam.studio.settings import Settings
+from liaam.studio.training import ModelStore
+from liaam.studio.uploads import Uploads
+from setups import moving_scene
+
+SETTINGS = Settings(fits_kept=5)
+
+
+@pytest.fixture(scope="session")
+def scene() -> Scene:
+    """Give a picture between those that the model was trained on."""
+    return moving_scene(0.4)
+
+
+@pytest.fixture(scope="session")
+def folder(scene, tmp_path_factory) -> Path:
+    """Give a folder with a picture in colour and its landmarks, in grey, and in the dark."""
+    folder = tmp_path_factory.mktemp("pictures")
+    write_image(folder / "face.png", scene.image)
+    write_landmarks(folder / "face.pts", scene.landmarks)
+    grey = np.repeat(scene.image.mean(axis=2, keepdims=True).astype(np.uint8), 3, axis=2)
+    write_image(folder / "grey.png", grey)
+    write_image(folder / "dark.png", scene.image // 60)
+    write_image(folder / "Bild ä 1.png", scene.image)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def fits(folder, head_model) -> Fits:
+    """Give a service with a model in use."""
+    return make_fits(folder, head_model)
+
+
+def make_fits(folder: Path, model: AAM | None, settings: Settings = SETTINGS) -> Fits:
+    pictures, models = Pictures(), ModelStore()
+    fits = Fits(Project(folder, settings), models, Uploads(pictures, settings), pictures, settings)
+    models.listeners.clear()  # tests do not wait for what is made ready beside them
+    if model is not None:
+        models.publish(model, {})
+    return fits
+
+
+def fit(fits: Fits, name: str = "face.png", **options):
+    source = source_of(fits.project.path_of(name), 10**6)
+    return fits.fit(source, ("picture", name), truth=truth_of(fits.project.landmarks(name)), **options)
+
+
+@pytest.fixture(scope="session")
+def fitted(fits):
+    return fit(fits)
+
+
+class TestFit:
+    def test_is_what_the_library_gives(self, fits, scene, head_model):
+        expected = Fitter(head_model).fit(scene.image)
+        seen = fit(fits).as_json()
+        assert np.allclose(seen["shape"], expected.shape, atol=6e-4)
+        assert (seen["status"], seen["ok"], seen["method"]) == (str(expected.status), True, DEFAULT_METHOD)
+        assert np.allclose(seen["covariances"], expected.landmark_covariances, atol=6e-5)
+        assert len(seen["iterations"]) == len(expected.history)
+        assert np.allclose(seen["iterations"][-1]["shape"], expected.shape, atol=6e-3)
+        assert seen["found"]["score"] == round(expected.found.score, 4)
+        assert (seen["width"], seen["height"]) == (120, 160)
+
+    def test_is_json_whatever_happens(self, fits, fitted):
+        lost = fit(fits, start=(-20.0, -20.0, 60.0, 40.0), method="grey-plain")
+        for one in (fitted, lost, fit(fits, "dark.png")):
+            again = json.loads(json.dumps(one.as_json(), allow_nan=False))
+            assert len(again["shape"]) == one.model.n_points
+            assert set(again["layers"]) <= set(layers.LAYERS)
+
+    def test_compares_with_the_picture_s_own_landmarks(self, fitted, scene):
+        expected = np.linalg.norm(fitted.result.shape - scene.landmarks, axis=1).mean()
+        error = fitted.as_json()["error"]
+        assert error["pixels"] == pytest.approx(expected)
+        assert error["percent"] == pytest.approx(100 * expected / diagonal_of(scene.landmarks))
+        assert error["percent"] < 5
+
+    def test_searches_once_for_all_methods(self, folder, head_model, monkeypatch):
+        calls, find = [], Fitter.find
+        monkeypatch.setattr(Fitter, "find", lambda self, *given, **more: calls.append(1) or find(self, *given, **more))
+        fits = make_fits(folder, head_model)
+        starts = [fit(fits, method=method).result.start for method in ("soft-li", "li", "grey")]
+        assert len(calls) == 1
+        assert np.allclose(starts[0], starts[1], atol=0.5)
+
+    def test_starts_where_it_is_told(self, fits, scene):
+        box = (*scene.landmarks.min(axis=0), *scene.landmarks.max(axis=0))
+        from_box, from_shape = fit(fits, start=box), fit(fits, start=scene.landmarks)
+        assert from_box.result.found is from_shape.result.found is None
+        assert np.allclose(from_shape.as_json()["iterations"][0]["shape"], scene.landmarks, atol=1.0)
+        assert np.abs(from_box.result.shape - from_shape.result.shape).max() < 2.0
+
+    def test_keeps_the_newest_few(self, fits):
+        made = [fit(fits) for _ in range(7)]
+        assert [fits.get(one.id) for one in made[2:]] == made[2:]
+        with pytest.raises(Refusal, match="fit again") as refused:
+            fits.get(made[0].id)
+        assert refused.value.status == 404
+
+    def test_ten_at_a_time_are_equal(self, folder, head_model):
+        fits = make_fits(folder, head_model, Settings())
+        methods = ["soft-li", "li"] * 5
+        with ThreadPoolExecutor(10) as pool:
+            made = list(pool.map(lambda method: fit(fits, method=method), methods))
+            shown = list(pool.map(lambda one: fits.layer(one, "flat", 100), made))
+        for i in (2, 4, 6, 8):
+            assert np.array_equal(made[i].result.shape, made[0].result.shape)
+            assert np.array_equal(made[i + 1].result.shape, made[1].result.shape)
+            assert shown[i] == shown[0]
+
+    def test_needs_a_model(self, folder):
+        with pytest.raises(Refusal, match="train one first") as refused:
+            fit(make_fits(folder, None))
+        assert refused.value.status == 409
+
+    def test_goes_with_the_model_in_use(self, folder, head_model):
+        fits = make_fits(folder, head_model)
+        before = fit(fits)
+        other = replace(head_model, name="other")
+        fits.models.publish(other, {})
+        after = fit(fits)
+        assert (before.model, after.model) == (head_model, other)
+        assert fits.layer(before, "flat", 100)  # still by the model it was made with
+
+    def test_warming_up_makes_everything_ready(self, folder, head_model):
+        fits = make_fits(folder, head_model)
+        fits.warm_up_soon(fits.models.current).join()
+        assert len(fits._fitters) == 2
+        searcher = fits._fitters.peek((1, "igo", False))
+        assert searcher is not None
+        assert "templates" in searcher.finder.__dict__
+
+    def test_a_dropped_picture_is_searched_at_once(self, folder, head_model, monkeypatch):
+        fits = make_fits(folder, head_model)
+        source = fits.uploads.source(fits.uploads.add((folder / "face.png").read_bytes(), "a.png").id)
+        thread = fits.search_soon(source)
+        assert thread is not None
+        thread.join()
+        monkeypatch.setattr(Fitter, "find", lambda *given, **more: pytest.fail("it has been found"))
+        assert fits.fit(source, ("upload", "x")).result.found is not None
+        assert make_fits(folder, None).search_soon(source) is None
+
+    def test_the_example_shows_the_object(self, head_model):
+        image = example(head_model, (240, 320))
+        assert (image.shape, image.dtype) == ((240, 320, 3), np.uint8)
+        assert not Fitter(head_model).find(image)[0].doubtful
+
+
+class TestLayers:
+    @pytest.mark.parametrize("what", ["residual", "shading"])
+    @pytest.mark.parametrize("size", [320, 160, 80])
+    def test_lie_over_the_picture_and_are_clear_outside_the_mesh(self, fits, fitted, what, size):
+        fits._fits.put(fitted.id, fitted)
+        drawn = np.array(Image.open(io.BytesIO(fits.layer(fitted, what, size))))
+        width, height = fitted_size(120, 160, size)
+        assert drawn.shape == (height, width, 4)
+        inside = mesh_mask(fitted, (width, height))
+        clear = drawn[..., 3] == 0
+        assert set(np.unique(drawn[..., 3])) == {0, 255}
+        assert clear[~inside].mean() > 0.98
+        assert not drawn[clear][:, :3].any()
+        if what == "shading":
+            assert not clear[mesh_mask(fitted, (width, height), grow=-3)].any()
+
+    def test_flat_is_the_whole_picture(self, fits, fitted, scene):
+        drawn = decode_image(fits.layer(fitted, "flat", 320))
+        assert drawn.shape == scene.image.shape
+        far = ~mesh_mask(fitted, (120, 160), grow=25)
+        assert np.array_equal(drawn[far], scene.image[far])
+
+    def test_residual_shows_the_row_that_tells_most(self, fits, fitted):
+        result, seen = fitted.result, fitted.residual
+        power = np.square(result.residual).sum(axis=0)
+        assert seen.what == ("gradient across", "gradient down", "invariant")[int(power.argmax())]
+        whole = fitted.model.surrounded.frame.picture(result.residual[:, int(power.argmax())])
+        own = fitted.model.frame.picture(seen.values[:, 0])
+        offset = (fitted.model.frame.origin - fitted.model.surrounded.frame.origin)[::-1].astype(int)
+        rows, columns = fitted.model.frame.pixels.T
+        assert np.array_equal(own[rows, columns], whole[rows + offset[0], columns + offset[1]])
+        for method in ("grey", "rgb", "li", "chroma", "igo"):
+            values = fit(fits, method=method).residual
+            assert values.values.shape == (fitted.model.n_pixels, 2)
+            assert values.limit > 0
+
+    def test_colours_have_their_middle_at_nothing(self):
+        drawn = layers.coloured(np.array([[-5.0, -1.0, 0.0, 1.0, np.nan]]), layers.SHADING_COLOURS)
+        low, middle, high = layers.SHADING_COLOURS
+        assert [tuple(colour) for colour in drawn[0].tolist()] == [low, low, middle, high, middle]
+
+    def test_points_go_to_the_same_place_of_another_size(self):
+        corners = np.array([[-0.5, -0.5], [639.5, 479.5], [0.0, 0.0]])
+        there = layers.scaled_points(corners, (640, 480), (320, 240))
+        assert there.tolist() == [[-0.5, -0.5], [319.5, 239.5], [-0.25, -0.25]]
+
+    @pytest.mark.parametrize(
+        ("name", "method", "text"),
+        [
+            ("face.png", "grey", "method grey does not tell colour from shading"),
+            ("face.png", "igo", "method igo does not tell"),
+            ("face.png", "li-lit", "method li-lit does not tell"),
+            ("grey.png", "soft-li", "the picture is grey"),
+        ],
+    )
+    def test_that_make_no_sense_are_left_out_and_say_why(self, fits, name, method, text):
+        made = fit(fits, name, method=method)
+        assert made.as_json()["layers"] == ["residual"]
+        for what in ("flat", "shading"):
+            with pytest.raises(layers.MethodError, match=text):
+                fits.layer(made, what, 100)
+        assert fits.layer(made, "residual", 100)
+
+    def test_a_large_picture_is_put_under_another_light_smaller(self, fits, fitted, monkeypatch):
+        monkeypatch.setattr("liaam.studio.fits.LAYER_SIZE", 40)
+        monkeypatch.setattr("liaam.studio.fits.LIGHT_SIZE", 80)
+        fits._lights = Kept(2)
+        for what, channels in (("flat", 3), ("shading", 4)):
+            assert fits.draw(fitted, what, 160).shape == (80, 60, channels)
+            assert fits.draw(fitted, what, 20).shape == (20, 15, channels)
+        assert fits.draw(fitted, "residual", 160).shape == (160, 120, 4)
+
+    def test_are_drawn_once(self, fits, fitted, monkeypatch):
+        first = fits.layer(fitted, "shading", 90)
+        monkeypatch.setattr(layers, "shading_layer", lambda *given: pytest.fail("it is kept"))
+        assert fits.layer(fitted, "shading", 90) is first
+
+
+HAS_LIGHT = hasattr(liaam.relighting, "Relighter")  # UNTIL-RELIGHT
+
+
+@pytest.mark.skipif(not HAS_LIGHT, reason="liaam.relighting has no Relighter yet")
+class TestLight:
+    def test_from_the_front_is_flat(self, fits, fitted):
+        flat = decode_image(fits.layer(fitted, "flat", 320)).astype(int)
+        assert np.abs(fits.relit(fitted, (0.0, 0.0, 1.0), 0.3, 320) - flat).max() <= 1
+
+    def test_from_a_side_brightens_that_side_and_leaves_the_rest(self, fits, fitted, scene):
+        left = fits.relit(fitted, (-1.0, 0.0, 0.5), 0.2, 320).astype(int)
+        right = fits.relit(fitted, (1.0, 0.0, 0.5), 0.2, 320).astype(int)
+        x, y = np.rint(fitted.result.shape.mean(axis=0)).astype(int)
+        reach = int(np.ptp(fitted.result.shape[:, 0]) / 3)
+        change = (left - right).mean(axis=2)
+        assert change[y - 5 : y + 5, x - reach : x - reach // 2].mean() > 5
+        assert change[y - 5 : y + 5, x + reach // 2 : x + reach].mean() < -5
+        far = ~mesh_mask(fitted, (120, 160), grow=41)
+        assert np.array_equal(left[far], scene.image[far])
+
+    def test_comes_in_the_size_asked_for(self, fits, fitted):
+        assert fits.relit(fitted, (1.0, 0.0, 0.5), 0.2, 80).shape == (80, 60, 3)
+
+    def test_a_method_without_shading_says_so(self, fits):
+        with pytest.raises(layers.MethodError, match="method grey does not tell"):
+            fits.relit(fit(fits, method="grey"), (0.0, 0.0, 1.0), 0.3, 320)
+
+    def test_on_request(self, page):
+        made = page.fit(picture="face.png").json()
+        answer = page.ask("GET", f"/api/fits/{made['id']}/relit?x=-1&y=0&z=0.5&ambient=0.2&size=80")
+        assert (answer.status_code, answer.headers["content-type"]) == (200, "image/jpeg")
+        assert decode_image(answer.content).shape == (80, 60, 3)
+        given = page.ask("GET", f"/api/fits/{made['id']}/export?what=relit&x=-1&z=0.5")
+        assert decode_image(given.content).shape == (160, 120, 3)
+
+
+class TestTakenApart:
+    def test_linear_light_comes_out_as_screens_want_it(self, scene, head_model):
+        stored = scene.image / 255
+        raw = np.rint(65535 * to_linear(stored)).astype(np.uint16)
+        fitter = Fitter(head_model, camera=head_model.camera.suited_to(raw=True))
+        result = fitter.fit(raw, scene.landmarks)
+        flat = layers.taken_apart(fitter, raw, result, (120, 160), raw=True).flat().astype(int)
+        usual = Fitter(head_model)
+        expected = layers.taken_apart(usual, scene.image, usual.fit(scene.image, scene.landmarks), (120, 160)).flat()
+        assert np.abs(flat - expected).mean() < 1.0
+        assert np.abs(flat - expected).max() <= 12
+
+    def test_a_large_picture_is_taken_apart_small(self, scene, head_model):
+        import cv2
+
+        large = cv2.resize(scene.image, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+        fitter = Fitter(head_model)
+        there = layers.scaled_points(scene.landmarks, (120, 160), (480, 640))
+        result = fitter.fit(large, there)
+        small = layers.taken_apart(fitter, large, result, (240, 320)).flat().astype(int)
+        whole = averaged(layers.taken_apart(fitter, large, result, (480, 640)).flat(), (240, 320))
+        assert small.shape == (320, 240, 3)
+        assert np.abs(small - whole).mean() < 1.5
+
+
+def mesh_mask(fitted, size: tuple[int, int], grow: int = 3) -> np.ndarray:
+    """Pixels of the mesh, and some around it, or without some at its border."""
+    import cv2
+
+    shape = layers.scaled_points(fitted.result.shape, (120, 160), size)
+    mask = np.zeros((size[1], size[0]), np.uint8)
+    for triangle in fitted.model.triangles:
+        cv2.fillConvexPoly(mask, np.rint(shape[triangle]).astype(np.int32), 1)
+    change = cv2.dilate if grow > 0 else cv2.erode
+    return change(mask, np.ones((abs(grow), abs(grow)), np.uint8)) > 0
+
+
+class TestValues:
+    def test_numbers_that_are_not_finite_are_null(self):
+        values = np.array([[1.23456, np.nan], [np.inf, -2.0]])
+        assert numbers(values, 2) == [[1.23, None], [None, -2.0]]
+        assert numbers(values[:, 0][:1], 3) == [1.235]
+
+    def test_error_leaves_out_what_is_missing_or_invisible(self, fitted, scene):
+        truth = scene.landmarks.copy()
+        shape = truth + np.array([3.0, 4.0])
+        truth[3] = np.nan
+        assert error_of(shape, truth)[0] == pytest.approx(5.0)
+        assert error_of(shape, truth[:-1]) is None
+        assert error_of(shape, None) is None
+        assert error_of(shape, np.full_like(truth, np.nan)) is None
+        assert error_of(shape * np.nan, truth) is None
+
+    def test_invisible_landmarks_are_no_truth(self, scene):
+        truth = truth_of(Landmarks(scene.landmarks, invisible=(1, 4)))
+        assert np.flatnonzero(np.isnan(truth[:, 0])).tolist() == [1, 4]
+        assert truth_of(None) is None
+
+    def test_starts(self):
+        assert parse_start(None) is None
+        assert parse_start({"box": [1, 2.5, 3, 4]}) == (1.0, 2.5, 3.0, 4.0)
+        shape = parse_start({"shape": [[1, 2], None, [3, 4]]})
+        assert np.array_equal(shape, [[1, 2], [np.nan, np.nan], [3, 4]], equal_nan=True)
+
+    @pytest.mark.parametrize(
+        "start",
+        [
+            [],
+            {},
+            "middle",
+            7,
+            {"box": [1, 2, 3]},
+            {"box": [1, 2, 3, "4"]},
+            {"box": [1, 2, 3, True]},
+            {"box": [1, 2, 3, 1e300]},
+            {"box": {"x": 1}},
+            {"shape": []},
+            {"shape": [[1, 2, 3]]},
+            {"shape": [[1, None]]},
+            {"shape": [[1, 2]], "box": [1, 2, 3, 4]},
+            {"point": [1, 2]},
+        ],
+    )
+    def test_starts_that_are_unclear(self, start):
+        with pytest.raises(Refusal, match="the start is unclear") as refused:
+            parse_start(start)
+        assert refused.value.status == 422
+
+    def test_names_of_attachments(self):
+        header = attachment('Bild ä "1"\r\n.png')
+        assert header.isascii()
+        assert "\n" not in header
+        assert header.startswith('attachment; filename="Bild _ _1___.png"; ')
+        assert unquote(header.partition("UTF-8''")[2]) == 'Bild ä "1"\r\n.png'
+
+
+class Page:
+    """The studio, asked as the page asks."""
+
+    def __init__(self, folder: Path, model: AAM | None) -> None:
+        import httpx
+
+        self.studio = make_studio(folder, settings=SETTINGS)
+        self.studio.models.listeners.clear()
+        if model is not None:
+            self.studio.models.publish(model, {})
+        self.client = httpx.AsyncClient(
+            transport=httpx.ASGITransport(make_app(self.studio)),
+            base_url=f"http://127.0.0.1:{SETTINGS.port}",
+            headers={"authorization": f"Bearer {SETTINGS.token}"},
+        )
+
+    def ask(self, verb: str, path: str, **options):
+        import anyio
+
+        async def call():
+            return await self.client.request(verb, path, **options)
+
+        return anyio.run(call)
+
+    def fit(self, **asked):
+        return self.ask("POST", "/api/fits", json=asked)
+
+
+@pytest.fixture(scope="session")
+def page(folder, head_model) -> Page:
+    return Page(folder, head_model)
+
+
+class TestRequests:
+    def test_a_picture_of_the_folder(self, page):
+        answer = page.fit(picture="face.png", method="li", start=None)
+        assert answer.status_code == 200
+        made = answer.json()
+        assert (made["picture"], made["method"], made["ok"]) == ("face.png", "li", True)
+        assert made["error"]["percent"] < 5
+        assert isinstance(made["theta_deg"], float)
+
+    def test_a_dropped_picture(self, page, folder):
+        data = (folder / "face.png").read_bytes()
+        upload = page.ask("POST", "/api/uploads?name=face.png", content=data).json()
+        made = page.fit(upload=upload["id"]).json()
+        assert (made["upload"], made["error"], made["ok"]) == (upload["id"], None, True)
+        from_folder = page.fit(picture="face.png").json()
+        assert made["shape"] == from_folder["shape"]
+        layer = page.ask("GET", f"/api/fits/{made['id']}/layers/residual?size=80")
+        assert Image.open(io.BytesIO(layer.content)).size == (60, 80)
+
+    @pytest.mark.parametrize("what", [what for what in FILES if what != "relit"])
+    def test_what_is_given_away(self, page, tmp_path, scene, what):
+        made = page.fit(picture="Bild ä 1.png").json()
+        answer = page.ask("GET", f"/api/fits/{made['id']}/export?what={what}")
+        assert answer.status_code == 200
+        name = unquote(answer.headers["content-disposition"].partition("UTF-8''")[2])
+        assert name.startswith("Bild ä 1")
+        (tmp_path / name).write_bytes(answer.content)
+        if what in ("pts", "ljson", "csv"):
+            assert np.allclose(read_landmarks(tmp_path / name).points, made["shape"], atol=6e-4)
+        elif what == "json":
+            facts = answer.json()
+            assert np.allclose(facts["landmarks"], made["shape"], atol=6e-4)
+            assert (facts["image"], facts["status"]) == ("Bild ä 1.png", made["status"])
+        else:
+            height, width = decode_image(answer.content).shape[:2]
+            assert width / height == 120 / 160
+            assert height == 160 or what == "overlay"
+
+    def test_nothing_is_written(self, page, folder):
+        before = sorted(path.name for path in folder.rglob("*"))
+        made = page.fit(picture="face.png").json()
+        for what in FILES:
+            page.ask("GET", f"/api/fits/{made['id']}/export?what={what}")
+        assert sorted(path.name for path in folder.rglob("*")) == before
+
+    @pytest.mark.parametrize(
+        ("asked", "status", "text"),
+        [
+            ({"picture": "nothing.png"}, 404, "no picture 'nothing.png'"),
+            ({"picture": "../face.png"}, 404, "no picture"),
+            ({"upload": "nonsense"}, 404, "drop it once more"),
+            ({}, 422, "say what to fit"),
+            ({"picture": "face.png", "upload": "x"}, 422, "say what to fit"),
+            ({"picture": 7}, 422, "say what to fit"),
+            ({"picture": "face.png", "method": "magic"}, 422, "method 'magic' does not exist"),
+            ({"picture": "face.png", "method": 7}, 422, "the method is no text"),
+            ({"picture": "face.png", "start": "there"}, 422, "the start is unclear"),
+            ({"picture": "face.png", "start": {"box": [5, 5, 5, 5]}}, 422, "the box 5, 5, 5, 5 is empty"),
+            ({"picture": "face.png", "start": {"box": [900, 900, 990, 990]}}, 422, "the start lies outside the image"),
+            ({"picture": "face.png", "start": {"shape": [[1, 2], [3, 4]]}}, 422, "the start has 2 landmarks"),
+            ({"picture": "grey.png", "method": "li"}, 422, "the picture is grey"),
+        ],
+    )
+    def test_that_make_no_sense(self, page, asked, status, text):
+        answer = page.fit(**asked)
+        assert answer.status_code == status
+        assert text in answer.json()["error"]
+
+    def test_a_failed_fit_is_an_answer(self, page):
+        answer = page.fit(picture="dark.png", method="li", start={"box": [40, 10, 120, 110]})
+        assert answer.status_code == 200
+        assert (answer.json()["ok"], answer.json()["status"]) == (False, "too dark")
+        assert "use a brighter picture" in answer.json()["message"]
+
+    @pytest.mark.parametrize(
+        ("path", "status", "text"),
+        [
+            ("layers/heat", 404, "there are residual, shading, flat"),
+            ("layers/flat?size=big", 422, "no whole number"),
+            ("export?what=zip", 422, "there are pts, ljson"),
+            ("export", 422, "there are pts"),
+            ("relit?x=nan", 422, "the light is unclear"),
+            ("relit?x=0&y=0&z=0", 422, "the light is unclear"),
+            ("relit?x=a", 422, "the light is unclear"),
+            ("relit?ambient=2", 422, "the light is unclear"),
+        ],
+    )
+    def test_views_that_make_no_sense(self, page, path, status, text):
+        made = page.fit(picture="face.png").json()
+        answer = page.ask("GET", f"/api/fits/{made['id']}/{path}")
+        assert answer.status_code == status
+        assert text in answer.json()["error"]
+
+    @pytest.mark.parametrize("path", ["layers/flat", "relit", "export?what=pts"])
+    def test_fits_that_are_gone(self, page, path):
+        answer = page.ask("GET", f"/api/fits/none/{path}")
+        assert (answer.status_code, answer.json()["error"]) == (404, "this fit is no longer kept: fit again")
+
+    def test_a_layer_that_a_grey_picture_does_not_have(self, page):
+        made = page.fit(picture="grey.png").json()
+        answer = page.ask("GET", f"/api/fits/{made['id']}/layers/flat")
+        assert answer.status_code == 422
+        assert "the picture is grey" in answer.json()["error"]
+
+    def test_without_a_model(self, folder):
+        answer = Page(folder, None).fit(picture="face.png")
+        assert answer.status_code == 409
+        assert "train one first" in answer.json()["error"]

@@ -1,0 +1,211 @@
+"""Training in its own process, on generated scenes."""
+
+import json
+import os
+import shutil
+import signal
+import threading
+
+import numpy as np
+import pytest
+
+from liaam.io import Landmarks, write_image, write_landmarks
+from liaam.studio.project import STATE, Project
+from liaam.studio.safety import Refusal
+from liaam.studio.training import (
+    ModelStore,
+    Trainer,
+    forget_studio_model,
+    load_given_model,
+    load_studio_model,
+    model_json,
+    proposal_of,
+)
+
+
+class Told:
+    """What was published, and a way to wait for it."""
+
+    def __init__(self):
+        self.events = []
+        self.changed = threading.Condition()
+
+    def __call__(self, kind, data):
+        with self.changed:
+            self.events.append((kind, data))
+            self.changed.notify_all()
+
+    def wait_for(self, test):
+        with self.changed:
+            assert self.changed.wait_for(lambda: any(map(test, list(self.events))), 120)
+
+    def phases(self):
+        seen = [data["phase"] for kind, data in self.events if kind == "training" and data["phase"]]
+        return [phase for i, phase in enumerate(seen) if i == 0 or seen[i - 1] != phase]
+
+
+@pytest.fixture
+def setting(folder):
+    """Give what makes a trainer of a folder with so many pictures, so many of them done; ended at the end."""
+    trainers = []
+
+    def make(n, done):
+        project, models, told = Project(folder(n, done)), ModelStore(), Told()
+        trainers.append(Trainer(project, models, told))
+        return project, models, told, trainers[-1]
+
+    yield make
+    for trainer in trainers:
+        trainer.stop()
+
+
+def states(project):
+    return [picture["state"] for picture in project.overview()]
+
+
+def test_training_places_the_points_of_the_other_pictures(setting, portraits):
+    project, models, told, trainer = setting(8, 4)
+    shutil.copy(project.root / "p8.png", project.root / "p9.png")
+    (project.root / "p9.png").write_bytes((project.root / "p8.png").read_bytes()[:9000])  # its header is sound
+    write_image(project.root / "p99.png", np.tile(np.uint8(90), (60, 80, 3)))
+    seen = []
+    models.listeners.append(lambda current: seen.append(current.number))
+
+    assert trainer.start().state == "running"
+    with pytest.raises(Refusal, match="a training is under way") as caught:
+        trainer.start()
+    assert caught.value.status == 409
+    ended = trainer.wait(240)
+
+    assert (ended.state, ended.error) == ("done", None)
+    assert told.phases() == ["training", "proposals", "training", "proposals"]
+    assert seen == [1, 2]  # the quick model, then the one that knows how far it can be trusted
+    assert models.current.model.n_images == 4
+    assert states(project)[:8] == ["done"] * 4 + ["proposed"] * 4
+    for i in range(4, 8):
+        marks, truth = project.marks(f"p{i + 1}.png"), portraits[i].landmarks
+        error = np.linalg.norm(np.array(marks["points"]) - truth, axis=1).mean()
+        size = np.hypot(*np.ptp(truth, axis=0))
+        assert error < 0.03 * size
+        assert np.array(marks["covariances"]).shape == (58, 2, 2)
+    pictures = {picture["name"]: picture for picture in project.overview()}
+    assert sorted(pictures[f"p{i}.png"]["rank"] for i in range(5, 9)) == [1, 2, 3, 4]
+    assert all(0 < pictures[f"p{i}.png"]["uncertainty"] < 0.2 for i in range(5, 9))
+    assert pictures["p9.png"]["state"] == "new" and "cut short" in pictures["p9.png"]["error"]
+    assert str(project.root) not in pictures["p9.png"]["error"]
+
+    # What is there after a restart.
+    again, store = Project(project.root), ModelStore()
+    load_studio_model(again, store)
+    assert states(again) == states(project)
+    told_of = model_json(store.current, again)
+    assert (told_of["stale"], told_of["source"], told_of["n_points"]) == (0, "studio", 58)
+    assert told_of["trained"] == models.current.facts["trained"]
+    json.dumps(told_of, allow_nan=False)
+    marks = again.marks("p5.png")
+    again.save_marks("p5.png", marks)
+    assert model_json(store.current, again)["stale"] == 1
+    forget_studio_model(again, store)
+    assert store.current is None and not (again.root / STATE / "model.liaam").exists()
+
+
+def test_too_few_pictures_are_refused(setting):
+    *_, trainer = setting(4, 2)
+    with pytest.raises(Refusal, match="2 pictures have all their points; 3 are needed") as caught:
+        trainer.start()
+    assert caught.value.status == 422
+    assert trainer.state.state == "idle"
+
+
+def test_stopping_ends_the_process_and_keeps_what_was_there(setting):
+    project, _, told, trainer = setting(5, 4)
+    trainer.start()
+    process = trainer._process
+    told.wait_for(lambda event: event[0] == "training" and event[1]["total"] > 0)
+    assert trainer.stop().state == "idle"
+    assert not process.is_alive()
+    trainer.wait(60)
+    assert trainer.state.state == "idle"
+    assert project.problems == []
+    assert trainer.start().state == "running"  # and again
+    trainer.stop()
+
+
+def test_stopping_what_does_not_run_changes_nothing(setting):
+    *_, trainer = setting(3, 0)
+    assert trainer.stop().state == "idle"
+
+
+def test_a_process_that_is_killed_is_told(setting):
+    *_, told, trainer = setting(5, 4)
+    trainer.start()
+    told.wait_for(lambda event: event[0] == "training" and event[1]["total"] > 0)
+    os.kill(trainer._process.pid, signal.SIGKILL)
+    ended = trainer.wait(60)
+    assert ended.state == "failed" and "ended unexpectedly" in ended.error
+
+
+def test_pictures_that_do_not_serve_are_left_out(setting):
+    from liaam.io import read_image
+
+    project, models, _, trainer = setting(5, 5)
+    grey = read_image(project.root / "p2.png").mean(axis=2).astype(np.uint8)
+    write_image(project.root / "p2.png", grey)
+    (project.root / "p1.png").write_bytes((project.root / "p1.png").read_bytes()[:9000])
+    trainer.start()
+    ended = trainer.wait(240)
+    assert ended.state == "done", ended
+    assert models.current.model.n_images == 3
+    left_out = models.current.facts["left_out"]
+    assert "cut short" in left_out["p1.png"] and "grey" in left_out["p2.png"]
+
+
+def test_what_cannot_be_learnt_from_is_told(setting):
+    project, models, _, trainer = setting(3, 3)
+    points = project.landmarks("p2.png").points
+    write_landmarks(project.root / "p2.ljson", Landmarks(points[::-1]))
+    trainer.start()
+    ended = trainer.wait(120)
+    assert ended.state == "failed" and "p2.png: its landmarks fold the mesh" in ended.error
+    assert models.current is None
+
+
+def test_a_damaged_model_is_told_and_passed_over(folder):
+    project, models = Project(folder(3, 3)), ModelStore()
+    for data in (b"", b"rubbish" * 100):
+        project.state_path("model.liaam").write_bytes(data)
+        load_studio_model(project, models)
+        assert models.current is None
+        assert any("model.liaam" in problem and "train again" in problem for problem in project.problems)
+
+
+def test_a_model_without_its_facts_still_serves(folder, head_model):
+    project, models = Project(folder(3, 3)), ModelStore()
+    head_model.save(project.state_path("model.liaam"))
+    project.state_path("model.json").write_text('{"pictures": 3')
+    load_studio_model(project, models)
+    assert models.current.facts["trained"] is None
+    assert model_json(models.current, project)["stale"] == 3
+    assert any("model.json" in problem for problem in project.problems)
+
+
+def test_a_given_model_serves(folder, head_model, tmp_path):
+    head_model.save(tmp_path / "m.liaam")
+    project, models = Project(folder(2)), ModelStore()
+    load_given_model(tmp_path / "m.liaam", models)
+    assert model_json(models.current, project)["source"] == "file"
+
+
+def test_a_fit_that_blew_up_is_no_proposal(head_model, moving):
+    from dataclasses import replace
+
+    from liaam.fitting import Fitter
+
+    result = Fitter(head_model).fit(moving[0].image, moving[0].landmarks)
+    sound = proposal_of(result)
+    assert sound["ok"] and not sound["doubtful"] and sound["uncertainty"] > 0
+    blown = proposal_of(replace(result, shape=np.full_like(result.shape, np.nan)))
+    assert blown["points"] is None and blown["message"]
+    unsure = proposal_of(replace(result, landmark_covariances=np.full((len(result.shape), 2, 2), np.inf)))
+    assert unsure["uncertainty"] is None and unsure["covariances"] is None and unsure["points"]
+    json.dumps([sound, blown, unsure], allow_nan=False)
