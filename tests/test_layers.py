@@ -14,8 +14,8 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 LAYERS = (
     ("__main__",),
     (
-        *("cli", "cli_batch", "cli_experiments", "cli_inputs", "cli_photometry", "cli_studio", "cli_video"),
-        *("studio", "terminal"),
+        *("cli", "cli_batch", "cli_experiments", "cli_inputs", "cli_photometry", "cli_relight", "cli_studio"),
+        *("cli_video", "studio", "terminal"),
     ),
     ("experiments", "batch", "tracking"),
     ("plotting", "plotting_photometry", "plotting_video"),

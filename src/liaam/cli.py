@@ -13,8 +13,9 @@ from rich.table import Table
 from liaam import __version__
 from liaam.cli_batch import batch
 from liaam.cli_experiments import experiments, reproduce
-from liaam.cli_inputs import camera_for, check_output, read_init, unique_stems
+from liaam.cli_inputs import DOUBT, camera_for, check_output, read_init, unique_stems
 from liaam.cli_photometry import calibrate, invariant, register_command
+from liaam.cli_relight import relight
 from liaam.cli_studio import studio
 from liaam.cli_video import track
 from liaam.errors import LiaamError
@@ -39,6 +40,7 @@ app.add_typer(calibrate, name="calibrate")
 app.command()(batch)
 app.command()(invariant)
 app.command("register")(register_command)
+app.command()(relight)
 app.command()(track)
 app.command()(reproduce)
 app.command()(studio)
@@ -236,13 +238,6 @@ def fit(
         complain(f"{', '.join(names[:5])}{' …' if len(names) > 5 else ''}: {text}")
     if failed:
         raise typer.Exit(1)
-
-
-DOUBT = (
-    "it is doubtful that the search found the object (a low score): look at the overlay, and if it shows something "
-    "else, say where the object is with --init"
-)
-"""What to say of a start that is as likely something else."""
 
 
 def row_of(result: "FitResult") -> tuple[str, ...]:

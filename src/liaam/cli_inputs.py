@@ -1,4 +1,4 @@
-"""What the commands read: starts, pictures, cameras, lists of numbers; and names for what they write."""
+"""What the commands read: starts, pictures, cameras, lists of numbers; names for what they write, and a warning."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +10,12 @@ if TYPE_CHECKING:
     import numpy as np
 
     from liaam.photometry import CameraModel
+
+DOUBT = (
+    "it is doubtful that the search found the object (a low score): look at the overlay, and if it shows something "
+    "else, say where the object is with --init"
+)
+"""What to say of a start that is as likely something else."""
 
 
 def read_init(text: str, image: Path, size: tuple[int, int]):

@@ -8,8 +8,9 @@ import pytest
 from liaam.datasets.scenes import lateral
 from liaam.errors import MethodError
 from liaam.fitting import Fitter
+from liaam.relighting.painting import blended, soft_edge
 from liaam.tracking import Tracker
-from liaam.tracking.shading import ShadingRemover, blended, filtered, soft_edge
+from liaam.tracking.shading import ShadingRemover, filtered
 from setups import MOVING_FRAMES, moving_scene
 
 

@@ -14,17 +14,11 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
-from liaam.model import AAM
-from liaam.photometry import Response, from_linear, is_grey, to_linear
-from liaam.photometry.encoding import as_colour, stored_values
+from liaam.photometry import is_grey
+from liaam.photometry.encoding import as_colour
 from liaam.relighting import ShadowFree, paint, shadow_free
+from liaam.relighting.painting import REACH, blended, soft_edge
 from liaam.shape import diagonal_of
-
-SOFT_EDGE = 0.05
-"""Width of the border in which the appearance goes over into the picture, as a share of the model's diagonal."""
-
-REACH = 0.04
-"""How far beyond the mesh shading is taken off: deviation of a Gaussian, as a share of the shape's diagonal."""
 
 CHANGE = 0.1
 """Standard deviation of the change of an appearance's coordinate from frame to frame, in those of its mode: a face
@@ -124,62 +118,3 @@ def filtered(
     predicted = variance + change
     gain = predicted / np.maximum(predicted + noise, 1e-300)
     return before + gain * (measured - before), gain * noise
-
-
-def soft_edge(model: AAM) -> np.ndarray:
-    """Weights of the model's pixels, (n_pixels,) float32: 0 at the mesh's border, 1 well inside."""
-    from scipy.ndimage import distance_transform_edt
-
-    inside = model.frame.picture(np.ones(model.n_pixels, np.float32), 0.0) > 0
-    depth = np.asarray(distance_transform_edt(np.pad(inside, 1)))[1:-1, 1:-1]
-    share = np.clip((depth - 1.0) / (SOFT_EDGE * model.diagonal), 0.0, 1.0)
-    return (share * share * (3.0 - 2.0 * share))[inside].astype(np.float32)
-
-
-def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: float) -> np.ndarray:
-    """Lay an appearance over a picture, and take the shading next to it off.
-
-    Parameters
-    ----------
-    image : (h, w, 3) array
-    painted : (h, w, 4) float32
-        Logarithms of light, and their weights.
-    response : Response
-        Of the image's camera.
-    reach : float
-        How far shading is taken off beyond the weights, pixels.
-
-    Returns
-    -------
-    (h, w, 3) uint8
-    """
-    import cv2
-
-    stored = stored_values(image)
-    picture = np.rint(255 * stored).astype(np.uint8)
-    rows, columns = _box(painted[..., 3] > 0, 4 * reach)
-    weights = painted[rows, columns, 3:]
-    if not weights.size:
-        return picture
-    floor = 0.5 * float(to_linear(np.array(1 / 255), response))
-    own = np.log(np.maximum(to_linear(stored[rows, columns], response), floor)).astype(np.float32)
-    shading = own - painted[rows, columns, :3]
-    spread = cv2.GaussianBlur(np.concatenate([weights * shading, weights], axis=2), (0, 0), reach)
-    around = spread[..., :3] / np.maximum(spread[..., 3:], 1e-6)
-    fading = np.clip(2.5 * spread[..., 3:], 0.0, 1.0)
-    taken = weights * shading + (1.0 - weights) * fading * fading * (3.0 - 2.0 * fading) * around
-    fresh = np.clip(from_linear(np.exp(own - taken), response), 0.0, 1.0)
-    changed = np.abs(taken).max(axis=2) > 0
-    picture[rows, columns][changed] = np.rint(255 * fresh).astype(np.uint8)[changed]
-    return picture
-
-
-def _box(inside: np.ndarray, margin: float) -> tuple[slice, slice]:
-    """Rows and columns of a mask (h, w) and so much around it; none of an empty one."""
-    slices = []
-    for axis in (1, 0):
-        (seen,) = np.nonzero(inside.any(axis=axis))
-        first, last = (seen[0], seen[-1] + 1) if len(seen) else (0, 0)
-        grown = round(margin) if len(seen) else 0
-        slices.append(slice(max(0, int(first) - grown), int(last) + grown))
-    return slices[0], slices[1]

@@ -7,17 +7,11 @@ import numpy as np
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.objective import tied_together
-from liaam.mesh import ReferenceFrame, signed_areas
-from liaam.model import AAM
-from liaam.photometry import Response, from_linear, to_linear
-from liaam.photometry.encoding import as_colour, refuse_grey, stored_values
+from liaam.photometry.encoding import as_colour, refuse_grey
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
 """Of a residual: at least what rounding to 8 bits leaves of the brightest pixel's logarithm. A fit of a picture
 without noise leaves less, down to rounding of float32, against which no prior would hold modes that are not seen."""
-
-LARGEST = 10
-"""Size of a shape, in sizes of the image, beyond which it is not painted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,83 +86,3 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     best = np.linalg.solve(hessian, equations.aa @ lam + equations.ar)
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
     return ShadowFree(objective.appearance.texture(best[:n]), best[:n], spread[:n])
-
-
-def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Carry values of the reference frame to where a shape lies in an image.
-
-    Parameters
-    ----------
-    image : (h, w, ...) array
-        Gives the size.
-    shape : (n, 2) float
-        Landmarks, image pixels.
-    model : AAM
-    values : (n_pixels, c) float32
-
-    Returns
-    -------
-    picture : (h, w, c) float32
-        Zero outside the mesh; triangles that are turned over stay empty, and so does all of a shape that is
-        not finite, or many times as large as the image.
-    inside : (h, w) bool
-    """
-    from scipy.ndimage import map_coordinates
-
-    height, width = image.shape[:2]
-    picture, inside = np.zeros((height, width, values.shape[1]), np.float32), np.zeros((height, width), bool)
-    # A fit that has blown up may be of any size.
-    sane = np.isfinite(shape).all() and np.ptp(shape, axis=0).max() < LARGEST * max(height, width)
-    triangles = model.triangles[signed_areas(shape, model.triangles) > 1e-3] if sane else model.triangles[:0]
-    if not len(triangles):
-        return picture, inside
-    there = ReferenceFrame(shape, triangles)
-    x, y = (there.pixels[:, ::-1] + there.origin).astype(int).T
-    seen = (x >= 0) & (y >= 0) & (x < width) & (y < height)
-    if not seen.any():
-        return picture, inside
-    own = np.einsum("nv,nva->na", there.weights[seen], model.shape_model.mean[there.vertices[seen]])
-    own = (own - model.frame.origin)[:, ::-1].T
-    known = np.ones((len(values), 1), np.float32)
-    layers = np.moveaxis(model.frame.picture(np.concatenate([values, known], axis=1)), 2, 0)
-    *carried, share = (map_coordinates(layer, own, order=1, mode="nearest") for layer in layers)
-    # At the mesh's border the pixels outside it do not count.
-    kept = share > 1e-3
-    picture[y[seen][kept], x[seen][kept]] = np.stack([layer[kept] / share[kept] for layer in carried], axis=1)
-    inside[y[seen][kept], x[seen][kept]] = True
-    return picture, inside
-
-
-def without_shading(
-    image: np.ndarray, shape: np.ndarray, model: AAM, appearance: ShadowFree, response: Response = "srgb"
-) -> tuple[np.ndarray, np.ndarray]:
-    """Picture with the object under the training light, and the shading that was taken off.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8, uint16 or float array
-        Stored values.
-    shape : (n, 2) float
-        Fitted landmarks.
-    model : AAM
-    appearance : ShadowFree
-    response : Response
-        Of the image's camera.
-
-    Returns
-    -------
-    picture : (h, w, 3) float32
-        Stored values in [0, 1]; as the image outside the mesh.
-    shading : (h, w, 3) float32
-        Logarithm of image / appearance, 0 outside the mesh.
-    """
-    image = as_colour(image)
-    stored = stored_values(image)
-    log_rgb, inside = paint(image, shape, model, appearance.log_rgb)
-    fresh = np.clip(from_linear(np.exp(log_rgb), response), 0, 1)
-    floor = 0.5 * float(to_linear(np.array(1 / 255), response))
-    shading = np.log(np.maximum(to_linear(stored, response), floor)) - log_rgb
-    return (
-        np.where(inside[..., None], fresh, stored).astype(np.float32),
-        np.where(inside[..., None], shading, 0.0).astype(np.float32),
-    )

@@ -1,0 +1,199 @@
+"""From the model's reference frame onto a picture, and over its border without a seam."""
+
+import numpy as np
+
+from liaam.mesh import ReferenceFrame, signed_areas
+from liaam.model import AAM
+from liaam.photometry import Response, from_linear, to_linear
+from liaam.photometry.encoding import as_colour, stored_values
+from liaam.relighting.appearance import ShadowFree
+
+LARGEST = 10
+"""Size of a shape, in sizes of the image, beyond which it is not painted."""
+
+SOFT_EDGE = 0.05
+"""Width of the border in which the appearance goes over into the picture, as a share of the model's diagonal."""
+
+REACH = 0.04
+"""How far beyond the mesh shading is taken off: deviation of a Gaussian, as a share of the shape's diagonal."""
+
+
+ANOTHER_LIGHT, ANOTHER_COLOUR = 0.5, 0.2
+"""How much brighter or darker, and how differently coloured, in logarithms, another thing than the object is."""
+
+
+def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Carry values of the reference frame to where a shape lies in an image.
+
+    Parameters
+    ----------
+    image : (h, w, ...) array
+        Gives the size.
+    shape : (n, 2) float
+        Landmarks, image pixels.
+    model : AAM
+    values : (n_pixels, c) float32
+
+    Returns
+    -------
+    picture : (h, w, c) float32
+        Zero outside the mesh; triangles that are turned over stay empty, and so does all of a shape that is
+        not finite, or many times as large as the image.
+    inside : (h, w) bool
+    """
+    from scipy.ndimage import map_coordinates
+
+    height, width = image.shape[:2]
+    picture, inside = np.zeros((height, width, values.shape[1]), np.float32), np.zeros((height, width), bool)
+    # A fit that has blown up may be of any size.
+    sane = np.isfinite(shape).all() and np.ptp(shape, axis=0).max() < LARGEST * max(height, width)
+    triangles = model.triangles[signed_areas(shape, model.triangles) > 1e-3] if sane else model.triangles[:0]
+    if not len(triangles):
+        return picture, inside
+    there = ReferenceFrame(shape, triangles)
+    x, y = (there.pixels[:, ::-1] + there.origin).astype(int).T
+    seen = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    if not seen.any():
+        return picture, inside
+    own = np.einsum("nv,nva->na", there.weights[seen], model.shape_model.mean[there.vertices[seen]])
+    own = (own - model.frame.origin)[:, ::-1].T
+    known = np.ones((len(values), 1), np.float32)
+    layers = np.moveaxis(model.frame.picture(np.concatenate([values, known], axis=1)), 2, 0)
+    *carried, share = (map_coordinates(layer, own, order=1, mode="nearest") for layer in layers)
+    # At the mesh's border the pixels outside it do not count.
+    kept = share > 1e-3
+    picture[y[seen][kept], x[seen][kept]] = np.stack([layer[kept] / share[kept] for layer in carried], axis=1)
+    inside[y[seen][kept], x[seen][kept]] = True
+    return picture, inside
+
+
+def without_shading(
+    image: np.ndarray, shape: np.ndarray, model: AAM, appearance: ShadowFree, response: Response = "srgb"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Picture with the object under the training light, and the shading that was taken off.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, uint16 or float array
+        Stored values.
+    shape : (n, 2) float
+        Fitted landmarks.
+    model : AAM
+    appearance : ShadowFree
+    response : Response
+        Of the image's camera.
+
+    Returns
+    -------
+    picture : (h, w, 3) float32
+        Stored values in [0, 1]; as the image outside the mesh.
+    shading : (h, w, 3) float32
+        Logarithm of image / appearance, 0 outside the mesh.
+    """
+    image = as_colour(image)
+    stored = stored_values(image)
+    log_rgb, inside = paint(image, shape, model, appearance.log_rgb)
+    fresh = np.clip(from_linear(np.exp(log_rgb), response), 0, 1)
+    floor = 0.5 * float(to_linear(np.array(1 / 255), response))
+    shading = np.log(np.maximum(to_linear(stored, response), floor)) - log_rgb
+    return (
+        np.where(inside[..., None], fresh, stored).astype(np.float32),
+        np.where(inside[..., None], shading, 0.0).astype(np.float32),
+    )
+
+
+def log_light(image: np.ndarray, response: Response) -> np.ndarray:
+    """Logarithm of linear light of a picture's stored values, (h, w, 3) float32; black counts as half a step."""
+    floor = 0.5 * float(to_linear(np.array(1 / 255), response))
+    return np.log(np.maximum(to_linear(stored_values(image), response), floor)).astype(np.float32)
+
+
+def eight_bits(log_rgb: np.ndarray, response: Response) -> np.ndarray:
+    """Stored values (h, w, 3) uint8 of logarithms of light; what is brighter than white is white."""
+    return np.rint(255 * np.clip(from_linear(np.exp(log_rgb), response), 0.0, 1.0)).astype(np.uint8)
+
+
+def soft_edge(model: AAM) -> np.ndarray:
+    """Weights of the model's pixels, (n_pixels,) float32: 0 at the mesh's border, 1 well inside."""
+    from scipy.ndimage import distance_transform_edt
+
+    inside = model.frame.picture(np.ones(model.n_pixels, np.float32), 0.0) > 0
+    depth = np.asarray(distance_transform_edt(np.pad(inside, 1)))[1:-1, 1:-1]
+    share = np.clip((depth - 1.0) / (SOFT_EDGE * model.diagonal), 0.0, 1.0)
+    return (share * share * (3.0 - 2.0 * share))[inside].astype(np.float32)
+
+
+def around(values: np.ndarray, weights: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Carry values on beyond where they have weight, and say how much of them to take there.
+
+    Parameters
+    ----------
+    values : (h, w, c) float32
+    weights : (h, w, 1) float32
+        1 where the values are known, 0 where nothing is known of them.
+    own : (h, w, 3) float32
+        Logarithms of the picture's light. What looks unlike the object next to it is another thing (the wall behind a
+        cheek), and what happens to the object is none of its business.
+    reach : float
+        Deviation of the Gaussian that carries them, pixels.
+
+    Returns
+    -------
+    values : (h, w, c) float32
+        Weighted means of the values nearby.
+    share : (h, w, 1) float32
+        1 next to where values are known, less and less further out, 0 beyond some 2.5 times the reach.
+    """
+    import cv2
+
+    c = values.shape[2]
+    sums = cv2.GaussianBlur(np.concatenate([weights * values, weights * own, weights], axis=2), (0, 0), reach)
+    means = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
+    fading = np.clip(2.5 * sums[..., -1:], 0.0, 1.0)
+    unlike = cv2.GaussianBlur(own, (0, 0), max(0.5, 0.1 * reach)) - means[..., c:]
+    brighter = unlike.mean(axis=2, keepdims=True)
+    tint = np.square(unlike - brighter).sum(axis=2, keepdims=True)
+    like = np.exp(-0.5 * (np.square(brighter / ANOTHER_LIGHT) + tint / ANOTHER_COLOUR**2))
+    return means[..., :c], (fading * fading * (3.0 - 2.0 * fading) * like).astype(np.float32)
+
+
+def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: float) -> np.ndarray:
+    """Lay an appearance over a picture, and take the shading next to it off.
+
+    Parameters
+    ----------
+    image : (h, w, 3) array
+    painted : (h, w, 4) float32
+        Logarithms of light, and their weights.
+    response : Response
+        Of the image's camera.
+    reach : float
+        How far shading is taken off beyond the weights, pixels.
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    picture = np.rint(255 * stored_values(image)).astype(np.uint8)
+    rows, columns = box_around(painted[..., 3] > 0, 4 * reach)
+    weights = painted[rows, columns, 3:]
+    if not weights.size:
+        return picture
+    own = log_light(image[rows, columns], response)
+    shading = own - painted[rows, columns, :3]
+    nearby, share = around(shading, weights, own, reach)
+    taken = weights * shading + (1.0 - weights) * share * nearby
+    changed = np.abs(taken).max(axis=2) > 0
+    picture[rows, columns][changed] = eight_bits(own - taken, response)[changed]
+    return picture
+
+
+def box_around(inside: np.ndarray, margin: float) -> tuple[slice, slice]:
+    """Rows and columns of a mask (h, w) and so much around it; none of an empty one."""
+    slices = []
+    for axis in (1, 0):
+        (seen,) = np.nonzero(inside.any(axis=axis))
+        first, last = (seen[0], seen[-1] + 1) if len(seen) else (0, 0)
+        grown = round(margin) if len(seen) else 0
+        slices.append(slice(max(0, int(first) - grown), int(last) + grown))
+    return slices[0], slices[1]
