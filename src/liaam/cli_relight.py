@@ -71,6 +71,10 @@ def relight(
         unit_direction(direction)  # it may refuse: before the work
         check_ambient(AMBIENT if ambient is None else ambient)
     model = load_model(model_file)
+    if not model.is_colour:
+        raise LiaamError(
+            f"{model_file}: the model is of grey pictures, and shading is told by colours; train on colour pictures"
+        )
     camera = camera_for([path for path in (image, like) if path is not None], camera_file, response, model.camera)
     fitter = Fitter(model, method, camera=camera)
     with progress_bar() as tell:

@@ -18,7 +18,16 @@ REACH = 0.04
 """How far beyond the mesh shading is taken off: deviation of a Gaussian, as a share of the shape's diagonal."""
 
 
-ANOTHER_LIGHT, ANOTHER_COLOUR = 0.5, 0.2
+LEAST_SHARE = 1e-3
+"""Share of a change of light below which none is left."""
+
+BLUR_OWN = 0.7
+"""Deviation of the Gaussian that takes the noise from what is compared with the object next to it, pixels."""
+
+NEAREST = 1.0
+"""Finest scale at which values are carried over the mesh's border, pixels."""
+
+ANOTHER_LIGHT, ANOTHER_COLOUR = 0.6, 0.25
 """How much brighter or darker, and how differently coloured, in logarithms, another thing than the object is."""
 
 
@@ -135,26 +144,40 @@ def around(values: np.ndarray, weights: np.ndarray, own: np.ndarray, reach: floa
         Logarithms of the picture's light. What looks unlike the object next to it is another thing (the wall behind a
         cheek), and what happens to the object is none of its business.
     reach : float
-        Deviation of the Gaussian that carries them, pixels.
+        How far they are carried: deviation of a Gaussian, pixels.
 
     Returns
     -------
     values : (h, w, c) float32
-        Weighted means of the values nearby.
+        Weighted means of the values nearby: of the nearest next to them, of more and more further out.
     share : (h, w, 1) float32
         1 next to where values are known, less and less further out, 0 beyond some 2.5 times the reach.
     """
     import cv2
 
-    c = values.shape[2]
-    sums = cv2.GaussianBlur(np.concatenate([weights * values, weights * own, weights], axis=2), (0, 0), reach)
-    means = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
-    fading = np.clip(2.5 * sums[..., -1:], 0.0, 1.0)
-    unlike = cv2.GaussianBlur(own, (0, 0), max(0.5, 0.1 * reach)) - means[..., c:]
+    layers, c = np.concatenate([weights * values, weights * own, weights], axis=2), values.shape[2]
+    means, fading, scale = None, weights, float(reach)
+    while True:
+        sums = cv2.GaussianBlur(layers, (0, 0), scale)
+        nearby = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
+        if means is None:
+            means, fading = nearby, _smoothstep(2.5 * sums[..., -1:])
+        else:
+            means += _smoothstep(2.0 * sums[..., -1:]) * (nearby - means)
+        if scale <= NEAREST:
+            break
+        scale = max(0.5 * scale, NEAREST)
+    unlike = cv2.GaussianBlur(own, (0, 0), BLUR_OWN) - means[..., c:]
     brighter = unlike.mean(axis=2, keepdims=True)
     tint = np.square(unlike - brighter).sum(axis=2, keepdims=True)
-    like = np.exp(-0.5 * (np.square(brighter / ANOTHER_LIGHT) + tint / ANOTHER_COLOUR**2))
-    return means[..., :c], (fading * fading * (3.0 - 2.0 * fading) * like).astype(np.float32)
+    apart = np.square(brighter / ANOTHER_LIGHT) + tint / ANOTHER_COLOUR**2
+    share = fading * np.exp(-0.5 * np.maximum(apart - 1.0, 0.0))
+    return means[..., :c], np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32)
+
+
+def _smoothstep(x: np.ndarray) -> np.ndarray:
+    x = np.clip(x, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)
 
 
 def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: float) -> np.ndarray:

@@ -89,14 +89,13 @@ class Relighter:
         Raises
         ------
         MethodError
-            For a method without the log appearance, another fitter than the fit's, a grey picture, and a model of grey
-            pictures.
+            For a method without the log appearance, another fitter than the fit's, and a grey picture.
         """
         image, model = as_colour(image), fitter.model
-        if not model.is_colour:
-            raise MethodError("the model is of grey pictures, and shading is told by colours; train on colour pictures")
         refuse_grey(image, "image", "shading is told by colours; give a colour picture", MethodError)
         response = (fitter.camera or model.camera).response
+        if not paint(image, result.shape, model, np.ones((model.n_pixels, 1), np.float32))[1].any():
+            return _as_it_is(model, image, result.shape, response)
         appearance = shadow_free(fitter, image, result, prior)
         shading = find_shading(model, image, result.shape, appearance.log_rgb, response)
         return _taken_apart(model, image, result.shape, response, appearance, shading)
@@ -172,7 +171,10 @@ def unit_direction(direction: Sequence[float]) -> np.ndarray:
     LiaamError
         If it is not three finite numbers, or all of them are 0.
     """
-    light = np.asarray(direction, dtype=np.float64)
+    try:
+        light = np.asarray(direction, dtype=np.float64)
+    except (TypeError, ValueError):
+        light = np.zeros(0)
     if light.shape != (3,) or not np.isfinite(light).all() or not light.any():
         raise LiaamError(
             f"light from {direction}: give three numbers x,y,z, not all 0: to the right, down, and to the viewer"
@@ -203,24 +205,8 @@ def _taken_apart(
     """Carry what is known on the reference frame to the picture, and over the mesh's border."""
     layers = (appearance.log_rgb, shading.log, shading.model_variance, shading.variance, normals_of(model.frame))
     painted, inside = paint(image, shape, model, np.column_stack(layers).astype(np.float32))
-    box = box_around(inside, 4 * reach_of(shape)) if inside.any() else (slice(0, 0), slice(0, 0))
+    box = box_around(inside, 4 * reach_of(shape))
     painted, inside = painted[box], inside[box]
-    if not inside.size:
-        empty = np.zeros((0, 0, 3), np.float32)
-        return Relighter(
-            model,
-            shape,
-            response,
-            eight_bit(image),
-            appearance,
-            shading,
-            box,
-            empty,
-            empty,
-            inside,
-            empty[..., :1],
-            empty,
-        )
     log_model, log_smooth, normals = painted[..., :3], painted[..., 3:6], painted[..., 8:]
     own = log_light(image[box], response)
     # The picture's own detail, as far as it says more than the model does.
@@ -246,6 +232,28 @@ def _taken_apart(
         inside=inside,
         share=np.where(inside[..., None], 1.0, share).astype(np.float32),
         normals=normals,
+    )
+
+
+def _as_it_is(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> Relighter:
+    """A picture of which nothing can be relit: its fit lies outside of it, or has blown up."""
+    known = model.levels[-1].appearances["log"]
+    appearance = ShadowFree(known.mean, np.zeros(known.n_modes), np.sqrt(known.eigenvalues))
+    zeros, none = np.zeros(model.n_pixels, np.float32), np.zeros((0, 0, 3), np.float32)
+    shading, box = Shading(np.zeros_like(known.mean), zeros, zeros), (slice(0, 0), slice(0, 0))
+    return Relighter(
+        model,
+        shape,
+        response,
+        eight_bit(image),
+        appearance,
+        shading,
+        box,
+        log_flat=none,
+        log_shading=none,
+        inside=np.zeros((0, 0), bool),
+        share=none[..., :1],
+        normals=none,
     )
 
 

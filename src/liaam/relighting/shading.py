@@ -32,9 +32,10 @@ UNKNOWN = 0.05
 """Deviation of the model's errors where training has not left pictures out to measure it."""
 
 AT_THE_BORDER = 0.5
-"""Deviation of the model's errors at the mesh's border, where the next pixel may be something else."""
+"""Deviation of the model's errors at the mesh's border, where a landmark that lies a pixel off puts something else:
+there the picture's own detail is believed."""
 
-COUPLING, CORNER, PASSES = 0.1, 0.02, 4
+COUPLING, CORNER, PASSES = 0.03, 0.02, 4
 """Weight of a jump of shading between neighbours; jumps below CORNER are smoothed by their square; and how often the
 system is weighed anew."""
 
@@ -82,11 +83,12 @@ def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, log_rgb: np.n
     frame, level = model.frame, model.levels[-1]
     seen, usable = sample_appearance(image, shape, model.warp, "log", response, level.blur)
     model_variance = errors_of_the_model(model, log_rgb)
+    at_the_border = np.square(AT_THE_BORDER * (1.0 - soft_edge(model)))
     pixel = max(1.0, align(model.shape_model.mean, shape).scale)
     noise = noise_variance(seen, response, noise_deviation(image) / pixel).mean(axis=1)
     log = piecewise_smooth(frame, seen - log_rgb, usable * UNIT**2 / (model_variance + noise))
     steepness = np.square(frame.gradient(log)).sum(axis=1).mean(axis=1)
-    return Shading(log, steepness.astype(np.float32), model_variance)
+    return Shading(log, steepness.astype(np.float32), model_variance + at_the_border)
 
 
 def errors_of_the_model(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
@@ -94,8 +96,7 @@ def errors_of_the_model(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
     unexplained = model.levels[-1].appearances["log"].unexplained
     known = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
     slopes = np.square(model.frame.gradient(log_rgb)).sum(axis=1).mean(axis=1)
-    border = np.square(AT_THE_BORDER * (1.0 - soft_edge(model)))
-    return (known + FINE**2 + MISPLACED**2 * slopes + border).astype(np.float32)
+    return (known + FINE**2 + MISPLACED**2 * slopes).astype(np.float32)
 
 
 def noise_variance(log_rgb: np.ndarray, response: Response, deviation: float) -> np.ndarray:

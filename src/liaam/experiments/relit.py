@@ -1,0 +1,142 @@
+"""How good is a relit picture? Measures that need the truth, which generated scenes have."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.datasets.scenes import (
+    DIFFUSE,
+    Camera,
+    Head,
+    Lights,
+    Scene,
+    lateral,
+    make_set,
+    random_expression,
+    random_pose,
+    render,
+)
+from liaam.evaluation import root_mean_square
+from liaam.experiments.reconstruct import EXPOSURE
+from liaam.model import AAM
+from liaam.photometry.encoding import DARK, SATURATED
+from liaam.photometry.response import from_linear, to_linear
+from liaam.relighting import paint
+from liaam.relighting.painting import log_light
+from liaam.training import sample_appearance, train
+
+LIGHTS: dict[str, Lights] = {
+    "left": lateral("left"),
+    "right": lateral("right"),
+    "warm": lateral("right", temperature_K=2800, azimuth=1.1, ambient_temperature_K=9000, ambient_strength=0.2),
+    "steep": lateral("left", temperature_K=3300, azimuth=0.5, elevation=0.8),
+}
+"""Hard lights with cast shadows, unlike the diffuse and neutral one of training."""
+
+SMOOTH = 0.1
+"""Difference of log light of neighbours in the true flat-lit picture below which nothing hides a seam between them."""
+
+GRAIN = 1.0
+"""Deviation of the Gaussian that smooths pictures before a seam is measured, pixels: the noise of single pixels, which
+stays around the mesh and goes inside it, is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class LitPair:
+    """A person in one pose under hard light, and the truth: the same under the light of training."""
+
+    light: str
+    lit: Scene
+    flat: Scene
+
+
+def training_camera() -> Camera:
+    """Camera with the exposure of training: the level of light that the model knows, and that truth is told in."""
+    return Camera(exposure=EXPOSURE)
+
+
+def train_on_flat_light(head: Head, n: int = 24, size: tuple[int, int] = (320, 240), **options) -> AAM:
+    """Train on pictures of a person under diffuse light."""
+    scenes = make_set(n, head, camera=training_camera(), size=size)
+    return train([(s.image, s.landmarks) for s in scenes], theta=scenes[0].theta, **options)
+
+
+def lit_pairs(head: Head, lights: dict[str, Lights] = LIGHTS, size: tuple[int, int] = (320, 240)) -> Iterator[LitPair]:
+    """Pictures of a person, in poses and with expressions that training has not seen."""
+    for i, (name, light) in enumerate(lights.items()):
+        rng = np.random.default_rng([head.seed, i, 4])
+        pose, expression = random_pose(rng, size), random_expression(rng)
+        lit, flat = (render(head, pose, expression, x, training_camera(), size, seed=i) for x in (light, DIFFUSE))
+        yield LitPair(name, lit, flat)
+
+
+def flat_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
+    """Root mean square error of log light against the true flat-lit picture, inside the mesh, as sharp as the model.
+
+    Both pictures are carried to the model's reference frame by the true landmarks, and blurred like its sharpest level.
+    The truth has neither noise nor rounding, and its level counts: the same exposure as in training. All channels and
+    all pixels of the frame count that lie in the fitted mesh, and whose true values are neither dark nor clipped.
+
+    Parameters
+    ----------
+    model : AAM
+    log_rgb : (h, w, 3) float32
+        Logarithm of light of what was made of the picture.
+    shape : (n, 2) float
+        Fitted landmarks.
+    flat : Scene
+        The truth.
+    """
+    covered = mesh_mask(model, log_rgb, shape)
+    made = np.where(covered[..., None], np.exp(log_rgb), 0.0).astype(np.float32)
+
+    def sampled(picture: np.ndarray, encoding: str = "log") -> np.ndarray:
+        return sample_appearance(picture, flat.landmarks, model.warp, encoding, "linear", model.levels[-1].blur)[0]
+
+    truth, share = sampled(flat.linear), sampled(np.repeat(covered[..., None].astype(np.float32), 3, axis=2), "value")
+    low, high = np.log(to_linear(np.array([DARK, SATURATED]), model.response))
+    counts = (truth > low).all(axis=1) & (truth < high).all(axis=1) & (share.min(axis=1) > 0.999)
+    return root_mean_square((sampled(made) - truth)[counts])
+
+
+def pixel_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
+    """The same pixel by pixel of the picture, with all of its noise."""
+    stored = from_linear(np.clip(flat.linear, 0, 1), model.response)
+    counts = mesh_mask(model, log_rgb, shape) & (stored > DARK).all(axis=2) & (stored < SATURATED).all(axis=2)
+    return root_mean_square(log_rgb[counts] - np.log(flat.linear[counts]))
+
+
+def seam(model: AAM, picture: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
+    """How much steeper a picture is across the mesh's border than inside the mesh.
+
+    Mean absolute difference of log luminance, smoothed by :data:`GRAIN`, between neighbours of which one lies inside
+    the mesh and one outside, by that of neighbours inside; only those count whose true flat-lit values are alike
+    (:data:`SMOOTH`), for an edge of the object would hide a seam. About 1 is what an untouched picture has.
+
+    Parameters
+    ----------
+    model : AAM
+    picture : (h, w, 3) uint8
+    shape : (n, 2) float
+        Fitted landmarks.
+    flat : Scene
+        The truth.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    inside = mesh_mask(model, picture, shape)
+    logs = (log_light(picture, model.response), np.log(np.maximum(flat.linear, 1e-4)))
+    made, truth = (gaussian_filter(log.mean(axis=2), GRAIN) for log in logs)
+    across, within = [], []
+    for axis in (0, 1):
+        steps, true_steps = (np.abs(np.diff(values, axis=axis)) for values in (made, truth))
+        first, second = (np.delete(inside, which, axis=axis) for which in (-1, 0))
+        across.append(steps[(first ^ second) & (true_steps < SMOOTH)])
+        within.append(steps[first & second & (true_steps < SMOOTH)])
+    return float(np.concatenate(across).mean() / np.concatenate(within).mean())
+
+
+def mesh_mask(model: AAM, picture: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Where a shape's mesh lies in a picture, (h, w) bool."""
+    return paint(picture, shape, model, np.ones((model.n_pixels, 1), np.float32))[1]

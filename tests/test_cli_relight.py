@@ -1,0 +1,128 @@
+"""'liaam relight' as a person types it."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.datasets.scenes import lateral
+from liaam.io import read_image, write_image, write_landmarks
+from setups import moving_scene
+
+SIDE = lateral("left", ambient_strength=0.4)
+
+
+@pytest.fixture(scope="module")
+def files(head_model, tmp_path_factory):
+    """A model, a picture under side light and another under a light from the other side."""
+    folder = tmp_path_factory.mktemp("relight")
+    head_model.save(folder / "head.liaam")
+    write_image(folder / "lit.png", moving_scene(0.3, SIDE).image)
+    write_image(folder / "other.png", moving_scene(0.6, lateral("right", ambient_strength=0.4)).image)
+    return folder
+
+
+@pytest.fixture
+def relight(run, files, monkeypatch):
+    monkeypatch.chdir(files)
+    return lambda *arguments: run("relight", "head.liaam", "lit.png", *arguments)
+
+
+def test_flat_is_what_one_gets_without_a_light(relight, files, tmp_path):
+    code, out, err = relight()
+    assert (code, err) == (0, "")
+    assert "lit_flat.png" in out
+    assert relight("--flat", "-o", tmp_path / "named.png")[0] == 0
+    flat, named = read_image(files / "lit_flat.png"), read_image(tmp_path / "named.png")
+    np.testing.assert_array_equal(flat, named)
+    scene, truth = moving_scene(0.3, SIDE), moving_scene(0.3).image.astype(float)
+    errors = [np.abs(picture[scene.mask] - truth[scene.mask]).mean() for picture in (scene.image, flat)]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_lamp_and_another_picture(relight, files, tmp_path):
+    mask = moving_scene(0.3).mask
+    y, x = np.nonzero(mask)
+    halves = [(y[side], x[side]) for side in (x < np.median(x), x > np.median(x))]
+
+    def tilt(picture):
+        left, right = (np.log(picture[half].astype(float).mean()) for half in halves)
+        return right - left
+
+    assert relight("--flat", "-o", tmp_path / "flat.png")[0] == 0
+    assert "lit_relit.png" in relight("--light", "1,0,0.3", "--ambient", "0.1")[1]
+    assert relight("--light=-1,0,0.3", "-o", tmp_path / "left.png")[0] == 0
+    assert relight("--like", "other.png", "-o", tmp_path / "like.png")[0] == 0
+    flat, left, like = (tilt(read_image(tmp_path / f"{name}.png")) for name in ("flat", "left", "like"))
+    right = tilt(read_image(files / "lit_relit.png"))
+    assert left < flat - 0.2 < flat + 0.2 < right
+    assert like > flat + 0.2
+
+
+def test_a_start_for_each_picture(relight, tmp_path):
+    for name, time in (("lit", 0.3), ("other", 0.6)):
+        write_landmarks(tmp_path / f"{name}.pts", moving_scene(time).landmarks)
+    options = ("--init", tmp_path, "--like", "other.png", "--like-init", tmp_path / "other.pts")
+    assert relight(*options, "-o", tmp_path / "out.jpg", "-m", "li")[0] == 0
+    assert read_image(tmp_path / "out.jpg").shape == (160, 120, 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--flat", "--light", "0,0,1"), "--flat and --light are different lights"),
+        (("--light", "0,0,1", "--like", "other.png"), "--light and --like are different lights"),
+        (("--light", "0,0,0"), "not all 0"),
+        (("--light", "1,nan,0"), "give 3 numbers"),
+        (("--light", "1,2"), "give 3 numbers"),
+        (("--light", "0,0,1", "--ambient", "1.5"), "from 0 .only the lamp. to 1"),
+        (("--light", "0,0,1", "--ambient", "nan"), "from 0 .only the lamp. to 1"),
+        (("--ambient", "0.5"), "--ambient goes with a lamp"),
+        (("--like-init", "1,2,3"), "--like-init says where"),
+        (("-o", "lit.png"), "lit.png is one of the pictures to be read"),
+        (("--like", "other.png", "-o", "other.png"), "other.png is one of the pictures"),
+        (("-o", "lit.txt"), "name of a picture, such as lit.png"),
+        (("-o", "nowhere/a.png"), "nowhere does not exist"),
+        (("-m", "grey"), "lit.png: method grey does not fit the appearance of log-RGB"),
+        (("--like", "gone.png"), "gone.png"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(relight, files, options, message):
+    before = (files / "lit.png").read_bytes(), (files / "other.png").read_bytes(), sorted(files.iterdir())
+    code, _, err = relight(*options)
+    assert code == 1
+    assert err.startswith("error: ")
+    assert re.search(message, err), err
+    assert ((files / "lit.png").read_bytes(), (files / "other.png").read_bytes(), sorted(files.iterdir())) == before
+
+
+def test_grey_pictures_are_refused(run, files, tmp_path):
+    grey = moving_scene(0.3).image.mean(axis=2).astype(np.uint8)
+    write_image(tmp_path / "grey.png", grey)
+    code, _, err = run("relight", files / "head.liaam", tmp_path / "grey.png", "-o", tmp_path / "out.png")
+    assert code == 1
+    assert "grey.png" in err
+    assert "grey (three equal channels)" in err
+    assert not (tmp_path / "out.png").exists()
+
+
+def test_grey_models_are_refused(run, files, head_model, tmp_path):
+    levels = tuple(
+        replace(level, appearances={k: v for k, v in level.appearances.items() if k != "invariant"})
+        for level in head_model.levels
+    )
+    replace(head_model, levels=levels, soft_levels=()).save(tmp_path / "grey.liaam")
+    code, _, err = run("relight", tmp_path / "grey.liaam", files / "lit.png", "-o", tmp_path / "out.png")
+    assert code == 1
+    assert "grey.liaam: the model is of grey pictures" in err
+    assert "train on colour pictures" in err
+
+
+def test_a_fit_that_fails_is_told_and_the_picture_written(run, files, tmp_path, rng):
+    write_image(tmp_path / "noise.png", rng.integers(40, 200, (160, 120, 3)).astype(np.uint8))
+    code, out, err = run("relight", files / "head.liaam", tmp_path / "noise.png", "-o", tmp_path / "out.png")
+    assert code == 1
+    assert "noise.png: " in err
+    assert "written to" in out
+    assert read_image(tmp_path / "out.png").shape == (160, 120, 3)
