@@ -2,7 +2,7 @@
 
 import sys
 
-from benchmarks import batch, batched, fit, iteration, search, studio, track
+from benchmarks import batch, batched, fit, iteration, relight, search, studio, track
 
 BENCHMARKS = {
     "iteration": iteration.main,
@@ -12,6 +12,7 @@ BENCHMARKS = {
     "studio": studio.main,
     "batch": batch.main,
     "batched": batched.main,
+    "relight": relight.main,
 }
 """Benchmark by name; each prints its metrics."""
 

@@ -1,6 +1,12 @@
 """Benchmarks use the engine's inside, which no one promises to keep: they have to run at least."""
 
-from benchmarks import batch, batched, iteration, search, track
+from itertools import islice
+
+from benchmarks import batch, batched, iteration, relight, search, track
+
+from liaam.experiments.relit import lit_pairs
+
+SMALL = (160, 120)
 
 
 def test_the_benchmark_of_an_iteration_runs(monkeypatch, capsys):
@@ -45,3 +51,14 @@ def test_the_benchmark_of_batched_fits_runs(monkeypatch, capsys):
     monkeypatch.setattr(batched, "BACKENDS", {"numpy": "NumPy"})
     batched.main()
     assert "li_numpy_cpu_batch_2_per_second" in capsys.readouterr().out
+
+
+def test_the_benchmark_of_relighting_runs(head_model, capsys, monkeypatch):
+    monkeypatch.setattr(relight, "PERSONS", (5,))
+    monkeypatch.setattr(relight, "train_on_flat_light", lambda _: head_model)
+    monkeypatch.setattr(relight, "lit_pairs", lambda head, size=SMALL: islice(lit_pairs(head, size=SMALL), 1))
+    relight.main()
+    out = capsys.readouterr().out
+    assert "relight_flat_error_found" in out
+    assert "relight_flat_seam_true" in out
+    assert "relight_light_ms" in out

@@ -61,14 +61,8 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     MethodError
         For a method without the log appearance, and for another fitter than the fit's.
     """
+    check_method(fitter, result)
     method = fitter.objectives[-1].method
-    if method.appearance not in ("log", "soft"):
-        raise MethodError(
-            f"method {result.method} does not fit the appearance of log-RGB, so nothing can be rebuilt from it; "
-            "fit with 'soft-li', 'li', 'li-pc', 'li-pcs' or 'chroma'"
-        )
-    if method.name != result.method:
-        raise MethodError(f"the fit was made with method {result.method}, not {method.name}; give its own fitter")
     if method.appearance == "soft":  # of what it measures, the invariant tells the appearance
         refuse_grey(as_colour(image), "image", "the appearance without shadows is rebuilt from colours", MethodError)
         fitter, result = replace(fitter, method="li"), replace(result, theta=np.nan)
@@ -86,3 +80,15 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     best = np.linalg.solve(hessian, equations.aa @ lam + equations.ar)
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
     return ShadowFree(objective.appearance.texture(best[:n]), best[:n], spread[:n])
+
+
+def check_method(fitter: Fitter, result: FitResult) -> None:
+    """Complain about a fit from which no appearance can be rebuilt, and about another fitter than the fit's."""
+    method = fitter.objectives[-1].method
+    if method.appearance not in ("log", "soft"):
+        raise MethodError(
+            f"method {result.method} does not fit the appearance of log-RGB, so nothing can be rebuilt from it; "
+            "fit with 'soft-li', 'li', 'li-pc', 'li-pcs' or 'chroma'"
+        )
+    if method.name != result.method:
+        raise MethodError(f"the fit was made with method {result.method}, not {method.name}; give its own fitter")

@@ -14,7 +14,7 @@ LARGEST = 10
 SOFT_EDGE = 0.05
 """Width of the border in which the appearance goes over into the picture, as a share of the model's diagonal."""
 
-REACH = 0.04
+REACH = 0.06
 """How far beyond the mesh shading is taken off: deviation of a Gaussian, as a share of the shape's diagonal."""
 
 

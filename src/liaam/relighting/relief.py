@@ -7,7 +7,7 @@ import numpy as np
 from liaam.mesh import ReferenceFrame
 from liaam.relighting.shading import neighbours
 
-STEEPEST = np.tan(np.deg2rad(60.0))
+STEEPEST = np.tan(np.deg2rad(65.0))
 """Slope that the surface tends to at the mesh's border."""
 
 ROUNDING = 0.03
@@ -19,8 +19,8 @@ leave no ridges."""
 def normals_of(frame: ReferenceFrame) -> np.ndarray:
     """Unit normals of an inflated surface over a mesh, (n_pixels, 3) float32: x to the right, y down, z to the viewer.
 
-    A bulge u solves Poisson's equation, laplacian(u) = -1 inside and 0 on the border; its root, the height, is an
-    ellipsoid over an ellipse, and round over any outline.
+    A bulge u solves Poisson's equation, laplacian(u) = -1 inside and 0 on the border; twice its root, the height,
+    is half a ball over a disc, and round over any outline.
     """
     from scipy.ndimage import gaussian_filter
     from scipy.sparse import coo_array, diags_array
@@ -30,7 +30,7 @@ def normals_of(frame: ReferenceFrame) -> np.ndarray:
     links = coo_array((np.ones(2 * len(a)), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
     bulge = splu((diags_array(np.full(n, 4.0)) - links).tocsc()).solve(np.ones(n))
     diagonal = float(np.hypot(*frame.size))
-    height = np.pad(frame.picture(np.sqrt(2.0 * bulge)), round(3 * ROUNDING * diagonal))
+    height = np.pad(frame.picture(2.0 * np.sqrt(bulge)), round(3 * ROUNDING * diagonal))
     inside = height > 0
     down, right = np.gradient(height)
     slopes = [

@@ -12,7 +12,7 @@ from liaam.model import AAM
 from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour, refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
-from liaam.relighting.appearance import ShadowFree, shadow_free
+from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.painting import REACH, around, box_around, eight_bits, log_light, paint
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import Shading, find_shading, noise_variance
@@ -20,6 +20,9 @@ from liaam.shape import align, diagonal_of
 
 AMBIENT = 0.25
 """Share of light that comes from everywhere, unless told otherwise."""
+
+LONGEST = 1.5
+"""How many times as strong as in front a lamp may be: one from behind leaves the object dark."""
 
 DARKEST = 0.02
 """Least share of light: without ambient light, what is turned away would be black, and black has no logarithm."""
@@ -91,6 +94,7 @@ class Relighter:
         MethodError
             For a method without the log appearance, another fitter than the fit's, and a grey picture.
         """
+        check_method(fitter, result)
         image, model = as_colour(image), fitter.model
         refuse_grey(image, "image", "shading is told by colours; give a colour picture", MethodError)
         response = (fitter.camera or model.camera).response
@@ -114,7 +118,8 @@ class Relighter:
         """Picture with the object under a far lamp, (h, w, 3) uint8.
 
         Lambert's law on the made-up surface, relative to a lamp in front: under (0, 0, 1) the object is as in
-        :meth:`flat`.
+        :meth:`flat`. Of what a lamp from aside lights less on the whole, half is made up for (in logarithms), up
+        to :data:`LONGEST` times, as a photographer would: so neither side is lost.
 
         Parameters
         ----------
@@ -130,8 +135,11 @@ class Relighter:
         """
         lamp = unit_direction(direction)
         check_ambient(ambient)
+        if not self.inside.any():
+            return self.picture.copy()
         shade, frontal = (lambert(facing, ambient) for facing in (self.normals @ lamp, self.normals[..., 2]))
-        return self._with(self.log_flat + self.share * np.log(shade / frontal)[..., None])
+        exposure = min(float(frontal[self.inside].mean() / shade[self.inside].mean()) ** 0.5, LONGEST)
+        return self._with(self.log_flat + self.share * np.log(exposure * shade / frontal)[..., None])
 
     def like(self, other: "Relighter") -> np.ndarray:
         """Picture with the object under the light of another picture of the same model, (h, w, 3) uint8.

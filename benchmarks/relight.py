@@ -1,0 +1,85 @@
+"""How near relit pictures come to the truth, whether a seam shows, and how long a new light takes."""
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from liaam.datasets.scenes import Head
+from liaam.experiments.relit import LitPair, flat_error, lit_pairs, mesh_mask, pixel_error, seam, train_on_flat_light
+from liaam.fitting import FitResult, Fitter
+from liaam.model import AAM
+from liaam.relighting import Relighter, paint
+from liaam.relighting.painting import log_light
+from liaam.shape import align
+
+PERSONS = (3, 5, 8, 11)
+"""Seeds of the generated heads."""
+
+ROUNDS = 20
+"""Lights that are timed."""
+
+
+def fitted_at(model: AAM, result: FitResult, shape: np.ndarray) -> FitResult:
+    """A result as if its landmarks were others."""
+    pose = align(model.shape_model.mean, shape)
+    return replace(result, shape=shape, pose=pose, p=model.shape_model.parameters(pose.inverse()(shape)))
+
+
+def measured(model: AAM, pair: LitPair, relighter: Relighter) -> tuple[float, ...]:
+    """Errors of log light: of the model alone, of the flat picture, and of its pixels; seams: flat, lamp, untouched."""
+    shape, picture = relighter.shape, pair.lit.image
+    made = log_light(picture, relighter.response)
+    made[relighter.box] = relighter.log_flat
+    alone, _ = paint(picture, shape, model, relighter.appearance.log_rgb)
+    errors = flat_error(model, alone, shape, pair.flat), flat_error(model, made, shape, pair.flat)
+    seams = (seam(model, made, shape, pair.flat) for made in (relighter.flat(), relighter.under((1, 0, 0.3)), picture))
+    return (*errors, pixel_error(model, made, shape, pair.flat), *seams)
+
+
+def pasted_seam(model: AAM, pair: LitPair, relighter: Relighter) -> float:
+    """Seam of the flat object pasted into the picture as it was: what is to be avoided."""
+    inside = mesh_mask(model, pair.lit.image, relighter.shape)
+    pasted = np.where(inside[..., None], relighter.flat(), pair.lit.image)
+    return seam(model, pasted, relighter.shape, pair.flat)
+
+
+def times(relighter: Relighter) -> float:
+    """Median time of a new light, milliseconds."""
+    spent = []
+    for i in range(ROUNDS):
+        before = perf_counter()
+        relighter.under((np.cos(i), np.sin(i), 0.5))
+        spent.append(perf_counter() - before)
+    return 1e3 * float(np.median(spent))
+
+
+def main() -> None:
+    """Print all metrics."""
+    rows: dict[str, list[tuple[float, ...]]] = {"found": [], "true": []}
+    pasted = []
+    for person in PERSONS:
+        model = train_on_flat_light(Head(person))
+        fitter = Fitter(model)
+        for pair in lit_pairs(Head(person)):
+            result = fitter.fit(pair.lit.image)
+            for start, fitted in (("found", result), ("true", fitted_at(model, result, pair.lit.landmarks))):
+                relighter = Relighter.of(fitter, pair.lit.image, fitted)
+                rows[start].append(measured(model, pair, relighter))
+                values = " ".join(f"{value:.3f}" for value in rows[start][-1])
+                print(f"relight_person_{person}_{pair.light}_{start} {values} {result.status}")
+                pasted.append(pasted_seam(model, pair, relighter))
+    names = ("model_error", "flat_error", "pixel_error", "flat_seam", "lamp_seam", "untouched_seam")
+    for start, found in rows.items():
+        for name, values in zip(names, zip(*found, strict=True), strict=True):
+            print(f"relight_{name}_{start} {np.median(values):.3f} mean {np.mean(values):.3f} worst {max(values):.3f}")
+    print(f"relight_pasted_seam {np.median(pasted):.3f}")
+    large = next(lit_pairs(Head(PERSONS[-1]), size=(640, 480)))
+    before = perf_counter()
+    relighter = Relighter.of(fitter, large.lit.image, fitter.fit(large.lit.image))
+    print(f"relight_apart_ms {1e3 * (perf_counter() - before):.0f} fit included")
+    print(f"relight_light_ms {times(relighter):.1f}")
+
+
+if __name__ == "__main__":
+    main()
