@@ -111,8 +111,8 @@ def seam(model: AAM, picture: np.ndarray, shape: np.ndarray, flat: Scene) -> flo
     """How much steeper a picture is across the mesh's border than inside the mesh.
 
     Mean absolute difference of log luminance, smoothed by :data:`GRAIN`, between neighbours of which one lies inside
-    the mesh and one outside, by that of neighbours inside; only those count whose true flat-lit values are alike
-    (:data:`SMOOTH`), for an edge of the object would hide a seam. About 1 is what an untouched picture has.
+    the mesh and one outside, by that of neighbours inside; only those count whose true flat-lit values are alike in
+    all channels (:data:`SMOOTH`), for an edge of the object would hide a seam. An untouched picture has about 1.
 
     Parameters
     ----------
@@ -126,14 +126,14 @@ def seam(model: AAM, picture: np.ndarray, shape: np.ndarray, flat: Scene) -> flo
     from scipy.ndimage import gaussian_filter
 
     inside = mesh_mask(model, picture, shape)
-    logs = (log_light(picture, model.response), np.log(np.maximum(flat.linear, 1e-4)))
-    made, truth = (gaussian_filter(log.mean(axis=2), GRAIN) for log in logs)
+    made = gaussian_filter(log_light(picture, model.response).mean(axis=2), GRAIN)
+    truth = gaussian_filter(np.log(np.maximum(flat.linear, 1e-4)), (GRAIN, GRAIN, 0))
     across, within = [], []
     for axis in (0, 1):
-        steps, true_steps = (np.abs(np.diff(values, axis=axis)) for values in (made, truth))
+        steps, alike = np.abs(np.diff(made, axis=axis)), np.abs(np.diff(truth, axis=axis)).max(axis=2) < SMOOTH
         first, second = (np.delete(inside, which, axis=axis) for which in (-1, 0))
-        across.append(steps[(first ^ second) & (true_steps < SMOOTH)])
-        within.append(steps[first & second & (true_steps < SMOOTH)])
+        across.append(steps[(first ^ second) & alike])
+        within.append(steps[first & second & alike])
     return float(np.concatenate(across).mean() / np.concatenate(within).mean())
 
 

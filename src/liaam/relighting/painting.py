@@ -14,14 +14,17 @@ LARGEST = 10
 SOFT_EDGE = 0.05
 """Width of the border in which the appearance goes over into the picture, as a share of the model's diagonal."""
 
-REACH = 0.06
+REACH = 0.04
 """How far beyond the mesh shading is taken off: deviation of a Gaussian, as a share of the shape's diagonal."""
 
+
+FARTHEST = 2.5
+"""How far a change of light goes beyond the mesh, in deviations of the Gaussian that carries it."""
 
 LEAST_SHARE = 1e-3
 """Share of a change of light below which none is left."""
 
-BLUR_OWN = 0.7
+BLUR_OWN = 1.0
 """Deviation of the Gaussian that takes the noise from what is compared with the object next to it, pixels."""
 
 NEAREST = 1.0
@@ -132,7 +135,9 @@ def soft_edge(model: AAM) -> np.ndarray:
     return (share * share * (3.0 - 2.0 * share))[inside].astype(np.float32)
 
 
-def around(values: np.ndarray, weights: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def around(
+    values: np.ndarray, weights: np.ndarray, own: np.ndarray, reach: float, nearest: float = NEAREST
+) -> tuple[np.ndarray, np.ndarray]:
     """Carry values on beyond where they have weight, and say how much of them to take there.
 
     Parameters
@@ -145,28 +150,30 @@ def around(values: np.ndarray, weights: np.ndarray, own: np.ndarray, reach: floa
         cheek), and what happens to the object is none of its business.
     reach : float
         How far they are carried: deviation of a Gaussian, pixels.
+    nearest : float
+        Deviation of the finest one, at the border. Where weights go down to 0 softly, a fine one is not needed, and
+        carries noise.
 
     Returns
     -------
     values : (h, w, c) float32
         Weighted means of the values nearby: of the nearest next to them, of more and more further out.
     share : (h, w, 1) float32
-        1 next to where values are known, less and less further out, 0 beyond some 2.5 times the reach.
+        1 next to where values are known, less and less further out, 0 beyond :data:`FARTHEST` times the reach.
     """
     import cv2
 
     layers, c = np.concatenate([weights * values, weights * own, weights], axis=2), values.shape[2]
-    means, fading, scale = None, weights, float(reach)
+    means, scale = None, float(reach)
     while True:
         sums = cv2.GaussianBlur(layers, (0, 0), scale)
         nearby = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
-        if means is None:
-            means, fading = nearby, _smoothstep(2.5 * sums[..., -1:])
-        else:
-            means += _smoothstep(2.0 * sums[..., -1:]) * (nearby - means)
-        if scale <= NEAREST:
+        means = nearby if means is None else means + _smoothstep(2.0 * sums[..., -1:]) * (nearby - means)
+        if scale <= nearest:
             break
-        scale = max(0.5 * scale, NEAREST)
+        scale = max(0.5 * scale, nearest)
+    away = cv2.distanceTransform((weights <= 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[..., None]
+    fading = _smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
     unlike = cv2.GaussianBlur(own, (0, 0), BLUR_OWN) - means[..., c:]
     brighter = unlike.mean(axis=2, keepdims=True)
     tint = np.square(unlike - brighter).sum(axis=2, keepdims=True)
@@ -204,7 +211,7 @@ def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: f
         return picture
     own = log_light(image[rows, columns], response)
     shading = own - painted[rows, columns, :3]
-    nearby, share = around(shading, weights, own, reach)
+    nearby, share = around(shading, weights, own, reach, nearest=reach)
     taken = weights * shading + (1.0 - weights) * share * nearby
     changed = np.abs(taken).max(axis=2) > 0
     picture[rows, columns][changed] = eight_bits(own - taken, response)[changed]
