@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import liaam.relighting
 from liaam.datasets.scenes import Scene
 from liaam.fitting import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
@@ -261,10 +260,6 @@ class TestLayers:
         assert fits.layer(fitted, "shading", 90) is first
 
 
-HAS_LIGHT = hasattr(liaam.relighting, "Relighter")  # UNTIL-RELIGHT
-
-
-@pytest.mark.skipif(not HAS_LIGHT, reason="liaam.relighting has no Relighter yet")
 class TestLight:
     def test_from_the_front_is_flat(self, fits, fitted):
         flat = decode_image(fits.layer(fitted, "flat", 320)).astype(int)

@@ -30,6 +30,9 @@ BLUR_OWN = 1.0
 NEAREST = 1.0
 """Finest scale at which values are carried over the mesh's border, pixels."""
 
+ENOUGH = 4.0
+"""Deviation of a Gaussian, pixels, from which a wider one is made on fewer pixels."""
+
 ANOTHER_LIGHT, ANOTHER_COLOUR = 0.6, 0.25
 """How much brighter or darker, and how differently coloured, in logarithms, another thing than the object is."""
 
@@ -166,7 +169,7 @@ def around(
     layers, c = np.concatenate([weights * values, weights * own, weights], axis=2), values.shape[2]
     means, scale = None, float(reach)
     while True:
-        sums = cv2.GaussianBlur(layers, (0, 0), scale)
+        sums = _blurred(layers, scale)
         nearby = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
         means = nearby if means is None else means + _smoothstep(2.0 * sums[..., -1:]) * (nearby - means)
         if scale <= nearest:
@@ -180,6 +183,26 @@ def around(
     apart = np.square(brighter / ANOTHER_LIGHT) + tint / ANOTHER_COLOUR**2
     share = fading * np.exp(-0.5 * np.maximum(apart - 1.0, 0.0))
     return means[..., :c], np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32)
+
+
+def _blurred(layers: np.ndarray, scale: float) -> np.ndarray:
+    """Gaussian blur of (h, w, c) float32; a wide one on fewer pixels, as good, and quicker by the square of a step."""
+    import cv2
+
+    step = int(scale / ENOUGH)
+    if step < 2:
+        return cv2.GaussianBlur(layers, (0, 0), scale)
+    height, width = layers.shape[:2]
+    small = _resized(layers, (-(-width // step), -(-height // step)), cv2.INTER_AREA)
+    return _resized(cv2.GaussianBlur(small, (0, 0), scale / step), (width, height), cv2.INTER_LINEAR)
+
+
+def _resized(layers: np.ndarray, size: tuple[int, int], how: int) -> np.ndarray:
+    """Layers (h, w, c) at another (width, height); OpenCV resizes four at a time."""
+    import cv2
+
+    parts = range(0, layers.shape[2], 4)
+    return np.dstack([cv2.resize(layers[..., i : i + 4], size, interpolation=how) for i in parts])
 
 
 def _smoothstep(x: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
 from liaam.errors import LiaamError
+from liaam.photometry import CameraModel
 from liaam.studio.events import Events
 from liaam.studio.fits import Fits, attachment
 from liaam.studio.fits import routes as fit_routes
@@ -255,13 +256,12 @@ class _Handlers:
 
     async def _chroma(self, request: Request, source: Callable[[Request], Source]) -> Response:
         size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.studio.models.current
-        response = "srgb" if current is None else current.model.response
+        camera = CameraModel() if current is None else current.model.camera
 
         def chroma(picture: Source) -> bytes:
-            linear = picture.raw and isinstance(response, str | float)
-            return self.studio.pictures.chroma(picture, size, "linear" if linear else response)
+            return self.studio.pictures.chroma(picture, size, camera.suited_to(raw=picture.raw).response)
 
-        kind = f"chroma-{size}-{hash(response) & 0xFFFFFFFF:x}"
+        kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
         return await self._seen(request, source, kind, "application/octet-stream", chroma)
 
     async def _seen(

@@ -28,6 +28,7 @@ from liaam.fitting.search import Candidate
 from liaam.io import Contour, Landmarks, fit_text
 from liaam.io.landmarks import FORMATS
 from liaam.model import AAM
+from liaam.relighting import Relighter
 from liaam.shape import diagonal_of
 from liaam.studio import layers
 from liaam.studio.pictures import (
@@ -58,8 +59,8 @@ LAYER_SIZE = 1280
 """Longest side of a layer where the page does not say, pixels."""
 
 LIGHT_SIZE = 2048
-"""Longest side at which a picture is put under another light, pixels: the time grows much faster than the pixels, from
-one second at 1280 to four at 2048 and minutes at 6000."""
+"""Longest side at which the page is shown a picture under another light, pixels: to take a picture apart costs about
+a second a megapixel. Files that are given away are of the picture's own size."""
 
 LAYER_BYTES = 100_000_000
 """Of encoded layers that are kept."""
@@ -213,7 +214,8 @@ class Fits:
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
         self._found: Kept[tuple[str, str, int], Candidate] = Kept(settings.fits_kept)
         self._layers: Kept[tuple[str, str, int], bytes] = Kept(LAYER_BYTES, len)
-        self._lights: Kept[tuple[str, tuple[int, int]], layers.Light] = Kept(LIGHTS_KEPT)
+        self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHTS_KEPT)
+        self._large = threading.Lock()
         models.listeners.append(self.warm_up_soon)
         uploads.listeners.append(self.search_soon)
 
@@ -349,18 +351,27 @@ class Fits:
         light, to = self._light(fit, size)
         return averaged(light.under(direction, ambient), to)
 
-    def _light(self, fit: Fit, size: int) -> tuple[layers.Light, tuple[int, int]]:
+    def _light(self, fit: Fit, size: int) -> tuple[Relighter, tuple[int, int]]:
         """Fitted picture taken apart, and the size to give it in: never a small one, which would say little."""
         layers.need_flat(fit.no_flat)
         width, height = fit.source.width, fit.source.height
         size = min(size, LIGHT_SIZE)
         to = fitted_size(width, height, max(size, LAYER_SIZE))
 
-        def take() -> layers.Light:
-            image = self.pictures.pixels(fit.source)
-            return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
+        return self._lights.get((fit.id, to), lambda: self._taken_apart(fit, to)), fitted_size(width, height, size)
 
-        return self._lights.get((fit.id, to), take), fitted_size(width, height, size)
+    def whole_light(self, fit: Fit) -> Relighter:
+        """Fitted picture taken apart in full size. Large ones are not kept: they take a hundred bytes a pixel."""
+        layers.need_flat(fit.no_flat)
+        whole = fit.source.width, fit.source.height
+        if max(whole) <= LIGHT_SIZE:
+            return self._light(fit, max(whole))[0]
+        with self._large:
+            return self._taken_apart(fit, whole)
+
+    def _taken_apart(self, fit: Fit, to: tuple[int, int]) -> Relighter:
+        image = self.pictures.pixels(fit.source)
+        return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
 
     def _shape(self, fit: Fit, to: tuple[int, int]) -> np.ndarray:
         return layers.scaled_points(fit.result.shape, (fit.source.width, fit.source.height), to)
@@ -474,15 +485,17 @@ def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, fl
 
 
 def _picture(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, float], float]) -> np.ndarray:
-    """Picture to give away, in full size but for those under another light (see :data:`LIGHT_SIZE`)."""
-    size = max(fit.source.width, fit.source.height)
+    """Picture to give away, in full size."""
+    size = fit.source.width, fit.source.height
     if what == "relit":
-        return fits.relit(fit, *light, size)
-    if what != "overlay":
-        return fits.draw(fit, what, size)
+        return fits.whole_light(fit).under(*light)
+    if what == "flat":
+        return fits.whole_light(fit).flat()
+    if what == "shading":
+        return layers.shading_layer(fits.whole_light(fit), size)
     from liaam.plotting import overlay
 
-    image = shown(fits.pictures.pixels(fit.source), (fit.source.width, fit.source.height), fit.source.raw)
+    image = shown(fits.pictures.pixels(fit.source), size, fit.source.raw)
     return overlay(image, fit.result.shape, fit.model, covariances=fit.result.landmark_covariances)
 
 

@@ -5,7 +5,6 @@ object under another light. Functions of arrays; :mod:`liaam.studio.fits` keeps 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,40 +14,9 @@ from liaam.mesh import ReferenceFrame
 from liaam.model import AAM
 from liaam.photometry import is_grey, linear_to_srgb
 from liaam.photometry.encoding import stored_values
-from liaam.relighting import paint
+from liaam.relighting import Relighter, paint
 from liaam.shape import Similarity
 from liaam.studio.pictures import averaged
-
-try:
-    from liaam.relighting import Relighter  # type: ignore[attr-defined]
-
-    relighter = Relighter.of
-except ImportError:  # UNTIL-RELIGHT: this branch goes when liaam.relighting has a Relighter
-    from liaam.relighting import shadow_free, without_shading
-    from liaam.shape import diagonal_of
-    from liaam.studio.safety import Refusal
-
-    class _Unlit:
-        def __init__(self, fitter, image, result):
-            self.fitter, self.image, self.result = fitter, image, result
-            self.appearance = shadow_free(fitter, image, result)
-            self.response = (fitter.camera or fitter.model.camera).response
-
-        def flat(self):
-            from liaam.tracking.shading import REACH, blended, soft_edge
-
-            values = np.concatenate([self.appearance.log_rgb, soft_edge(self.fitter.model)[:, None]], axis=1)
-            painted, _ = paint(self.image, self.result.shape, self.fitter.model, values)
-            return blended(self.image, painted, self.response, max(1.0, REACH * diagonal_of(self.result.shape)))
-
-        def shading(self):
-            given = self.image, self.result.shape, self.fitter.model, self.appearance, self.response
-            return without_shading(*given)[1]
-
-        def under(self, direction, ambient):
-            raise Refusal(501, "this liaam cannot put an object under another light yet")
-
-    relighter = _Unlit
 
 LAYERS = ("residual", "shading", "flat")
 
@@ -138,23 +106,9 @@ def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tupl
     return _with_alpha(colours, inside & (painted[..., 1] > 0.5))
 
 
-class Light(Protocol):
-    """A fitted picture taken apart (:class:`liaam.relighting.Relighter`)."""
-
-    def flat(self) -> np.ndarray:
-        """Whole picture with the object under the light of training, (h, w, 3) uint8."""
-        ...
-
-    def shading(self) -> np.ndarray:
-        """Natural logarithm of picture over flat picture, (h, w, 3) float32, 0 outside the mesh."""
-        ...
-
-    def under(self, direction: Any, ambient: float) -> np.ndarray:
-        """Whole picture with the object under a far lamp, (h, w, 3) uint8."""
-        ...
-
-
-def taken_apart(fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int], raw: bool = False) -> Light:
+def taken_apart(
+    fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int], raw: bool = False
+) -> Relighter:
     """Take a fitted picture apart, at another size.
 
     Parameters
@@ -177,15 +131,15 @@ def taken_apart(fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[
     factor = float(np.sqrt(to[0] * to[1] / (size[0] * size[1])))
     moved = scaled_points(result.pose.offset[None], size, to)[0]
     pose = Similarity(result.pose.matrix * factor, moved)
-    return relighter(fitter, small, replace(result, shape=scaled_points(result.shape, size, to), pose=pose))
+    return Relighter.of(fitter, small, replace(result, shape=scaled_points(result.shape, size, to), pose=pose))
 
 
-def shading_layer(light: Light, to: tuple[int, int]) -> np.ndarray:
+def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
     """Shading in colours, (height, width, 4) uint8, clear outside the mesh: log of the picture's light over the flat's.
 
     Parameters
     ----------
-    light : Light
+    light : Relighter
     to : (int, int)
         Width and height of the layer.
     """
