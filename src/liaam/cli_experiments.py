@@ -114,7 +114,12 @@ def run_protocol(
     """
     data, methods, *rest = request
     summary = execute(make(data, names_in(methods), *rest, **options), out, jobs)
-    header, rows = table(summary)
+    print_protocol(table(summary), summary, out)
+
+
+def print_protocol(table: tuple[list[str], list[list[str]]], summary: Mapping[str, Any], out: Path) -> None:
+    """Print the table of a report."""
+    header, rows = table
     shown = table_of(*header)
     for row in rows:
         shown.add_row(*row)
@@ -394,6 +399,26 @@ def unchanged(
     from liaam.experiments import unchanged as module
 
     run_protocol(module.unchanged_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
+
+
+@experiments.command()
+def assisted(
+    data: SpotFolder,
+    out: Out,
+    recipes: Annotated[
+        str, typer.Option(help="Ways to train: sample, shrunk, smooth, smooth-auto, smooth-auto-both.")
+    ] = "sample,smooth",
+    orders: Annotated[str, typer.Option(help="Which picture comes next: drawn, uncertain.")] = "drawn",
+    trials: Annotated[int, typer.Option(help="Draws of twelve persons and their order.", min=1)] = 24,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+) -> None:
+    """How near does a model of the first few annotated pictures place the next one's points?"""
+    from liaam.experiments import assisted as module
+
+    given = names_in(recipes, "--recipes"), names_in(orders, "--orders")
+    summary = execute(module.assisted_experiment(data, *given, trials, seed), out, jobs)
+    print_protocol(module.table(summary), summary, out)
 
 
 def reproduce(
