@@ -16,7 +16,10 @@ from liaam.datasets.scenes import DIFFUSE, Head, make_set  # noqa: E402
 from liaam.io import Contour, Landmarks, write_image, write_landmarks  # noqa: E402
 
 N_DONE, N_LEFT = 5, 5
-DONE = "() => window.liaamStudio.state.project.pictures.every((picture) => picture.state !== 'new')"
+DONE = """() => {
+  const { pictures, training } = window.liaamStudio.state.project;
+  return training.state === "done" && pictures.every((picture) => picture.state !== "new");
+}"""
 """The model has placed the points of all pictures."""
 
 
