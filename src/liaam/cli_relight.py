@@ -120,17 +120,13 @@ def check_picture_name(output: Path) -> None:
 
 def taken_apart(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Relighter, FitResult]":
     """Fit a picture, and take its light off."""
-    from liaam.errors import MethodError
     from liaam.io import read_image
     from liaam.relighting import Relighter
 
     pixels = read_image(path)
     start = None if init is None else read_init(init, path, pixels.shape[1::-1])
     result = fitter.fit(pixels, start, path.name)
-    try:
-        return Relighter.of(fitter, pixels, result), result
-    except MethodError as error:
-        raise MethodError(f"{path}: {error}") from error
+    return Relighter.of(fitter, pixels, result, name=str(path)), result
 
 
 def report(results: "dict[str, FitResult]") -> bool:

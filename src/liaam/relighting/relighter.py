@@ -75,7 +75,9 @@ class Relighter:
     normals: np.ndarray
 
     @classmethod
-    def of(cls, fitter: Fitter, image: np.ndarray, result: FitResult, prior: float = 1.0) -> "Relighter":
+    def of(
+        cls, fitter: Fitter, image: np.ndarray, result: FitResult, prior: float = 1.0, name: str = "image"
+    ) -> "Relighter":
         """Take a fitted picture apart.
 
         Parameters
@@ -88,6 +90,8 @@ class Relighter:
             Of a fit that went wrong, the picture stays as it is where nothing can be said.
         prior : float
             See :func:`shadow_free`.
+        name : str
+            What to call the image in errors.
 
         Raises
         ------
@@ -95,8 +99,8 @@ class Relighter:
             For a method without the log appearance, another fitter than the fit's, and a grey picture.
         """
         check_method(fitter, result)
-        image, model = as_colour(image), fitter.model
-        refuse_grey(image, "image", "shading is told by colours; give a colour picture", MethodError)
+        image, model = as_colour(image, name), fitter.model
+        refuse_grey(image, name, "shading is told by colours; give a colour picture", MethodError)
         response = (fitter.camera or model.camera).response
         if not paint(image, result.shape, model, np.ones((model.n_pixels, 1), np.float32))[1].any():
             return _as_it_is(model, image, result.shape, response)
@@ -184,8 +188,9 @@ def unit_direction(direction: Sequence[float]) -> np.ndarray:
     except (TypeError, ValueError):
         light = np.zeros(0)
     if light.shape != (3,) or not np.isfinite(light).all() or not light.any():
+        shown = ",".join(f"{value:g}" for value in light.ravel()) or repr(direction)
         raise LiaamError(
-            f"light from {direction}: give three numbers x,y,z, not all 0: to the right, down, and to the viewer"
+            f"light from {shown}: give three numbers x,y,z, not all 0: to the right, down, and to the viewer"
         )
     light = light / np.abs(light).max()
     return (light / np.linalg.norm(light)).astype(np.float32)
