@@ -64,7 +64,7 @@ def make_problem(
     """One image ready for an objective, and the warp parameters of the start."""
     pose = align(model.shape_model.mean, start)
     problem = FitProblem.at(image, start, pose, objective.method, model.response, blur)
-    return problem, model.shape_model.parameters(pose.inverse()(start))
+    return problem, model.shape_of(objective.method.appearance).parameters(pose.inverse()(start))
 
 
 def finest_objective(model: AAM, method, kernel: str = "fast") -> Objective:

@@ -196,7 +196,10 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("experiment", "noise", "--out", "o", "--methods", "li,magic"), "'magic' does not exist"),
         (("experiment", "generic", "--data", "{portraits}", "--out", "o"), "named as the IMM"),
         (("experiment", "peer", "--data", "{portraits}", "--out", "o", "--methods", "magic"), "'magic' does not exist"),
-        (("experiment", "displacement", "--out", "o", "--solver", "oracle"), "there are liaam, liaam-smooth, paper"),
+        (
+            ("experiment", "displacement", "--out", "o", "--solver", "oracle"),
+            "there are liaam, liaam-smooth, liaam-soft-smooth, paper",
+        ),
         (("experiment", "displacement", "--out", "{image}", "--methods", "li"), "is a file"),
         (("experiment", "convergence", "--out", "o", "--data", "{missing}"), "does not exist"),
     ],

@@ -71,6 +71,29 @@ def test_a_loaded_model_is_the_saved_one(model, model_file):
     np.testing.assert_array_equal(loaded.shape_model.basis, model.shape_model.basis)
 
 
+def test_the_shapes_of_the_soft_appearance_are_kept(model, tmp_path):
+    own = replace(model.shape_of("soft"), freedom=5.0)
+    replace(model, soft_shape=own).save(tmp_path / "own.liaam")
+    loaded = load_model(tmp_path / "own.liaam")
+    assert loaded.soft_shape is not None
+    assert loaded.soft_shape.freedom == 5.0
+    for name in ("mean", "modes", "eigenvalues", "unexplained"):
+        np.testing.assert_array_equal(getattr(loaded.soft_shape, name), getattr(own, name))
+    assert loaded.shape_model.freedom == np.inf
+    np.testing.assert_array_equal(loaded.shape_model.modes, model.shape_model.modes)
+    replace(model, soft_shape=None).save(tmp_path / "one.liaam")
+    loaded = load_model(tmp_path / "one.liaam")
+    assert loaded.soft_shape is None
+    assert loaded.shape_of("soft") is loaded.shape_model
+
+
+@pytest.mark.parametrize("freedom", [0.0, -1.0, float("nan"), "many", None])
+def test_degrees_of_freedom_that_make_no_sense_are_refused(model_file, tmp_path, freedom):
+    header, tensors = parts(model_file)
+    with pytest.raises(ModelFileError, match="contradicts itself"):
+        load_model(forge(tmp_path / "forged.liaam", header | {"shape_freedom": freedom}, tensors))
+
+
 @pytest.mark.parametrize("method", ["li", "rgb", "li-lit"])
 def test_a_loaded_model_fits_identically(model, model_file, lit_scene, method):
     start = disturb(lit_scene.landmarks)

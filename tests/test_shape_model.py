@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from liaam.errors import TrainingError
+from liaam.pca import LeftOutCoordinates
 from liaam.shape import (
     Similarity,
     align,
@@ -17,6 +18,7 @@ from liaam.shape import (
     similarity_modes,
     train_shape_model,
 )
+from liaam.shape_prior import fit_freedom
 
 
 def similarity(scale: float, angle: float, x: float, y: float) -> Similarity:
@@ -178,6 +180,22 @@ def test_smooth_deformations_have_the_variance_that_shapes_to_come_have(rng):
     p = np.array([model.parameters(align(shape, model.mean)(shape))[:-4] for shape in shapes[8:]])
     ratio = np.square(p).mean(axis=0) / model.eigenvalues
     assert 0.5 < np.median(ratio) < 2.0
+
+
+def left_out_coordinates(rng, scales: np.ndarray, kept: int = 20) -> list[LeftOutCoordinates]:
+    """Shapes each with a scale of its variances of its own."""
+    values = rng.uniform(0.5, 20.0, kept)
+    squares = scales[:, None] * values * rng.normal(size=(len(scales), kept)) ** 2
+    return [LeftOutCoordinates(values, squares, squares.sum(axis=1))]
+
+
+def test_degrees_of_freedom_are_those_that_shapes_left_out_have(rng):
+    for freedom in (3.0, 10.0):
+        near_and_far = left_out_coordinates(rng, freedom / rng.chisquare(freedom, 400))
+        assert fit_freedom(near_and_far, 20) == freedom
+    assert fit_freedom(left_out_coordinates(rng, np.ones(400)), 20) == np.inf
+    assert fit_freedom([], 20) == np.inf
+    assert fit_freedom(left_out_coordinates(rng, np.ones(4)), 0) == np.inf
 
 
 def test_many_shapes_need_no_help(rng):

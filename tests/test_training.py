@@ -324,9 +324,11 @@ def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, monke
     monkeypatch.setattr("liaam.training.calibrate", lambda model, pictures: seen.extend(pictures))
     options = {"diagonal": 40.0, "soft_blurs": (1.0,), "blurs": (0.0,), "prior": prior}
     model = train_on(scenes[:5], variance=3, leave_out=True, **options)
-    assert len(model.shape_model.modes) == 3
+    assert len(model.shape_of("soft").modes) == 3
     assert len(seen) == 5
-    assert {len(left_out.model.shape_model.modes) for left_out in seen} == {3}
+    parts = [left_out.model.shape_of("soft") for left_out in seen]
+    assert {len(part.modes) for part in parts} == {3}
+    assert all(np.abs(part.modes - model.shape_of("soft").modes).max() > 1e-3 for part in parts)
 
 
 def test_modes_are_counted_by_evidence_of_shapes_and_appearances_alike(scenes, monkeypatch):
@@ -336,16 +338,24 @@ def test_modes_are_counted_by_evidence_of_shapes_and_appearances_alike(scenes, m
     model = train_on(scenes, variance="auto", leave_out=True, **options)
     for count in (len(model.shape_model.modes), model.soft_levels[0].appearances["soft"].n_modes):
         assert 0 <= count < len(scenes) - 1  # fewer than there are: some of the variance is noise
-    assert len(seen[0].model.shape_model.modes) <= len(model.shape_model.modes)
+    assert len(seen[0].model.shape_of("soft").modes) <= len(model.shape_of("soft").modes)
 
 
 def test_a_smooth_prior_knows_more_shapes_than_the_pictures_show(pairs):
     options = {"diagonal": 40.0, "response": "linear", "blurs": (0.0,), "soft_blurs": (1.0,), "leave_out": False}
-    sample, smooth = (train(pairs, prior=prior, **options) for prior in ("sample", "smooth"))
+    sample, smooth = (train(pairs, prior=prior, soft_prior=prior, **options) for prior in ("sample", "smooth"))
     assert len(sample.shape_model.modes) == 2
     assert len(smooth.shape_model.modes) > 5
     assert smooth.shape_model.left_out_bound < sample.shape_model.left_out_bound
+    assert sample.soft_shape is None and smooth.soft_shape is None  # one will do
+    both = train(pairs, soft_prior="smooth", **options)
+    assert both.soft_shape is not None
+    np.testing.assert_array_equal(both.shape_model.modes, sample.shape_model.modes)
+    np.testing.assert_array_equal(both.soft_shape.modes, smooth.shape_model.modes)
+    assert both.shape_of("log") is both.shape_model
+    assert both.shape_of("soft") is both.surrounded.shape_model is both.soft_shape
 
 
 def test_a_prior_that_does_not_exist_is_refused(pairs):
-    refused(pairs, "prior 'flat' does not exist; there are sample, shrunk, smooth", prior="flat")
+    for name in ("prior", "soft_prior"):
+        refused(pairs, "prior 'flat' does not exist; there are sample, shrunk, smooth", **{name: "flat"})

@@ -88,6 +88,9 @@ def train(
             "deformations too: for soft-li and unknown objects), or shrunk (variances of shapes left out)."
         ),
     ] = "sample",
+    soft_prior: Annotated[
+        str | None, typer.Option(help="The same for soft-li alone, the default method; as --prior if left out.")
+    ] = None,
     diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
     camera_file: Annotated[
         Path | None,
@@ -144,6 +147,7 @@ def train(
         model = train_model(
             data,
             prior=prior,
+            soft_prior=soft_prior,
             diagonal=diagonal,
             lit=others,
             name=name or folder.name,
@@ -152,9 +156,9 @@ def train(
             **options,
         )
     model.save(output)
-    modes = f"{len(model.shape_model.modes)} shape and {model.levels[-1].appearances['value'].n_modes} appearance modes"
+    modes = f"{_count_modes(model)} shape and {model.levels[-1].appearances['value'].n_modes} appearance modes"
     say(f"{output}: {modes} from {model.n_images} images, {model.n_pixels} pixels")
-    bound = model.shape_model.left_out_bound
+    bound = model.shape_of("soft").left_out_bound
     say(
         f"left-out bound: even a perfect fit to a new picture is {bound:.1f} pixels off "
         f"({bound / model.diagonal:.1%} of the object's size)"
@@ -359,6 +363,12 @@ def info(
     console.print(table)
 
 
+def _count_modes(model: "AAM") -> str:
+    """Shape modes, and those of ``soft-li`` where it has its own."""
+    own = "" if model.soft_shape is None else f" ({len(model.soft_shape.modes)} of soft-li)"
+    return f"{len(model.shape_model.modes)}{own}"
+
+
 def describe(model: "AAM", path: Path) -> dict[str, str]:
     """Facts of a model in words."""
     import numpy as np
@@ -370,7 +380,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
         "trained on": f"{model.n_images} {'colour' if model.is_colour else 'grey'} images",
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
-        "shape modes": f"{len(model.shape_model.modes)} + 4 (position, size, turn); spread {spread:.1f} px",
+        "shape modes": f"{_count_modes(model)} + 4 (position, size, turn); spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",

@@ -86,6 +86,8 @@ class AAM:
         The ``soft`` appearance, coarse to fine, on the pixels of ``surrounded``; none in files of earlier versions.
     reliability : Reliability, optional
         What tells right fits from wrong ones, where training has found out.
+    soft_shape : ShapeModel, optional
+        Shapes as ``soft`` appearances are fitted with, about the same mean; ``shape_model`` if there is none.
     """
 
     shape_model: ShapeModel
@@ -97,6 +99,7 @@ class AAM:
     name: str = ""
     soft_levels: tuple[Level, ...] = ()
     reliability: Reliability | None = None
+    soft_shape: ShapeModel | None = None
 
     def __repr__(self) -> str:
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
@@ -124,11 +127,16 @@ class AAM:
     @cached_property
     def surrounded(self) -> PiecewiseAffineWarp:
         """Warp of the mesh and what surrounds it; its ``frame`` has the pixels of ``soft`` appearances."""
-        return surrounded_warp(self.shape_model, self.triangles)
+        return surrounded_warp(self.shape_of("soft"), self.triangles)
 
     def levels_of(self, appearance: str) -> tuple[Level, ...]:
         """Levels that hold an appearance, coarse to fine."""
         return self.soft_levels if appearance in SURROUNDED else self.levels
+
+    def shape_of(self, appearance: str) -> ShapeModel:
+        """Shapes that an appearance is fitted with."""
+        own = self.soft_shape if appearance in SURROUNDED else None
+        return self.shape_model if own is None else own
 
     def warp_of(self, appearance: str) -> PiecewiseAffineWarp:
         """Warp whose pixels an appearance lives on."""
@@ -186,19 +194,22 @@ def _header(model: AAM) -> dict:
         "n_pixels": model.n_pixels,
         "contours": [[list(indices), closed] for indices, closed in model.contours],
         "name": model.name,
+        **{f"{key}_freedom": shape.freedom for key, shape in _shapes(model).items() if np.isfinite(shape.freedom)},
     }
+
+
+def _shapes(model: AAM) -> dict[str, ShapeModel]:
+    """Shape models by their key in the file."""
+    own = {} if model.soft_shape is None else {"soft_shape": model.soft_shape}
+    return {"shape": model.shape_model, **own}
 
 
 def _tensors(model: AAM) -> dict[str, np.ndarray]:
-    shape = model.shape_model
-    tensors = {
-        "shape.mean": shape.mean,
-        "shape.modes": shape.modes,
-        "shape.eigenvalues": shape.eigenvalues,
-        "triangles": model.triangles,
-    }
-    if shape.unexplained is not None:
-        tensors["shape.unexplained"] = shape.unexplained
+    tensors = {"shape.mean": model.shape_model.mean, "triangles": model.triangles}
+    for key, shape in _shapes(model).items():
+        for field in ("modes", "eigenvalues", "unexplained"):
+            if getattr(shape, field) is not None:
+                tensors[f"{key}.{field}"] = getattr(shape, field)
     if model.reliability is not None:
         tensors["reliability.landmarks"] = model.reliability.landmarks
         tensors["reliability.weights"] = model.reliability.weights
@@ -270,8 +281,6 @@ def _checked_header(path: Path, text: str) -> dict:
 def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     mean = _tensor(tensors, "shape.mean", np.float64, (None, 2))
     n = len(mean)
-    modes = _tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
-    eigenvalues = _tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
     triangles = _tensor(tensors, "triangles", np.int32, (None, 3))
     if n < 3 or not len(triangles) or triangles.min() < 0 or triangles.max() >= n:
         raise ValueError("the mesh does not belong to the landmarks")
@@ -284,14 +293,10 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     frame = ReferenceFrame(mean, triangles)
     if frame.n_pixels != header["n_pixels"]:
         raise ValueError("its reference frame does not match its pixels")
-    unexplained = None  # absent from files of earlier versions
-    if "shape.unexplained" in tensors:
-        unexplained = _tensor(tensors, "shape.unexplained", np.float64, (n, 2, 2))
-        if (np.diagonal(unexplained, axis1=1, axis2=2) < 0).any():
-            raise ValueError("shape.unexplained has variances below 0")
-    shape_model = ShapeModel(mean, modes, eigenvalues, unexplained)
+    shape_model = _shape_model(header, tensors, "shape", mean)
     return AAM(
         shape_model=shape_model,
+        soft_shape=_shape_model(header, tensors, "soft_shape", mean) if "soft_shape.modes" in tensors else None,
         triangles=triangles,
         levels=tuple(_level(tensors, i, blur, frame.n_pixels) for i, blur in enumerate(_blurs(header["blurs"]))),
         soft_levels=_soft_levels(tensors, header.get("soft_blurs", []), shape_model, triangles),
@@ -301,6 +306,22 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
         contours=_contours(header["contours"], n),
         name=str(header["name"]),
     )
+
+
+def _shape_model(header: dict, tensors: dict[str, np.ndarray], key: str, mean: np.ndarray) -> ShapeModel:
+    """One of the shape models, about the mean of all."""
+    n = len(mean)
+    modes = _tensor(tensors, f"{key}.modes", np.float64, (None, 2 * n))
+    eigenvalues = _tensor(tensors, f"{key}.eigenvalues", np.float64, (len(modes),))
+    unexplained = None  # absent from files of earlier versions
+    if f"{key}.unexplained" in tensors:
+        unexplained = _tensor(tensors, f"{key}.unexplained", np.float64, (n, 2, 2))
+        if (np.diagonal(unexplained, axis1=1, axis2=2) < 0).any():
+            raise ValueError(f"{key}.unexplained has variances below 0")
+    freedom = _finite(header[f"{key}_freedom"]) if f"{key}_freedom" in header else np.inf
+    if not freedom > 0:
+        raise ValueError(f"{key}_freedom {freedom:g}")
+    return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)
 
 
 def _camera(header: dict) -> CameraModel:

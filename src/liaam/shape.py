@@ -18,7 +18,7 @@ from liaam.pca import (
     some_folds,
     unexplained_by_others,
 )
-from liaam.shape_prior import Deviations, SmoothPrior, covariance, fit_prior, modes_of
+from liaam.shape_prior import Deviations, SmoothPrior, covariance, fit_freedom, fit_prior, modes_of
 
 
 def diagonal_of(shape: np.ndarray) -> float:
@@ -148,12 +148,16 @@ class ShapeModel:
     unexplained : (n, 2, 2) float64, optional
         Second moments, by landmark, of what the modes of the other training shapes leave of each (leave one out),
         square pixels of the reference frame: how far even the best fit is from a person's landmarks.
+    freedom : float
+        Degrees of freedom of shapes' distribution: infinite for a normal one; few where shapes come near the mean and
+        far from it, more than the variances say (:mod:`liaam.fitting.prior`).
     """
 
     mean: np.ndarray
     modes: np.ndarray
     eigenvalues: np.ndarray
     unexplained: np.ndarray | None = None
+    freedom: float = np.inf
 
     @cached_property
     def basis(self) -> np.ndarray:
@@ -338,10 +342,11 @@ def _smooth_model(
         kept = _count_by_evidence([_coordinates(*part, prior.noise) for part in parts])
     else:
         kept = count_modes(values, variance)
+    freedom = fit_freedom([_coordinates(*part, prior.noise) for part in parts], kept)
     left = np.zeros_like(deviations.own)
     for fold, (away, own_modes, _) in zip(folds, parts, strict=True):
         left[fold] = away - away @ own_modes[:kept].T @ own_modes[:kept]
-    return ShapeModel(deviations.mean, modes[:kept], values[:kept], _moments(left))
+    return ShapeModel(deviations.mean, modes[:kept], values[:kept], _moments(left), freedom)
 
 
 def _left_out(

@@ -13,8 +13,11 @@ which shapes left out of the sample are most likely. The modes are the eigenvect
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
+from math import lgamma
 
 import numpy as np
+
+from liaam.pca import LeftOutCoordinates
 
 SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6)
 """Shares of smooth deformations that are tried."""
@@ -24,6 +27,9 @@ WIDTHS = (0.1, 0.2)
 
 NOISES = (0.01, 0.02, 0.05, 0.1, 0.2)
 """Variances of landmarks that are no shape, as shares of the mean variance of a coordinate."""
+
+FREEDOMS = (3.0, 5.0, 10.0, 20.0, 50.0, np.inf)
+"""Degrees of freedom that are tried for the distribution of shapes; the last is a normal one."""
 
 LARGEST = 400
 """Coordinates (twice the landmarks) up to which all of the above is tried; beyond, every other share."""
@@ -150,6 +156,27 @@ def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrio
         return SmoothPrior(0.0, WIDTHS[0], NOISES[0])
     best, noise = np.unravel_index(total.argmax(), total.shape)
     return SmoothPrior(*mixtures[best], NOISES[noise], float(total.max() / count))
+
+
+def fit_freedom(left_out: Sequence[LeftOutCoordinates], kept: int) -> float:
+    """Find the degrees of freedom under which shapes left out are most likely, of :data:`FREEDOMS`.
+
+    A multivariate Student distribution on the modes kept, whose scale is the others' covariance.
+    """
+    squares = [(part.squares[:, :kept] / part.eigenvalues[:kept]).sum(axis=1) for part in left_out]
+    if not squares or not kept:
+        return np.inf
+    densities = [_log_student(np.concatenate(squares), kept, freedom).sum() for freedom in FREEDOMS]
+    return FREEDOMS[int(np.argmax(densities))] if np.isfinite(densities).all() else np.inf
+
+
+def _log_student(squares: np.ndarray, dimension: int, freedom: float) -> np.ndarray:
+    """Log density of a Student distribution by squared distances in standard deviations, but for a constant."""
+    if not np.isfinite(freedom):
+        return -0.5 * squares
+    half = 0.5 * dimension
+    constant = lgamma(0.5 * freedom + half) - lgamma(0.5 * freedom) - half * np.log(0.5 * freedom)
+    return constant - (0.5 * freedom + half) * np.log1p(squares / freedom)
 
 
 def _densities(

@@ -50,6 +50,7 @@ def train(
     variance: Variance = 0.98,
     appearance_variance: Variance | None = None,
     prior: str = "sample",
+    soft_prior: str | None = None,
     diagonal: float = 150.0,
     theta: float | None = None,
     response: Response | None = None,
@@ -76,9 +77,12 @@ def train(
         The same for appearances; as ``variance`` if left out.
     prior : {"sample", "smooth", "shrunk"}
         How the shapes' covariance is learnt. ``sample`` is the covariance of the shapes as they are (the paper).
-        ``smooth``, for ``soft-li`` and shapes that no training picture shows, draws it towards smooth deformations, and
+        ``smooth``, for shapes that no training picture shows, draws it towards smooth deformations, and
         learns from the mirrored shapes too, as far as shapes left out are likelier so. ``shrunk`` takes the variances
         of shapes left out for eigenvalues.
+    soft_prior : {"sample", "smooth", "shrunk"}, optional
+        The same for ``soft-li``, which then fits with shapes of its own; as ``prior`` if left out. With ``smooth`` for
+        ``soft-li`` alone the other methods, which know less of what their errors weigh, are left as they are.
     diagonal : float
         Diagonal of the mean shape in the reference frame, pixels. More is slower and finer.
     theta : float, optional
@@ -117,12 +121,18 @@ def train(
     """
     camera = _camera_of(camera, theta, response)
     _check_options(variance, appearance_variance, diagonal, blurs, soft_blurs)
-    check_prior(prior)
+    soft_prior = prior if soft_prior is None else soft_prior
+    for asked in (prior, soft_prior):
+        check_prior(asked)
     entries, contours, edges = _entries(data)
     shapes, folds = np.array([entry.points for entry in entries]), _folds([entry.name for entry in entries])
     mean = scaled_mean(shapes, diagonal)
     recipe = choose_recipe(mean, shapes, prior, folds)
     shape_model = shape_model_on(mean, shapes, variance, recipe, folds)
+    soft_shape = None
+    if soft_prior != prior:
+        recipe = choose_recipe(mean, shapes, soft_prior, folds)
+        soft_shape = shape_model_on(mean, shapes, variance, recipe, folds)
     triangles = _triangles(shape_model.mean, triangles, edges)
     frame = ReferenceFrame(shape_model.mean, triangles)
     for entry in entries:
@@ -148,6 +158,7 @@ def train(
         n_images=len(entries),
         contours=contours,
         name=name,
+        soft_shape=soft_shape,
     )
     if not leave_out:
         return model
@@ -525,7 +536,7 @@ def _without(
 ) -> AAM:
     """Model of all samples but a fold's, on the frame of the model of all, learnt in the same way.
 
-    ``learnt``: how shapes were learnt, and how much was asked for of shapes and of appearances.
+    ``learnt``: how the shapes of ``soft-li`` were learnt, and how much was asked for of shapes and of appearances.
     """
     recipe, variance, appearance_variance = learnt
     others = np.setdiff1d(np.arange(len(shapes)), fold)
@@ -533,6 +544,6 @@ def _without(
     for level, texture in zip(model.soft_levels, sampled.textures["soft"], strict=True):
         kept = level.appearances["soft"].n_modes if appearance_variance == "auto" else appearance_variance
         levels.append(Level(level.blur, {"soft": _soft_appearance(texture, model.theta, kept, [], others)}))
-    modes = len(model.shape_model.modes) if variance == "auto" else variance
+    modes = len(model.shape_of("soft").modes) if variance == "auto" else variance
     part = shape_model_on(model.shape_model.mean, shapes[others], modes, recipe)
-    return replace(model, shape_model=part, soft_levels=tuple(levels))
+    return replace(model, soft_shape=part, soft_levels=tuple(levels))

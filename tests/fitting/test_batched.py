@@ -60,6 +60,18 @@ def test_batched_fits_are_those_of_the_fitter_under_another_light(model, lit_sce
     assert_same(fit_many(model, [lit_scene.image] * 2, starts, method), one)
 
 
+@pytest.mark.parametrize("freedom", [3.0, np.inf])
+def test_batched_fits_find_the_scale_of_shapes_that_the_fitter_finds(model, lit_scene, freedom):
+    shapes = replace(model.shape_of("soft"), freedom=freedom)
+    model = replace(model, soft_shape=shapes)
+    starts = [disturb(lit_scene.landmarks), disturb(lit_scene.landmarks, 0.98, (0.0, 0.01))]
+    one = [Fitter(model).fit(lit_scene.image, start) for start in starts]
+    many = fit_many(model, [lit_scene.image] * 2, starts)
+    assert_same(many, one)
+    spread = np.array([result.landmark_covariances for result in one])
+    np.testing.assert_allclose(many.landmark_covariances, spread, rtol=0.05, atol=1e-4 * spread.max())
+
+
 @pytest.mark.parametrize("backend", ["torch", "jax"])
 @pytest.mark.parametrize("method", ["soft-li", "li-pc"])
 def test_every_library_gives_the_same(one_level, pictures, method, backend):

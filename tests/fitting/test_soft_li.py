@@ -115,3 +115,19 @@ def test_its_residual_is_a_picture_of_the_surrounded_frame(fine_model, lit_scene
     picture = fine_model.surrounded.frame.picture(result.residual)
     assert picture.shape[2] == 3
     assert picture.any()
+
+
+def test_soft_li_fits_with_shapes_of_its_own(model, lit_scene):
+    own = replace(model.shape_model, modes=model.shape_model.modes[:2], eigenvalues=model.shape_model.eigenvalues[:2])
+    both = replace(model, soft_shape=own)
+    start = disturb(lit_scene.landmarks)
+    soft, plain = Fitter(both).fit(lit_scene.image, start), Fitter(both, "li").fit(lit_scene.image, start)
+    assert (len(soft.p), len(plain.p)) == (2 + 4, len(model.shape_model.basis))
+    alone = Fitter(replace(model, shape_model=own)).fit(lit_scene.image, start)
+    np.testing.assert_array_equal(soft.shape, alone.shape)
+    np.testing.assert_array_equal(soft.landmark_covariances, alone.landmark_covariances)
+    np.testing.assert_array_equal(plain.shape, Fitter(model, "li").fit(lit_scene.image, start).shape)
+    # What one method has found another can look at.
+    objective, _, lam = Fitter(both, "li").equations_at(lit_scene.image, soft)
+    assert objective.warp.n_parameters == len(plain.p)
+    assert np.isfinite(lam).all()

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RECIPES: dict[str, dict[str, Any]] = {
-    "sample": {},
-    "shrunk": {"prior": "shrunk"},
-    "smooth": {"prior": "smooth"},
-    "smooth-auto": {"prior": "smooth", "variance": "auto", "appearance_variance": 0.98},
-    "smooth-auto-both": {"prior": "smooth", "variance": "auto"},
+    "sample": {"soft_prior": "sample"},
+    "shrunk": {"soft_prior": "shrunk"},
+    "smooth": {"soft_prior": "smooth"},
+    "smooth-auto": {"soft_prior": "smooth", "variance": "auto", "appearance_variance": 0.98},
+    "smooth-auto-both": {"soft_prior": "smooth", "variance": "auto"},
 }
 """Ways to train by name: options of :func:`liaam.train`."""
 
@@ -120,7 +120,7 @@ def place(fitter: Fitter, sample: Sample) -> Row:
     return {
         "person": sample.name,
         "nme": nme(result.shape, truth, unit),
-        "bound": nme(fitter.model.shape_model.project(truth), truth, unit),
+        "bound": nme(fitter.shapes.project(truth), truth, unit),
         "start_nme": nme(start, truth, unit),
         "deviation": uncertainty(result),
         "status": str(result.status),

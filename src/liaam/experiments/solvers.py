@@ -27,9 +27,9 @@ class Solver:
         Share of the variance kept in person-specific models of the simulated experiments.
     diagonal : float
         Of the reference frame, pixels.
-    prior : str
-        How the shapes' covariance is learnt, where not all modes are kept: a model that is to hold its pictures
-        exactly, and nothing else, is learnt from the sample.
+    prior, soft_prior : str
+        How the shapes' covariance is learnt, of all methods and of ``soft-li`` if otherwise, where not all modes are
+        kept: a model that is to hold its pictures exactly, and nothing else, is learnt from the sample.
     """
 
     summary: str
@@ -38,12 +38,15 @@ class Solver:
     variance: float = 1.0
     diagonal: float = 150.0
     prior: str = "sample"
+    soft_prior: str | None = None
 
     def train(self, data: Iterable, **options: Any) -> AAM:
         """Train a model as this solver wants it; ``options`` are those of :func:`liaam.train`."""
         own = {"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal, "leave_out": False}
         options = {**own, **options}
-        return train(data, **{"prior": "sample" if options["variance"] == 1.0 else self.prior, **options})
+        whole = options["variance"] == 1.0
+        priors = {"prior": "sample"} if whole else {"prior": self.prior, "soft_prior": self.soft_prior}
+        return train(data, **{**priors, **options})
 
 
 PAPER = Solver(
@@ -60,8 +63,9 @@ LIAAM = Solver(
 
 SOLVERS = {
     "liaam": LIAAM,
-    "liaam-smooth": replace(
-        LIAAM, summary=f"{LIAAM.summary}; smooth deformations besides the sample's", prior="smooth"
+    "liaam-smooth": replace(LIAAM, summary=f"{LIAAM.summary}; all methods with smooth deformations", prior="smooth"),
+    "liaam-soft-smooth": replace(
+        LIAAM, summary=f"{LIAAM.summary}; soft-li with smooth deformations", soft_prior="smooth"
     ),
     "paper": PAPER,
     "paper-90": replace(PAPER, summary=f"{PAPER.summary}; modes of 90 % of the variance", variance=0.9),

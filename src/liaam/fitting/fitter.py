@@ -21,7 +21,7 @@ from liaam.mesh import folded_share
 from liaam.model import AAM, Level, Reliability
 from liaam.photometry import CameraModel, NoiseModel, Response, exposure_faults, is_grey
 from liaam.photometry.encoding import stored_values
-from liaam.shape import Similarity, align, diagonal_of
+from liaam.shape import ShapeModel, Similarity, align, diagonal_of
 
 SCALE_LIMITS = (1 / 3, 3.0)
 """Change of size from the start beyond which a fit has diverged."""
@@ -306,7 +306,8 @@ class Fitter:
         problem = FitProblem.at(
             camera.flatten(image), result.shape, result.pose, self._method, camera.response, blur, camera.noise
         )
-        state = objective.start(result.p)
+        # By the shape: p belongs to the shapes of the method that was fitted, which need not be this one's.
+        state = objective.start(self.shapes.parameters(result.pose.inverse()(result.shape)))
         if self._method.has_angles and np.isfinite(result.theta):
             state = replace(state, angles=np.array([result.theta_model, result.theta]))
         elif self._method.free_angles == "image":
@@ -319,6 +320,11 @@ class Fitter:
         return self.model.levels_of(self._method.appearance)
 
     @property
+    def shapes(self) -> ShapeModel:
+        """Shapes that the method fits with."""
+        return self.model.shape_of(self._method.appearance)
+
+    @property
     def _camera(self) -> CameraModel:
         return self.model.camera if self.camera is None else self.camera
 
@@ -328,7 +334,7 @@ class Fitter:
         history = trace(stages)
         state, last = solution.state, solution.last
         residual, usable = stages[-1].picture()
-        spread = covariance(stages[-1].objective, solution, self.options.shape_prior)
+        spread = covariance(stages[-1].objective, solution, self.options.shape_prior / solution.scale)
         seen = evidence(stages[-1])
         known = self.model.reliability if self._method.name == DEFAULT_METHOD else None
         quality = np.nan if known is None else known.quality(seen)
@@ -351,7 +357,7 @@ class Fitter:
             residual=residual,
             usable=usable,
             covariance=spread,
-            landmark_covariances=landmark_covariances(self.model, stages[-1].pose, spread, known),
+            landmark_covariances=landmark_covariances(self.shapes, stages[-1].pose, spread, known),
             evidence=seen,
             quality=quality,
             method=self._method.name,
@@ -377,7 +383,7 @@ class Fitter:
 
     def _strangeness(self, shape: np.ndarray) -> float:
         """Largest shape mode in standard deviations, under the similarity that suits the shape best."""
-        shape_model = self.model.shape_model
+        shape_model = self.shapes
         upright = align(shape, shape_model.mean)(shape)
         # A mode is an orthonormal vector over all landmarks: half a pixel each makes sqrt(n) / 2.
         allowed = np.sqrt(shape_model.eigenvalues) + 0.5 * np.sqrt(shape_model.n_points) / SHAPE_LIMIT
@@ -437,21 +443,21 @@ def evidence(stage: Stage) -> np.ndarray:
     return np.array([max(explained, -1.0), np.log1p(min(strange, 1e6))])
 
 
-def fitted_covariances(model: AAM, spread: np.ndarray) -> np.ndarray:
+def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
     """Covariance of each landmark by that of p (first in ``spread``), (n, 2, 2) float64, model pixels squared."""
-    basis = model.shape_model.basis.reshape(-1, model.n_points, 2)
+    basis = shapes.basis.reshape(-1, shapes.n_points, 2)
     n_p = len(basis)
     return np.einsum("ina,ij,jnb->nab", basis, spread[:n_p, :n_p], basis, optimize=True)
 
 
 def landmark_covariances(
-    model: AAM, pose: Similarity, spread: np.ndarray, reliability: Reliability | None = None
+    shapes: ShapeModel, pose: Similarity, spread: np.ndarray, reliability: Reliability | None = None
 ) -> np.ndarray:
     """Covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit, and of what no fit can reach.
 
     Parameters
     ----------
-    model : AAM
+    shapes : ShapeModel
     pose : Similarity
         Model pixels to image pixels.
     spread : (n_q, n_q) float64
@@ -459,8 +465,8 @@ def landmark_covariances(
     reliability : Reliability, optional
         How far fits to pictures left out erred; what the shape model left of such pictures' landmarks if left out.
     """
-    fitted = fitted_covariances(model, spread)
-    unexplained = model.shape_model.unexplained if reliability is None else reliability.landmarks
+    fitted = fitted_covariances(shapes, spread)
+    unexplained = shapes.unexplained if reliability is None else reliability.landmarks
     own = fitted if unexplained is None else fitted + unexplained
     return pose.matrix @ own @ pose.matrix.T
 

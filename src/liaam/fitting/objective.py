@@ -24,7 +24,7 @@ from liaam.model import AAM, Level
 from liaam.photometry import LUMINANCE, NoiseModel, Response, from_linear, log_slope, noise_deviation
 from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS
 from liaam.sampling import Patch, make_patch
-from liaam.shape import Similarity
+from liaam.shape import ShapeModel, Similarity
 from liaam.warp import Warp
 
 
@@ -314,6 +314,8 @@ class Objective:
         Pixels that stand for one independent residual, where the weights do not know it themselves.
     density : float
         Share of the frame's pixels that are looked at.
+    freedom : float
+        Degrees of freedom of the prior's scale (:mod:`liaam.fitting.prior`); infinite where it is 1.
     whole : Objective, optional
         The same over all of the frame's pixels; this one itself if left out.
     """
@@ -327,6 +329,7 @@ class Objective:
     illumination: AppearanceModel | None = None
     tied: float = 1.0
     density: float = 1.0
+    freedom: float = np.inf
     whole: "Objective | None" = None
 
     def unit(self, equations: NormalEquations) -> float:
@@ -776,7 +779,11 @@ def _objective(model: AAM, method: Method, kernel: str, level: Level) -> Objecti
     """One level seen through a method, at as many pixels as its blur leaves worth looking at."""
     appearance, illumination = level.appearances[method.appearance], level.appearances.get("illumination")
     warp = model.warp_of(method.appearance)
-    whole = Objective(method, warp, appearance, model.theta, _shape_prior(model), kernel, illumination)
+    # What a picture tells of its shape has to be counted well for its scale: by soft weights only.
+    shapes = warp.shape_model
+    freedom = shapes.freedom if method.soft else np.inf
+    prior = _shape_prior(shapes)
+    whole = Objective(method, warp, appearance, model.theta, prior, kernel, illumination, freedom=freedom)
     kept = warp.every(THINNING * level.blur)
     density = len(kept) / len(appearance.mean)
     return replace(
@@ -814,6 +821,6 @@ def _check_holds(model: AAM, method: Method) -> None:
             raise MethodError(f"method {method.name}: the model has not learnt how far it errs; train it again")
 
 
-def _shape_prior(model: AAM) -> np.ndarray:
+def _shape_prior(shapes: ShapeModel) -> np.ndarray:
     """Prior of the shape modes, N(0, eigenvalue); the four similarity vectors have none."""
-    return np.concatenate([1.0 / np.maximum(model.shape_model.eigenvalues, 1e-12), np.zeros(4)])
+    return np.concatenate([1.0 / np.maximum(shapes.eigenvalues, 1e-12), np.zeros(4)])

@@ -71,7 +71,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
             if near and error <= WRONG:  # all that are not lost: those in doubt err, too
                 unposed = result.pose.inverse()
                 errors.append((picture.points - result.shape) @ unposed.matrix.T)
-                spreads.append(fitted_covariances(picture.model, result.covariance))
+                spreads.append(fitted_covariances(picture.model.shape_of("soft"), result.covariance))
             if not RIGHT < error <= WRONG:
                 seen.append(result.evidence)
                 right.append(error <= RIGHT)
@@ -117,7 +117,7 @@ def _widened(moments: np.ndarray, m: int) -> np.ndarray:
 
 def _by_shape(model: AAM) -> np.ndarray:
     """Covariance (n, 2, 2) that shapes left out tell; of pictures whose fits are lost, fits themselves tell nothing."""
-    unexplained = model.shape_model.unexplained
+    unexplained = model.shape_of("soft").unexplained
     nothing = np.zeros((model.n_points, 2, 2))
     return nothing if unexplained is None else _widened(unexplained, model.n_images)
 

@@ -433,6 +433,7 @@ def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
         shape_model=ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2),
         levels=(Level(level.blur * factor, {"orientation": appearance}),),
         soft_levels=(),
+        soft_shape=None,
         reliability=None,
     )
 

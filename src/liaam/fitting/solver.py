@@ -14,6 +14,7 @@ import numpy as np
 from liaam.errors import MethodError
 from liaam.fitting.normal_equations import NormalEquations
 from liaam.fitting.objective import FitProblem, Linearisation, Objective, State, Trust
+from liaam.fitting.prior import next_scale
 
 ELIMINATIONS = ("varpro", "joint")
 ANGLE_STARTS = ("best", "model")
@@ -103,6 +104,8 @@ class Solution:
         There was nothing to descend on: no texture under the model.
     trust : Trust, optional
         What the last pixels were weighed by.
+    scale : float
+        Of the shape prior's variances, in this picture.
     """
 
     state: State
@@ -113,6 +116,7 @@ class Solution:
     angles_held: bool
     flat: bool
     trust: Trust | None = None
+    scale: float = 1.0
 
 
 DAMPING_RANGE = (1e-7, 1e7)
@@ -132,10 +136,11 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
     """
     state, last, trust = _begin(objective, problem, start, options)
     path = [(last.equations.cost, state)]
-    damping, settled, flat, iteration = options.damping, False, False, 0
+    damping, settled, flat, iteration, scale = options.damping, False, False, 0, 1.0
     free = _free_directions(objective, state, last.equations, options.observable)
     for iteration in range(1, options.max_iterations + 1):  # noqa: B007 (reported)
-        precision = _prior_precision(objective, last.equations, options.shape_prior)
+        scale = _next_scale(objective, state, last.equations, options.shape_prior, scale)
+        precision = _prior_precision(objective, last.equations, options.shape_prior / scale)
         steps = _step(last.equations, state, precision, free, damping)
         if steps is None:
             flat = True
@@ -163,12 +168,12 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
         if not np.isfinite(last.equations.cost):
             break
     if (options.scoring or (trust is not None and trust.noise is not None)) and not flat:
-        scored = _score(objective, problem, state, last, options, trust, free)
+        scored = _score(objective, problem, state, last, options, trust, free, scale)
         if scored and scored[-1][1].equations.cost <= SCORING_RISE * last.equations.cost:
             state, last = scored[-1]
             path += [(seen.equations.cost, there) for there, seen in scored]
             iteration += len(scored)
-    return Solution(state, last, tuple(path), iteration, settled, not free.all(), flat, trust)
+    return Solution(state, last, tuple(path), iteration, settled, not free.all(), flat, trust, scale)
 
 
 SCORING_STEPS = 5
@@ -187,6 +192,7 @@ def _score(
     options: SolverOptions,
     trust: Trust | None,
     free: np.ndarray,
+    scale: float,
 ) -> list[tuple[State, Linearisation]]:
     """Step on by Fisher scoring: with the gradient of the model, which has no noise.
 
@@ -198,7 +204,7 @@ def _score(
     scored: list[tuple[State, Linearisation]] = []
     for _ in range(min(options.scoring or SCORING_STEPS, options.max_iterations)):
         expected = objective.weighed(objective.own_gradient(last.look, state), state, trust).equations
-        precision = _prior_precision(objective, expected, options.shape_prior)
+        precision = _prior_precision(objective, expected, options.shape_prior / scale)
         steps = _step(expected, state, precision, free, damping=0.0)
         if steps is None:
             break
@@ -292,6 +298,14 @@ def _is_small(
         return False
     information = step @ equations.reduced()[0] @ step + precision @ np.square(step)
     return bool(information < options.notice**2 * len(step) * equations.unit)
+
+
+def _next_scale(objective: Objective, state: State, equations: NormalEquations, strength: float, scale: float) -> float:
+    """Scale of the shape prior's variances at a state, where shapes come near and far; 1 where they do not."""
+    if not np.isfinite(objective.freedom) or not strength > 0:
+        return 1.0
+    hessian, unit = equations.reduced()[0], np.asarray(objective.unit(equations))
+    return float(next_scale(hessian, state.p, strength * objective.prior, unit, objective.freedom, np.asarray(scale)))
 
 
 def _prior_precision(objective: Objective, equations: NormalEquations, strength: float) -> np.ndarray:

@@ -184,7 +184,7 @@ class Tracker:
         self.fitter = Fitter(self.model, self.method, camera=self.camera)
         near = SolverOptions(max_iterations=self.options.iterations)
         self._near = Fitter(sharpest(self.model, self.options.levels), self.method, near, camera=self.camera)
-        self._motion = Motion(self.model.shape_model)
+        self._motion = Motion(self.fitter.shapes)
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
         self.reset()
 

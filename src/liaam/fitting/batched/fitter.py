@@ -217,7 +217,7 @@ class BatchFitter:
             costs=stacked("cost"),
             n_iterations=stacked("n_iterations").astype(np.int64),
             thetas=stacked("theta"),
-            p=stacked("p", len(model.shape_model.basis)),
+            p=stacked("p", len(self.fitter.shapes.basis)),
             landmark_covariances=stacked("landmark_covariances", model.n_points, 2, 2),
             quality=stacked("quality"),
             method=self.fitter.objectives[0].method.name,

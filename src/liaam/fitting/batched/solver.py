@@ -30,6 +30,7 @@ from liaam.fitting.batched.trust import alike, soft_trust
 from liaam.fitting.normal_equations import NormalEquations
 from liaam.fitting.objective import FitProblem, Linearisation, State
 from liaam.fitting.objective import Look as OneLook
+from liaam.fitting.prior import next_scale
 from liaam.fitting.solver import (
     DAMPING_RANGE,
     OBSERVABLE_APART,
@@ -58,6 +59,8 @@ class Run(NamedTuple):
         Directions that may move.
     settled, flat, done : (b,) bool
     n_iterations : (b,) int64
+    scale : (b,) float64
+        Of the shape prior's variances.
     """
 
     item: Array
@@ -70,6 +73,7 @@ class Run(NamedTuple):
     flat: Array
     done: Array
     n_iterations: Array
+    scale: Array
 
 
 class Proposal(NamedTuple):
@@ -180,6 +184,7 @@ class BatchSolver:
             "expected": compiled(self._expected),
             "trust": compiled(partial(soft_trust, self.objective)),
             "propose": compiled(self._propose),
+            "rescale": compiled(self._rescaled),
             "judge": compiled(self._judge),
             "free": compiled(self._free),
             "finish": compiled(self._finished),
@@ -196,20 +201,23 @@ class BatchSolver:
         no = zeros > 1
         item = self.objective.backend.put(np.arange(batch))
         every = xp.ones((batch, self.objective.objective.n_q), dtype=xp.bool, device=device_of(zeros))
-        run = Run(item, state, last, trust, zeros + self.options.damping, every, no, no, no, 0 * item)
+        damping = zeros + self.options.damping
+        run = Run(item, state, last, trust, damping, every, no, no, no, 0 * item, xp.ones_like(zeros))
         # Again: what the weights are worked out from depends on the weights.
         run = self._weigh_anew(shared, pictures, run, ~no)
         return run._replace(free=self._functions["free"](shared, run.state, run.last.equations))
 
     def _try_step(self, shared: Shared, pictures: Pictures, run: Run, iteration: int) -> Step:
         """One turn of the loop: a step, and whether it is taken."""
+        if self._rescales:
+            run = self._functions["rescale"](shared, run)
         proposed = self._functions["propose"](shared, run, run.last.equations, run.damping)
         there = self._functions["seen"](shared, pictures, proposed.state, run.trust or None)
         return self._functions["judge"](run, proposed, there, run.item * 0 + iteration)
 
     def _propose(self, shared: Shared, run: Run, equations: Equations, damping: Array) -> Proposal:
         """Where a step leads."""
-        precision = self._precision(shared, equations)
+        precision = self._precision(shared, equations) / run.scale[:, None]
         step, lambda_step, sees = self._step(equations, run.state, precision, run.free, damping)
         small = self._is_small(step, equations, precision)
         return Proposal(
@@ -313,11 +321,25 @@ class BatchSolver:
         return unit * self.xp.sqrt(self.xp.sum(step[:, :n_p] ** 2, axis=-1))
 
     def _precision(self, shared: Shared, equations: Equations) -> Array:
-        """Precision of the prior on p in units of squared residuals, (b, n_p)."""
+        """Precision of the prior on p at a scale of 1, in units of squared residuals, (b, n_p)."""
+        return self.options.shape_prior * self._unit(equations)[:, None] * shared.prior
+
+    def _unit(self, equations: Equations) -> Array:
+        """Variance that a residual of weight 1 stands for, (b,): ``Objective.unit``."""
         xp, mean = self.xp, cost(equations)
         own = self.objective.objective.tied * xp.where(xp.isfinite(mean), mean, xp.zeros_like(mean))
-        unit = xp.where(xp.isfinite(equations.unit), equations.unit, own)
-        return self.options.shape_prior * unit[:, None] * shared.prior
+        return xp.where(xp.isfinite(equations.unit), equations.unit, own)
+
+    @property
+    def _rescales(self) -> bool:
+        return bool(np.isfinite(self.objective.objective.freedom)) and self.options.shape_prior > 0
+
+    def _rescaled(self, shared: Shared, run: Run) -> Run:
+        """Scale of the prior's variances in each picture, a step further."""
+        equations, prior = run.last.equations, self.options.shape_prior * shared.prior
+        hessian, unit, freedom = reduced(equations)[0], self._unit(equations), self.objective.objective.freedom
+        scale = next_scale(hessian, run.state.p, prior, unit, freedom, run.scale)
+        return run._replace(scale=self.xp.where(run.done, run.scale, scale))
 
     def _step(
         self, equations: Equations, state: States, precision: Array, free: Array, damping: Array
@@ -422,7 +444,7 @@ class _Record:
     def keep(self, run: Run, held: np.ndarray) -> None:
         """Keep what fits have come to."""
         items, last = self.fetch(run.item), map_arrays(self.fetch, run.last)
-        ends = [self.fetch(array) for array in (run.n_iterations, run.settled, run.flat)]
+        ends = [self.fetch(array) for array in (run.n_iterations, run.settled, run.flat, run.scale)]
         for i, item in enumerate(items):
             equations = last.equations
             own = NormalEquations(
@@ -439,6 +461,6 @@ class _Record:
         """Solutions in the order of the problems."""
         found = []
         for item, path in enumerate(self._paths):
-            last, n_iterations, settled, flat, held = self._ends[item]
-            found.append(Solution(path[-1][1], last, tuple(path), n_iterations, settled, held, flat))
+            last, n_iterations, settled, flat, scale, held = self._ends[item]
+            found.append(Solution(path[-1][1], last, tuple(path), n_iterations, settled, held, flat, scale=scale))
         return found

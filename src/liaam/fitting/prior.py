@@ -1,0 +1,45 @@
+"""How far shapes of a picture lie from the mean, beyond what the variances of training say.
+
+A Student distribution is a normal one whose variance is drawn for each shape: p ~ N(0, scale Lambda) with ``freedom``
+degrees of freedom for the scale. Few degrees say that shapes come near and far; a picture's own scale is then
+estimated with its shape, so that a shape that lies near the mean is held there, and one that lies far off may go.
+"""
+
+from array_api_compat import array_namespace, device
+
+
+def next_scale(hessian, p, prior, unit, freedom: float, scale):
+    """One step towards the scale under which a picture is most likely (MacKay, Neural Comput. 4 (1992) 415).
+
+    Parameters
+    ----------
+    hessian : (..., n_q, n_q) float64
+        Of the residual's squares, p first, with the appearance eliminated.
+    p : (..., n_p) float64
+    prior : (n_p,) float64
+        Precision of p at a scale of 1; 0 for what has none.
+    unit : (...,) float64
+        Variance that a residual stands for.
+    freedom : float
+    scale : (...,) float64
+        The last one.
+
+    Returns
+    -------
+    (...,) float64
+        (freedom + squares of p) / (freedom + number of parameters that the picture tells); the last scale where the
+        picture tells nothing.
+    """
+    xp, n = array_namespace(hessian), p.shape[-1]
+    held = prior / scale[..., None]
+    seen = xp.all(xp.isfinite(hessian), axis=(-2, -1)) & xp.isfinite(unit) & (unit > 0)
+    own = xp.where(seen[..., None, None], hessian[..., :n, :n], xp.zeros_like(hessian[..., :n, :n]))
+    own = own / xp.where(seen, unit, xp.ones_like(unit))[..., None, None]
+    diagonal = xp.linalg.diagonal(own) + held
+    floor = 1e-9 * xp.max(diagonal, axis=-1)[..., None] + 1e-300
+    identity = xp.eye(n, dtype=own.dtype, device=device(own))
+    spread = xp.linalg.diagonal(xp.linalg.inv(own + (held + floor)[..., None, :] * identity))
+    told = xp.sum(xp.where(prior > 0, 1.0 - held * spread, xp.zeros_like(held)), axis=-1)
+    squares = xp.sum(prior * p**2, axis=-1)
+    new = (freedom + squares) / (freedom + told)
+    return xp.where(seen & xp.isfinite(new), new, scale)
