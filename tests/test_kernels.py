@@ -1,5 +1,6 @@
 """Kernels: the fast one does what the reference says; the reference says what bilinear means."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -104,6 +105,41 @@ def test_fast_counts_beyond_noise_as_reference_says(n, seed):
     residual, by_noise = rng.normal(size=(n, 3)).astype(np.float32), rng.random((n, 3)).astype(np.float32)
     arguments = residual, by_noise, rng.random(n) > 0.3, 0.7
     np.testing.assert_allclose(fast.beyond_noise(*arguments), reference.beyond_noise(*arguments), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+@given(size=st.tuples(st.integers(2, 12), st.integers(3, 12)), seed=st.integers(0, 99))
+def test_packed_spectra_are_correlated_as_pictures_are(name, size, seed):
+    left, right = np.random.default_rng(seed).normal(size=(2, 2, *size)).astype(np.float32)
+    packed = (np.stack([cv2.dft(channel) for channel in channels]) for channels in (left, right))
+    found = get_kernel(name).correlate(*packed, np.empty(size, np.float32))
+    shifts = np.ndindex(*size)
+    expected = [(left * np.roll(right, shift, axis=(1, 2))).sum() for shift in shifts]
+    np.testing.assert_allclose(cv2.idft(found, flags=cv2.DFT_SCALE).ravel(), expected, atol=1e-4)
+
+
+@given(
+    size=st.tuples(st.integers(1, 20), st.integers(1, 20)),
+    digits=st.integers(0, 2),
+    count=st.integers(1, 9),
+    reach=st.integers(1, 3),
+    seed=st.integers(0, 99),
+)
+def test_fast_finds_the_peaks_that_reference_does(size, digits, count, reach, seed):
+    picture = np.random.default_rng(seed).random(size).round(digits).astype(np.float32)  # some are equal
+    arguments = picture, count, 0.4, reach
+    for found, expected in zip(fast.best_peaks(*arguments), reference.best_peaks(*arguments), strict=True):
+        np.testing.assert_array_equal(found, expected)
+        assert found.dtype == expected.dtype
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_peaks_are_the_largest_around_and_come_in_order(name):
+    picture = np.zeros((9, 12), np.float32)
+    picture[2, 3], picture[2, 5], picture[7, 11], picture[0, 9], picture[6, 2] = 5, 6, 3, 4, 0.5
+    places, values = get_kernel(name).best_peaks(picture, 9, 1.0, 2)
+    assert places.tolist() == [[2, 5], [0, 9], [7, 11]] and values.tolist() == [6, 4, 3]
+    assert len(get_kernel(name).best_peaks(picture, 2, 1.0, 2)[1]) == 2
 
 
 @pytest.mark.parametrize("name", KERNELS)

@@ -46,3 +46,26 @@ def test_blocks_of_one_pixel_are_the_picture(rng):
     image = rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     found = averaging.stored_means(image, TABLE, (0, 255), (0.0, 0.0), 1.0, (HEIGHT, WIDTH))
     np.testing.assert_array_equal(found[..., :3], TABLE[image])
+
+
+@given(rows=st.integers(1, HEIGHT), columns=st.integers(1, WIDTH), seed=st.integers(0, 99))
+def test_area_means_are_means_of_the_blocks_that_tile_a_picture(rows, columns, seed):
+    picture = np.random.default_rng(seed).random((HEIGHT, WIDTH), np.float32)
+    shares = overlap(HEIGHT, 0.0, HEIGHT / rows, rows), overlap(WIDTH, 0.0, WIDTH / columns, columns)
+    found = averaging.area_means(picture, (rows, columns))
+    np.testing.assert_allclose(found, shares[0] @ picture @ shares[1].T, atol=2e-6)
+
+
+@given(turn=st.floats(-3.0, 3.0), softness=st.sampled_from([1e-3, 0.1, 1.0]), seed=st.integers(0, 99))
+def test_soft_directions_are_gradients_over_a_root(turn, softness, seed):
+    picture = np.random.default_rng(seed).random((HEIGHT, WIDTH), np.float32)
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    gradient = np.stack(np.gradient(picture)[::-1], axis=-1) @ matrix.T
+    expected = gradient / np.sqrt(np.square(gradient).sum(axis=-1, keepdims=True) + softness**2)
+    np.testing.assert_allclose(averaging.soft_directions(picture, matrix, softness), expected, atol=2e-5)
+
+
+def test_stored_luminance_is_that_of_the_table(rng):
+    image = rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    weights = np.array([0.2, 0.7, 0.1])
+    np.testing.assert_allclose(averaging.stored_luminance(image, TABLE, weights), TABLE[image] @ weights, atol=1e-6)

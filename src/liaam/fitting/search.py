@@ -17,10 +17,11 @@ from liaam.fitting.methods import get_method
 from liaam.fitting.objective import NEAR, FitProblem, Objective, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.solver import Solution, SolverOptions, solve
+from liaam.kernels import get_kernel
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.model import AAM, Level
-from liaam.photometry import LUMINANCE, Response, encode
-from liaam.photometry.encoding import soft_direction
+from liaam.photometry import Response
+from liaam.photometry.encoding import soft_direction, value_luminance
 from liaam.shape import ShapeModel, Similarity, align, diagonal_of, rotation
 
 TEMPLATE = 40.0
@@ -81,8 +82,11 @@ SPECTRA_KEPT = 600_000
 """Pixels of the fields whose templates' spectra are kept, some 90 bytes each: those of pictures of one size and more,
 unless they are panoramas."""
 
-SURROUNDINGS = np.ones((5, 5), np.uint8)
-"""Pixels of which a place has to be the best."""
+SURROUNDINGS = 2
+"""Pixels on every side among which a place has to be the best."""
+
+LEAST_RESPONSE = 1e-3
+"""Of a place."""
 
 GROWTH = (0.5, 2.0)
 """Change of size beyond which the fit of a place has lost it."""
@@ -264,41 +268,37 @@ class Finder:
 
     def _peaks(self, fields: list[Field], count: int) -> _Peaks:
         """Best places by correlation alone."""
-        found = _Peaks.join([part for i in range(len(fields)) for part in self._responses(fields[i], i, count)])
+        found = _Peaks.join([self._responses(field, i, count) for i, field in enumerate(fields)])
         return found.take(_strongest(found, 0.2 * self.small.diagonal, count))
 
-    def _responses(self, field: Field, which: int, count: int) -> list[_Peaks]:
+    def _responses(self, field: Field, which: int, count: int) -> _Peaks:
         """Local maxima of every template's correlation with a field, the best few of each template."""
         import cv2  # heavy: imported when first needed
-        from scipy import fft
 
-        values, pad = field.values, int(PADDING * self.small.diagonal)
-        size = [max(n + 2 * pad, *(t.field.shape[axis] for t in self.templates)) for axis, n in enumerate(values.shape)]
-        fast = tuple(fft.next_fast_len(n, real=True) or n for n in size)
-        across, down = _spectra(np.pad(values, pad), fast)
-        parts = []
-        for number, (template, (right, below)) in enumerate(zip(self.templates, self._spectra_of(fast), strict=True)):
+        kernel, pad = get_kernel(), int(PADDING * self.small.diagonal)
+        sizes = [(template.field.shape, template.origin) for template in self.templates]
+        size = np.maximum(np.array(field.values.shape) + 2 * pad, np.max([shape for shape, _ in sizes], axis=0))
+        fast = int(cv2.getOptimalDFTSize(int(size[0]))), int(cv2.getOptimalDFTSize(int(size[1])))
+        spectra, product, correlated = _spectra(field.values, fast, pad), *np.empty((2, *fast), np.float32)
+        places, responses = [], []
+        for (shape, origin), own in zip(sizes, self._spectra_of(fast), strict=True):
             # The cosine between two directions times their lengths.
-            product = across * right
-            product += down * below
-            height, width = template.field.shape
-            cosine = np.asarray(fft.irfft2(product, fast, overwrite_x=True))
-            cosine = np.ascontiguousarray(cosine[: size[0] - height + 1, : size[1] - width + 1])
-            flat = cosine.ravel()
-            (peaks,) = np.nonzero(((cosine >= cv2.dilate(cosine, SURROUNDINGS)) & (cosine > 1e-3)).ravel())
-            best = peaks[np.argsort(-flat[peaks], kind="stable")[:count]]
-            rows, columns = np.divmod(best, cosine.shape[1])
-            centres = field.to_image(np.column_stack([columns, rows]) - pad - template.origin)
-            scales, same, numbers = (np.full(len(best), value) for value in (field.scale, which, number))
-            parts.append(_Peaks(centres, scales, same, numbers, flat[best]))
-        return parts
+            cosine = cv2.idft(kernel.correlate(spectra, own, product), correlated)
+            inside = cosine[: size[0] - shape[0] + 1, : size[1] - shape[1] + 1]
+            best, values = kernel.best_peaks(inside, count, LEAST_RESPONSE, SURROUNDINGS)
+            places.append(best[:, ::-1] - origin)
+            responses.append(values)
+        numbers = np.repeat(np.arange(len(sizes)), [len(values) for values in responses])
+        scales, same = (np.full(len(numbers), value) for value in (field.scale, which))
+        return _Peaks(field.to_image(np.concatenate(places) - pad), scales, same, numbers, np.concatenate(responses))
 
     def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
         """Spectra of all templates for fields of a size; those of the last few sizes are kept."""
         known = self._spectra.get(size)
         if known is not None:
             return known
-        made = [np.conj(_spectra(t.field, size)) / max(float(np.abs(t.field).sum()), 1e-9) for t in self.templates]
+        pixels = size[0] * size[1]  # by which an inverse transform is to be divided
+        made = [_spectra(t.field, size) / (pixels * max(float(np.abs(t.field).sum()), 1e-9)) for t in self.templates]
         kept = [*self._spectra, size]  # a copy: others may search at the same time
         while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
             self._spectra.pop(kept.pop(0), None)
@@ -380,11 +380,14 @@ def find(
     return Finder(model).find(image, limit=limit, least=least, response=response)
 
 
-def _spectra(field: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Fourier transforms of a field's cosine and sine, padded to a size, (2, h, w // 2 + 1) complex64."""
-    from scipy import fft
+def _spectra(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarray:
+    """Fourier transforms of a field's cosine and sine, padded to a size, (2, h, w) float32 as OpenCV packs them."""
+    import cv2  # heavy: imported when first needed
 
-    return np.asarray(fft.rfft2(np.stack([np.real(field), np.imag(field)]), size))
+    padded = np.zeros((2, *size), np.float32)
+    inner = padded[:, pad : pad + field.shape[0], pad : pad + field.shape[1]]
+    inner[0], inner[1] = field.real, field.imag
+    return np.stack([cv2.dft(part) for part in padded])
 
 
 def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
@@ -497,7 +500,7 @@ def fields_of(image: np.ndarray, response: Response, small: AAM) -> list[Field]:
     stride = max(1, reduce // 4)
     reduce //= stride
     sparse = image[stride // 2 :: stride, stride // 2 :: stride]
-    grey = encode(sparse, "value", response, reduce=reduce)[..., :3] @ LUMINANCE[0].astype(np.float32)
+    grey = value_luminance(sparse, response, reduce)
     low, high = np.percentile(grey[::2, ::2], [1, 99])
     grey = (np.clip(grey, low, high) / np.clip(high - low, *CONTRASTS)).astype(np.float32)
     return [_field(grey, reduce * stride, size, small) for size in sizes]
@@ -507,10 +510,14 @@ def _field(grey: np.ndarray, reduce: int, size: float, small: AAM) -> Field:
     """Field of a picture, blocks of whose pixels were averaged, for objects of a size in image pixels."""
     import cv2  # heavy: imported when first needed
 
+    from liaam.photometry.averaging import area_means  # numba: imported when first needed
+
     covered = np.array(grey.shape[::-1]) * reduce  # a rest at the border was dropped
     width, height = np.maximum(np.rint(covered * (small.diagonal / size)), 8).astype(int)
-    how = cv2.INTER_AREA if width <= grey.shape[1] else cv2.INTER_LINEAR
-    resized = cv2.resize(grey, (int(width), int(height)), interpolation=how)
+    if width <= grey.shape[1] and height <= grey.shape[0]:
+        resized = area_means(grey, (int(height), int(width)))
+    else:
+        resized = cv2.resize(grey, (int(width), int(height)), interpolation=cv2.INTER_LINEAR)
     return Field(soft_directions(resized, small.levels[0].blur), covered / (width, height))
 
 
@@ -539,8 +546,7 @@ def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
 
     if blur > 0.3:
         grey = cv2.GaussianBlur(grey, (0, 0), float(blur), borderType=cv2.BORDER_REPLICATE)
-    right, down = np.moveaxis(soft_direction(grey, SOFTNESS), 2, 0)
-    return (right + 1j * down).astype(np.complex64)
+    return soft_direction(grey, SOFTNESS).view(np.complex64)[..., 0]
 
 
 def _strongest(peaks: _Peaks, apart: float, count: int) -> np.ndarray:

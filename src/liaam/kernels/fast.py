@@ -237,3 +237,85 @@ def beyond_noise(residual: np.ndarray, by_noise: np.ndarray, usable: np.ndarray,
     sums = np.zeros((residual.shape[1], 3))
     _beyond_noise(residual, by_noise, usable, limit, sums)
     return sums
+
+
+@_jit
+def _add_line(a, b, total):
+    """Add a conj(b) to a total; lines of 1 real number, pairs of real and imaginary part, and 1 real if even."""
+    n = len(a)
+    total[0] += a[0] * b[0]
+    for i in range(1, n - 1, 2):
+        total[i] += a[i] * b[i] + a[i + 1] * b[i + 1]
+        total[i + 1] += a[i + 1] * b[i] - a[i] * b[i + 1]
+    if n % 2 == 0:
+        total[n - 1] += a[n - 1] * b[n - 1]
+
+
+@_jit
+def _correlate(left, right, total):
+    height, width = total.shape
+    for y in range(height):
+        # Slices rather than indices in the inner loop: only then does the compiler see that they never wrap around.
+        a, b, c, d, out = left[0, y, 1:], right[0, y, 1:], left[1, y, 1:], right[1, y, 1:], total[y, 1:]
+        for i in range((width - 1) // 2):
+            re, im = 2 * i, 2 * i + 1
+            out[re] = a[re] * b[re] + a[im] * b[im] + c[re] * d[re] + c[im] * d[im]
+            out[im] = a[im] * b[re] - a[re] * b[im] + c[im] * d[re] - c[re] * d[im]
+    for x in (0, width - 1) if width % 2 == 0 else (0, 0):
+        total[:, x] = _F(0.0)
+        for c in range(2):
+            _add_line(left[c, :, x], right[c, :, x], total[:, x])
+
+
+def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """See :func:`liaam.kernels.reference.correlate`."""
+    _correlate(left, right, out)
+    return out
+
+
+@_jit
+def _best_peaks(picture, least, reach, places, values):
+    height, width = picture.shape
+    count, found, limit = len(values), 0, least
+    above = np.zeros(8 * ((width + 7) // 8), np.uint8)
+    eights = above.view(np.uint64)
+    for y in range(height):
+        row = picture[y]
+        for x in range(width):
+            above[x] = row[x] > limit
+        for chunk in range(len(eights)):
+            if eights[chunk] == 0:
+                continue
+            for x in range(8 * chunk, min(8 * chunk + 8, width)):
+                value = row[x]
+                if not value > limit or not _is_peak(picture, y, x, reach):
+                    continue
+                at = min(found, count - 1)
+                found = min(found + 1, count)
+                while at > 0 and values[at - 1] < value:
+                    values[at], places[at, 0], places[at, 1] = values[at - 1], places[at - 1, 0], places[at - 1, 1]
+                    at -= 1
+                values[at], places[at, 0], places[at, 1] = value, y, x
+                if found == count:
+                    limit = values[count - 1]
+    return found
+
+
+@_jit
+def _is_peak(picture, y, x, reach):
+    value, (height, width) = picture[y, x], picture.shape
+    # The direct neighbours tell most that are none.
+    if picture[y, min(x + 1, width - 1)] > value or picture[min(y + 1, height - 1), x] > value:
+        return False
+    for i in range(max(y - reach, 0), min(y + reach + 1, height)):
+        for j in range(max(x - reach, 0), min(x + reach + 1, width)):
+            if picture[i, j] > value:
+                return False
+    return True
+
+
+def best_peaks(picture: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """See :func:`liaam.kernels.reference.best_peaks`."""
+    places, values = np.empty((count, 2), np.int64), np.empty(count, np.float32)
+    found = _best_peaks(picture, np.float32(least), reach, places, values)
+    return places[:found], values[:found]

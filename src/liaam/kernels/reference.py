@@ -439,3 +439,75 @@ def beyond_noise(residual: np.ndarray, by_noise: np.ndarray, usable: np.ndarray,
         Of each row: how many count, their squares, and these less the variance by noise.
     """
     return beyond_noise_batch(residual[None], by_noise[None], usable[None], limit)[0]
+
+
+def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Spectrum of the correlation of two pictures, summed over their two channels: left conj(right).
+
+    Parameters
+    ----------
+    left, right : (2, h, w) float32
+        Fourier transforms of real channels as OpenCV's ``dft`` packs them: in each row a real number, pairs of real and
+        imaginary part, and a real one more where w is even; the columns of those real ones are packed alike.
+    out : (h, w) float32
+        Written to, so that large arrays are made once.
+
+    Returns
+    -------
+    (h, w) float32
+        ``out``, packed alike.
+    """
+    height, width = left.shape[1:]
+    a, b = (_unpacked(channels.astype(np.float64)) for channels in (left, right))
+    product = (a * b.conj()).sum(axis=0)
+    packed = out
+    pairs = product[:, 1 : (width + 1) // 2]
+    packed[:, 1 : 1 + 2 * pairs.shape[1]] = np.stack([pairs.real, pairs.imag], axis=2).reshape(height, -1)
+    for x, column in ((0, product[:, 0]), (width - 1, product[:, -1]))[: 2 - width % 2]:
+        packed[0, x] = column[0].real
+        packed[1::2, x] = column[1 : height // 2 + 1].real
+        packed[2::2, x] = column[1 : (height + 1) // 2].imag
+    return packed
+
+
+def _unpacked(packed: np.ndarray) -> np.ndarray:
+    """First half of the columns of the Fourier transforms (c, h, w // 2 + 1) that are packed in (c, h, w)."""
+    height, width = packed.shape[1:]
+    spectrum = np.zeros((len(packed), height, width // 2 + 1), complex)
+    n = (width - 1) // 2
+    spectrum[:, :, 1 : n + 1] = packed[:, :, 1 : 2 * n + 1 : 2] + 1j * packed[:, :, 2 : 2 * n + 2 : 2]
+    for x, column in ((0, 0), (width - 1, -1))[: 2 - width % 2]:
+        for y in range(height):
+            k = min(y, height - y)
+            real = packed[:, 2 * k - 1 if k else 0, x]
+            imaginary = packed[:, 2 * k, x] if 0 < 2 * k < height else 0.0
+            spectrum[:, y, column] = real + (1j if y == k else -1j) * imaginary
+    return spectrum
+
+
+def best_peaks(picture: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Largest local maxima of a picture, the first of equals first.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        Finite.
+    count : int
+        How many at most.
+    least : float
+        Value that a maximum has to exceed.
+    reach : int
+        No pixel so many rows and columns away, or nearer, may be larger.
+
+    Returns
+    -------
+    places : (k, 2) int64
+        Rows and columns.
+    values : (k,) float32
+    """
+    around = np.pad(picture, reach, constant_values=-np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(around, (2 * reach + 1, 2 * reach + 1))
+    places = np.argwhere((picture >= windows.max(axis=(2, 3))) & (picture > np.float32(least)))
+    values = picture[places[:, 0], places[:, 1]]
+    order = np.argsort(-values, kind="stable")[:count]
+    return places[order], values[order]

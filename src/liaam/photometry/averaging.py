@@ -1,4 +1,4 @@
-"""Block means of any size, in linear light, straight from stored pixels (numba)."""
+"""What is worked out pixel by pixel: block means of any size, and directions of gradients (numba)."""
 
 import numba
 import numpy as np
@@ -133,18 +133,137 @@ def value_means(values: np.ndarray, start: tuple[float, float], size: float, sha
 
 
 @_jit
+def _area_shares(n_in, n_out):
+    """First and last pixel of each of the blocks that tile a side, and their shares in it; those between count full."""
+    ends, shares = np.empty((n_out, 2), np.int64), np.empty((n_out, 2), np.float32)
+    size = n_in / n_out
+    for i in range(n_out):
+        low, high = i * size, min((i + 1) * size, float(n_in))
+        first = min(int(low + 1e-9), n_in - 1)
+        last = max(min(int(np.ceil(high - 1e-9)) - 1, n_in - 1), first)
+        ends[i, 0], ends[i, 1] = first, last
+        # Of a block within one pixel, that pixel is all.
+        shares[i, 0] = (min(first + 1.0, high) - low) / size
+        shares[i, 1] = (high - last) / size if last > first else 0.0
+    return ends, shares
+
+
+@_jit
+def _area_means(picture, means):
+    rows, columns = means.shape
+    ends_y, shares_y = _area_shares(picture.shape[0], rows)
+    ends_x, shares_x = _area_shares(picture.shape[1], columns)
+    full_y, full_x = _F(rows / picture.shape[0]), _F(columns / picture.shape[1])
+    line = np.empty(picture.shape[1], np.float32)
+    for i in range(rows):
+        first, last = ends_y[i]
+        top, bottom, w0, w1 = picture[first], picture[last], shares_y[i, 0], shares_y[i, 1]
+        for x in range(len(line)):
+            line[x] = w0 * top[x] + w1 * bottom[x]
+        for y in range(first + 1, last):
+            between = picture[y]
+            for x in range(len(line)):
+                line[x] += full_y * between[x]
+        for j in range(columns):
+            left, right = ends_x[j]
+            total = _F(0.0)
+            for x in range(left + 1, right):
+                total += line[x]
+            means[i, j] = shares_x[j, 0] * line[left] + full_x * total + shares_x[j, 1] * line[right]
+
+
+def area_means(picture: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Make a picture smaller: means of the blocks that tile it, whatever their height and width.
+
+    What OpenCV's ``INTER_AREA`` gives, rows first, which takes a fifth of its time.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+    shape : (rows, columns)
+        At most (h, w).
+
+    Returns
+    -------
+    (rows, columns) float32
+    """
+    means = np.empty(shape, np.float32)
+    _area_means(np.ascontiguousarray(picture), means)
+    return means
+
+
+@_jit
+def _stored_luminance(image, tables, luminance):
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            r, g, b = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+            luminance[y, x] = tables[0, r] + tables[1, g] + tables[2, b]
+
+
+def stored_luminance(image: np.ndarray, table: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted sum of the encoded channels of integer pixels.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8 or uint16
+    table : (256,) or (65536,) float32
+        Encoded value of each stored one.
+    weights : (3,) float
+
+    Returns
+    -------
+    (h, w) float32
+    """
+    luminance = np.empty(image.shape[:2], np.float32)
+    _stored_luminance(np.ascontiguousarray(image), np.outer(weights, table).astype(np.float32), luminance)
+    return luminance
+
+
+@_jit
+def _soft_direction(picture, y, x, turn, softness):
+    """Turned gradient at a pixel, as differences to its neighbours tell it, over the root of its square and another."""
+    up, down = max(y - 1, 0), min(y + 1, picture.shape[0] - 1)
+    left, right = max(x - 1, 0), min(x + 1, picture.shape[1] - 1)
+    gx = (picture[y, right] - picture[y, left]) / _F(max(right - left, 1))
+    gy = (picture[down, x] - picture[up, x]) / _F(max(down - up, 1))
+    tx, ty = turn[0, 0] * gx + turn[0, 1] * gy, turn[1, 0] * gx + turn[1, 1] * gy
+    scale = _F(1.0) / np.sqrt(tx * tx + ty * ty + softness * softness)
+    return tx * scale, ty * scale
+
+
+@_jit
+def _soft_directions(picture, turn, softness, out):
+    for y in range(picture.shape[0]):
+        for x in range(picture.shape[1]):
+            out[y, x, 0], out[y, x, 1] = _soft_direction(picture, y, x, turn, softness)
+
+
+def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> np.ndarray:
+    """Directions of a picture's gradient; see :func:`liaam.photometry.encoding.soft_direction`.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+    turn : (2, 2) float
+    softness : float
+
+    Returns
+    -------
+    (h, w, 2) float32
+    """
+    out = np.empty((*picture.shape, 2), np.float32)
+    turn = np.ascontiguousarray(turn, dtype=np.float32)
+    _soft_directions(np.ascontiguousarray(picture, dtype=np.float32), turn, np.float32(softness), out)
+    return out
+
+
+@_jit
 def _finish_soft(logs, masks, turn, softness, out):
     height, width = logs.shape[:2]
+    luminance = logs[:, :, 0]
     for y in range(height):
-        up, down = max(y - 1, 0), min(y + 1, height - 1)
-        by_y = _F(1.0) / _F(max(down - up, 1))
         for x in range(width):
-            left, right = max(x - 1, 0), min(x + 1, width - 1)
-            gx = (logs[y, right, 0] - logs[y, left, 0]) / _F(max(right - left, 1))
-            gy = (logs[down, x, 0] - logs[up, x, 0]) * by_y
-            tx, ty = turn[0, 0] * gx + turn[0, 1] * gy, turn[1, 0] * gx + turn[1, 1] * gy
-            scale = _F(1.0) / np.sqrt(tx * tx + ty * ty + softness * softness)
-            out[y, x, 0], out[y, x, 1] = tx * scale, ty * scale
+            out[y, x, 0], out[y, x, 1] = _soft_direction(luminance, y, x, turn, softness)
             out[y, x, 2], out[y, x, 3], out[y, x, 4] = logs[y, x, 1], logs[y, x, 2], logs[y, x, 3]
             out[y, x, 5], out[y, x, 6] = masks[y, x, 0], masks[y, x, 1]
 
@@ -167,5 +286,5 @@ def soft_channels(logs: np.ndarray, masks: np.ndarray, turn: np.ndarray, softnes
     (h, w, 7) float32
     """
     out = np.empty((*logs.shape[:2], 7), np.float32)
-    _finish_soft(logs, masks, np.asarray(turn, np.float32), np.float32(softness), out)
+    _finish_soft(logs, masks, np.ascontiguousarray(turn, dtype=np.float32), np.float32(softness), out)
     return out

@@ -185,10 +185,11 @@ def encode(
         colour = (
             _table(image.dtype.str, encoding, response)[image] if is_integer else _encode(stored, encoding, response)
         )
-    if blur > 0.0:
-        colour = _blurred(colour, usable, blur)
     if encoding == "orientation":
-        colour = _orientation(colour @ LUMINANCE[0].astype(np.float32), turn)
+        luminance = _luminance(colour)  # of what is blurred, and what is blurred of it, are one
+        colour = _orientation(_blurred(luminance, usable, blur) if blur > 0.0 else luminance, turn)
+    elif blur > 0.0:
+        colour = _blurred(colour, usable, blur)
     return np.concatenate([colour, usable[..., None].astype(np.float32)], axis=2)
 
 
@@ -315,6 +316,21 @@ def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
     return _encode(stored, encoding, response)
 
 
+def value_luminance(image: np.ndarray, response: Response = "srgb", reduce: float = 1.0) -> np.ndarray:
+    """Luminance of the encoding ``value``, (h // reduce, w // reduce) float32; see :func:`encode`."""
+    from liaam.photometry import averaging  # numba: imported when first needed
+
+    if image.dtype.kind != "u" or reduce > 1:
+        return _luminance(np.ascontiguousarray(encode(image, "value", response, reduce=reduce)[..., :3]))
+    return averaging.stored_luminance(image, _table(image.dtype.str, "value", response), LUMINANCE[0])
+
+
+def _luminance(colour: np.ndarray) -> np.ndarray:
+    import cv2  # heavy: imported when first needed
+
+    return cv2.transform(colour, LUMINANCE.astype(np.float32))
+
+
 def _orientation(luminance: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
     """Direction of the gradient as a unit vector in the first two of three channels, (h, w, 3) float32."""
     return np.dstack([soft_direction(luminance, FLAT, turn), np.zeros_like(luminance)]).astype(np.float32)
@@ -335,12 +351,9 @@ def soft_direction(luminance: np.ndarray, softness: float, turn: np.ndarray | No
     -------
     (h, w, 2) float32
     """
-    down, right = np.gradient(luminance)
-    gradient = np.stack([right, down], axis=-1)
-    if turn is not None:
-        gradient = gradient @ np.asarray(turn, dtype=np.float32).T
-    length = np.sqrt(np.square(gradient).sum(axis=-1) + np.float32(softness**2))
-    return gradient / length[..., None]
+    from liaam.photometry import averaging  # numba: imported when first needed
+
+    return averaging.soft_directions(luminance, np.eye(2) if turn is None else turn, softness)
 
 
 UNUSABLE = np.float32(1e-3)
@@ -348,11 +361,14 @@ UNUSABLE = np.float32(1e-3)
 
 
 def _blurred(colour: np.ndarray, usable: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian blur in which unusable pixels count next to nothing."""
+    """Gaussian blur of channels (h, w, c), or of one (h, w), in which unusable pixels count next to nothing."""
     if usable.all():
         return _smooth(colour, sigma)
     weight = usable.astype(np.float32) + UNUSABLE
-    return _smooth(colour * weight[..., None], sigma) / _smooth(weight, sigma)[..., None]
+    shares = _smooth(weight, sigma)
+    if colour.ndim == 3:
+        weight, shares = weight[..., None], shares[..., None]
+    return _smooth(colour * weight, sigma) / shares
 
 
 def _smooth(channels: np.ndarray, sigma: float) -> np.ndarray:
