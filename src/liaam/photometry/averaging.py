@@ -45,26 +45,40 @@ def _stored_means(image, table, low, high, start_x, start_y, size, means):
         if block_y < -1:
             continue
         row[:] = _F(0.0)
+        line, at = image[y], -2
+        red = green = blue = known = _F(0.0)  # of the block at hand, added to the row when the next one begins
         for x in range(width):
-            block = first_x[x]
+            block, w = first_x[x], share_x[x]
             if block < -1:
                 continue
-            r, g, b = image[y, x, 0], image[y, x, 1], image[y, x, 2]
-            usable = low <= min(r, min(g, b)) and max(r, max(g, b)) <= high
-            red, green, blue = table[r], table[g], table[b]
-            known = _F(1.0) if usable else _F(0.0)
-            w = share_x[x]
-            row[block + 1, 0] += w * red
-            row[block + 1, 1] += w * green
-            row[block + 1, 2] += w * blue
-            row[block + 1, 3] += w * known
-            w = rest - w
-            row[block + 2, 0] += w * red
-            row[block + 2, 1] += w * green
-            row[block + 2, 2] += w * blue
-            row[block + 2, 3] += w * known
+            if block != at:
+                if at >= -1:
+                    _add_to(row[at + 1], red, green, blue, known)
+                at = block
+                red = green = blue = known = _F(0.0)
+            r, g, b = line[x, 0], line[x, 1], line[x, 2]
+            usable = _F(low <= min(r, min(g, b)) and max(r, max(g, b)) <= high)
+            own_red, own_green, own_blue = table[r], table[g], table[b]
+            red += w * own_red
+            green += w * own_green
+            blue += w * own_blue
+            known += w * usable
+            if w < rest:  # the last pixel of its block has a share in the next
+                w = rest - w
+                _add_to(row[block + 2], w * own_red, w * own_green, w * own_blue, w * usable)
+        if at >= -1:
+            _add_to(row[at + 1], red, green, blue, known)
         _add_row(row, means, block_y, share_y[y])
-        _add_row(row, means, block_y + 1, rest - share_y[y])
+        if share_y[y] < rest:
+            _add_row(row, means, block_y + 1, rest - share_y[y])
+
+
+@_jit
+def _add_to(block, red, green, blue, known):
+    block[0] += red
+    block[1] += green
+    block[2] += blue
+    block[3] += known
 
 
 def stored_means(
@@ -255,6 +269,87 @@ def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> n
     turn = np.ascontiguousarray(turn, dtype=np.float32)
     _soft_directions(np.ascontiguousarray(picture, dtype=np.float32), turn, np.float32(softness), out)
     return out
+
+
+@_jit
+def _soft_light(means, all_, grey, luminance, dark, floor, light, masks):
+    every = True
+    for y in range(means.shape[0]):
+        for x in range(means.shape[1]):
+            red, green, blue = means[y, x, 0], means[y, x, 1], means[y, x, 2]
+            light[y, x, 0] = luminance[0] * red + luminance[1] * green + luminance[2] * blue + dark
+            light[y, x, 1], light[y, x, 2], light[y, x, 3] = max(red, floor), max(green, floor), max(blue, floor)
+            known, finite = means[y, x, 3] > all_ and not grey, means[y, x, 4] > all_
+            masks[y, x, 0], masks[y, x, 1] = _F(known), _F(finite)
+            every = every and known and finite
+    return every
+
+
+def soft_light(
+    means: np.ndarray, least: float, grey: bool, luminance: np.ndarray, dark: float, floor: float
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Light whose logarithms ``soft`` takes, and where they may be used.
+
+    Parameters
+    ----------
+    means : (h, w, 5) float32
+        Mean linear R, G, B, and the shares of pixels whose logarithm says something, and of finite ones.
+    least : float
+        Share above which all are meant.
+    grey : bool
+        Whether colours say nothing.
+    luminance : (3,) float
+        Weights of R, G and B.
+    dark : float
+        Added to luminance.
+    floor : float
+        Least R, G and B.
+
+    Returns
+    -------
+    light : (h, w, 4) float32
+        Luminance, R, G, B.
+    masks : (h, w, 2) float32
+        Where colour, and luminance, may be used: 1, else 0.
+    every : bool
+        Whether both may be used everywhere.
+    """
+    light, masks = np.empty((*means.shape[:2], 4), np.float32), np.empty((*means.shape[:2], 2), np.float32)
+    numbers = np.float32(least), bool(grey), np.asarray(luminance, np.float32), np.float32(dark), np.float32(floor)
+    return light, masks, bool(_soft_light(means, *numbers, light, masks))
+
+
+@_jit
+def _weigh(logs, masks, least, weights):
+    for y in range(logs.shape[0]):
+        for x in range(logs.shape[1]):
+            known, finite = masks[y, x, 0] + least, masks[y, x, 1] + least
+            weights[y, x, 0], weights[y, x, 1] = known, finite
+            logs[y, x, 0] *= finite
+            for c in range(1, 4):
+                logs[y, x, c] *= known
+
+
+def weigh(logs: np.ndarray, masks: np.ndarray, least: float) -> np.ndarray:
+    """Multiply log luminance and log RGB (h, w, 4), in place, by weights of their masks; gives those, (h, w, 2)."""
+    weights = np.empty_like(masks)
+    _weigh(logs, masks, np.float32(least), weights)
+    return weights
+
+
+@_jit
+def _divide(logs, shares):
+    for y in range(logs.shape[0]):
+        for x in range(logs.shape[1]):
+            known, finite = _F(1.0) / shares[y, x, 0], _F(1.0) / shares[y, x, 1]
+            logs[y, x, 0] *= finite
+            for c in range(1, 4):
+                logs[y, x, c] *= known
+
+
+def divide(logs: np.ndarray, shares: np.ndarray) -> None:
+    """Divide log luminance and log RGB (h, w, 4), in place, by the shares (h, w, 2) of what :func:`weigh` gave."""
+    _divide(logs, shares)
 
 
 @_jit

@@ -185,11 +185,10 @@ def encode(
         colour = (
             _table(image.dtype.str, encoding, response)[image] if is_integer else _encode(stored, encoding, response)
         )
-    if encoding == "orientation":
-        luminance = _luminance(colour)  # of what is blurred, and what is blurred of it, are one
-        colour = _orientation(_blurred(luminance, usable, blur) if blur > 0.0 else luminance, turn)
-    elif blur > 0.0:
+    if blur > 0.0:
         colour = _blurred(colour, usable, blur)
+    if encoding == "orientation":
+        colour = _orientation(colour @ LUMINANCE[0].astype(np.float32), turn)
     return np.concatenate([colour, usable[..., None].astype(np.float32)], axis=2)
 
 
@@ -241,27 +240,22 @@ def _encode_soft(
     from liaam.photometry import averaging
 
     means = _block_means(image, "log", response, blocks)
-    masks = (means[..., 3:] > ALL).astype(np.float32)
-    if is_grey(image):  # there is no invariant to know
-        masks[..., 0] = 0.0
-    linear = np.ascontiguousarray(means[..., :3])
-    luminance = cv2.transform(linear, LUMINANCE.astype(np.float32)) + np.float32(LOG_FLOOR)
-    logs = cv2.log(cv2.merge([luminance, np.maximum(linear, _floor(response))]))
+    # Of a grey picture there is no invariant to know.
+    settings = ALL, is_grey(image), LUMINANCE[0], LOG_FLOOR, _floor(response)
+    light, masks, every = averaging.soft_light(means, *settings)
+    logs = cv2.log(light, light)
     if blur > 0.0:
-        logs = _blurred_by_masks(logs, masks, blur)
+        logs = _smooth(logs, blur) if every else _blurred_by_masks(logs, masks, blur)
     return averaging.soft_channels(logs, masks, np.eye(2) if turn is None else turn, SOFTNESS * pixel)
 
 
 def _blurred_by_masks(logs: np.ndarray, masks: np.ndarray, blur: float) -> np.ndarray:
-    """Blur log luminance by where it is finite, and log RGB by where it is known."""
-    if masks.all():
-        return _smooth(logs, blur)
-    weights = masks + UNUSABLE
-    known, finite = weights[..., 0], weights[..., 1]
-    blurred = _smooth(logs * np.stack([finite, known, known, known], axis=-1), blur)
-    shares = _smooth(weights, blur)
-    blurred[..., 0] /= shares[..., 1]
-    blurred[..., 1:] /= shares[..., :1]
+    """Blur log luminance by where it is finite, and log RGB by where it is known; the logarithms given are lost."""
+    from liaam.photometry import averaging
+
+    weights = averaging.weigh(logs, masks, UNUSABLE)
+    blurred = _smooth(logs, blur)
+    averaging.divide(blurred, _smooth(weights, blur))
     return blurred
 
 
@@ -321,14 +315,8 @@ def value_luminance(image: np.ndarray, response: Response = "srgb", reduce: floa
     from liaam.photometry import averaging  # numba: imported when first needed
 
     if image.dtype.kind != "u" or reduce > 1:
-        return _luminance(np.ascontiguousarray(encode(image, "value", response, reduce=reduce)[..., :3]))
+        return encode(image, "value", response, reduce=reduce)[..., :3] @ LUMINANCE[0].astype(np.float32)
     return averaging.stored_luminance(image, _table(image.dtype.str, "value", response), LUMINANCE[0])
-
-
-def _luminance(colour: np.ndarray) -> np.ndarray:
-    import cv2  # heavy: imported when first needed
-
-    return cv2.transform(colour, LUMINANCE.astype(np.float32))
 
 
 def _orientation(luminance: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
@@ -361,14 +349,11 @@ UNUSABLE = np.float32(1e-3)
 
 
 def _blurred(colour: np.ndarray, usable: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian blur of channels (h, w, c), or of one (h, w), in which unusable pixels count next to nothing."""
+    """Gaussian blur in which unusable pixels count next to nothing."""
     if usable.all():
         return _smooth(colour, sigma)
     weight = usable.astype(np.float32) + UNUSABLE
-    shares = _smooth(weight, sigma)
-    if colour.ndim == 3:
-        weight, shares = weight[..., None], shares[..., None]
-    return _smooth(colour * weight, sigma) / shares
+    return _smooth(colour * weight[..., None], sigma) / _smooth(weight, sigma)[..., None]
 
 
 def _smooth(channels: np.ndarray, sigma: float) -> np.ndarray:
