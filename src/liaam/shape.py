@@ -52,7 +52,8 @@ class Similarity:
     @property
     def scale(self) -> float:
         """Length after / length before."""
-        return float(np.sqrt(abs(np.linalg.det(self.matrix))))
+        (a, b), (c, d) = self.matrix.tolist()
+        return abs(a * d - b * c) ** 0.5
 
     def inverse(self) -> "Similarity":
         """Give the similarity that undoes this one."""

@@ -453,12 +453,12 @@ class Objective:
 
         They agree where the model does, and the model's is free of the image's noise.
         """
-        return replace(look, steep=self.model_gradient(state))
+        return Look(look.values, look.residual, self.model_gradient(state), look.by_angles, look.weights)
 
     def moved(self, look: Look, state: State, step: np.ndarray) -> Look:
         """The same after a step of lambda."""
         change = (step.astype(np.float32) @ self.design(state.angles[0]).modes).reshape(look.residual.shape)
-        return replace(look, residual=look.residual - change)
+        return Look(look.values, look.residual - change, look.steep, look.by_angles, look.weights)
 
     def weighed(self, look: Look, state: State, trust: Trust | None = None) -> Linearisation:
         """Normal equations of what is seen at a state, under weights worked out at this or an earlier one."""
@@ -506,9 +506,10 @@ class Objective:
             unseen = known.root[blind].reshape(-1) * design.modes[:, np.repeat(blind, root.shape[1])]
             aa, inverse = aa - gram(unseen, unseen), None
         n = len(right) - 1
-        jj = np.block([[jj, rj[:n].T], [rj[:n], rr[:n, :n]]]) if n else jj
         jr = np.concatenate([rj[n], rr[n, :n]])
-        aj = np.concatenate([aj, ar[:, :n]], axis=1) if n else aj
+        if n:  # the angles' rows and columns
+            jj = np.concatenate([np.concatenate([jj, rj[:n]]), np.concatenate([rj[:n].T, rr[:n, :n]])], axis=1)
+            aj = np.concatenate([aj, ar[:, :n]], axis=1)
         return NormalEquations(jj, jr, aj, aa, ar[:, n], float(rr[n, n]), weight, inverse, unit)
 
     def _warp_products(
@@ -573,13 +574,14 @@ class Objective:
             return None
         metric = method.image_metric(state.angles[1])
         gain, offset = self._normalisation(seen.values @ metric.T, usable) if method.normalise else (1.0, 0.0)
-        trust = Trust(np.ones(len(usable), np.float32), gain=gain, offset=offset)
+        facts = {"weights": np.ones(len(usable), np.float32), "gain": gain, "offset": offset}
         if method.noise_weights:
-            trust = replace(trust, **self._variances(problem, state, seen, usable))
+            facts |= self._variances(problem, state, seen, usable)
         if method.soft:
-            trust = replace(trust, **self._soft_variances(problem, metric, seen, usable))
-            if before is not None and method.loss == "squares" and _alike(before, trust):
-                return before
+            facts |= self._soft_variances(problem, metric, seen, usable)
+        trust = Trust(**facts)
+        if method.soft and before is not None and method.loss == "squares" and _alike(before, trust):
+            return before
         if method.loss != "squares":
             trust = replace(trust, weights=self._robust_weights(seen.residual, trust.variance(metric), usable))
         # Weights by noise turn with a free angle.

@@ -386,7 +386,7 @@ def _spectra(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarr
 
     padded = np.zeros((2, *size), np.float32)
     inner = padded[:, pad : pad + field.shape[0], pad : pad + field.shape[1]]
-    inner[0], inner[1] = field.real, field.imag
+    inner[0], inner[1] = np.real(field), np.imag(field)
     return np.stack([cv2.dft(part) for part in padded])
 
 

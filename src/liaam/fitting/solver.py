@@ -7,12 +7,12 @@ eliminations take that step for p and theta; they differ in lambda:
 ``joint``   the paper's form: lambda moves by its own part of the joint step.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.fitting.normal_equations import NormalEquations
+from liaam.fitting.normal_equations import NormalEquations, on_diagonal
 from liaam.fitting.objective import FitProblem, Linearisation, Objective, State, Trust
 from liaam.fitting.prior import next_scale
 
@@ -271,7 +271,7 @@ def _solve_lambda(objective: Objective, state: State, seen: Linearisation) -> tu
         return state, seen
     step = seen.equations.best_lambda_step()
     look = objective.moved(seen.look, state, step)
-    return replace(state, lam=state.lam + step), Linearisation(seen.equations.after_lambda_step(step), look)
+    return State(state.p, state.angles, state.lam + step), Linearisation(seen.equations.after_lambda_step(step), look)
 
 
 STILL = 0.1
@@ -329,16 +329,15 @@ def _step(
         return None
     hessian, gradient = equations.reduced()
     # Neither the prior nor an angle makes up for a picture that is flat under the model.
-    if not np.diag(hessian)[: len(state.p)].max() > 1e-10 * equations.weight:
+    if not hessian.diagonal()[: len(state.p)].max() > 1e-10 * equations.weight:
         return None
     gradient = gradient.copy()  # the equations keep theirs
     gradient[: len(state.p)] += precision[: len(state.p)] * state.p
-    hessian = hessian[np.ix_(free, free)]  # a copy
-    on_diagonal = np.diag_indices_from(hessian)
-    hessian[on_diagonal] += precision[free]
-    diagonal = hessian[on_diagonal]
+    hessian = hessian.copy() if free.all() else hessian[np.ix_(free, free)]
+    diagonal = on_diagonal(hessian)  # a view
+    diagonal += precision[free]
     floor = 1e-9 * diagonal.max()
-    hessian[on_diagonal] += damping * np.maximum(diagonal, floor) + floor
+    diagonal += damping * np.maximum(diagonal, floor) + floor
     step = np.zeros(len(free))
     try:
         step[free] = np.linalg.solve(hessian, -gradient[free])

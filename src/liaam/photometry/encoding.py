@@ -241,7 +241,7 @@ def _encode_soft(
 
     means = _block_means(image, "log", response, blocks)
     # Of a grey picture there is no invariant to know.
-    settings = ALL, is_grey(image), LUMINANCE[0], LOG_FLOOR, _floor(response)
+    settings = ALL, is_grey(image), LUMINANCE[0], LOG_FLOOR, float(_floor(response))
     light, masks, every = averaging.soft_light(means, *settings)
     logs = cv2.log(light, light)
     if blur > 0.0:
@@ -253,7 +253,7 @@ def _blurred_by_masks(logs: np.ndarray, masks: np.ndarray, blur: float) -> np.nd
     """Blur log luminance by where it is finite, and log RGB by where it is known; the logarithms given are lost."""
     from liaam.photometry import averaging
 
-    weights = averaging.weigh(logs, masks, UNUSABLE)
+    weights = averaging.weigh(logs, masks, float(UNUSABLE))
     blurred = _smooth(logs, blur)
     averaging.divide(blurred, _smooth(weights, blur))
     return blurred
@@ -270,8 +270,10 @@ def _stored_and_usable(image: np.ndarray, encoding: str) -> tuple[np.ndarray, np
     if image.dtype.kind == "u":
         if encoding != "log":
             return image, np.ones(image.shape[:2], dtype=bool)
-        low, high = _usable_range(image.dtype)
-        return image, np.asarray(((image >= low) & (image <= high)).all(axis=-1))
+        import cv2  # heavy: imported when first needed
+
+        low, high = ((value,) * 3 for value in _usable_range(image.dtype))
+        return image, cv2.inRange(image, low, high) > 0
     finite = np.asarray(np.isfinite(image).all(axis=-1))
     stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, 1e6), np.float32(0.0))
     if encoding != "log":
