@@ -382,12 +382,16 @@ MIRRORED_TRIES = 20
 """Shapes that are tried where the mean is not symmetric."""
 
 
-def mirror_order(shape: np.ndarray) -> np.ndarray | None:
+def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0) -> np.ndarray | None:
     """Find the counterpart of each landmark on the other side.
 
     Parameters
     ----------
     shape : (n, 2) float
+    limit : float
+        See :data:`MIRRORED`.
+    tilt : float
+        How far from the vertical the axis is looked for at most, degrees.
 
     Returns
     -------
@@ -398,7 +402,8 @@ def mirror_order(shape: np.ndarray) -> np.ndarray | None:
 
     shape = shape - shape.mean(axis=0)
     mirrored, best, order = shape * [-1.0, 1.0], np.inf, None
-    for angle in np.arange(12) * np.pi / 6:
+    turns = np.arange(12)
+    for angle in turns[30 * np.minimum(turns, 12 - turns) <= 2 * tilt] * np.pi / 6:
         moved = mirrored @ rotation(angle).T
         for _ in range(5):  # alternate counterparts and pose
             apart = np.square(shape[:, None] - moved[None]).sum(axis=2)
@@ -407,4 +412,4 @@ def mirror_order(shape: np.ndarray) -> np.ndarray | None:
         error = float(np.square(shape - moved[found]).sum(axis=1).mean())
         if error < best and np.array_equal(found[found], np.arange(len(shape))):
             best, order = error, found
-    return order if np.sqrt(best) < MIRRORED * diagonal_of(shape) else None
+    return order if np.sqrt(best) < limit * diagonal_of(shape) else None

@@ -94,7 +94,8 @@ def test_landmarks_are_saved_and_other_pages_told(folder, serve, listen):
     page = listen(running)
     client = running.client
     template = {"names": ["a", "b", "c"], "contours": [{"indices": [0, 1, 2], "closed": True}], "mirror": None}
-    assert client.put("/api/template", json=template).json() == {**template, "points": None}
+    saved = client.put("/api/template", json=template).json()
+    assert saved == {**template, "points": None, "revision": saved["revision"]}
     assert page.event("project") == {}
     marks = {"points": [[1, 2], [30, 2], None], "invisible": [], "revision": None}
     answer = client.put("/api/pictures/p1.png/landmarks", json=marks).json()
@@ -350,6 +351,20 @@ def test_a_training_ends_with_a_server_that_is_killed(folder, command):
         process.kill()
         process.wait()
     assert not psutil.wait_procs(children, timeout=60)[1]
+
+
+def test_a_second_studio_on_a_folder_is_told_where_the_first_is(folder, command):
+    home = folder(1)
+    first = command(home, "--port", "0")
+    address = first.stdout.readline().split()[-1].partition("?")[0]
+    second = command(home, "--port", "0")
+    said = second.stdout.read()
+    assert second.wait(60) == 1
+    assert said.count("\n") == 1 and f"open in another studio ({address}, process {first.pid})" in said
+    first.kill()
+    first.wait()
+    third = command(home, "--port", "0")
+    assert third.stdout.readline().startswith("liaam studio: http://")
 
 
 def test_ports_that_are_taken_are_passed_over(folder):

@@ -15,6 +15,7 @@ from liaam.studio.safety import Refusal
 from liaam.studio.training import (
     ModelStore,
     Trainer,
+    follow_template,
     forget_studio_model,
     load_given_model,
     load_studio_model,
@@ -129,6 +130,60 @@ def test_stopping_ends_the_process_and_keeps_what_was_there(setting):
     assert project.problems == []
     assert trainer.start().state == "running"  # and again
     trainer.stop()
+
+
+def wait_for_the_quick_model(told):
+    told.wait_for(lambda event: event[0] == "training" and event[1]["phase"] == "proposals" and event[1]["done"] > 0)
+
+
+def test_a_training_that_is_stopped_leaves_the_careful_model_in_place(setting):
+    project, models, told, trainer = setting(5, 4)
+    trainer.start()
+    assert trainer.wait(240).state == "done"
+    careful, data = models.current, (project.root / STATE / "model.liaam").read_bytes()
+    assert model_json(careful, project)["careful"] and model_json(careful, project)["stale"] == 0
+    project.save_marks("p5.png", project.marks("p5.png"))
+    told.events.clear()
+    trainer.start()
+    told.wait_for(lambda event: event[0] == "training" and event[1]["total"] > 0)
+    # The quick model is there once the careful one begins.
+    told.wait_for(lambda event: (project.root / STATE / "quick.liaam").exists())
+    trainer.stop()
+    assert models.current is careful
+    assert (project.root / STATE / "model.liaam").read_bytes() == data
+    assert model_json(models.current, project)["stale"] == 1
+    store = ModelStore()
+    load_studio_model(Project(project.root), store)
+    assert store.current.facts["trained"] == careful.facts["trained"] and store.current.is_careful
+
+
+def test_of_a_first_training_that_is_stopped_the_quick_model_stays_as_such(setting):
+    project, models, told, trainer = setting(6, 4)
+    trainer.start()
+    wait_for_the_quick_model(told)
+    trainer.stop()
+    again, store = Project(project.root), ModelStore()
+    load_studio_model(again, store)
+    for current in (models.current, store.current):
+        assert current.model.reliability is None
+        told_of = model_json(current, again)
+        assert (told_of["careful"], told_of["stale"]) == (False, 4)
+    assert not (project.root / STATE / "model.liaam").exists()
+
+
+def test_a_model_of_points_in_another_order_is_not_taken_up_again(setting):
+    project, models, told, trainer = setting(5, 4)
+    trainer.start()
+    wait_for_the_quick_model(told)
+    trainer.stop()
+    names = project.template.names
+    order = [*range(1, len(names)), 0]
+    project.save_template({"names": [names[i] for i in order], "mapping": order})
+    store = ModelStore()
+    load_studio_model(Project(project.root), store)
+    assert store.current is None
+    follow_template(project, models, trainer)
+    assert models.current is None and not (project.root / STATE / "quick.liaam").exists()
 
 
 def test_stopping_what_does_not_run_changes_nothing(setting):

@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from liaam.studio.fits import (
     attachment,
     error_of,
     example,
+    file_of,
     numbers,
     parse_start,
     truth_of,
@@ -261,6 +263,16 @@ class TestLayers:
 
 
 class TestLight:
+    def test_large_pictures_are_not_taken_apart_in_full_size(self, folder, head_model):
+        fits = make_fits(folder, head_model, replace(SETTINGS, whole_pixels=120 * 160 - 1))
+        fitted = fit(fits)
+        for what in ("flat", "shading", "relit"):
+            with pytest.raises(Refusal, match=r"face\.png has 120 x 160 pixels, .* use 'liaam relight'") as caught:
+                file_of(fits, fitted, what, ((0.0, 0.0, 1.0), 0.25))
+            assert caught.value.status == 422
+        assert file_of(fits, fitted, "overlay", ((0.0, 0.0, 1.0), 0.25))[2]
+        assert fits.draw(fitted, "flat", 100).shape == (100, 75, 3)  # to look at it is still there
+
     def test_from_the_front_is_flat(self, fits, fitted):
         flat = decode_image(fits.layer(fitted, "flat", 320)).astype(int)
         assert np.abs(fits.relit(fitted, (0.0, 0.0, 1.0), 0.3, 320) - flat).max() <= 1
@@ -525,7 +537,8 @@ class TestRequests:
         assert answer.status_code == 422
         assert "the picture is grey" in answer.json()["error"]
 
-    def test_without_a_model(self, folder):
-        answer = Page(folder, None).fit(picture="face.png")
+    def test_without_a_model(self, folder, tmp_path):
+        shutil.copy(folder / "face.png", tmp_path)
+        answer = Page(tmp_path, None).fit(picture="face.png")
         assert answer.status_code == 409
         assert "train one first" in answer.json()["error"]

@@ -263,10 +263,22 @@ class TestChroma:
 
     def test_goes_to_the_page_as_little_endian_numbers(self):
         data = chroma_bytes(smooth(20, 30), 640)
-        width, height = struct.unpack_from("<II", data)
-        assert (width, height) == (30, 20)
-        numbers = np.frombuffer(data, "<i2", offset=8).reshape(height, width, 2)
+        width, height, *covered = struct.unpack_from("<IIff", data)
+        assert (width, height, covered) == (30, 20, [30, 20])
+        numbers = np.frombuffer(data, "<i2", offset=16).reshape(height, width, 2)
         assert np.array_equal(numbers, chroma(smooth(20, 30), 640))
+
+    @pytest.mark.parametrize(("width", "height", "size"), [(2000, 8, 640), (1001, 97, 100), (97, 1001, 100)])
+    def test_says_how_much_of_the_picture_it_covers(self, width, height, size):
+        image = np.full((height, width, 3), (200, 120, 60), np.uint8)
+        data = chroma_bytes(image, size)
+        columns, rows, right, lower = struct.unpack_from("<IIff", data)
+        block = block_size(width, height, size)
+        assert (right, lower) == pytest.approx((columns * block, rows * block), rel=1e-6)
+        assert width - block < right <= width and height - block < lower <= height
+        # What lies beyond has no say.
+        image[int(np.ceil(lower)) :], image[:, int(np.ceil(right)) :] = 10, 250
+        assert chroma_bytes(image, size) == data
 
     def test_clips_what_does_not_fit(self):
         image = np.full((8, 8, 3), [0.97, 0.97, 0.04], np.float32)

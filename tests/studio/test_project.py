@@ -60,7 +60,7 @@ def test_pictures_come_in_natural_order_without_hidden_files_and_folders(small):
     assert list(by_name(small)) == ["p1.png", "p2.png", "p10.png", "q.jpg"]
     assert by_name(small)["p1.png"] == {
         "name": "p1.png", "state": "new", "placed": 0, "error": None, "width": 40, "height": 30,
-        "uncertainty": None, "doubtful": False, "rank": None,
+        "uncertainty": None, "doubtful": False, "rank": None, "tag": small.marks("p1.png")["tag"],
     }  # fmt: skip
 
 
@@ -436,7 +436,7 @@ def test_a_picture_that_cannot_be_fitted_says_why(small):
 
 def test_proposals_of_another_template_are_dropped(small):
     small.add_proposals({"p1.png": proposal()})
-    small.save_template({**TRIANGLE, "mapping": [1, 0, 2]})
+    small.save_template({**TRIANGLE, "mapping": [1, 0, 2], "revision": small.template_json()["revision"]})
     assert states(small)["p1.png"] == "new"
 
 

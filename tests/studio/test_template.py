@@ -36,6 +36,14 @@ def test_places_tell_twins(rng, tilt):
     assert mirror_by_place(turned) == (*range(12, 24), *range(12), 24, 25)
 
 
+def test_of_two_axes_the_upright_one_is_taken():
+    angles = np.deg2rad(np.arange(0, 360, 30) + 15.0)
+    mouth = np.column_stack([50 * np.cos(angles), 12 * np.sin(angles)])
+    for points in (mouth, mouth + np.where(mouth[:, :1] > 0, (0.4, 0.0), (0.0, 0.0))):  # the other axis suits better
+        twins = mirror_by_place(points)
+        np.testing.assert_allclose(mouth[list(twins)], mouth * [-1, 1], atol=1e-9)
+
+
 def test_a_face_that_is_turned_a_little_is_still_symmetric():
     scene = make_set(1, Head(7), seed=3)[0]
     twins = np.array(mirror_by_place(scene.landmarks))

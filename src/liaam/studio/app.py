@@ -27,14 +27,15 @@ from liaam.photometry import CameraModel
 from liaam.studio.events import Events
 from liaam.studio.fits import Fits, attachment
 from liaam.studio.fits import routes as fit_routes
+from liaam.studio.locking import FolderLock
 from liaam.studio.pictures import Pictures, Source, checked_size, source_of
-from liaam.studio.project import Project
+from liaam.studio.project import Project, checked_folder, status_of
 from liaam.studio.safety import HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.training import (
     ModelStore,
     Trainer,
-    forget_studio_model,
+    follow_template,
     load_given_model,
     load_studio_model,
     model_json,
@@ -57,11 +58,13 @@ class Studio:
     pictures: Pictures
     uploads: Uploads
     fits: Fits
+    lock: FolderLock
 
     def close(self) -> None:
-        """End what is under way: the open pages' event streams, and a training."""
+        """End what is under way: the open pages' event streams, and a training; then give the folder free."""
         self.events.close()
         self.training.stop()
+        self.lock.release()
 
 
 def make_studio(folder: str | Path, model: Path | None = None, settings: Settings | None = None) -> Studio:
@@ -78,10 +81,20 @@ def make_studio(folder: str | Path, model: Path | None = None, settings: Setting
     Raises
     ------
     LiaamError
-        If the folder or the model cannot be used.
+        If the folder or the model cannot be used, or another studio has the folder open.
     """
     settings = settings or Settings()
+    lock = FolderLock(checked_folder(folder), settings.address.partition("?")[0])
+    try:
+        return _made(folder, model, settings, lock)
+    except BaseException:
+        lock.release()
+        raise
+
+
+def _made(folder: str | Path, model: Path | None, settings: Settings, lock: FolderLock) -> Studio:
     project, models, events = Project(folder, settings), ModelStore(), Events(settings.heartbeat_seconds)
+    project.prepare()
     pictures = Pictures()
     uploads = Uploads(pictures, settings)
     studio = Studio(
@@ -93,6 +106,7 @@ def make_studio(folder: str | Path, model: Path | None = None, settings: Setting
         pictures=pictures,
         uploads=uploads,
         fits=Fits(project, models, uploads, pictures, settings),
+        lock=lock,
     )
     if model is not None:
         load_given_model(model, models)
@@ -113,7 +127,7 @@ def make_app(studio: Studio) -> Starlette:
         ],
         middleware=[Middleware(Guard, settings=studio.settings)],
         exception_handlers={
-            LiaamError: _on_fault,
+            LiaamError: handlers.on_fault,
             HTTPException: _on_http_fault,
             ClientDisconnect: _on_gone,
             Exception: _on_bug,
@@ -158,19 +172,25 @@ class _Handlers:
     # The project ----------------------------------------------------------------------------------
 
     async def project(self, request: Request) -> Response:
-        return JSONResponse(await run_sync(self._project_json))
+        return JSONResponse(await run_sync(self._project_json, request.query_params.get("stamp")))
 
-    def _project_json(self) -> dict[str, Any]:
+    def _project_json(self, known: str | None) -> dict[str, Any]:
         from liaam.fitting import METHODS
         from liaam.fitting.methods import DEFAULT_METHOD
 
         studio, project = self.studio, self.studio.project
-        pictures, template = project.overview(), project.template
+        stamp = self._stamp()  # before what it stands for: a change meanwhile shows the next time
+        if stamp == known:
+            return {"unchanged": True, "stamp": stamp}
+        pictures = project.overview()
+        follow_template(project, studio.models, studio.training)
         return {
+            "id": project.id,
+            "stamp": stamp,
             "folder": project.root.name or str(project.root),
             "version": __version__,
             "pictures": pictures,
-            "template": None if template is None else template.as_json(),
+            "template": project.template_json(),
             "model": model_json(studio.models.current, project),
             "training": asdict(studio.training.state),
             "methods": [
@@ -181,6 +201,12 @@ class _Handlers:
             "limits": {"upload_bytes": studio.settings.upload_bytes, "pixels": studio.settings.pixels},
             "problems": project.problems,
         }
+
+    def _stamp(self) -> str:
+        """Changes with everything that the page is told of the project, but for how far a training is."""
+        studio = self.studio
+        model = studio.models.current
+        return f"{studio.project.stamp}-{0 if model is None else model.number}-{studio.training.state.state}"
 
     async def landmarks(self, request: Request) -> Response:
         return JSONResponse(await run_sync(self.studio.project.marks, request.path_params["name"]))
@@ -198,11 +224,11 @@ class _Handlers:
 
     def _save_template(self, data: Any) -> dict[str, Any]:
         studio = self.studio
-        template, moved = studio.project.save_template(data)
-        if moved:  # a model of other points, or of another order, would propose nonsense
-            studio.training.stop()
-            forget_studio_model(studio.project, studio.models)
-        return template.as_json()
+        try:
+            studio.project.save_template(data)
+            return studio.project.template_json() or {}
+        finally:  # also if a change of before was finished, and this one refused
+            follow_template(studio.project, studio.models, studio.training)
 
     async def read_template(self, request: Request) -> Response:
         data = await read_body(request, self.studio.settings.json_bytes)
@@ -289,15 +315,19 @@ class _Handlers:
     def _upload_source(self, request: Request) -> Source:
         return self.studio.uploads.source(request.path_params["id"])
 
+    # Errors ---------------------------------------------------------------------------------------
+
+    async def on_fault(self, request: Request, fault: Exception) -> Response:
+        """Answer with what is wrong; where the disk refuses to write, so that the page tries again."""
+        text = self.studio.project.plain(fault)
+        if isinstance(fault, Refusal):
+            return JSONResponse({"error": text, **fault.details}, fault.status)
+        refused_write = isinstance(fault.__cause__, OSError) and request.method != "GET"
+        return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
+
 
 async def _nothing(request: Request) -> Response:
     raise Refusal(404, "there is nothing at that address")
-
-
-async def _on_fault(request: Request, fault: Exception) -> Response:
-    if isinstance(fault, Refusal):
-        return JSONResponse({"error": str(fault), **fault.details}, fault.status)
-    return JSONResponse({"error": str(fault)}, 422)
 
 
 async def _on_http_fault(request: Request, fault: Exception) -> Response:

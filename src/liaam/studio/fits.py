@@ -29,6 +29,7 @@ from liaam.io import Contour, Landmarks, fit_text
 from liaam.io.landmarks import FORMATS
 from liaam.model import AAM
 from liaam.relighting import Relighter
+from liaam.relighting.relighter import AMBIENT
 from liaam.shape import diagonal_of
 from liaam.studio import layers
 from liaam.studio.pictures import (
@@ -69,9 +70,6 @@ LIGHTS_KEPT = 6
 """Fits that are ready to be put under another light at once."""
 
 FITTERS_KEPT = 16
-
-AMBIENT = 0.35
-"""Share of the light that comes from everywhere, where the page does not say."""
 
 FILES = ("pts", "ljson", "csv", "json", "overlay", "flat", "shading", "relit")
 """What a fit is given away as."""
@@ -361,9 +359,21 @@ class Fits:
         return self._lights.get((fit.id, to), lambda: self._taken_apart(fit, to)), fitted_size(width, height, size)
 
     def whole_light(self, fit: Fit) -> Relighter:
-        """Fitted picture taken apart in full size. Large ones are not kept: they take a hundred bytes a pixel."""
+        """Fitted picture taken apart in full size. Large ones are not kept: they take a hundred bytes a pixel.
+
+        Raises
+        ------
+        Refusal
+            422 for one that would take too much memory.
+        """
         layers.need_flat(fit.no_flat)
         whole = fit.source.width, fit.source.height
+        if whole[0] * whole[1] > self.settings.whole_pixels:
+            raise Refusal(
+                422,
+                f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, and the studio takes at most "
+                f"{self.settings.whole_pixels:,} apart in full size: use 'liaam relight', or a smaller picture",
+            )
         if max(whole) <= LIGHT_SIZE:
             return self._light(fit, max(whole))[0]
         with self._large:

@@ -154,12 +154,12 @@ def source_of(path: Path, max_pixels: int) -> Source:
     ImageError
         If it is no image, or too large.
     """
-    tag = _tag(path)
+    tag = file_tag(path)
     width, height = _of_file(path, image_size)
 
     def read(read_some: Callable[[Path], np.ndarray]) -> np.ndarray:
         image = _of_file(path, read_some)
-        if _tag(path) != tag:
+        if file_tag(path) != tag:
             raise Refusal(409, f"{path.name} has changed since: look at it again, and fit it again")
         return image
 
@@ -174,7 +174,7 @@ def source_of(path: Path, max_pixels: int) -> Source:
     )
 
 
-def _tag(path: Path) -> str:
+def file_tag(path: Path) -> str:
     """What a file's change shows by."""
     try:
         facts = path.stat()
@@ -349,9 +349,16 @@ def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str 
 
 
 def chroma_bytes(image: np.ndarray, size: int, response: Response = "srgb", name: str = "image") -> bytes:
-    """Chroma for the page: width and height as uint32, then :func:`chroma` row by row; all little-endian."""
+    """Chroma for the page, all little-endian.
+
+    Width and height as uint32; how much of the picture they cover, from its left and upper border, as float32, pixels
+    of the picture (blocks need not fill it); then :func:`chroma` row by row.
+    """
     numbers = chroma(image, size, response, name)
-    return struct.pack("<II", numbers.shape[1], numbers.shape[0]) + numbers.astype("<i2").tobytes()
+    (height, width), (rows, columns) = numbers.shape[:2], image.shape[:2]
+    block = block_size(columns, rows, size)
+    header = struct.pack("<IIff", width, height, min(width * block, columns), min(height * block, rows))
+    return header + numbers.astype("<i2").tobytes()
 
 
 def block_size(width: int, height: int, size: int) -> float:

@@ -7,15 +7,23 @@ or removed: what is saved goes into an ``.ljson``, which comes before it.
 
 What belongs to the studio alone lies in ``.liaam-studio``, as JSON: ``template.json``, ``proposals.json`` (places that
 the model found), ``invisible.json`` (marks that a ``.pts`` cannot hold), ``change.json`` (a change of the template that
-is under way), and ``kept`` (landmark files as they were before the studio replaced what it could not read).
+is under way), ``id`` (what a page tells folders apart by), and ``kept`` (landmark files as they were before the studio
+replaced what it could not read).
+
+A change of the template is written down whole before its first file is rewritten. From then on it counts: until all of
+its files are written, landmarks are neither given nor taken, and every call tries to finish it first.
 """
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import re
+import secrets
 import threading
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -30,6 +38,7 @@ from liaam.io.atomic import write_bytes_atomically, write_text_atomically
 from liaam.io.files import natural_key, read_bytes
 from liaam.io.images import image_size
 from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, parse_landmark_data
+from liaam.photometry.encoding import as_colour
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.template import (
@@ -44,6 +53,15 @@ from liaam.studio.template import (
 STATE = ".liaam-studio"
 _OWN = (".pts", ".ljson")
 """Endings that are written, in the order in which they are read."""
+
+_UNREAD = (".gif", ".webp", ".heic", ".heif", ".avif", ".jxl", ".svg", ".psd", ".jp2", ".exr")
+"""Endings of pictures that are not read, which a person may wonder about."""
+
+_TEMPORARY = re.compile(r"\.liaam-[0-9a-f]{16}(\..*)?")
+"""What :mod:`liaam.io.atomic` leaves behind where it is killed."""
+
+_NAMED = 3
+"""Files that a line about several names."""
 
 _Signature = tuple[int, int, int]
 
@@ -62,6 +80,11 @@ class _File:
     @property
     def suffix(self) -> str:
         return Path(self.name).suffix.lower()
+
+    @property
+    def tag(self) -> str:
+        """What a page tells the file's contents by."""
+        return f"{self.signature[0]:x}-{self.signature[1]:x}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +120,7 @@ class Project:
 
     def __init__(self, folder: str | os.PathLike[str], settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
-        self.root = _checked_folder(Path(folder))
+        self.root = checked_folder(folder)
         self._lock = threading.RLock()
         self._sizes: dict[str, tuple[_Signature, tuple[int, int] | str]] = {}
         self._read: dict[str, tuple[_Signature, _Marks]] = {}
@@ -105,20 +128,52 @@ class Project:
         self._faults: dict[str, str] = {}
         self._files: dict[str, _File] = {}
         self._listed_at = 0
+        self._id = ""
+        self._stranded: list[str] = []
+        self._writes = 0
+        self._salt = secrets.token_hex(8)
+        self._is_changing = True  # until it has been looked for
         self._template: Template | None = None
+        self._revision_of_template = ""
+        self._order = ""
         self._guess: Template | None = None
         self._guessed_of: Landmarks | None = None
         self._proposals: dict[str, dict[str, Any]] = {}
         self._invisible: dict[str, Any] = {}
         with self._lock:
-            self._finish_change()
             self._load()
+            self._try_to_settle()
+
+    @property
+    def id(self) -> str:
+        """What tells this folder from all others, wherever it is moved to; a copy of it has another."""
+        with self._lock:
+            if not self._id:
+                known = self._read_state("id", _is_id)
+                if known is None:
+                    known = secrets.token_hex(16)
+                    with suppress(LiaamError):  # it then holds until the studio ends
+                        self._write_state("id", known)
+                facts = self.root.stat()
+                self._id = _hash(f"{known} {facts.st_dev} {facts.st_ino}".encode())
+            return self._id
+
+    @property
+    def stamp(self) -> str:
+        """Changes with the folder's files, and with what the studio keeps of it; quick to ask for."""
+        with self._lock:
+            self._try_to_settle()
+            self._scan()
+            listing = [(file.name, *file.signature) for file in self._files.values()]
+            known = (self._salt, self._writes, self._is_changing, sorted(self._faults.items()), self._stranded)
+            return _hash(repr((known, listing)).encode())
 
     # Pictures -------------------------------------------------------------------------------------
 
     def overview(self) -> list[dict[str, Any]]:
         """Give all pictures in natural order, as the page shows them."""
         with self._lock:
+            self._try_to_settle()
             self._scan()
             ranks = self._ranks()
             return [self._picture(file, ranks) for file in self._pictures()]
@@ -165,6 +220,7 @@ class Project:
     def annotated(self) -> list[Annotated]:
         """Pictures that are done: all points are there."""
         with self._lock:
+            self._settle()
             self._scan()
             template = self.template
             if template is None:
@@ -173,7 +229,7 @@ class Project:
             return [
                 Annotated(file.name, self.root / file.name, marks.landmarks.points, marks.revision)
                 for file, marks in found
-                if marks is not None and marks.landmarks is not None and _is_complete(marks, template)
+                if marks is not None and marks.landmarks is not None and self._is_done(file, marks, template)
             ]
 
     def to_propose(self, most: int) -> list[tuple[str, Path]]:
@@ -194,9 +250,37 @@ class Project:
 
     @property
     def problems(self) -> list[str]:
-        """What a person should know: files of the studio, or landmark files, that cannot be read."""
+        """What a person should know: files that cannot be read, are passed over, or belong to no picture."""
         with self._lock:
-            return [*self._faults.values(), *self._foreign[3]]
+            return [*self._faults.values(), *self._foreign[3], *self._passed_over(), *self._orphans()]
+
+    def _passed_over(self) -> list[str]:
+        """Say what lies in the folder and looks like a picture but is not shown, and why."""
+        unread = [file.name for file in self._files.values() if file.suffix in _UNREAD]
+        kinds = Counter(Path(name).suffix.lower() for name in unread)
+        lines = []
+        if unread:
+            endings = ", ".join(f"{count} {suffix}" for suffix, count in sorted(kinds.items()))
+            lines.append(
+                f"{_several(unread, 'picture')} passed over, of a format that is not read ({endings}): "
+                "save as PNG or JPEG"
+            )
+        if self._stranded:
+            lines.append(
+                f"{_several(self._stranded, 'file')} passed over, as a link that leads out of the folder: "
+                "put a copy in its place"
+            )
+        return lines
+
+    def _orphans(self) -> list[str]:
+        """Say which landmark files have no picture: perhaps one was renamed."""
+        names = [file.name for (stem, _), file in self._own_files.items() if stem not in self._winners]
+        if not names:
+            return []
+        return [
+            f"{_several(names, 'landmark file')} without a picture of the same name: "
+            "if the picture was renamed, rename the file too"
+        ]
 
     # Landmarks ------------------------------------------------------------------------------------
 
@@ -209,6 +293,7 @@ class Project:
             404 if there is no such picture, 409 if it cannot be used.
         """
         with self._lock:
+            self._settle()
             return self._marks_json(self._find(name))
 
     def save_marks(self, name: str, data: Any) -> dict[str, Any]:
@@ -218,7 +303,8 @@ class Project:
         ----------
         name : str
         data : dict
-            ``points``, ``invisible`` and ``revision``, as JSON gives them.
+            ``points``, ``invisible`` and ``revision``, as JSON gives them; ``template``, the revision of the template
+            that they are points of, if it is to be checked.
 
         Returns
         -------
@@ -229,12 +315,16 @@ class Project:
         Raises
         ------
         Refusal
-            404, 409 (with ``current`` where the file has changed), 422.
+            404, 409 (with ``current`` where the file has changed, with ``template`` where the template has), 422; 503
+            or 507 while the disk refuses.
         """
         if not isinstance(data, dict):
             raise Refusal(422, "send an object with points, invisible and revision")
         with self._lock:
+            self._settle()
             file, template = self._find(name), self._needed_template()
+            if "template" in data:
+                self._check_revision(data["template"], f"the landmarks of {name}")
             points = parse_points(data.get("points"), len(template))
             invisible = parse_indices(data.get("invisible", []), len(template), "invisible")
             invisible = sorted(index for index in invisible if points[index] is not None)
@@ -243,19 +333,20 @@ class Project:
             saved = current["source"] == "file" or not any(points)
             if not (same and saved and invisible == current["invisible"]):
                 if data.get("revision") != current["revision"]:
-                    raise Refusal(409, f"{name} was changed elsewhere since: look at its landmarks", current=current)
+                    raise Refusal(409, _clash(name, current["revision"]), current=current)
                 self._save(file, template, points, invisible)
             return {"revision": self._revision(file), "picture": self._picture(file, self._ranks())}
 
     def _save(self, file: _File, template: Template, points: Sequence[Any], invisible: Sequence[int]) -> None:
         if self._template is None:  # what was taken from a file is settled by the first save
-            self._write_state("template.json", template.as_json())
-            self._template = template
+            stored = {**template.as_json(), "revision": self._template_revision(), "order": self._order}
+            self._write_state("template.json", stored)
+            self._take_template(stored)
         target = self._target(file)
         before = self._marks_of(file)
         self._keep_unreadable(before, target, template)
         if not any(points) and target.suffix.lower() == ".ljson" and not self._has_other(file):
-            self._inside(target.name).unlink(missing_ok=True)
+            _remove(self._inside(target.name))
         else:
             landmarks = landmarks_of(template, points, invisible)
             self._write_landmarks(target, landmarks)
@@ -297,6 +388,7 @@ class Project:
             "invisible": [],
             "revision": None if marks is None else marks.revision,
             "source": "none",
+            "tag": file.tag,
             "file": None if marks is None else marks.file,
             "covariances": None,
             "quality": None,
@@ -309,7 +401,7 @@ class Project:
         if marks is not None and marks.landmarks is not None and _n_placed(marks):
             points = _listed(marks.landmarks.points)
             return {**answer, "points": points, "invisible": list(marks.landmarks.invisible), "source": "file"}
-        proposal = self._proposal(file.name)
+        proposal = self._proposal(file)
         if proposal is None:
             return answer
         shown = ("points", "covariances", "quality", "status", "doubtful")
@@ -348,23 +440,64 @@ class Project:
         Raises
         ------
         Refusal
-            422 if it is not sound, or the number of points changes without a mapping while there are landmarks.
+            422 if it is not sound, or the number of points changes without a mapping while there are landmarks; 409,
+            with ``template``, if ``revision`` is sent and is not that of the template that there is; 503 or 507 if the
+            disk refuses: the change is then finished later.
         """
         template = parse_template(data, self.settings.points)
         with self._lock:
+            self._settle()
             self._scan()
             old = self.template
             marks = [(file, marks) for file in self._pictures() if (marks := self._marks_of(file)) is not None]
+            identity = None if old is None else list(range(len(old)))
+            is_there, is_current = template == self._template, data.get("revision") == self._template_revision()
+            if "revision" in data and not is_current:
+                if is_there:  # sent once more: the answer may have been lost on its way
+                    return template, False
+                self._check_revision(data["revision"], "the template")
             mapping = _mapping(data.get("mapping"), len(template), old, bool(marks))
-            moved = old is not None and mapping != list(range(len(old)))
+            if is_there and (mapping == identity or not is_current):
+                return template, False
+            moved = old is not None and mapping != identity
             change = self._change(template, old, mapping, marks, moved)
+            self._is_changing = True
             self._write_state("change.json", change)  # from here on the change will be finished, even after a kill
-            self._finish_change()
-            if moved:
-                self.forget_proposals()
-            self._template = template
-            self._read.clear()
+            self._settle()
             return template, moved
+
+    @property
+    def order(self) -> str:
+        """Changes whenever points are added, taken away or put in another order."""
+        with self._lock:
+            return self._order
+
+    def template_json(self) -> dict[str, Any] | None:
+        """Give the template as the page takes it, with the ``revision`` that changes are made for."""
+        with self._lock:
+            template = self.template
+            return None if template is None else {**template.as_json(), "revision": self._template_revision()}
+
+    def _template_revision(self) -> str | None:
+        template = self.template
+        if template is None:
+            return None
+        return self._revision_of_template or _hash(json.dumps(template.as_json()).encode())
+
+    def _check_revision(self, revision: Any, what: str) -> None:
+        """Refuse what was made for another template than there is."""
+        if revision != self._template_revision():
+            raise Refusal(
+                409,
+                f"the template was changed elsewhere since, and {what} came for the one before: look at it again",
+                template=self.template_json(),
+            )
+
+    def _take_template(self, stored: Mapping[str, Any]) -> None:
+        """Use a template as it is stored."""
+        self._template = parse_template(stored, 10**6)
+        self._revision_of_template = stored.get("revision") or ""
+        self._order = stored.get("order") or ""
 
     def _change(
         self,
@@ -389,21 +522,55 @@ class Project:
             text = dump(landmarks)
             before = known.revision if known.file == target.name else None
             files.append({"file": target.name, "before": before, "text": text, "invisible": hidden})
-        return {"template": template.as_json(), "files": files}
+        order = secrets.token_hex(8) if moved else self._order
+        stored = {**template.as_json(), "revision": secrets.token_hex(8), "order": order}
+        return {"template": stored, "files": files}
+
+    def _settle(self) -> None:
+        """Finish a change of the template that is under way; nothing may be read or written between its files.
+
+        Raises
+        ------
+        Refusal
+            503, or 507 where there is no space: it cannot be finished yet.
+        """
+        if not self._is_changing:
+            return
+        try:
+            self._finish_change()
+        except (LiaamError, OSError) as fault:
+            cause = fault if isinstance(fault, OSError) else fault.__cause__
+            sentence = f"a change of the template cannot be finished yet ({self.plain(fault)}): it is tried again"
+            self.note("change.json", sentence)
+            status = fault.status if isinstance(fault, Refusal) else status_of(cause)
+            raise Refusal(status, sentence) from fault
+
+    def _try_to_settle(self) -> None:
+        with suppress(Refusal):  # it has been noted
+            self._settle()
 
     def _finish_change(self) -> None:
         """Do what ``change.json`` says, and remove it; files that somebody changed meanwhile are left alone."""
         change = self._read_state("change.json", _is_change)
-        if change is None:
+        if change is None:  # none, or damaged, which is noted
+            self._is_changing = False
             return
         for item in change["files"]:
-            with suppress(Refusal):  # it has become a link that leads out: not ours to write
-                self._redo(item)
+            self._redo(item)
+        if (change["template"].get("order") or "") != self._order:
+            self.forget_proposals()
         self._write_state("template.json", change["template"])
-        (self._state() / "change.json").unlink(missing_ok=True)
+        self._take_template(change["template"])
+        _remove(self._state() / "change.json")
+        self._is_changing = False
+        self._read.clear()
+        self._scan()
 
     def _redo(self, item: Mapping[str, Any]) -> None:
-        target, after = self._inside(item["file"]), item["text"].encode()
+        try:
+            target, after = self._inside(item["file"]), item["text"].encode()
+        except Refusal:  # it has become a link that leads out: not ours to write
+            return
         data = target.read_bytes() if target.is_file() else None
         if data != after and (None if data is None else _hash(data)) == item["before"]:
             write_bytes_atomically(target, after, LandmarkError)
@@ -436,10 +603,21 @@ class Project:
 
     # Proposals ------------------------------------------------------------------------------------
 
-    def add_proposals(self, proposals: Mapping[str, dict[str, Any]]) -> None:
-        """Keep what a model found in pictures, by name."""
+    def add_proposals(self, proposals: Mapping[str, dict[str, Any]], order: str | None = None) -> None:
+        """Keep what a model found in pictures, by name.
+
+        Parameters
+        ----------
+        proposals : dict of str to dict
+            Each with the ``tag`` of the picture that was looked at; it counts as that of now if left out.
+        order : str, optional
+            :attr:`order` that they were made for; proposals for another are dropped.
+        """
         with self._lock:
-            self._proposals.update(proposals)
+            if order not in (None, self._order):
+                return
+            tags = {name: file.tag for name, file in self._files.items()}
+            self._proposals.update({name: {"tag": tags.get(name), **item} for name, item in proposals.items()})
             self._write_state("proposals.json", self._proposals)
 
     def forget_proposals(self) -> None:
@@ -448,19 +626,24 @@ class Project:
             self._proposals = {}
             self._write_state("proposals.json", self._proposals)
 
-    def _proposal(self, name: str) -> dict[str, Any] | None:
+    def _proposal(self, file: _File) -> dict[str, Any] | None:
         """Proposal for a picture that has points, and as many as the template."""
-        proposal, template = self._proposals.get(name), self.template
+        proposal, template = self._proposal_of(file), self.template
         if proposal is None or proposal["points"] is None or template is None:
             return None
         return proposal if len(proposal["points"]) == len(template) else None
+
+    def _proposal_of(self, file: _File) -> dict[str, Any] | None:
+        """Proposal for a picture, unless another picture has taken its name since."""
+        proposal = self._proposals.get(file.name)
+        return proposal if proposal is not None and proposal.get("tag") == file.tag else None
 
     def _ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal: 1 teaches most (see :func:`teaching_order`)."""
         waiting = {
             file.name: proposal
             for file in self._pictures()
-            if (proposal := self._proposal(file.name)) is not None and not _n_placed(self._marks_of(file))
+            if (proposal := self._proposal(file)) is not None and not _n_placed(self._marks_of(file))
         }
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
@@ -490,12 +673,28 @@ class Project:
         if fault is None:
             self._faults.pop(key, None)
         else:
-            self._faults[key] = fault
+            self._faults[key] = self.plain(fault)
 
     def read_state(self, name: str, check: Callable[[Any], bool]) -> Any:
         """Read a JSON file of the studio's own; None if there is none, or it is damaged, which is noted then."""
         with self._lock:
             return self._read_state(name, check)
+
+    def remove_state(self, *names: str) -> None:
+        """Remove files of the studio's own, if they are there."""
+        with self._lock:
+            for name in names:
+                _remove(self.state_path(name))
+            self._writes += 1
+
+    def prepare(self) -> None:
+        """Give the folder its id, and remove what a killed process left half written; no other may write now."""
+        with self._lock, suppress(LiaamError, OSError):
+            _ = self.id
+            for folder in (self._state(), self._state() / "kept"):
+                for path in list(folder.iterdir()):
+                    if _TEMPORARY.fullmatch(path.name) and path.is_file() and not path.is_symlink():
+                        path.unlink()
 
     def write_state(self, name: str, content: Any) -> None:
         """Write a JSON file of the studio's own, all or nothing."""
@@ -504,8 +703,9 @@ class Project:
 
     def _load(self) -> None:
         self._scan()
-        data = self._read_state("template.json", lambda data: bool(parse_template(data, self.settings.points)))
-        self._template = None if data is None else parse_template(data, self.settings.points)
+        data = self._read_state("template.json", _is_template)
+        if data is not None:
+            self._take_template(data)
         self._proposals = self._read_state("proposals.json", _are_proposals) or {}
         self._invisible = self._read_state("invisible.json", _is_invisible) or {}
         self._read.clear()  # read before what is invisible was known
@@ -519,6 +719,7 @@ class Project:
     def _write_state(self, name: str, content: Any) -> None:
         data = content if isinstance(content, bytes) else json.dumps(content, ensure_ascii=False).encode()
         write_bytes_atomically(self.state_path(name), data)
+        self._writes += name != "id"  # which changes nothing that is shown
         self.note(name, None)
 
     def _read_state(self, name: str, check: Callable[[Any], bool]) -> Any:
@@ -546,12 +747,13 @@ class Project:
     def _scan(self) -> None:
         """List the folder."""
         self._listed_at = self._folder_time()  # before: what comes meanwhile will be noticed
+        self._stranded = []
         try:
             with os.scandir(self.root) as entries:
                 found = [self._entry(entry) for entry in entries if not entry.name.startswith(".")]
         except OSError as fault:
             raise Refusal(
-                503, f"{self.root} cannot be read ({fault.strerror or fault}): is the folder still there?"
+                503, f"{self.root.name} cannot be read ({fault.strerror or fault}): is the folder still there?"
             ) from fault
         files = sorted((file for file in found if file is not None), key=lambda file: natural_key(file.name))
         self._files = {file.name: file for file in files}
@@ -573,6 +775,8 @@ class Project:
         try:
             entry.name.encode()
             if entry.is_symlink() and not self._leads_inside(Path(entry.path)):
+                if Path(entry.name).suffix.lower() in (*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES):
+                    self._stranded.append(entry.name)
                 return None
             if not entry.is_file():
                 return None
@@ -639,17 +843,18 @@ class Project:
 
     def _picture(self, file: _File, ranks: Mapping[str, int]) -> dict[str, Any]:
         size, fault, marks = self._size(file), self._fault_of(file), self._marks_of(file)
-        template, proposal = self.template, self._proposal(file.name)
+        template, proposal = self.template, self._proposal(file)
         placed = _n_placed(marks)
         waiting = proposal is not None and not placed and fault is None
         if fault is not None:
             state = "broken"
         elif placed:
-            state = "done" if _is_complete(marks, template) else "partial"
+            state = "done" if self._is_done(file, marks, template) else "partial"
         else:
             state = "proposed" if waiting else "new"
         return {
             "name": file.name,
+            "tag": file.tag,
             "state": state,
             "placed": placed,
             "error": fault or self._error_of(file, marks, template),
@@ -663,7 +868,7 @@ class Project:
     def _error_of(self, file: _File, marks: _Marks | None, template: Template | None) -> str | None:
         """What is wrong with the landmarks of a picture that can be shown."""
         if marks is None:
-            proposal = self._proposals.get(file.name)
+            proposal = self._proposal_of(file)
             failed = proposal is not None and proposal["points"] is None
             return self._foreign[2].get(file.name) or (proposal["message"] if proposal and failed else None)
         if marks.landmarks is not None and template is not None and len(marks.landmarks) != len(template):
@@ -671,7 +876,25 @@ class Project:
                 f"{marks.file} has {len(marks.landmarks)} points where the template has {len(template)}: "
                 "place the points anew, or remove that file"
             )
-        return marks.error
+        return marks.error or self._misplaced(file, marks)
+
+    def _is_done(self, file: _File, marks: _Marks | None, template: Template | None) -> bool:
+        """Whether a picture has all of its points, and they are of that picture."""
+        return _is_complete(marks, template) and marks is not None and self._misplaced(file, marks) is None
+
+    def _misplaced(self, file: _File, marks: _Marks) -> str | None:
+        """Say so if most points lie outside the picture: they are of another one."""
+        size = self._size(file)
+        if isinstance(size, str) or marks.landmarks is None:
+            return None
+        placed = marks.landmarks.points[~marks.landmarks.missing]
+        n_outside = int(((placed < -0.5) | (placed > np.array(size) - 0.5)).any(axis=1).sum())
+        if 2 * n_outside <= len(placed):
+            return None
+        return (
+            f"{n_outside} of the {len(placed)} points of {marks.file} lie outside the picture of "
+            f"{size[0]} x {size[1]} pixels, which may have been replaced: place them anew, or put the picture back"
+        )
 
     def _fault_of(self, file: _File) -> str | None:
         """Why a picture cannot be used."""
@@ -681,9 +904,10 @@ class Project:
         size = self._size(file)
         return size if isinstance(size, str) else None
 
-    def _plain(self, fault: object) -> str:
+    def plain(self, fault: object) -> str:
         """Text of a fault with names instead of paths: the page knows the folder by its name."""
-        return str(fault).replace(f"{self.root}{os.sep}", "")
+        name = self.root.name or "the folder"
+        return str(fault).replace(f"{self.root}{os.sep}", "").replace(str(self.root), name)
 
     def _usable_size(self, file: _File) -> tuple[int, int]:
         fault, size = self._fault_of(file), self._size(file)
@@ -702,12 +926,16 @@ class Project:
         try:
             width, height = image_size(self._inside(file.name))
         except LiaamError as fault:
-            return self._plain(fault)
+            return self.plain(fault)
         if width * height > self.settings.pixels:
             return (
                 f"{file.name} has {width} x {height} pixels, more than the {self.settings.pixels:,} allowed: "
                 "make the picture smaller"
             )
+        try:
+            as_colour(np.broadcast_to(np.uint8(0), (height, width, 3)), file.name)
+        except ImageError as fault:
+            return str(fault)
         return width, height
 
     # Landmark files -------------------------------------------------------------------------------
@@ -740,7 +968,7 @@ class Project:
         try:
             data = read_bytes(self._inside(own.name), LandmarkError, self.settings.upload_bytes)
         except LandmarkError as fault:
-            return _Marks(own.name, "", None, self._plain(fault))
+            return _Marks(own.name, "", None, self.plain(fault))
         revision = _hash(data)
         try:
             landmarks = parse_landmark_data(own.name, data)
@@ -781,7 +1009,7 @@ class Project:
         for left in left_out:
             if "cannot be read" not in left.reason:
                 continue
-            reason = self._plain(left.reason)
+            reason = self.plain(left.reason)
             picture = self._winners.get(left.path.stem)
             if picture is None:
                 problems.append(f"{left.path.name}: {reason}")
@@ -812,7 +1040,15 @@ def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return sorted(proposals, key=key)
 
 
-def _checked_folder(folder: Path) -> Path:
+def checked_folder(folder: str | os.PathLike[str]) -> Path:
+    """Give a folder with links resolved, if pictures can be kept in it.
+
+    Raises
+    ------
+    ImageError
+        If it is none, or cannot be read or written.
+    """
+    folder = Path(folder)
     try:
         if not folder.is_dir():
             what = "is a file, not a folder" if folder.exists() else "does not exist"
@@ -844,6 +1080,32 @@ def _mapping(data: Any, n: int, old: Template | None, has_marks: bool) -> list[i
     return data
 
 
+def status_of(fault: BaseException | None) -> int:
+    """Status to answer with where the disk refuses: 507 where it is full, 503 otherwise. To try again may help."""
+    return 507 if isinstance(fault, OSError) and fault.errno in (errno.ENOSPC, errno.EDQUOT) else 503
+
+
+def _remove(path: Path) -> None:
+    """Remove a file, if it is there."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as fault:
+        raise LiaamError(f"{path} cannot be removed ({fault.strerror or fault}): check the rights on it.") from fault
+
+
+def _clash(name: str, revision: str | None) -> str:
+    """Say what happened to landmarks that a page believes to be others."""
+    if revision is None:
+        return f"the landmark file of {name} was deleted since: save it again, or leave it deleted"
+    return f"{name} was changed elsewhere since: look at its landmarks"
+
+
+def _several(names: Sequence[str], what: str) -> str:
+    """Count files, and name the first few."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{len(names)} {what}{'s' if len(names) > 1 else ''} ({', '.join(names[:_NAMED])}{more})"
+
+
 def _hash(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:16]
 
@@ -864,10 +1126,19 @@ def _n_points(marks: _Marks) -> int:
     return 0 if marks.landmarks is None else len(marks.landmarks)
 
 
+def _is_id(data: Any) -> bool:
+    return isinstance(data, str) and 16 <= len(data) <= 64
+
+
+def _is_template(data: Any) -> bool:
+    known = all(data.get(key) is None or isinstance(data[key], str) for key in ("revision", "order"))
+    return known and bool(parse_template(data, 10**6))
+
+
 def _is_change(data: Any) -> bool:
     keys = {"file", "before", "text", "invisible"}
     sound = all(set(item) == keys and isinstance(item["text"], str) and _is_own(item["file"]) for item in data["files"])
-    return sound and bool(parse_template(data["template"], 10**6))
+    return sound and _is_template(data["template"])
 
 
 def _is_own(name: str) -> bool:
@@ -886,7 +1157,7 @@ def _are_proposals(data: Any) -> bool:
 def is_proposal(item: Any) -> bool:
     """Whether JSON is a proposal as :mod:`liaam.studio.training` makes them."""
     keys = {"points", "covariances", "quality", "status", "ok", "message", "found", "doubtful", "uncertainty"}
-    if set(item) != keys or not isinstance(item["message"], str):
+    if set(item) - {"tag"} != keys or not isinstance(item["message"], str):
         return False
     if item["uncertainty"] is not None and not isinstance(item["uncertainty"], int | float):
         return False

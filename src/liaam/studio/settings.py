@@ -28,6 +28,8 @@ class Settings:
     upload_bytes: int = 64_000_000
     pixels: int = 50_000_000
     """Width times height of a picture to work with, from its header, before anything is decoded."""
+    whole_pixels: int = 16_000_000
+    """Of a picture that is relit in full size at most: it takes a hundred bytes a pixel, and a second a megapixel."""
     uploads_kept: int = 8
     fits_kept: int = 64
     points: int = 1000

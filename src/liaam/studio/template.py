@@ -11,6 +11,7 @@ import numpy as np
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import Contour, Landmarks
+from liaam.shape import mirror_order
 from liaam.studio.safety import Refusal
 
 if TYPE_CHECKING:
@@ -20,10 +21,11 @@ LONGEST_NAME = 100
 FARTHEST = 1e6
 """Coordinates beyond it are no pixels."""
 
-_TILTS = range(-44, 46, 2)
-"""Degrees from the vertical that are tried for the axis of symmetry."""
+_TILT = 45.0
+"""Degrees from the vertical up to which the axis of symmetry is looked for."""
 _ALIKE = 0.05
-"""Mean distance of mirrored points from their twins that counts as symmetric, share of the shape's diagonal."""
+"""Distance of mirrored points from their twins that counts as symmetric, share of the shape's diagonal: a person sees
+what is proposed, and can mend it."""
 
 _TWINS = {"left": "right", "right": "left", "l": "r", "r": "l"}
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
@@ -180,26 +182,11 @@ def mirror_by_place(points: ArrayLike) -> tuple[int, ...] | None:
     points : (n, 2) float
         Without NaN.
     """
-    from scipy.optimize import linear_sum_assignment
-    from scipy.spatial.distance import cdist
-
-    centred = np.asarray(points, dtype=np.float64)
-    centred = centred - centred.mean(axis=0)
-    size = float(np.hypot(*np.ptp(centred, axis=0)))
-    if len(centred) < 3 or not size > 0:
+    points = np.asarray(points, dtype=np.float64)
+    if len(points) < 3:
         return None
-
-    def distances(tilt: float) -> np.ndarray:
-        normal = np.array([np.cos(np.deg2rad(tilt)), np.sin(np.deg2rad(tilt))])
-        return cdist(centred - 2 * np.outer(centred @ normal, normal), centred)
-
-    best = min(_TILTS, key=lambda tilt: (distances(tilt).min(axis=1).mean(), abs(tilt)))
-    costs = distances(best)
-    twins = linear_sum_assignment(costs)[1]
-    own = np.arange(len(centred))
-    if (twins[twins] != own).any() or (twins == own).all() or costs[own, twins].mean() > _ALIKE * size:
-        return None
-    return tuple(twins.tolist())
+    twins = mirror_order(points, _ALIKE, _TILT)
+    return None if twins is None or (twins == np.arange(len(points))).all() else tuple(twins.tolist())
 
 
 def landmarks_of(

@@ -1,8 +1,10 @@
 """Learning in the background: one process trains on the pictures that are done, and proposes landmarks for the rest.
 
 A quick model comes first, which fits a few pictures, so that a person can go on within seconds; then the same model
-with what leaving pictures out tells (how far fits can be trusted), which fits all. The process tells its parent over a
-pipe what it does; to stop it is to end it, at any time, since all that it writes is written whole or not at all.
+with what leaving pictures out tells (how far fits can be trusted), which fits all. The quick one has a file of its own
+and serves only where there is no careful one: who stops a training keeps the model of before. The process tells its
+parent over a pipe what it does; to stop it is to end it, at any time, since all that it writes is written whole or not
+at all.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import numpy as np
 
 from liaam.errors import ImageError, LiaamError, TrainingError
 from liaam.io.landmarks import Contour, Landmarks
+from liaam.studio.pictures import file_tag
 from liaam.studio.project import Annotated, Project, is_proposal
 from liaam.studio.safety import Refusal
 
@@ -33,6 +36,7 @@ LEAST = 3
 """Pictures to learn from at least."""
 
 MODEL_FILE, FACTS_FILE = "model.liaam", "model.json"
+QUICK_FILE, QUICK_FACTS_FILE = "quick.liaam", "quick.json"
 
 OPTIONS: dict[str, Any] = {"prior": "smooth"}
 """How models are trained: ``smooth`` shapes serve best where few pictures have been annotated."""
@@ -49,7 +53,13 @@ class ModelInUse:
     number: int
     """Counts up: another number is another model."""
     facts: dict[str, Any]
-    """``source`` ("studio" or "file"), ``trained`` (ISO 8601 or None), ``pictures`` (revision by name)."""
+    """``source`` ("studio" or "file"), ``trained`` (ISO 8601 or None), ``pictures`` (revision by name); of the studio's
+    own also ``careful`` (whether it knows how far it can be trusted) and ``order`` (:attr:`Project.order`)."""
+
+    @property
+    def is_careful(self) -> bool:
+        """Whether it may not be replaced by a quick one."""
+        return bool(self.facts.get("careful", True))
 
 
 class ModelStore:
@@ -98,6 +108,10 @@ class Job:
     contours: tuple[Contour, ...]
     model: Path
     """Where the model is written."""
+    quick: Path
+    """Where the quick model is written."""
+    order: str
+    """:attr:`Project.order` of the points."""
     name: str
     """What the model is called."""
     at_once: int
@@ -139,6 +153,7 @@ class Trainer:
         self._process: Any = None
         self._listener: threading.Thread | None = None
         self._run = 0
+        self._order = ""
 
     @property
     def state(self) -> Training:
@@ -160,6 +175,7 @@ class Trainer:
                 )
             job = self._job()
             self._run += 1
+            self._order = job.order
             self._process, pipe = _launch(job)
             self._set(Training("running", "training", 0, 0, "starting"))
             arguments = (self._run, job, pipe, self._process)
@@ -178,6 +194,13 @@ class Trainer:
             _end(process)
         return self._state
 
+    def stop_unless(self, order: str) -> None:
+        """Stop what is under way if it is for points of another order."""
+        with self._lock:
+            stale = self._state.state == "running" and self._order != order
+        if stale:
+            self.stop()
+
     def wait(self, timeout: float | None = None) -> Training:
         """Wait until nothing is under way; gives how it ended."""
         listener = self._listener
@@ -186,6 +209,7 @@ class Trainer:
         return self._state
 
     def _job(self) -> Job:
+        order = self.project.order  # before the points: of those that are changed meanwhile nothing is kept
         done, template = self.project.annotated(), self.project.template
         if len(done) < LEAST or template is None:
             raise Refusal(
@@ -198,6 +222,8 @@ class Trainer:
             self.project.to_propose(self.project.settings.proposals_per_training),
             template.contours,
             self.project.state_path(MODEL_FILE),
+            self.project.state_path(QUICK_FILE),
+            order,
             self.project.root.name,
             self.project.settings.proposals_at_once,
         )
@@ -219,7 +245,7 @@ class Trainer:
                             return
                         end = self._heed(job, message)
         except LiaamError as fault:  # the folder has gone, the disk is full
-            end = Training("failed", error=str(fault))
+            end = Training("failed", error=self.project.plain(fault))
         process.join()
         with self._lock:
             if run == self._run:
@@ -234,31 +260,35 @@ class Trainer:
         if kind == "progress":
             self._set(Training("running", **data))
         elif kind == "model":
-            self._use(job, data)
+            self._use(job, **data)
         elif kind == "proposals":
-            template = self.project.template
-            fresh = {name: item for name, item in data.items() if is_proposal(item)}
-            if template is not None:
-                self.project.add_proposals(fresh)
+            self.project.add_proposals({name: item for name, item in data.items() if is_proposal(item)}, job.order)
             self._publish("project", {})
         elif kind == "failed":
-            return Training("failed", error=data)
+            return Training("failed", error=self.project.plain(data))
         elif kind == "done":
             return Training("done", what=data)
         return None
 
-    def _use(self, job: Job, left_out: Mapping[str, str]) -> None:
+    def _use(self, job: Job, left_out: Mapping[str, str], careful: bool) -> None:
+        """Publish a model; a quick one only where there is nothing better."""
         from liaam.model import load_model
 
-        pictures = {item.name: item.revision for item in job.done}
+        current = self.models.current
+        if job.order != self.project.order or not (careful or current is None or not current.is_careful):
+            return
         facts = {
             "source": "studio",
             "trained": datetime.now(UTC).isoformat(timespec="seconds"),
-            "pictures": pictures,
-            "left_out": dict(left_out),
+            "pictures": {item.name: item.revision for item in job.done},
+            "left_out": {name: self.project.plain(reason) for name, reason in left_out.items()},
+            "careful": careful,
+            "order": job.order,
         }
-        self.project.write_state(FACTS_FILE, facts)
-        self.models.publish(load_model(job.model), facts)
+        self.project.write_state(FACTS_FILE if careful else QUICK_FACTS_FILE, facts)
+        self.models.publish(load_model(job.model if careful else job.quick), facts)
+        if careful:
+            self.project.remove_state(QUICK_FILE, QUICK_FACTS_FILE)
         self._publish("project", {})
 
     def _set(self, state: Training) -> None:
@@ -268,23 +298,41 @@ class Trainer:
 
 def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; what is wrong with it is noted."""
+    for file, facts_file, careful in ((MODEL_FILE, FACTS_FILE, True), (QUICK_FILE, QUICK_FACTS_FILE, False)):
+        if models.current is None:
+            _load_model(project, models, file, facts_file, careful)
+
+
+def _load_model(project: Project, models: ModelStore, file: str, facts_file: str, careful: bool) -> None:
     from liaam.model import load_model
 
-    project.note(MODEL_FILE, None)
+    project.note(file, None)
     try:
-        path = project.state_path(MODEL_FILE)
-        if path.exists():
-            facts = project.read_state(FACTS_FILE, _are_facts)
-            models.publish(load_model(path), facts or {"source": "studio", "trained": None, "pictures": {}})
+        path = project.state_path(file)
+        if not path.exists():
+            return
+        facts = project.read_state(facts_file, _are_facts) or {"source": "studio", "trained": None, "pictures": {}}
+        facts = {"order": project.order, **facts, "careful": careful}
+        if facts["order"] == project.order:
+            models.publish(load_model(path), facts)
     except (LiaamError, OSError) as fault:
-        project.note(MODEL_FILE, f"{fault}; it is passed over: train again")
+        project.note(file, f"{fault}; it is passed over: train again")
 
 
 def forget_studio_model(project: Project, models: ModelStore) -> None:
-    """Withdraw the model and remove its file: it is of another template."""
-    models.withdraw()
-    for name in (MODEL_FILE, FACTS_FILE):
-        project.state_path(name).unlink(missing_ok=True)
+    """Withdraw the studio's model and remove its files: it is of another template. One that a person named stays."""
+    current = models.current
+    if current is not None and current.facts["source"] == "studio":
+        models.withdraw()
+    project.remove_state(MODEL_FILE, FACTS_FILE, QUICK_FILE, QUICK_FACTS_FILE)
+
+
+def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:
+    """Stop a training, and withdraw a model, of points that the template has in another order by now."""
+    trainer.stop_unless(project.order)
+    current = models.current
+    if current is not None and current.facts["source"] == "studio" and current.facts.get("order", "") != project.order:
+        forget_studio_model(project, models)
 
 
 def load_given_model(path: Path, models: ModelStore) -> None:
@@ -305,13 +353,14 @@ def model_json(current: ModelInUse | None, project: Project) -> dict[str, Any] |
     if current is None:
         return None
     model, facts = current.model, current.facts
-    known = facts["pictures"]
+    known = facts["pictures"] if current.is_careful else {}
     stale = sum(known.get(item.name) != item.revision for item in project.annotated())
     return {
         "n_images": model.n_images,
         "n_points": model.n_points,
         "trained": facts["trained"],
         "stale": stale,
+        "careful": current.is_careful,
         "colour": model.is_colour,
         "triangles": model.triangles.tolist(),
         "theta_deg": float(np.rad2deg(model.theta)),
@@ -323,7 +372,8 @@ def model_json(current: ModelInUse | None, project: Project) -> dict[str, Any] |
 
 
 def _are_facts(data: Any) -> bool:
-    return data["source"] == "studio" and isinstance(data["pictures"], dict) and "trained" in data
+    sound = data["source"] == "studio" and isinstance(data["pictures"], dict) and "trained" in data
+    return sound and isinstance(data.get("order", ""), str)
 
 
 # The process --------------------------------------------------------------------------------------
@@ -430,8 +480,8 @@ class _Worker:
                     raise
                 self.left_out |= unfit
                 items = [item for item in items if item.name not in unfit]
-        model.save(self.job.model)
-        self.tell(("model", self.left_out))
+        model.save(self.job.model if leave_out else self.job.quick)
+        self.tell(("model", {"left_out": self.left_out, "careful": leave_out}))
         return model
 
     def _propose(self, model: AAM, pictures: list[tuple[str, Path]]) -> None:
@@ -466,17 +516,14 @@ def _unfit(items: list[_Picture]) -> dict[str, str]:
 
 def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
     """Find the object in a picture; gives JSON, without points where that makes no sense."""
+    nothing = {**_NOTHING, "status": "not fitted"}
     try:
-        result = fitter.fit(path)
+        tag = file_tag(path)  # before it is read: of what replaces it meanwhile this is no proposal
+        return {**proposal_of(fitter.fit(path)), "tag": tag}
     except LiaamError as fault:
-        return {**_NOTHING, "status": "not fitted", "message": str(fault).replace(f"{path.parent}{os.sep}", "")}
+        return {**nothing, "message": str(fault).replace(f"{path.parent}{os.sep}", "")}
     except MemoryError:
-        return {
-            **_NOTHING,
-            "status": "not fitted",
-            "message": f"{path.name} is too large for the memory: make it smaller",
-        }
-    return proposal_of(result)
+        return {**nothing, "message": f"{path.name} is too large for the memory: make it smaller"}
 
 
 _NOTHING: dict[str, Any] = {

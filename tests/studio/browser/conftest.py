@@ -29,9 +29,9 @@ def chromium() -> str:
     return found
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser():
-    """Give one headless browser for all tests."""
+    """Give one headless browser for a file's tests: while Playwright runs, no other test can have an event loop."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install '.[test]'")
     executable = chromium()
     with playwright.sync_playwright() as driver:

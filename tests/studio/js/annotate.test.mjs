@@ -9,6 +9,7 @@ import { loupePlace } from "./modules/drawing.js";
 import { History } from "./modules/history.js";
 import * as points from "./modules/points.js";
 import { contentOf, Page, Saver, Unsaved } from "./modules/saving.js";
+import { nameIn } from "./modules/state.js";
 import * as template from "./modules/template.js";
 
 const FACE = [
@@ -202,8 +203,9 @@ const marks = (x, revision) => ({ ...content(x), revision, source: "file" });
 const settled = () => new Promise((resolve) => setImmediate(resolve));
 
 /** A saver over a server that is told how to answer, with timers that are run by hand. */
-function bench(storage = new Storage()) {
-  const log = { sent: [], states: [], conflicts: [], foreign: [], timers: [] };
+function bench(storage = new Storage(), now = null) {
+  const log = { sent: [], states: [], messages: [], conflicts: [], foreign: [], moved: [], lost: [], timers: [] };
+  const current = { template: now };
   let revision = 0;
   const pending = [];
   const saver = new Saver({
@@ -217,7 +219,13 @@ function bench(storage = new Storage()) {
       );
     },
     unsaved: new Unsaved(storage, "folder"),
-    onStatus: (state) => log.states.push(state),
+    onStatus: (state, message) => {
+      log.states.push(state);
+      log.messages.push(message);
+    },
+    template: () => current.template,
+    onTemplate: (name) => log.moved.push(name),
+    onLost: (name, text) => log.lost.push(text),
     onConflict: (name, current) => log.conflicts.push(current),
     onForeign: (name) => log.foreign.push(name),
     setTimer: (run, delay) => {
@@ -238,7 +246,7 @@ function bench(storage = new Storage()) {
     pending.shift()[how](error);
     await settled();
   };
-  return { saver, log, run, answer, storage, state: () => log.states.at(-1) };
+  return { saver, log, run, answer, storage, current, state: () => log.states.at(-1) };
 }
 
 test("changes wait for one request, at most 250 ms after the first", async () => {
@@ -436,6 +444,117 @@ test("a proposal is in no file", () => {
   });
 });
 
+const BEFORE = { names: ["a", "b"], revision: "t1" };
+const AFTER = { names: ["new", "b", "a"], revision: "t2" };
+const after = (points, revision) => ({ points, invisible: [], revision, source: "file" });
+
+test("a disk that is full is tried again, and what the server says is shown", async () => {
+  for (const status of [507, 503, 500]) {
+    const { saver, log, run, answer, state } = bench();
+    saver.change("a", content(1));
+    run();
+    await answer("fail", { status, message: "there is no space left" });
+    assert.equal(state(), "failing");
+    assert.equal(log.messages.at(-1), "there is no space left");
+    run();
+    await answer("ok");
+    assert.equal(state(), "saved");
+    assert.equal(log.messages.at(-1), "");
+  }
+});
+
+test("marks say which template they are of, and go over to another by their names", async () => {
+  const { saver, log, run, answer, current, state } = bench(new Storage(), BEFORE);
+  saver.change("a", { points: [[1, 0], [2, 0]], invisible: [1] });
+  run();
+  assert.equal(log.sent[0].body.template, "t1");
+  await answer("fail", { status: 409, body: { error: "changed", template: AFTER } });
+  assert.deepEqual(log.moved, ["a"]);
+  current.template = AFTER;
+  saver.rebase("a", after([[9, 9], null, [0, 0]], "r5")); // the file, rewritten for the new order, and one point more
+  run();
+  assert.deepEqual(log.sent[1].body, {
+    points: [[9, 9], [2, 0], [1, 0]],
+    invisible: [1],
+    revision: "r5",
+    template: "t2",
+  });
+  await answer("ok");
+  assert.equal(state(), "saved");
+  assert.deepEqual([log.lost, log.conflicts], [[], []]);
+});
+
+test("where the picture was changed as well as its template, the person is asked", async () => {
+  const { saver, log, run, answer, current, state } = bench(new Storage(), BEFORE);
+  saver.change("a", content(1));
+  run();
+  await answer("fail", { status: 409, body: { error: "changed", template: AFTER } });
+  current.template = AFTER;
+  saver.rebase("a", after([null, null, [7, 7]], "r5"));
+  assert.equal(state(), "conflict");
+  assert.equal(log.conflicts.length, 1);
+});
+
+test("a point that the template has no more is not lost without a word", async () => {
+  const { saver, log, run, answer, current } = bench(new Storage(), BEFORE);
+  saver.change("a", { points: [[1, 0], [2, 0]], invisible: [] });
+  run();
+  await answer("fail", { status: 409, body: { error: "changed", template: {} } });
+  current.template = { names: ["b"], revision: "t3" };
+  saver.rebase("a", after([null], "r5"));
+  assert.equal(log.lost.length, 1);
+  assert.match(log.lost[0], /no 'a' any more/);
+  run();
+  assert.deepEqual(log.sent[1].body.points, [[2, 0]]);
+});
+
+test("what an earlier page kept goes over to the template of now", () => {
+  const first = bench(new Storage(), BEFORE);
+  first.saver.change("a", { points: [[1, 0], [2, 0]], invisible: [] });
+  const second = bench(first.storage, AFTER);
+  const shown = second.saver.restore("a", after([null, null, [0, 0]], "r5"));
+  assert.deepEqual(shown.points, [null, [2, 0], [1, 0]]);
+  second.run();
+  assert.equal(second.log.sent[0].body.template, "t2");
+  assert.equal(second.log.sent[0].body.revision, "r5");
+});
+
+test("marks of a picture that another took the place of are not saved, and that is said", () => {
+  const first = bench();
+  first.saver.known("a", "r0", content(0), { width: 100, height: 80 });
+  first.saver.change("a", content(1));
+  const second = bench(first.storage);
+  assert.equal(second.saver.restore("a", { ...marks(0, "r0"), width: 300, height: 80 }), null);
+  assert.match(second.log.lost[0], /another picture/);
+  assert.equal(second.saver.isDirty("a"), false);
+});
+
+test("folders of one name do not share what is unsaved", () => {
+  const storage = new Storage();
+  new Unsaved(storage, "id-one").set("a", { wanted: content(1) });
+  assert.equal(new Unsaved(storage, "id-two").get("a"), null);
+  assert.deepEqual(new Unsaved(storage, "id-two").names(), []);
+});
+
+test("a file that was deleted is said to be", async () => {
+  const { saver, run, answer, log, state } = bench();
+  saver.change("a", content(1));
+  run();
+  const gone = { points: [null, null], invisible: [], revision: null, source: "none" };
+  await answer("fail", { status: 409, body: { current: gone } });
+  assert.equal(saver.wasDeleted("a"), true);
+  saver.settle("a", "mine");
+  assert.equal(saver.wasDeleted("a"), false);
+  assert.equal(log.sent[1].body.revision, null);
+  await answer("ok");
+  assert.equal(state(), "saved");
+});
+
+test("an address that names no picture is no fault", () => {
+  assert.equal(nameIn("#100%"), "");
+  assert.equal(nameIn("#a%20b.png"), "a b.png");
+});
+
 // Templates ---------------------------------------------------------------------------------------------------------
 
 const clicks = (list, options) => list.reduce((draft, xy) => template.addPoint(draft, xy, options), template.EMPTY);
@@ -591,6 +710,21 @@ test("what is wrong with a template is said", () => {
   assert.match(template.fault({ ...draft, points: [[0, 0], null, [1, 1]] }), /'point 2' has no place/);
 });
 
+test("points are the same by their names, and where a template was only renamed by their places", () => {
+  assert.deepEqual(template.mappingByNames(["a", "b", "c"], ["c", "x", "a"]), [2, null, 0]);
+  assert.deepEqual(template.mappingByNames(["a", "b", "c"], ["a", "x", "c"]), [0, 1, 2]);
+  assert.deepEqual(template.mappingByNames(["a", "b"], ["a", "c", "b"]), [0, null, 1]);
+});
+
+test("a draft goes on under a template that was changed elsewhere", () => {
+  const before = { names: ["a", "b", "c"], contours: [], mirror: null, points: [[0, 0], [1, 0], [2, 0]] };
+  const draft = template.deletePoints(template.rename(template.draftOf(before), 0, "first"), [1]);
+  const now = { names: ["new", "c", "a"] };
+  assert.deepEqual(template.rebased(draft, before, now).origins, [2, 1]);
+  const fresh = clicks([[0, 0], [1, 0], [1, 1]]);
+  assert.deepEqual(template.rebased(fresh, null, { names: ["point 3", "other"] }).origins, [null, null, 0]);
+});
+
 // Training ----------------------------------------------------------------------------------------------------------
 
 const project = (states, more = {}) => ({
@@ -633,9 +767,31 @@ test("next is the picture of the best rank, else the next in the folder, round",
 test("the reason is the uncertainty, in words", () => {
   const picture = { state: "proposed", uncertainty: 0.031, rank: 1, doubtful: false };
   const others = [picture, { uncertainty: 0.01 }, { uncertainty: 0.008 }];
-  assert.match(assist.reason(picture, others, {}), /least sure here.*3\.1\s% of the object's size/);
+  assert.match(assist.reason(picture, others, {}), /least sure here.*3\.1\s% of the object's size.*at most 1\.0\s%/);
   assert.match(assist.reason({ ...picture, doubtful: true }, others, {}), /doubts/);
   assert.match(assist.reason(picture, others, null), /Next in the folder/);
+});
+
+test("a fit that has blown up is not told in numbers, and none is called least sure that is not", () => {
+  const wild = { state: "proposed", uncertainty: 1218.1, rank: 1, doubtful: true };
+  const sure = { state: "proposed", uncertainty: 0.0026, rank: 2, doubtful: false };
+  const other = { state: "proposed", uncertainty: 0.004, rank: 1, doubtful: false };
+  assert.match(assist.reason(wild, [wild, sure, other], {}), /over 100\s%/);
+  assert.doesNotMatch(assist.reason(sure, [wild, sure, other], {}), /least sure/);
+  assert.match(assist.reason(other, [wild, sure, other], {}), /least sure here.*0\.40\s%.*at most 0\.26\s%/);
+});
+
+test("what was left out, what was passed over, and a model of another template are told", () => {
+  const names = ["a", "b"];
+  assert.deepEqual(assist.notices({ model: { n_points: 2 }, template: { names } }), []);
+  const groups = assist.notices({
+    model: { n_points: 3, left_out: { "x.png": "too dark" } },
+    template: { names },
+    problems: ["2 pictures passed over"],
+  });
+  assert.equal(groups.length, 3);
+  assert.match(groups[0].lines[0], /3 points where the template has 2/);
+  assert.deepEqual(groups[1].lines, ["x.png: too dark"]);
 });
 
 test("the loupe stays inside the canvas and off the finger", () => {

@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 
+import { fileNameIn } from "./modules/fit-export.js";
 import { shareAfterKey } from "./modules/divider.js";
 import * as geometry from "./modules/fit-geometry.js";
 import { cleaned, comparison, duration, factsOf, FitStore, significant, verdictOf } from "./modules/fit-run.js";
@@ -79,7 +80,7 @@ test("chroma that is cut short is refused with a remedy", () => {
           [1, 1],
         ]).slice(0, 20),
       ),
-    /20 octets in place of 24/,
+    /20 octets in place of 32/,
   );
 });
 
@@ -461,4 +462,22 @@ test("the mean shape is the model's, else a layout with as many points, else whe
   assert.deepEqual(meanShape({ model: { n_points: 1 }, template: { points: [[2, 2]] } }, began), [[2, 2]]);
   assert.deepEqual(meanShape({ model: { n_points: 2 }, template: { points: [[2, 2]] } }, began), [[5, 5]]);
   assert.equal(meanShape({ model: { n_points: 2 }, template: null }, null), null);
+});
+
+test("chroma says how much of the picture it covers; that of before covers all", () => {
+  const bytes = new ArrayBuffer(16 + 4 * 2);
+  new Uint32Array(bytes, 0, 2).set([2, 1]);
+  new Float32Array(bytes, 8, 2).set([1001, 996.5]);
+  new Int16Array(bytes, 16).set([1, 2, 3, inv.MASKED]);
+  const chroma = inv.parseChroma(bytes);
+  assert.deepEqual([chroma.width, chroma.height, chroma.covered], [2, 1, [1001, 996.5]]);
+  assert.deepEqual([...chroma.values], [1, 2, 3, inv.MASKED]);
+  assert.equal(inv.parseChroma(buffer(1, 1, [[5, 6]])).covered, null);
+});
+
+test("a file is called what the server says", () => {
+  assert.equal(fileNameIn('attachment; filename="a b.png"', "x"), "a b.png");
+  assert.equal(fileNameIn("attachment; filename=\"a.png\"; filename*=UTF-8''%C3%A4.png", "x"), "ä.png");
+  assert.equal(fileNameIn("attachment; filename*=UTF-8''%zz; filename=b.png", "x"), "b.png");
+  assert.equal(fileNameIn(null, "flat"), "flat");
 });

@@ -72,10 +72,29 @@ const STATUS = {
   saved: "Saved",
   saving: "Saving…",
   offline: "Not saved – server unreachable, will retry",
+  failing: "Not saved – will retry",
   refused: "Not saved",
-  conflict: "Not saved – changed in another tab",
+  conflict: "Not saved – changed elsewhere",
   draft: "The template is saved with Done",
 };
+
+/** What is asked where the file is not what this tab read. */
+const CHANGED = {
+  title: "Changed elsewhere",
+  text: (name) =>
+    `The landmarks of ${name} were changed in another tab, or by another program, since this tab read them.`,
+  theirs: "Take theirs",
+  mine: "Keep mine",
+};
+const DELETED = {
+  title: "The landmark file was deleted",
+  text: (name) =>
+    `The landmark file of ${name} has gone since this tab read it: somebody deleted, renamed or moved it.`,
+  theirs: "Leave it deleted",
+  mine: "Write it again",
+};
+
+const sentence = (text) => (/[.!?]$/.test(text) ? text : `${text}.`);
 
 export function mount(root, app) {
   return new AnnotateTab(root, app).api();
@@ -138,7 +157,7 @@ class AnnotateTab {
       onchange: () => this.refresh(),
       say: (text) => this.say(text),
       onsave: (work) => this.saveTemplate(work),
-      oncancel: () => this.leaveTemplate(),
+      oncancel: () => this.cancelTemplate(),
     });
     this.tool = new PointTool(this.viewer, () => this.doc, { boxes: () => this.boxing, onend: () => this.refresh() });
     this.viewer.tool = this.tool;
@@ -422,6 +441,7 @@ class AnnotateTab {
   async open(name) {
     const turn = ++this.opening;
     const before = this.name;
+    const { width: wasWide, height: wasHigh } = this.viewer;
     this.tool.cancel();
     this.tool.leave(); // what the pointer was over is gone
     this.preview = null;
@@ -440,7 +460,7 @@ class AnnotateTab {
       if (turn !== this.opening) return;
       const { width, height } = marks ?? picture;
       this.viewer.setPicture(picture.bitmap, width, height);
-      if (before !== name) this.viewer.fit();
+      if (before !== name || width !== wasWide || height !== wasHigh) this.viewer.fit();
       if (!this.template) this.beginTemplate();
       else await this.take(name, marks, turn);
     } catch (error) {
@@ -501,7 +521,7 @@ class AnnotateTab {
 
   /** Show what the server has of a picture, or what an earlier page could not save. */
   async take(name, marks, turn = this.opening) {
-    const kept = await this.inherited(name, marks);
+    const kept = (await this.inherited(name, marks)) ?? this.saver.pending(name);
     const state = kept ? { ...kept, source: "file" } : await this.beginning(marks);
     if (turn !== this.opening) return;
     const old = this.books.get(name);
@@ -516,6 +536,8 @@ class AnnotateTab {
       message: marks.status,
       hidden: null,
       key: this.pictureKey(name),
+      tag: this.state.picture(name)?.tag,
+      template: this.template.revision,
     };
     book.hidden = new Set(book.history.state.invisible);
     this.books.set(name, book);
@@ -581,7 +603,7 @@ class AnnotateTab {
     const ours = kept === null || (await this.page.inherits(kept.page));
     if (this.saver.isDirty(name)) return null;
     if (ours) return this.saver.restore(name, marks);
-    this.saver.known(name, marks.revision, contentOf(marks)); // another tab is at it
+    this.saver.known(name, marks.revision, contentOf(marks), marks); // another tab is at it
     return null;
   }
 
@@ -596,7 +618,12 @@ class AnnotateTab {
 
   /** Whether the person has done nothing here: then newer marks may replace what is shown. */
   get pristine() {
-    return this.book !== null && !this.book.history.canUndo && !this.saver.isDirty(this.name) && !this.tool.gesture;
+    return this.book !== null && !this.book.history.canUndo && this.idle;
+  }
+
+  /** Whether nothing is under way: neither a gesture nor a save. */
+  get idle() {
+    return !this.saver.isDirty(this.name) && !this.tool.gesture;
   }
 
   async reload() {
@@ -622,9 +649,15 @@ class AnnotateTab {
     const { api } = this.app;
     this.page = new Page();
     this.saver = new Saver({
-      put: (name, body) =>
-        api.put(api.url("pictures", name, "landmarks"), body, { keepalive: JSON.stringify(body).length < KEEPALIVE }),
-      unsaved: new Unsaved(localStorage, this.state.project.folder, this.page.name),
+      put: (name, body) => {
+        const options = { keepalive: JSON.stringify(body).length < KEEPALIVE };
+        const send = () => api.put(api.url("pictures", name, "landmarks"), body, options);
+        return this.state.unsure ? this.state.sure().then(send) : send(); // at once, where the page is going away
+      },
+      unsaved: new Unsaved(localStorage, this.state.project.id ?? this.state.project.folder, this.page.name),
+      template: () => this.template && { names: this.template.names, revision: this.template.revision },
+      onTemplate: (name) => this.templateMoved(name),
+      onLost: (name, sentence) => this.app.toast(sentence, "bad"),
       onStatus: (state, message) => this.showStatus(state, message),
       onSaved: (name, answer) => this.saved(name, answer),
       onConflict: (name, current) => this.decide(name, current),
@@ -646,13 +679,19 @@ class AnnotateTab {
         ? "Not saved, but kept – open the address that 'liaam studio' printed"
         : STATUS[state];
     status.title = message || status.textContent;
-    if (state === "refused" && status.dataset.told !== message) this.app.toast(`Not saved: ${message}`, "bad");
-    status.dataset.told = state === "refused" ? message : "";
+    this.complain(state === "refused" || state === "failing" ? `Not saved: ${message}` : "");
     this.decideButton.hidden = state !== "conflict";
     // Read out what went wrong and that it is well again, not every save.
-    const wrong = ["offline", "refused", "conflict"];
+    const wrong = ["offline", "failing", "refused", "conflict"];
     if (wrong.includes(state) && before !== state) this.say(status.title);
     if (wrong.includes(before) && state === "saved") this.say(STATUS.saved);
+  }
+
+  /** Say why nothing is saved, once; it goes when there is nothing to complain about. */
+  complain(text) {
+    if (text === this.complaint?.text) return;
+    this.complaint?.close();
+    this.complaint = text ? { text, close: this.app.toast(text, "bad") } : null;
   }
 
   /** A template is not saved before it is done; nothing should look as if it were. */
@@ -665,15 +704,10 @@ class AnnotateTab {
   async decide(name) {
     if (this.deciding || name === null) return;
     this.deciding = true;
-    const { h } = this.app.ui;
-    const body = h(
-      "p",
-      {},
-      `The landmarks of ${name} were changed in another tab, or by another program, since this tab read them.`,
-    );
-    const choice = await this.app.ui.dialog("Changed in another tab", body, [
-      { label: "Take theirs", value: "theirs", testid: "conflict-theirs" },
-      { label: "Keep mine", kind: "primary", value: "mine", testid: "conflict-mine" },
+    const { title, text, theirs, mine } = this.saver.wasDeleted(name) ? DELETED : CHANGED;
+    const choice = await this.app.ui.dialog(title, text(name), [
+      { label: theirs, value: "theirs", testid: "conflict-theirs" },
+      { label: mine, kind: "primary", value: "mine", testid: "conflict-mine" },
     ]);
     this.deciding = false;
     if (choice === null) return; // undecided: said in the status line, with a button to decide
@@ -687,6 +721,43 @@ class AnnotateTab {
     this.shapes.delete(name);
     if (name === this.name) this.reload();
     else this.books.delete(name);
+  }
+
+  /** The server refused marks because they are of a template that is no more: learn the new one, carry them over. */
+  async templateMoved(name) {
+    const before = this.template?.revision;
+    await this.state.refresh().catch(() => {}); // unreachable: `online` tries again
+    // Another template came with it: `projectChanged` has seen to all that is unsaved.
+    if (this.template && this.template.revision === before) await this.rebase([name]);
+  }
+
+  /** Carry what is not saved yet over to the present template. */
+  async rebase(names = this.saver.dirty, mapping = null) {
+    for (const name of names) {
+      const marks = await this.fetchMarks(name).catch(() => null);
+      if (marks) this.saver.rebase(name, marks, mapping);
+    }
+  }
+
+  /** The template was made or changed elsewhere; what is being done here goes on under the new one. */
+  async templateChanged(before) {
+    const drafting = this.editing && this.editor.hasChanges;
+    this.book = null;
+    if (drafting) {
+      this.editor.rebase(this.template);
+      this.app.toast("The template was changed elsewhere. What you made is still here: look at it, then press Done.");
+    } else if (before) {
+      this.app.toast("The template was changed elsewhere, and is shown as it is now.");
+    }
+    await this.rebase();
+    if (drafting) return;
+    this.leaveTemplate();
+    if (this.visible) await this.open(this.name);
+  }
+
+  cancelTemplate() {
+    this.leaveTemplate();
+    if (!this.book && this.visible) this.open(this.name);
   }
 
   /** Pictures that an earlier page could not save are saved now, whether they are opened or not. */
@@ -742,14 +813,13 @@ class AnnotateTab {
   projectChanged() {
     const key = JSON.stringify(this.template);
     if (key !== this.templateKey) {
+      const before = this.templateKey !== "null";
       this.templateKey = key;
       this.shapes.clear();
       this.books.clear();
       if (this.template && !this.saving) {
-        // made or changed in another tab
-        if (this.editing) this.app.toast("The template was changed in another tab.");
-        this.leaveTemplate();
-        if (this.visible) this.open(this.name);
+        this.templateChanged(before);
+        return;
       }
     }
     if (
@@ -760,12 +830,9 @@ class AnnotateTab {
       !this.cover.hidden
     )
       this.open(this.state.current);
-    else if (
-      this.book &&
-      this.pristine &&
-      this.marks.source !== "file" &&
-      this.book.key !== this.pictureKey(this.name)
-    ) {
+    else if (this.book && !this.editing && this.idle && this.book.tag !== this.state.picture(this.name)?.tag) {
+      this.open(this.name); // the file was replaced
+    } else if (this.book && this.pristine && this.book.key !== this.pictureKey(this.name)) {
       this.book.key = this.pictureKey(this.name);
       this.reload();
     }
@@ -803,17 +870,17 @@ class AnnotateTab {
     this.viewer.canvas.focus({ preventScroll: true });
   }
 
-  async saveTemplate({ template, mapping, points }) {
+  async saveTemplate({ template, mapping, points, isFresh }) {
     const { api, state } = this.app;
     const isNew = !this.template;
     // Editing the template does not place what was missing on this picture, but for points that are new.
-    const before = this.marks;
-    const hadFile = before?.source === "file";
     await this.saver.flush();
+    const before = this.marks ?? (isNew ? null : await this.fetchMarks(this.name));
+    const hadFile = before?.source === "file";
     this.saving = true;
     try {
       const saved = await api.put(api.url("template"), mapping ? { ...template, mapping } : template);
-      state.project.template = saved;
+      await this.keepUnsaved(saved, mapping);
       this.templateKey = JSON.stringify(saved);
       this.books.clear();
       this.shapes.clear();
@@ -822,13 +889,26 @@ class AnnotateTab {
       const marks = await this.fetchMarks(this.name);
       this.leaveTemplate();
       await this.take(this.name, marks);
-      if (isNew && marks.source !== "file") this.commit({ points }, "template");
+      if (isFresh && marks.source !== "file") this.commit({ points }, "template");
       else if (hadFile) this.commitEdited(points, mapping ?? indicesOf(points), before);
       await this.saver.flush(this.name);
+    } catch (error) {
+      if (error.status !== 409 || !error.body?.template) throw error;
+      // What was made stays in the editor, on top of what the template is now.
+      this.saving = false;
+      this.templateKey = ""; // whatever has come meanwhile
+      await state.refresh();
+      throw new Error(`${sentence(error.message)} What you made is still here: look at it, then press Done again.`);
     } finally {
       this.saving = false;
     }
     this.app.toast(isNew ? "Template saved, and with it the points of this picture." : "Template saved.", "good");
+  }
+
+  /** The template is another from now on: what could not be saved before goes along. */
+  async keepUnsaved(template, mapping) {
+    this.state.project.template = template;
+    if (template) await this.rebase(this.saver.dirty, mapping);
   }
 
   commitEdited(points, mapping, before) {

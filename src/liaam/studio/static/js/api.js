@@ -58,4 +58,9 @@ export const api = {
     json(address, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: blob, ...options }),
   buffer: async (address, options = {}) => (await send(address, options)).arrayBuffer(),
   blob: async (address, options = {}) => (await send(address, options)).blob(),
+  /** A file to save: {blob, disposition: what the server says of its name}. */
+  file: async (address, options = {}) => {
+    const answer = await send(address, options);
+    return { blob: await answer.blob(), disposition: answer.headers.get("content-disposition") };
+  },
 };

@@ -28,7 +28,13 @@ export function nextToTeach(pictures, current) {
   return open.reduce((best, picture) => (best === null || rank(picture) < rank(best) ? picture : best), null);
 }
 
-const percent = (share) => `${(100 * share).toFixed(share < 0.01 ? 2 : 1)}\u00a0%`;
+const NBSP = "\u00a0";
+
+/** A share for people; beyond the object's own size a number says nothing. */
+function percent(share) {
+  if (!(share <= 1)) return `over 100${NBSP}%`;
+  return `${(100 * share).toFixed(share < 0.01 ? 2 : 1)}${NBSP}%`;
+}
 
 /** Why this picture comes next, in one sentence. */
 export function reason(picture, pictures, model) {
@@ -36,16 +42,35 @@ export function reason(picture, pictures, model) {
   if (!model) return "Next in the folder; once there is a model, the picture that teaches it most comes first.";
   if (picture.state === "partial") return "Some of its points are still missing.";
   if (picture.uncertainty == null) return "The model has not looked at it yet.";
-  const known = pictures
-    .map((each) => each.uncertainty)
-    .filter((value) => value != null)
-    .sort((a, b) => a - b);
-  const median = known[Math.floor(known.length / 2)];
   const sure = `its points are uncertain by ${percent(picture.uncertainty)} of the object's size`;
   if (picture.doubtful) return `The model doubts its own points here (${sure}), so correcting them teaches most.`;
-  return picture.rank === 1
-    ? `The model is least sure here: ${sure} (half of the pictures: below ${percent(median)}).`
-    : `Of those left, the model is least sure here: ${sure}.`;
+  // Only with its like can it be compared: where the model doubts its points, so it does how sure they are.
+  const known = pictures
+    .filter((each) => each.uncertainty != null && !each.doubtful && each.state !== "done")
+    .map((each) => each.uncertainty)
+    .sort((a, b) => a - b);
+  if (known.length < 2 || picture.uncertainty < known.at(-1)) return `${sure[0].toUpperCase()}${sure.slice(1)}.`;
+  const median = known[Math.floor((known.length - 1) / 2)];
+  return `Of those left, the model is least sure here: ${sure} (half of them: at most ${percent(median)}).`;
+}
+
+/** What a person should know of the folder and the model: [{title, lines}], without what there is nothing to say of. */
+export function notices({ model, template, problems = [] }) {
+  const left = Object.entries(model?.left_out ?? {}).map(([name, why]) => `${name}: ${why}`);
+  const groups = [
+    { title: "Not as the template", lines: [mismatch({ model, template })].filter(Boolean) },
+    { title: "Left out of the model", lines: left },
+    { title: "In the folder", lines: problems },
+  ];
+  return groups.filter(({ lines }) => lines.length);
+}
+
+/** What is wrong where the model was made for another template, in a sentence; "" where nothing is. */
+export function mismatch({ model, template }) {
+  if (!model || !template || model.n_points === template.names.length) return "";
+  const [has, wants] = [model.n_points, template.names.length];
+  const remedy = "train it anew, or open it in a folder of its template";
+  return `The model has ${has} points where the template has ${wants}, so it cannot place points here: ${remedy}.`;
 }
 
 /**
@@ -109,6 +134,9 @@ export function createAssist({ app, accept, skip }) {
   });
   const why = h("p", { class: "small muted", dataset: { testid: "why-next" } });
 
+  const notes = h("div", { class: "column assist-notes", hidden: true, dataset: { testid: "notices" } });
+  let noted = "";
+
   const element = h(
     "section",
     { class: "panel assist", "aria-label": "The model's help" },
@@ -117,6 +145,7 @@ export function createAssist({ app, accept, skip }) {
     failure,
     h("div", { class: "row assist-go" }, next, pass),
     why,
+    notes,
     autoLabel,
   );
 
@@ -151,6 +180,27 @@ export function createAssist({ app, accept, skip }) {
     }
   }
 
+  /** Long lists stay closed: their titles say that there is something, and how much. */
+  function note(project) {
+    const groups = notices(project);
+    const key = JSON.stringify(groups);
+    if (key === noted) return; // one that was opened stays so
+    noted = key;
+    notes.hidden = !groups.length;
+    notes.replaceChildren(
+      ...groups.map(({ title, lines }) =>
+        lines.length === 1
+          ? h("p", { class: "small" }, lines[0])
+          : h(
+              "details",
+              { class: "small" },
+              h("summary", {}, `${title}: ${lines.length} remarks`),
+              h("ul", { class: "assist-lines" }, lines.map((line) => h("li", {}, line))),
+            ),
+      ),
+    );
+  }
+
   function showFailure(text) {
     failure.textContent = text;
     failure.hidden = !text;
@@ -176,6 +226,7 @@ export function createAssist({ app, accept, skip }) {
           : "Train the model with all that is done";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     explain(pictures, model, done);
+    note(project);
   }
 
   function showProgress({ phase, done, total, what: doing }) {

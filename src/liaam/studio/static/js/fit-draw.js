@@ -73,8 +73,10 @@ export function drawTruth(ctx, viewer, points, colour = "#6df2a4") {
   }
 }
 
-/** Draw an image over all of the viewer's picture, right of a line (css pixels) where one is given. */
-export function drawOver(ctx, viewer, image, from = null) {
+/** Draw an image over the viewer's picture, right of a line (css pixels) where one is given. covered: [width, height]
+ *  of the picture that the image is of, in the picture's pixels from its upper left; null: all of it. */
+export function drawOver(ctx, viewer, image, from = null, covered = null) {
+  const [width, height] = covered ?? [viewer.width, viewer.height];
   ctx.save();
   if (from !== null) {
     ctx.beginPath();
@@ -82,6 +84,6 @@ export function drawOver(ctx, viewer, image, from = null) {
     ctx.clip();
   }
   ctx.imageSmoothingEnabled = viewer.scale < 3;
-  ctx.drawImage(image, viewer.left, viewer.top, viewer.scale * viewer.width, viewer.scale * viewer.height);
+  ctx.drawImage(image, viewer.left, viewer.top, viewer.scale * width, viewer.scale * height);
   ctx.restore();
 }

@@ -27,9 +27,10 @@ const EXPORTS = [
 ];
 
 export class ExportMenu {
-  /** `light()` gives the light that is set; `annotate(fit)` takes the landmarks into the folder. */
-  constructor({ light, annotate }) {
+  /** `light()` gives the light that is set; `annotate(fit)` takes the landmarks into the folder; `complain(error)`. */
+  constructor({ light, annotate, complain }) {
     this._light = light;
+    this._complain = complain;
     this._fit = null;
     this.button = roomy(
       button("Export", {
@@ -81,11 +82,11 @@ export class ExportMenu {
     });
   }
 
-  /** Offer what a fit has; null: nothing. */
-  show(fit, ofFolder) {
+  /** Offer what a fit has; null: nothing. canAnnotate: whether folder has its picture, and the template its points. */
+  show(fit, canAnnotate) {
     this._fit = fit;
     this.button.disabled = !fit;
-    this._annotate.hidden = !ofFolder;
+    this._annotate.hidden = !canAnnotate;
     if (!fit) this.close();
   }
 
@@ -97,11 +98,42 @@ export class ExportMenu {
   _item({ what, label, layer }) {
     const link = h(
       "a",
-      { class: "button ghost small", download: "", dataset: { testid: `export-${what}` }, onclick: () => this.close() },
+      {
+        class: "button ghost small",
+        download: "",
+        dataset: { testid: `export-${what}` },
+        onclick: (event) => {
+          event.preventDefault(); // a link would say nothing while the server works, nor if it refuses
+          this._save(link, what);
+        },
+      },
       label,
     );
     this._links.set(what, { link, layer });
     return link;
+  }
+
+  /** Fetch a file and hand it to the browser; the menu stays open and says that it is being made. */
+  async _save(link, what) {
+    if (link.getAttribute("aria-busy") === "true") return;
+    const label = link.textContent;
+    link.setAttribute("aria-busy", "true");
+    link.textContent = `${label} …`;
+    try {
+      const { blob, disposition } = await api.file(link.getAttribute("href"));
+      const address = URL.createObjectURL(blob);
+      const saver = h("a", { href: address, download: fileNameIn(disposition, what) });
+      document.body.append(saver);
+      saver.click();
+      saver.remove();
+      setTimeout(() => URL.revokeObjectURL(address), 60_000); // the browser may not have begun to read it
+      this.close();
+    } catch (error) {
+      this._complain(error);
+    } finally {
+      link.removeAttribute("aria-busy");
+      link.textContent = label;
+    }
   }
 
   _toggle() {
@@ -120,9 +152,24 @@ export class ExportMenu {
   }
 }
 
+/** Name that an answer gives its file. */
+export function fileNameIn(disposition, otherwise) {
+  const [, encoded] = /filename\*=UTF-8''([^;]+)/i.exec(disposition ?? "") ?? [];
+  if (encoded) {
+    try {
+      return decodeURIComponent(encoded);
+    } catch {
+      // then the plain one
+    }
+  }
+  const [, quoted, bare] = /filename=(?:"([^"]+)"|([^;"\s]+))/i.exec(disposition ?? "") ?? [];
+  return quoted ?? bare ?? otherwise;
+}
+
 /** Save a fit's landmarks as the picture's annotation; asks where there are some already. Gives whether it was saved. */
 export async function useAsAnnotation(app, fit) {
   const address = api.url("pictures", fit.picture, "landmarks");
+  const { template } = app.state.project;
   const known = await api.get(address);
   const placed = known.source === "file" && known.points.some(Boolean);
   if (placed) {
@@ -137,6 +184,7 @@ export async function useAsAnnotation(app, fit) {
     points: fit.shape,
     invisible: placed ? known.invisible : [],
     revision: known.revision,
+    ...(template?.revision === undefined ? {} : { template: template.revision }),
   });
   app.state.update(saved.picture);
   return true;

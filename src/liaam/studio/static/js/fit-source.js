@@ -8,15 +8,17 @@ const SHOWN = 2048;
 
 /** One picture to fit. `ready` resolves once the server knows it; `image` is what is shown until and after then. */
 export class Source {
-  constructor(kind, name) {
+  /** `tag`: of the picture's file in the folder, which another may take the place of. */
+  constructor(kind, name, tag = null) {
     this.kind = kind;
     this.name = name;
+    this.tag = tag;
     this.id = null;
     this.image = null;
     this.width = this.height = 0;
     this.ready = null;
     this.started = performance.now();
-    this.key = kind === "picture" ? `picture ${name}` : `upload ${(uploads += 1)}`;
+    this.key = kind === "picture" ? `picture ${name} ${tag}` : `upload ${(uploads += 1)}`;
   }
 
   get ofFolder() {
@@ -29,7 +31,8 @@ export class Source {
   }
 
   address(what, query = {}) {
-    return this.ofFolder ? api.url("pictures", this.name, what, query) : api.url("uploads", this.id, what, query);
+    if (!this.ofFolder) return api.url("uploads", this.id, what, query);
+    return api.url("pictures", this.name, what, { ...query, tag: this.tag });
   }
 }
 
@@ -60,7 +63,9 @@ export class Sources extends EventTarget {
       this._follow();
     });
     state.addEventListener("project", () => {
-      if (!this.current) this._follow();
+      if (!this.current?.ofFolder) {
+        if (!this.current) this._follow();
+      } else if (this._watchers) this._follow();
     });
   }
 
@@ -82,12 +87,16 @@ export class Sources extends EventTarget {
   _follow() {
     const name = this.state.current;
     if (!this._watchers || !name) return;
-    if (this.current?.ofFolder && this.current.name === name) return;
-    this._open(name);
+    const { tag = null } = this.state.picture(name) ?? {};
+    const isOf = (source) => source?.ofFolder && source.name === name && source.tag === tag;
+    if (isOf(this.current)) return;
+    if (isOf(this._wanted) && this._wanted.opening) return;
+    this._open(name, tag);
   }
 
-  async _open(name) {
-    const source = new Source("picture", name);
+  async _open(name, tag) {
+    const source = new Source("picture", name, tag);
+    source.opening = true;
     this._wanted = source;
     source.ready = Promise.resolve(source);
     try {
@@ -97,12 +106,14 @@ export class Sources extends EventTarget {
       const size = known?.width ? known : await this._sizeOf(source, image);
       Object.assign(source, { image, width: size.width, height: size.height });
     } catch (error) {
+      source.opening = false;
       if (this._wanted !== source) return;
       // The strip has gone on to it: the picture before must not stay as if it were this one.
       this._show(null);
       this._say("failed", { error: namely(error, name), source });
       return;
     }
+    source.opening = false;
     if (this._wanted === source) this._show(source);
   }
 

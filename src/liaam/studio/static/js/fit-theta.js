@@ -49,6 +49,11 @@ export class InvariantView extends EventTarget {
     return this.canvas;
   }
 
+  /** How much of the picture the image is of, in the picture's pixels; null: all. */
+  get covered() {
+    return this._chroma?.covered ?? null;
+  }
+
   /** Forget the picture; its chroma is fetched when the view is opened. */
   clear() {
     this._chroma = null;

@@ -330,7 +330,8 @@ export class FitView {
 
   _draw(ctx, viewer) {
     const image = this._image();
-    if (image) drawOver(ctx, viewer, image, this.divider.visible ? this.divider.x : null);
+    const covered = this.name === "invariant" ? this.invariant.covered : null;
+    if (image) drawOver(ctx, viewer, image, this.divider.visible ? this.divider.x : null, covered);
     if (this.fit && !this.tool?.hidesFit) drawFit(ctx, viewer, this.fit, this.shown, this.iteration ?? {});
     this.tool?.draw(ctx, viewer);
     this.light.draw(ctx, viewer);

@@ -1,5 +1,6 @@
 // The Fit tab: a picture comes in, the model is fitted to it, and the result is looked at from all sides.
 
+import { mismatch } from "./assist.js";
 import { FitView } from "./fit-view.js";
 import { entries, modelNeeded } from "./fit-draw.js";
 import { ExportMenu, useAsAnnotation } from "./fit-export.js";
@@ -67,7 +68,11 @@ class FitTab {
     this.box = new BoxTool(this.view.viewer, () => this.run());
     this.mean = new MeanTool(this.view.viewer);
     this.iterations = new Iterations((index, last) => this._iterate(index, last));
-    this.exports = new ExportMenu({ light: () => this.view.light, annotate: (fit) => this._annotate(fit) });
+    this.exports = new ExportMenu({
+      light: () => this.view.light,
+      annotate: (fit) => this._annotate(fit),
+      complain: (error) => this._complain(error),
+    });
     this._build(root);
     this._listen();
     this._expose();
@@ -186,7 +191,7 @@ class FitTab {
     this.view.setFit(fit);
     this.view.setAngles({ model: this.state.project.model?.theta_deg, fit: fit?.theta_deg });
     this.iterations.show(fit?.iterations ?? []);
-    this.exports.show(fit, ofFolder);
+    this.exports.show(fit, ofFolder && !mismatch(this.state.project));
     this._result();
     if (this.start === "mean") this._useMean();
     this.mean.settled = Boolean(fit);
@@ -375,6 +380,7 @@ class FitTab {
       "Fit",
       h("kbd", { class: "kbd" }, "Enter"),
     );
+    this._mismatch = h("p", { class: "small error-text", hidden: true, dataset: { testid: "fit-mismatch" } });
     this._needsModel = h("div", { class: "column" }, modelNeeded(this.app, "fit-to-annotate"));
     this._withModel = h(
       "div",
@@ -393,6 +399,7 @@ class FitTab {
       { class: "panel", "aria-label": "Fit" },
       h("div", { class: "row fit-source" }, this._back, this._label, open),
       this._needsModel,
+      this._mismatch,
       this._withModel,
     );
   }
@@ -524,6 +531,9 @@ class FitTab {
     this._label.title = source?.name ?? "";
     this._back.hidden = source?.kind !== "upload" || !this.state.current;
     this._needsModel.hidden = Boolean(model);
+    this._mismatch.textContent = mismatch(this.state.project ?? {});
+    this._mismatch.hidden = !this._mismatch.textContent;
+    this.exports.show(this.fit, Boolean(source?.ofFolder) && this._mismatch.hidden);
     this._withModel.hidden = !model;
     for (const panel of this._ofFits) panel.hidden = !model;
     this._runButton.disabled = !source;

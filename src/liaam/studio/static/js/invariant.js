@@ -18,19 +18,23 @@ const SAMPLED = 4096;
 const SHARE = 0.01;
 
 /**
- * Chroma of a picture from the server's octets: two uint32 (width, height), then int16 (height, width, 2).
- * Both are little endian, like every machine that runs a browser; typed arrays read them in place.
+ * Chroma of a picture from the server's octets: two uint32 (width, height), two float32 (covered: how much of the
+ * picture it is of, from the left and upper border, in the picture's pixels), then int16 (height, width, 2).
+ * All are little endian, like every machine that runs a browser; typed arrays read them in place. Without the floats,
+ * covered is null: all of the picture.
  */
 export function parseChroma(buffer) {
   if (buffer.byteLength < 8) throw new RangeError("The picture's chroma is cut short: reload the page.");
   const [width, height] = new Uint32Array(buffer, 0, 2);
-  const expected = 8 + 4 * width * height;
-  if (buffer.byteLength !== expected) {
+  const size = 4 * width * height;
+  const [short, expected] = [8 + size, 16 + size];
+  if (buffer.byteLength !== expected && buffer.byteLength !== short) {
     throw new RangeError(
       `The picture's chroma has ${buffer.byteLength} octets in place of ${expected}: reload the page.`,
     );
   }
-  return { width, height, values: new Int16Array(buffer, 8) };
+  const covered = buffer.byteLength === short ? null : [...new Float32Array(buffer, 8, 2)];
+  return { width, height, covered, values: new Int16Array(buffer, buffer.byteLength - size) };
 }
 
 const commonDivisor = (a, b) => (b ? commonDivisor(b, a % b) : a);

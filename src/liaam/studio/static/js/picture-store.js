@@ -8,12 +8,17 @@ export class PictureStore {
   constructor({ api, state }) {
     this.api = api;
     this.state = state;
-    this.pictures = new Map(); // name -> {bitmap, sharp, width, height}
+    this.pictures = new Map(); // name -> {bitmap, sharp, width, height, tag: of the file that it was made of}
   }
 
   /** The picture to show: {bitmap, width, height}, with the size that landmarks are told in. */
   async fetch(name) {
-    return this.pictures.get(name) ?? this.load(name, SHOWN_SIZE);
+    const known = this.pictures.get(name);
+    return known && known.tag === this.tag(name) ? known : this.load(name, SHOWN_SIZE);
+  }
+
+  tag(name) {
+    return this.state.picture(name)?.tag ?? null;
   }
 
   /** A sharper bitmap where `scale` (screen pixels for one of the picture) asks for one; null where none is needed. */
@@ -32,10 +37,12 @@ export class PictureStore {
   }
 
   async load(name, size) {
-    const blob = await this.api.blob(this.api.url("pictures", name, "image", { size }));
+    const tag = this.tag(name);
+    const blob = await this.api.blob(this.api.url("pictures", name, "image", { size, tag }));
     const bitmap = await createImageBitmap(blob);
     const { width, height } = this.state.picture(name) ?? {};
-    const picture = { bitmap, sharp: size > SHOWN_SIZE, width: width ?? bitmap.width, height: height ?? bitmap.height };
+    const sharp = size > SHOWN_SIZE;
+    const picture = { bitmap, sharp, width: width ?? bitmap.width, height: height ?? bitmap.height, tag };
     this.pictures.set(name, picture);
     this.forget(name);
     return picture;

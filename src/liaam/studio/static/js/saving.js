@@ -2,11 +2,22 @@
 // away. Knows neither the page nor what points mean: what is saved is {points, invisible}.
 
 import { sameMarks } from "./points.js";
+import { carried } from "./template.js";
 
 export const DELAY = 250; // milliseconds from a change to its request
 const RETRY = [1000, 2000, 4000, 8000];
 
-const body = (entry) => ({ ...entry.sent, revision: entry.revision });
+/** What is sent says which file and which template it is made for; a server that tells no revision is not told one. */
+function body({ sent, revision, template }) {
+  return template?.revision === undefined
+    ? { ...sent, revision }
+    : { ...sent, revision, template: template.revision };
+}
+
+const sizeOf = ({ width = null, height = null }) => ({ width, height });
+
+/** Whether two sizes may be of one picture: those that were not told may be. */
+const mayBeOne = (a, b) => !a?.width || !b?.width || (a.width === b.width && a.height === b.height);
 
 /** What a picture's landmark file holds, of what the server tells: proposals are not in any file. */
 export function contentOf({ points, invisible, source }) {
@@ -16,6 +27,7 @@ export function contentOf({ points, invisible, source }) {
 /** Unsaved marks of a folder, kept where a reload finds them. Tabs share the storage, so what is kept says whose it is:
  *  `page` names this page. */
 export class Unsaved {
+  /** `folder`: the project's id, as folders of one name are many. */
   constructor(storage, folder, page = "") {
     this.storage = storage;
     this.page = page;
@@ -84,13 +96,20 @@ export class Page {
 }
 
 /** What an entry is waiting for, worst first: the status line shows the worst of all pictures. */
-export const STATES = ["conflict", "refused", "offline", "saving", "saved"];
+export const STATES = ["conflict", "refused", "failing", "offline", "saving", "saved"];
+
+/** Answers after which the same again may be taken: none, one that wants the token, and a server that cannot now. */
+const isOffline = ({ status }) => !status || [401, 403, 421].includes(status);
+const isFinal = (error) => error.status >= 400 && error.status < 500 && !isOffline(error);
 
 export class Saver {
   /** @param {object} options
    *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. It should outlive the page
    *  (keepalive), so that a flush when the page goes away is enough; what does not land is kept in `unsaved`.
-   *  unsaved: Unsaved; onStatus(state, message); onSaved(name, answer); onConflict(name, current); onForeign(name) */
+   *  unsaved: Unsaved; template() -> {names, revision} that marks are made for now;
+   *  onStatus(state, message); onSaved(name, answer); onConflict(name, current); onForeign(name);
+   *  onTemplate(name): the server has another template: give the new one to `template`, then call `rebase`;
+   *  onLost(name, sentence): something that was kept cannot be saved */
   constructor({
     put,
     unsaved,
@@ -98,11 +117,15 @@ export class Saver {
     onSaved = () => {},
     onConflict,
     onForeign = () => {},
+    onTemplate = () => {},
+    onLost = () => {},
+    template = () => null,
     delay = DELAY,
     setTimer = (f, ms) => setTimeout(f, ms),
     clearTimer = (id) => clearTimeout(id),
   }) {
-    Object.assign(this, { put, unsaved, onStatus, onSaved, onConflict, onForeign, delay, setTimer, clearTimer });
+    Object.assign(this, { put, unsaved, onStatus, onSaved, onConflict, onForeign, onTemplate, onLost });
+    Object.assign(this, { template, delay, setTimer, clearTimer });
     this.entries = new Map();
   }
 
@@ -110,6 +133,9 @@ export class Saver {
     if (!this.entries.has(name)) {
       this.entries.set(name, {
         revision: null,
+        template: null,
+        size: null,
+        deleted: false,
         saved: null,
         wanted: null,
         sent: null,
@@ -124,10 +150,22 @@ export class Saver {
   }
 
   /** What the server has now. */
-  known(name, revision, content) {
+  known(name, revision, content, size = null) {
     const entry = this.entry(name);
     entry.revision = revision;
     entry.saved = content;
+    entry.size = size ?? entry.size;
+  }
+
+  /** What is not on the server yet, or null. */
+  pending(name) {
+    const entry = this.entries.get(name);
+    return entry?.wanted ?? entry?.sent ?? null;
+  }
+
+  /** Whether a conflict is about a file that is no longer there. */
+  wasDeleted(name) {
+    return this.entry(name).deleted;
   }
 
   /** Whether something of this picture is not on the server yet. */
@@ -136,8 +174,13 @@ export class Saver {
     return Boolean(entry && (entry.wanted || entry.sent));
   }
 
+  /** Names of all pictures that have something unsaved. */
+  get dirty() {
+    return [...this.entries.keys()].filter((name) => this.isDirty(name));
+  }
+
   get anyDirty() {
-    return [...this.entries.keys()].some((name) => this.isDirty(name));
+    return this.dirty.length > 0;
   }
 
   /** A picture whose conflict waits to be decided, or null. */
@@ -149,6 +192,7 @@ export class Saver {
     const entry = this.entry(name);
     if (!entry.sent && !entry.wanted && entry.saved && sameMarks(entry.saved, content, 0)) return;
     entry.wanted = content;
+    entry.template = this.template();
     this.keep(name, entry);
     if (entry.state === "conflict") return; // the person decides first
     this.mark(entry, "saving");
@@ -165,7 +209,8 @@ export class Saver {
   }
 
   keep(name, entry) {
-    this.unsaved.set(name, { wanted: entry.wanted ?? entry.sent, sent: entry.sent, revision: entry.revision });
+    const { wanted, sent, revision, saved, template, size } = entry;
+    this.unsaved.set(name, { wanted: wanted ?? sent, sent, revision, saved, template, size });
   }
 
   mark(entry, state, message = "") {
@@ -221,8 +266,14 @@ export class Saver {
     entry.wanted ??= sent;
     entry.sent = null;
     this.keep(name, entry);
-    const current = error.body?.current;
+    const { current, template } = error.body ?? {};
+    if (error.status === 409 && template && !current) {
+      this.mark(entry, "failing", error.message);
+      this.onTemplate(name);
+      return;
+    }
     if (error.status === 409 && current) {
+      entry.deleted = current.revision === null && entry.revision !== null;
       entry.revision = current.revision;
       entry.saved = contentOf(current);
       // Our own request may have landed although its answer was lost: then there is nothing to decide.
@@ -236,26 +287,21 @@ export class Saver {
       this.onConflict(name, current);
       return;
     }
-    if (
-      error.status >= 400 &&
-      error.status < 500 &&
-      error.status !== 401 &&
-      error.status !== 403 &&
-      error.status !== 421
-    ) {
+    if (isFinal(error)) {
       this.mark(entry, "refused", error.message); // the same again would be refused again
       return;
     }
     const wait = RETRY[Math.min(entry.retries, RETRY.length - 1)];
     entry.retries += 1;
-    this.mark(entry, "offline", error.status === 401 ? error.message : "");
+    if (isOffline(error)) this.mark(entry, "offline", error.status === 401 ? error.message : "");
+    else this.mark(entry, "failing", error.message);
     this.schedule(name, entry, wait);
   }
 
   /** The server answers again. */
   retry() {
     for (const [name, entry] of this.entries) {
-      if (entry.state !== "offline") continue;
+      if (entry.state !== "offline" && entry.state !== "failing") continue;
       this.clearTimer(entry.timer);
       entry.timer = null;
       this.send(name);
@@ -267,6 +313,7 @@ export class Saver {
     const entry = this.entry(name);
     if (entry.state !== "conflict") return Promise.resolve();
     entry.state = "saving";
+    entry.deleted = false;
     if (which === "mine") {
       this.keep(name, entry);
       return this.send(name);
@@ -290,26 +337,82 @@ export class Saver {
     if (heard !== null && heard !== entry.revision) this.onForeign(name);
   }
 
+  /** Unsaved marks of a picture were made for another template than there is now: carry them over.
+   *  current: Marks of the picture under the new template; `mapping`: old index or null of each new point, if known. */
+  rebase(name, current, mapping = null) {
+    const entry = this.entry(name);
+    const content = this.pending(name);
+    if (!content || entry.sent) return; // what is under way comes back here by its answer
+    const moved = this.carry(name, { wanted: content, saved: entry.saved, template: entry.template }, current, mapping);
+    this.known(name, current.revision, contentOf(current), sizeOf(current));
+    entry.template = this.template();
+    entry.state = "saving";
+    entry.retries = 0;
+    this.clearTimer(entry.timer);
+    entry.timer = null;
+    this.resume(name, entry, moved, current);
+  }
+
+  /** Marks of another template as marks of this one: {wanted, ours}; null where none of them has a place in it. */
+  carry(name, { wanted, saved, template }, current, mapping = null) {
+    const now = contentOf(current);
+    const names = this.template()?.names ?? [];
+    const move = (content) => carried(content, template?.names ?? null, names, now, mapping);
+    const { content, lost } = move(wanted);
+    if (lost.length) {
+      const what = lost.length > 3 ? `${lost.length} points` : lost.map((point) => `'${point}'`).join(", ");
+      this.onLost(name, `The template has no ${what} any more, which you had placed in ${name}.`);
+    }
+    return { wanted: content, ours: content && saved ? sameMarks(move(saved).content ?? now, now) : false };
+  }
+
+  /** Save what was taken up, or ask where the server has something else. */
+  resume(name, entry, { wanted, ours }, current) {
+    if (!wanted || sameMarks(wanted, contentOf(current))) {
+      entry.wanted = null;
+      this.unsaved.delete(name);
+      this.mark(entry, "saved");
+      return null;
+    }
+    entry.wanted = wanted;
+    this.keep(name, entry);
+    if (ours) {
+      this.mark(entry, "saving");
+      this.schedule(name, entry, 0);
+    } else {
+      this.mark(entry, "conflict");
+      this.onConflict(name, current);
+    }
+    return wanted;
+  }
+
   /** Take up what an earlier page could not save. `current`: what the server has. Returns the content to show, or
    *  null where the server has it all. */
   restore(name, current) {
     const kept = this.unsaved.get(name);
     const content = contentOf(current);
-    this.known(name, current.revision, content);
-    if (!kept?.wanted || kept.wanted.points?.length !== content.points.length || sameMarks(kept.wanted, content)) {
+    this.known(name, current.revision, content, sizeOf(current));
+    if (!kept?.wanted) {
       this.unsaved.delete(name);
       return null;
     }
     const entry = this.entry(name);
-    const ours = kept.revision === current.revision || (kept.sent && sameMarks(kept.sent, content));
-    entry.wanted = kept.wanted;
-    if (!ours) {
-      this.mark(entry, "conflict");
-      this.onConflict(name, current);
-      return kept.wanted;
+    if (!mayBeOne(kept.size, current)) {
+      this.onLost(name, `${name} is another picture now: the points that were not saved yet belong to the one before.`);
+      this.unsaved.delete(name);
+      return null;
     }
-    this.mark(entry, "saving");
-    this.schedule(name, entry, 0);
-    return kept.wanted;
+    const now = this.template();
+    const another = Boolean(kept.template?.names) && kept.template.revision !== now?.revision;
+    entry.template = now;
+    if (another) return this.resume(name, entry, this.carry(name, kept, current), current);
+    if (kept.wanted.points?.length !== content.points.length) {
+      this.onLost(name, `Points of ${name} that were not saved yet are of another template, and were given up.`);
+      this.unsaved.delete(name);
+      return null;
+    }
+    entry.deleted = current.revision === null && (kept.revision ?? null) !== null;
+    const ours = kept.revision === current.revision || Boolean(kept.sent && sameMarks(kept.sent, content));
+    return this.resume(name, entry, { wanted: kept.wanted, ours }, current);
   }
 }

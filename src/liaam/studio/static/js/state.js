@@ -1,6 +1,17 @@
 // What the page knows of the folder, and the server's events that keep it so.
 
-import { api } from "./api.js";
+import { api, ApiError } from "./api.js";
+
+const LOOK_EVERY = 4000; // milliseconds between two looks at the folder
+
+/** The picture that an address names; none where somebody has written the address by hand, and wrongly. */
+export function nameIn(hash) {
+  try {
+    return decodeURIComponent(hash.slice(1));
+  } catch {
+    return "";
+  }
+}
 
 export class State extends EventTarget {
   constructor() {
@@ -8,17 +19,19 @@ export class State extends EventTarget {
     this.project = null;
     this.current = null;
     this.online = true;
+    this.unsure = false; // whether the server may be another one since: its port may be of another folder now
     this._refreshing = null;
     this._again = false;
   }
 
   /** Read the folder's state, and follow it. */
   async open() {
+    const wanted = nameIn(location.hash); // before another picture is chosen
     await this.refresh();
-    const wanted = decodeURIComponent(location.hash.slice(1));
     const names = this.project.pictures.map((picture) => picture.name);
     this.select(names.includes(wanted) ? wanted : this._first());
     this._follow();
+    this._watch();
   }
 
   picture(name = this.current) {
@@ -66,12 +79,47 @@ export class State extends EventTarget {
     this._say("project");
   }
 
+  /** What other programs do in the folder comes by no event: look again, cheaply, while the page is seen. */
+  async look() {
+    if (document.hidden || this._refreshing || !this.project) return;
+    const { stamp } = this.project;
+    if (stamp === undefined) {
+      await this.refresh();
+      return;
+    }
+    const project = await api.get(api.url("project", { stamp }));
+    if (!project.unchanged && !this._refreshing) this._take(project);
+  }
+
+  _watch() {
+    const look = () => this.look().catch(() => {}); // a lost server is told by the events
+    addEventListener("focus", look);
+    document.addEventListener("visibilitychange", look);
+    setInterval(() => {
+      if (this.project?.stamp !== undefined) look();
+    }, LOOK_EVERY);
+  }
+
+  /** Wait until it is known that the server is still of this page's folder; rejects where it is not, or is away. */
+  async sure() {
+    if (this.unsure) await this.refresh();
+  }
+
+  _take(project) {
+    if (this.project && this.project.id !== project.id) {
+      location.reload(); // what is not saved is kept for the folder that it is of
+      throw new ApiError("The studio shows another folder now.", 0);
+    }
+    this.unsure = false;
+    this.project = project;
+    if (!this.picture()) this.select(this._first());
+    this._say("project");
+  }
+
   async _fetch() {
     try {
-      this.project = await api.get(api.url("project"));
+      this._take(await api.get(api.url("project")));
       this._online(true);
-      if (this.current && !this.picture()) this.select(this._first());
-      this._say("project");
     } catch (error) {
       if (error.unreachable) this._online(false);
       throw error;
@@ -93,6 +141,7 @@ export class State extends EventTarget {
     });
     source.addEventListener("error", () => {
       lost = true;
+      this.unsure = true;
       this._online(false);
       // A browser gives up for good where the answer was an error: a server started anew has another token.
       if (source.readyState === EventSource.CLOSED) setTimeout(() => this._follow(), 2000);

@@ -51,10 +51,12 @@ export function mountStrip(root, state) {
     return STATES[picture.state] ?? picture.state;
   }
 
+  const thumbnail = ({ name, tag }) => api.url("pictures", name, "thumbnail", { tag });
+
   function make(picture) {
     const face = picture.state === "broken"
       ? h("span", { class: "no-picture" }, icon("warning", 20))
-      : h("img", { loading: "lazy", alt: "", draggable: false, src: api.url("pictures", picture.name, "thumbnail") });
+      : h("img", { loading: "lazy", alt: "", draggable: false, src: thumbnail(picture) });
     return h("li", {
       class: "strip-item",
       role: "option",
@@ -77,7 +79,8 @@ export function mountStrip(root, state) {
     const kept = new Set(pictures.map((picture) => picture.name));
     for (const [name, { element }] of items) if (!kept.has(name)) { element.remove(); items.delete(name); }
     pictures.forEach((picture, i) => {
-      const key = [picture.state, picture.placed, picture.doubtful, picture.rank === 1, picture.error].join("|");
+      const { state: progress, placed, doubtful, rank, error, tag } = picture;
+      const key = [progress, placed, doubtful, rank === 1, error, tag].join("|");
       const known = items.get(picture.name);
       if (!known || known.key !== key) {
         const element = make(picture);

@@ -36,7 +36,7 @@ class Kept {
  * The editor of the template over one picture.
  * @param {object} parts
  *  app, viewer; onchange(): something changed, draw again; say(text): to screen readers;
- *  onsave({template, mapping, points}): save; oncancel(): leave without.
+ *  onsave({template, mapping, points, isFresh}): save; oncancel(): leave without.
  */
 export function createTemplateEditor({ app, viewer, onchange, say, onsave, oncancel }) {
   const { h, button, icon } = app.ui;
@@ -47,10 +47,11 @@ export function createTemplateEditor({ app, viewer, onchange, say, onsave, oncan
   let active = -1;
   let axis = null; // x of the mirror line while mirroring
   let saved = null; // the template that is edited, or null for a new one
+  let isFresh = true; // whether it was begun without any template
   let loaded = ""; // the file that a new one came from
   let placing = false; // whether the layout as a whole is being put in place
   let busy = false;
-  const kept = new Kept(app.state.project.folder);
+  const kept = new Kept(app.state.project.id ?? app.state.project.folder);
 
   const doc = {
     editable: true,
@@ -567,11 +568,14 @@ export function createTemplateEditor({ app, viewer, onchange, say, onsave, oncan
       return;
     }
     const mapping = saved && drafts.rearranges(draft, saved.names.length) ? draft.origins : null;
+    // As it is now: while the person is asked, the template may be changed elsewhere.
+    const revision = saved ? saved.revision : null;
+    const work = { template: { ...drafts.templateOf(draft), revision }, mapping, points: draft.points, isFresh };
     if (mapping && !(await agreed())) return;
     busy = true;
     buttons();
     try {
-      await onsave({ template: drafts.templateOf(draft), mapping, points: draft.points });
+      await onsave(work);
       kept.set(null);
     } catch (error) {
       message.textContent = error.message;
@@ -610,6 +614,7 @@ export function createTemplateEditor({ app, viewer, onchange, say, onsave, oncan
   function start(template, points) {
     if (template) kept.set(null); // a template that came from elsewhere makes a draft void
     saved = template;
+    isFresh = template === null;
     loaded = "";
     placing = false;
     axis = null;
@@ -619,6 +624,18 @@ export function createTemplateEditor({ app, viewer, onchange, say, onsave, oncan
     shown = null;
     draft = template ? drafts.draftOf(template, points) : (kept.get() ?? drafts.EMPTY);
     history = new History(draft);
+    refresh();
+  }
+
+  /** The template is another now: what was made becomes a change of that one. */
+  function rebase(template) {
+    const before = saved;
+    saved = template;
+    draft = drafts.rebased(draft, before, template);
+    history = new History(drafts.draftOf(template));
+    history.push(draft, "what was made before");
+    shown = null;
+    kept.set(null);
     refresh();
   }
 
@@ -711,6 +728,7 @@ export function createTemplateEditor({ app, viewer, onchange, say, onsave, oncan
     doc,
     panel,
     start,
+    rebase,
     draw,
     key,
     get draft() {
@@ -736,6 +754,10 @@ export function createTemplateEditor({ app, viewer, onchange, say, onsave, oncan
     /** Whether changes of the saved template would be lost. */
     get isChanging() {
       return saved !== null && history.canUndo;
+    },
+    /** Whether something was made here that is not saved. */
+    get hasChanges() {
+      return saved === null ? draft.names.length > 0 : history.canUndo;
     },
     get started() {
       return draft.names.length > 0;

@@ -193,6 +193,44 @@ export function templateOf(draft) {
   };
 }
 
+/** Index in the template before of each point of the present one, null where it is new: by their names. Points that
+ *  kept their place while others were called otherwise are the same, so a template that was only renamed maps too. */
+export function mappingByNames(before, now) {
+  const was = now.map((name) => before.indexOf(name));
+  const stays = (old, i) => old === i || (old < 0 && !now.includes(before[i]));
+  const renamed = before.length === now.length && was.every(stays);
+  return was.map((old, i) => (renamed ? i : old < 0 ? null : old));
+}
+
+/**
+ * Marks of another template as marks of the present one.
+ * content: {points, invisible}; before: names of its template, or null where they are not known; now: names of the
+ * present one; current: the picture's marks on the server, which fill in points that are new.
+ * Gives {content, lost: names of placed points that the present template lacks}; content null: nothing is known.
+ */
+export function carried(content, before, now, current, mapping = null) {
+  if (!before && !mapping) return { content: null, lost: content.points.map((_, i) => `point ${i + 1}`) };
+  const origins = mapping ?? mappingByNames(before, now);
+  const hidden = new Set(content.invisible);
+  const known = new Set(current.invisible);
+  const points = origins.map((old, i) => (old === null ? (current.points[i] ?? null) : (content.points[old] ?? null)));
+  const isHidden = (old, i) => (old === null ? known.has(i) : hidden.has(old));
+  const invisible = indicesOf(points).filter((i) => points[i] && isHidden(origins[i], i));
+  const kept = new Set(origins);
+  const gone = indicesOf(content.points).filter((i) => content.points[i] && !kept.has(i));
+  return { content: { points, invisible }, lost: gone.map((i) => before?.[i] ?? `point ${i + 1}`) };
+}
+
+/** A draft of the template `before` (null: of none) as one of `now`, which it became elsewhere meanwhile. */
+export function rebased(draft, before, now) {
+  const moved = before ? mappingByNames(before.names, now.names) : [];
+  const origins = draft.origins.map((origin, i) => {
+    const at = origin === null ? now.names.indexOf(draft.names[i]) : moved.indexOf(origin);
+    return at < 0 ? null : at;
+  });
+  return { ...draft, origins: origins.map((origin, i) => (origins.indexOf(origin) === i ? origin : null)) };
+}
+
 /** Whether saved landmark files have to be rewritten. */
 export function rearranges(draft, count) {
   return draft.origins.length !== count || draft.origins.some((origin, i) => origin !== i);

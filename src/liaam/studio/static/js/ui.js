@@ -155,7 +155,10 @@ export function dialog(title, body, actions = [{ label: "Close", value: null }],
     box.addEventListener("close", () => { box.remove(); resolve(chosen); });
     document.body.append(box);
     box.showModal();
-    box.querySelector(".dialog-foot .primary, .dialog-foot button")?.focus();
+    // A long body begins at its beginning, wherever the focus is.
+    box.querySelector(".dialog-foot .primary, .dialog-foot button")?.focus({ preventScroll: true });
+    box.scrollTop = 0;
+    box.querySelector(".dialog-body").scrollTop = 0;
   });
 }
 
@@ -172,7 +175,7 @@ export function download(address) {
   link.remove();
 }
 
-/** Say something at the bottom of the page; errors stay until they are closed. */
+/** Say something at the bottom of the page; errors stay until they are closed. Gives a function that takes it away. */
 export function toast(message, kind = "info") {
   const box = document.getElementById("toasts");
   const text = message instanceof Error ? message.message : String(message);
@@ -182,6 +185,7 @@ export function toast(message, kind = "info") {
   box.append(item);
   while (box.children.length > 4) box.firstChild.remove();
   if (kind !== "bad") setTimeout(() => item.remove(), 5000);
+  return () => item.remove();
 }
 
 /** Whether keys belong to a field that is being typed into. */

@@ -1,0 +1,127 @@
+"""What happens outside of the page: other folders, other programs, and the address, in a real browser."""
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+from people import client, drag, open_picture, opened, picture, points_of, saved, wait_for
+
+from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
+
+NAMES = [f"portrait-{i + 1:02d}.png" for i in range(3)]
+
+
+@pytest.fixture
+def marked(tmp_path, portraits):
+    """Give a folder of three pictures with five points each."""
+    root = tmp_path / "one" / "faces"
+    root.mkdir(parents=True)
+    for name, scene in zip(NAMES, portraits, strict=False):
+        write_image(root / name, scene.image)
+        write_landmarks((root / name).with_suffix(".ljson"), Landmarks(scene.landmarks[[0, 6, 12, 33, 49]]))
+    return root
+
+
+def port_of(server) -> str:
+    """Port of a server's address."""
+    return server.address.split(":")[2].split("/")[0]
+
+
+def test_unsaved_marks_stay_with_their_folder_whatever_another_is_called(serve, page, marked, tmp_path):
+    other = tmp_path / "two" / "faces"
+    shutil.copytree(marked, other)
+    first = serve(marked, "--port", "0")
+    page.goto(first.address)
+    open_picture(page, NAMES[1])
+    port = port_of(first)
+    first.kill()
+    drag(page, client(page, 2), [v + 30 for v in client(page, 2)])
+    page.wait_for_selector("[data-testid=save-status]:not([data-state=saved])")
+    mine = points_of(page)
+    second = serve(other, "--port", port)
+    stored = read_landmarks(other / "portrait-02.ljson").points
+    page.goto(second.address)
+    open_picture(page, NAMES[1])
+    assert np.abs(points_of(page) - stored).max() < 0.02
+    second.kill()
+    third = serve(marked, "--port", port)
+    page.goto(third.address)
+    open_picture(page, NAMES[1])
+    assert np.abs(points_of(page) - mine).max() < 0.02  # they waited for their own folder
+    saved(page)
+    assert np.abs(read_landmarks(marked / "portrait-02.ljson").points - mine).max() < 0.02
+
+
+def test_a_replaced_picture_is_shown_as_it_is_now(serve, page, marked):
+    page.goto(serve(marked).address)
+    open_picture(page, NAMES[0])
+    size = page.evaluate("() => [liaamStudio.annotate.viewer.width, liaamStudio.annotate.viewer.height]")
+    before = page.locator(f"[data-testid=strip] [data-name='{NAMES[0]}'] img").get_attribute("src")
+    image = read_image(marked / NAMES[0])
+    write_image(marked / NAMES[0], np.concatenate([image, image], axis=1))
+    page.evaluate("() => dispatchEvent(new Event('focus'))")
+    wait_for(page, "w => window.liaamStudio.annotate.viewer.width === w", 2 * size[0])
+    assert page.locator(f"[data-testid=strip] [data-name='{NAMES[0]}'] img").get_attribute("src") != before
+
+
+def test_pictures_come_and_go_by_themselves(serve, page, marked):
+    page.goto(serve(marked).address)
+    opened(page, NAMES[0])
+    shutil.copy(marked / NAMES[0], marked / "portrait-09.png")
+    page.wait_for_selector("[data-testid=strip] [data-name='portrait-09.png']")
+    (marked / "portrait-09.png").unlink()
+    page.wait_for_selector("[data-testid=strip] [data-name='portrait-09.png']", state="detached")
+
+
+def test_a_deleted_landmark_file_is_said_to_be_and_can_be_written_again(serve, page, marked):
+    page.goto(serve(marked).address)
+    open_picture(page, NAMES[2])
+    mine = points_of(page)
+    drag(page, client(page, 1), [v + 25 for v in client(page, 1)])
+    saved(page)
+    (marked / "portrait-03.ljson").unlink()
+    drag(page, client(page, 2), [v + 25 for v in client(page, 2)])
+    page.locator("dialog", has_text=re.compile("deleted")).wait_for()
+    page.locator("[data-testid=conflict-mine]").click()
+    saved(page)
+    stored = read_landmarks(marked / "portrait-03.ljson").points
+    assert np.abs(stored - points_of(page)).max() < 0.02
+    assert np.abs(stored - mine).max() > 1
+
+
+def test_a_template_changed_elsewhere_takes_unsaved_points_along(serve, page, marked):
+    page.goto(serve(marked).address)
+    open_picture(page, NAMES[1])
+    # As another program would: the page hears of it when it looks again, or when its save is refused.
+    page.evaluate(
+        """async () => {
+            const { template } = window.liaamStudio.state.project;
+            const order = template.names.map((_, i) => template.names.length - 1 - i);
+            const body = { names: order.map((i) => template.names[i]), contours: [], mirror: null,
+                           points: order.map((i) => template.points[i]), mapping: order, revision: template.revision };
+            window.liaamStudio.elsewhere = body;
+        }"""
+    )
+    before = points_of(page)
+    page.route("**/landmarks", lambda route: route.abort() if route.request.method == "PUT" else route.continue_())
+    drag(page, client(page, 0), [v + 30 for v in client(page, 0)])
+    page.wait_for_selector("[data-testid=save-status][data-state=offline]")
+    mine = points_of(page)
+    page.evaluate("""() => window.liaamStudio.app.api.put("/api/template", window.liaamStudio.elsewhere)""")
+    page.unroute("**/landmarks")
+    wait_for(page, "n => window.liaamStudio.annotate.points()[4]?.[0] === n", mine[0, 0])
+    saved(page)
+    assert np.abs(points_of(page) - mine[::-1]).max() < 0.02
+    assert np.abs(read_landmarks(marked / "portrait-02.ljson").points - mine[::-1]).max() < 0.02
+    assert np.abs(mine - before).max() > 1
+
+
+def test_an_address_that_cannot_be_read_opens_the_page_all_the_same(serve, page, marked):
+    server = serve(marked)
+    page.goto(server.address)
+    opened(page, NAMES[0])
+    page.goto(f"http://127.0.0.1:{port_of(server)}/#100%")
+    page.reload()
+    page.wait_for_selector("[data-testid=strip] [data-name]")
+    assert picture(page, NAMES[0])["state"] == "done"
