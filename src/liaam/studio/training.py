@@ -149,6 +149,8 @@ class Trainer:
         self.models = models
         self._publish = publish
         self._lock = threading.RLock()
+        self._waiting = threading.Lock()
+        """Held while a process is waited for: to the second of two that wait, one that has ended seems alive."""
         self._state = Training()
         self._process: Any = None
         self._listener: threading.Thread | None = None
@@ -191,7 +193,7 @@ class Trainer:
                 self._set(Training("idle"))
             process, self._process = self._process, None
         if process is not None:
-            _end(process)
+            self._end(process)
         return self._state
 
     def stop_unless(self, order: str) -> None:
@@ -246,7 +248,8 @@ class Trainer:
                         end = self._heed(job, message)
         except LiaamError as fault:  # the folder has gone, the disk is full
             end = Training("failed", error=self.project.plain(fault))
-        process.join()
+        with self._waiting:
+            process.join()
         with self._lock:
             if run == self._run:
                 died = Training("failed", error="the training ended unexpectedly: start it again; it may lack memory")
@@ -290,6 +293,15 @@ class Trainer:
         if careful:
             self.project.remove_state(QUICK_FILE, QUICK_FACTS_FILE)
         self._publish("project", {})
+
+    def _end(self, process: Any) -> None:
+        """End a process, politely first."""
+        process.terminate()
+        with self._waiting:
+            process.join(2.0)
+            if process.is_alive():
+                process.kill()
+                process.join()
 
     def _set(self, state: Training) -> None:
         self._state = state
@@ -388,15 +400,6 @@ def _launch(job: Job) -> tuple[Any, Any]:
     process.start()
     there.close()
     return process, here
-
-
-def _end(process: Any) -> None:
-    """End a process, politely first."""
-    process.terminate()
-    process.join(2.0)
-    if process.is_alive():
-        process.kill()
-        process.join()
 
 
 def _work(job: Job, pipe: Any) -> None:
