@@ -115,27 +115,34 @@ def make_problem(model: AAM, rng: np.random.Generator, method: str = "li") -> Fi
 def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, State]:
     """One iteration from a fixed state, whole and in parts, as functions to be timed."""
     options = SolverOptions(tolerance=0.0)
-    start = objective.start(np.zeros(objective.warp.n_parameters))
-    state, last, trust = solver._begin(objective, problem, start, options)
-    free = solver._free_directions(objective, state, last.equations, options.observable)
-    kernel, n_p = get_kernel(objective.kernel), objective.warp.n_parameters
+    run = solver._begin(objective, problem, objective.start(np.zeros(objective.warp.n_parameters)), options)
+    state, last, trust = run.state, run.last, run.trust
+    kernel = get_kernel(objective.kernel)
+    propose = solver._expected_step if objective.method.soft else solver._own_step
+    tried = propose(objective, run, options)
+    assert tried is not None
+    # As between two steps under the same weights: the expected curvature is known, the gradient is not.
+    run = replace(run, **{**tried.expected, "gradient": None})
     design, metric = objective.design(float(state.angles[0])), objective.method.image_metric(state.angles[1])
     points, mesh = objective.warp.points(state.p, problem.pose), objective.warp.mesh_pixels()
     assert mesh is not None
-    root = objective._root_weights(state.angles[1], trust)[0] * last.weights[:, None]
+    root, gradient = (
+        objective._root_weights(state.angles[1], trust)[0] * last.weights[:, None],
+        tried.expected.get("gradient"),
+    )
     right = np.concatenate([last.look.by_angles, last.residual.reshape(1, -1)])
 
+    def fresh() -> solver._Run:
+        return replace(run, last=replace(last))  # without what it has worked out already
+
     def whole() -> None:
-        prior = solver._prior_precision(objective, last.equations, options.shape_prior)
-        steps = solver._step(last.equations, state, prior, free, options.damping)
-        assert steps is not None
-        step, lambda_step = steps
-        objective.warp.movement(step[:n_p])
-        moved = objective.update(state, step, lambda_step)
+        tried = propose(objective, fresh(), options)
+        assert tried is not None
+        moved = objective.update(state, tried.step, tried.lambda_step)
         new, there = solver._evaluate(objective, problem, moved, options, trust)
-        solver._merit(there.equations, new, prior)
-        solver._merit(last.equations, state, prior)
-        solver._free_directions(objective, new, there.equations, options.observable)
+        solver._moved(objective, tried.step)
+        solver._merit(there.sums, new, tried.precision)
+        solver._merit(last.sums, state, tried.precision)
 
     def carry_points() -> None:
         objective.warp.points(state.p, problem.pose)
@@ -151,14 +158,12 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
         kernel.mesh_products(steep, root, design.modes, right, mesh.beta, mesh.starts, mesh.triangles, mesh.n_vertices)
 
     def products() -> None:
-        objective.weighed(last.look, state, trust)
+        objective.weighed(last.look, state, trust).equations  # noqa: B018
 
     def solves() -> None:
-        fresh = replace(last.equations)  # without what it has worked out already
-        solved = fresh.after_lambda_step(fresh.best_lambda_step())
-        precision = solver._prior_precision(objective, solved, options.shape_prior)
-        solver._step(solved, state, precision, free, options.damping)
-        solver._free_directions(objective, state, solved, options.observable)
+        known = replace(last)
+        known.__dict__["equations"] = replace(last.equations)
+        propose(objective, replace(run, last=known, gradient=gradient), options)
 
     parts: Parts = {
         "iteration": whole,

@@ -53,9 +53,10 @@ def test_fast_samples_as_reference_says(points, n_channels, rows, seed):
     rows=st.integers(1, 3),
     n_modes=st.integers(0, 9),
     n_right=st.integers(1, 3),
+    expects=st.booleans(),
     seed=st.integers(0, 999),
 )
-def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, seed):
+def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, expects, seed):
     rng = np.random.default_rng(seed)
     n, n_vertices = sum(sizes), 5
     beta = rng.random((n, 3))
@@ -68,6 +69,7 @@ def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, seed):
         np.concatenate([[0], np.cumsum(sizes)]),
         np.array([rng.permutation(n_vertices)[:3] for _ in sizes]),
         n_vertices,
+        rng.normal(size=(n, rows, 2)).astype(np.float32) if expects else None,
     )
     for ours, theirs in zip(fast.mesh_products(*arguments), reference.mesh_products(*arguments), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)

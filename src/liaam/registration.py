@@ -301,7 +301,7 @@ def _judged(
         status=_status(stage, start, inside, correlation),
         correlation=correlation,
         theta=float(state.angles[1]) if has_angle else float("nan"),
-        cost=last.equations.cost,
+        cost=last.cost,
         n_iterations=sum(s.solution.n_iterations for s in stages),
         corner_deviation=_corner_deviation(stage),
         size=size,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from liaam.fitting.normal_equations import BLOCK, NormalEquations, gram
+from liaam.fitting.normal_equations import BLOCK, NormalEquations, Sums, gram
 
 
 @given(rows=st.sampled_from([1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 5]), seed=st.integers(0, 9))
@@ -32,7 +32,9 @@ class Dense:
         self.A = rng.normal(size=(n, m)).astype(np.float32)
         self.r = (rng.normal(size=n) + self.J[:, 0] - 2 * self.A[:, :1].sum(axis=1)).astype(np.float32)
         J, A, r = (a.astype(np.float64) for a in (self.J, self.A, self.r))
-        self.equations = NormalEquations(J.T @ J, J.T @ r, A.T @ J, A.T @ A, A.T @ r, float(r @ r), float(n))
+        self.equations = NormalEquations(
+            jj=J.T @ J, jr=J.T @ r, aj=A.T @ J, aa=A.T @ A, ar=A.T @ r, rr=float(r @ r), weight=float(n)
+        )
 
 
 @pytest.fixture
@@ -91,12 +93,10 @@ def test_two_equal_modes_do_not_explode(rng):
     dense = Dense(rng)
     dense.A[:, 1] = dense.A[:, 0]
     A = dense.A.astype(np.float64)
-    equations = NormalEquations(np.eye(5), np.zeros(5), A.T @ dense.J, A.T @ A, A.T @ dense.r, 1.0, 1.0)
-    step = equations.best_lambda_step()
+    step = Sums(aa=A.T @ A, ar=A.T @ dense.r, rr=1.0, weight=1.0).best_lambda_step()
     np.testing.assert_allclose(A @ step, A @ np.linalg.pinv(A) @ dense.r, atol=1e-4)
     assert np.abs(step).max() < 100
 
 
 def test_without_pixels_the_cost_is_infinite():
-    zero = np.zeros((2, 2))
-    assert NormalEquations(zero, zero[0], zero, zero, zero[0], 0.0, 0.0).cost == np.inf
+    assert Sums(aa=np.zeros((2, 2)), ar=np.zeros(2), rr=0.0, weight=0.0).cost == np.inf

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
+from liaam.fitting.fitter import solve_levels
 from liaam.fitting.objective import SOFT_ROWS
 from liaam.photometry import linear_to_srgb, srgb_to_linear
 from liaam.photometry.invariant import LUMINANCE
@@ -25,6 +26,27 @@ def test_where_it_starts_does_not_matter(fine_model, lit_scene):
     fitter = Fitter(fine_model, options=SolverOptions(tolerance=1e-4))
     near, far = (fitter.fit(lit_scene.image, disturb(lit_scene.landmarks, scale)) for scale in (1.02, 0.85))
     assert np.abs(near.shape - far.shape).max() < 0.05
+
+
+def test_it_ends_at_the_zero_of_the_expected_gradients_equation(fine_model, lit_scene):
+    fitter = Fitter(fine_model, options=SolverOptions(tolerance=1e-4, notice=0.0))
+    target, _ = fitter.target(lit_scene.image, disturb(lit_scene.landmarks))
+    levels = [
+        (objective, level.blur) for objective, level in zip(fitter.objectives, fine_model.soft_levels, strict=True)
+    ]
+    objective, solution = levels[-1][0], solve_levels(levels, target, fitter.options)[-1].solution
+    assert solution.settled and solution.trust is not None
+    equations = solution.last.expecting(objective.model_gradient(solution.state))
+    hessian, gradient = equations.reduced()
+    precision = solution.trust.unit * objective.prior
+    step = np.linalg.solve(hessian + np.diag(precision), gradient + precision * solution.state.p)
+    assert objective.warp.movement(step) < 0.01
+
+
+def test_steps_with_the_expected_gradient_are_few(fine_model, lit_scene):
+    result = Fitter(fine_model).fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert result.status.ok
+    assert result.n_iterations <= 6 * len(fine_model.soft_levels)
 
 
 @pytest.mark.parametrize("gain", [0.3, 2.0])

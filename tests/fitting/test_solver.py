@@ -150,6 +150,12 @@ def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):
     assert few.residual.shape == all_of_them.residual.shape == (fine_model.surrounded.frame.n_pixels, 3)
 
 
+def test_directions_are_looked_at_everywhere(fine_model):
+    # Each is normalised by itself: a blur does not make one say what its neighbours do.
+    assert [objective.density for objective in Fitter(fine_model, "igo").objectives] == [1.0, 1.0]
+    assert Fitter(fine_model, "grey").objectives[0].density < 0.1
+
+
 @pytest.mark.parametrize("method", ["grey", "grey-norm", "rgb", "li"])
 def test_the_residual_is_that_of_the_cost(fine_model, same_light_scene, method):
     image = (0.6 * same_light_scene.image).astype(np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting.methods import Method, get_method
-from liaam.fitting.normal_equations import NormalEquations, gram
+from liaam.fitting.normal_equations import NormalEquations, Sums, gram
 from liaam.fitting.objective import FitProblem, Objective, make_objectives
 from liaam.kernels import get_kernel
 from liaam.mesh import signed_areas
@@ -141,7 +141,7 @@ def _covariance(
     whitening = _whitening(_channel_noise(values, method.encoding, problem.response, sigma), metric)
     whitening *= np.sqrt(density * usable * (objective.appearance.usable > 0))[:, None, None]
     state = replace(objective.start(p), angles=angles)
-    lam = objective.linearise(problem, state).equations.best_lambda_step()
+    lam = objective.linearise(problem, state).sums.best_lambda_step()
     by_angle = objective.look(problem, replace(state, lam=lam)).by_angles.reshape(-1, n, method.n_rows)
     by_warp = np.einsum("rc,nca,naj->nrj", metric, steep, warp.jacobian(p), optimize=True)
     modes = objective.design(float(angles[0])).modes
@@ -151,8 +151,8 @@ def _covariance(
 
     J = whitened(np.concatenate([by_warp.transpose(2, 0, 1), by_angle]))
     A = whitened(modes.reshape(-1, n, method.n_rows))
-    nothing = np.zeros(len(J))
-    equations = NormalEquations(gram(J, J), nothing, gram(A, J), gram(A, A), np.zeros(len(A)), 0.0, 1.0)
+    sums = Sums(aa=gram(A, A), ar=np.zeros(len(A)), rr=0.0, weight=1.0)
+    equations = NormalEquations.of(sums, gram(J, J), np.zeros(len(J)), gram(A, J))
     scale = np.diag(equations.jj).copy()
     if scale[n_p:].size:
         # One angle for both cameras: its column is what the light's change shows, which may be rounding only.

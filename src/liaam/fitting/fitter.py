@@ -351,7 +351,7 @@ class Fitter:
             p=state.p,
             pose=stages[-1].pose,
             lam=state.lam,
-            cost=last.equations.cost,
+            cost=last.cost,
             n_iterations=sum(stage.solution.n_iterations for stage in stages),
             history=history,
             residual=residual,

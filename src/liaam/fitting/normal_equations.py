@@ -8,8 +8,9 @@ All that a step needs are Gram matrices of the columns [J | r] and A. QJ, with Q
 complement of A, is never formed: J'QJ = J'J - (A'J)' (A'A)^-1 (A'J).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -48,18 +49,12 @@ def regular_inverse(matrix: np.ndarray) -> np.ndarray:
     return np.linalg.inv(scaled) / outer
 
 
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Gram matrices of one linearisation.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sums:
+    """What the residual and the appearance say together, without derivatives: all that lambda and the cost need.
 
     Attributes
     ----------
-    jj : (n_q, n_q) float64
-        J'J.
-    jr : (n_q,) float64
-        J'r.
-    aj : (m, n_q) float64
-        A'J.
     aa : (m, m) float64
         A'A.
     ar : (m,) float64
@@ -74,9 +69,6 @@ class NormalEquations:
         :func:`regular_inverse` of A'A, where it is known already.
     """
 
-    jj: np.ndarray
-    jr: np.ndarray
-    aj: np.ndarray
     aa: np.ndarray
     ar: np.ndarray
     rr: float
@@ -88,12 +80,6 @@ class NormalEquations:
     def _inverse(self) -> np.ndarray:
         return regular_inverse(self.aa) if self.inverse is None else self.inverse
 
-    @cached_property
-    def _reduced(self) -> tuple[np.ndarray, np.ndarray]:
-        carried = self.aj.T @ self._inverse
-        hessian = self.jj - carried @ self.aj
-        return 0.5 * (hessian + hessian.T), self.jr - carried @ self.ar
-
     @property
     def cost(self) -> float:
         """Mean squared residual; infinite where no pixel counts."""
@@ -103,12 +89,46 @@ class NormalEquations:
         """Change of lambda that minimises the residual at fixed q, (m,) float64."""
         return self._inverse @ self.ar
 
-    def after_lambda_step(self, step: np.ndarray) -> "NormalEquations":
-        """Equations after lambda moved by a step, from Gram matrices alone."""
+    def after_lambda_step(self, step: np.ndarray) -> Self:
+        """Sums after lambda moved by a step, from Gram matrices alone."""
         explained = self.aa @ step
         rr = float(self.rr - 2.0 * step @ self.ar + step @ explained)
-        jr, ar = self.jr - self.aj.T @ step, self.ar - explained
-        return NormalEquations(self.jj, jr, self.aj, self.aa, ar, rr, self.weight, self._inverse, self.unit)
+        return replace(self, ar=self.ar - explained, rr=rr, inverse=self._inverse)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NormalEquations(Sums):
+    """Gram matrices of one linearisation.
+
+    Attributes
+    ----------
+    jj : (n_q, n_q) float64
+        J'J.
+    jr : (n_q,) float64
+        J'r.
+    aj : (m, n_q) float64
+        A'J.
+    """
+
+    jj: np.ndarray
+    jr: np.ndarray
+    aj: np.ndarray
+
+    @classmethod
+    def of(cls, sums: Sums, jj: np.ndarray, jr: np.ndarray, aj: np.ndarray) -> Self:
+        """Add the products of the derivatives to what is known without them."""
+        own = {field.name: getattr(sums, field.name) for field in fields(Sums)}
+        return cls(jj=jj, jr=jr, aj=aj, **own)
+
+    @cached_property
+    def _reduced(self) -> tuple[np.ndarray, np.ndarray]:
+        carried = self.aj.T @ self._inverse
+        hessian = self.jj - carried @ self.aj
+        return 0.5 * (hessian + hessian.T), self.jr - carried @ self.ar
+
+    def after_lambda_step(self, step: np.ndarray) -> Self:
+        """Equations after lambda moved by a step, from Gram matrices alone."""
+        return replace(super().after_lambda_step(step), jr=self.jr - self.aj.T @ step)
 
     def reduced(self) -> tuple[np.ndarray, np.ndarray]:
         """Hessian J'QJ (n_q, n_q) and gradient J'Qr (n_q,) with lambda eliminated."""

@@ -9,8 +9,9 @@ Extra modes (gain, bias, illumination) stand behind the appearance's own in lamb
 model's own, or those of a :class:`Trust` worked out between iterations.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
 from liaam.fitting.losses import LOSSES, robust_scale
 from liaam.fitting.methods import Method
-from liaam.fitting.normal_equations import WIDE, NormalEquations, gram, regular_inverse
+from liaam.fitting.normal_equations import WIDE, NormalEquations, Sums, gram, regular_inverse
 from liaam.kernels import get_kernel
 from liaam.model import AAM, Level
 from liaam.photometry import LUMINANCE, NoiseModel, Response, from_linear, log_slope, noise_deviation
@@ -47,10 +48,10 @@ class State:
     lam: np.ndarray
 
 
-MARGIN = 0.6
+MARGIN = 0.4
 """Surroundings of the start that a fit may visit, as a share of the object's diagonal."""
 
-NEAR = 0.25
+NEAR = 0.1
 """The same for levels that start where a coarser one stopped."""
 
 
@@ -252,16 +253,45 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Normal equations at a state, and what the pixels looked like there.
+    """A picture weighed at a state: what it sums up to, and the normal equations, worked out when asked for.
 
     Attributes
     ----------
-    equations : NormalEquations
+    sums : Sums
+        What the cost and lambda hang on.
     look : Look
+        What the pixels looked like.
+    products : callable
+        Gives the normal equations for a look, its sums, and the gradient that is expected (None for the picture's).
     """
 
-    equations: NormalEquations
+    sums: Sums
     look: Look
+    products: Callable[[Look, Sums, np.ndarray | None], NormalEquations]
+
+    @classmethod
+    def of(cls, equations: NormalEquations, look: Look) -> "Linearisation":
+        """Linearisation whose normal equations are known already."""
+        return cls(equations, look, lambda _look, _sums, _expected: equations)
+
+    @cached_property
+    def equations(self) -> NormalEquations:
+        """Normal equations with the picture's own gradient."""
+        return self.products(self.look, self.sums, None)
+
+    def expecting(self, gradient: np.ndarray) -> NormalEquations:
+        """Equations of the zero of E'r (E'J, A'J and E'r), E being the derivatives by a gradient (n_pixels, k, 2)."""
+        return self.products(self.look, self.sums, gradient)
+
+    def with_gradient(self, gradient: np.ndarray) -> NormalEquations:
+        """Normal equations with another gradient, (n_pixels, k, 2), in the place of the picture's."""
+        look = Look(self.look.values, self.look.residual, gradient, self.look.by_angles, self.look.weights)
+        return self.products(look, self.sums, None)
+
+    @property
+    def cost(self) -> float:
+        """Mean squared residual; infinite where no pixel counts."""
+        return self.sums.cost
 
     @property
     def residual(self) -> np.ndarray:
@@ -332,7 +362,7 @@ class Objective:
     freedom: float = np.inf
     whole: "Objective | None" = None
 
-    def unit(self, equations: NormalEquations) -> float:
+    def unit(self, equations: Sums) -> float:
         """Variance, correlation included, that a residual of weight 1 stands for: the weights' own, or the cost's."""
         if np.isfinite(equations.unit):
             return equations.unit
@@ -448,31 +478,34 @@ class Objective:
             residual += (gain - 1.0) * projected + (offset * metric.sum(axis=1)).astype(np.float32)
         return Look(values, residual, steep, self._by_angles(state, values), weights)
 
-    def own_gradient(self, look: Look, state: State) -> Look:
-        """The same with the gradient of the fitted appearance instead of the image's.
-
-        They agree where the model does, and the model's is free of the image's noise.
-        """
-        return Look(look.values, look.residual, self.model_gradient(state), look.by_angles, look.weights)
-
-    def moved(self, look: Look, state: State, step: np.ndarray) -> Look:
+    def moved(self, seen: Linearisation, state: State, step: np.ndarray) -> Linearisation:
         """The same after a step of lambda."""
+        look = seen.look
         change = (step.astype(np.float32) @ self.design(state.angles[0]).modes).reshape(look.residual.shape)
-        return Look(look.values, look.residual - change, look.steep, look.by_angles, look.weights)
+        look = Look(look.values, look.residual - change, look.steep, look.by_angles, look.weights)
+        return Linearisation(seen.sums.after_lambda_step(step), look, seen.products)
 
     def weighed(self, look: Look, state: State, trust: Trust | None = None) -> Linearisation:
-        """Normal equations of what is seen at a state, under weights worked out at this or an earlier one."""
-        theta_model, theta_image = state.angles
-        own_root, slope = self._root_weights(theta_image, trust)
-        root = own_root * look.weights[:, None]
-        right = np.concatenate([look.by_angles, look.residual.reshape(1, -1)])
-        if slope is not None:  # weights that turn with the image's angle
-            directions = self.method.angle_directions[1].astype(np.float32)
-            right[:-1] += directions[:, None] * (slope * look.residual).reshape(1, -1)
-        design = self.design(theta_model)
+        """Weigh what is seen at a state, under weights worked out at this or an earlier one."""
+        own_root, slope = self._root_weights(state.angles[1], trust)
+        root, design = own_root * look.weights[:, None], self.design(state.angles[0])
+        squares, residual = np.square(root), look.residual.reshape(1, -1)
+        weighted = residual * squares.reshape(-1)
         known = self._weighted_of(design, own_root, trust)
-        unit = trust.unit if trust is not None and self.method.soft else np.nan
-        return Linearisation(self._equations(look, state.p, design, root, right, known, unit), look)
+        aa, inverse = known.aa, known.inverse
+        blind = look.weights == 0
+        if blind.any():
+            unseen = known.root[blind].reshape(-1) * design.modes[:, np.repeat(blind, root.shape[1])]
+            aa, inverse = aa - gram(unseen, unseen), None
+        sums = Sums(
+            aa=aa,
+            ar=gram(design.modes, weighted, WIDE)[:, 0],
+            rr=float(gram(residual, weighted, WIDE)[0, 0]),
+            weight=float(squares.sum(dtype=np.float64)),
+            inverse=inverse,
+            unit=trust.unit if trust is not None and self.method.soft else np.nan,
+        )
+        return Linearisation(sums, look, partial(self._equations, state.p, design, root, slope))
 
     def _weighted_of(self, design: _Design, own_root: np.ndarray, trust: Trust | None) -> _Weighted:
         """Gram matrix of the modes under the model's and the trust's weights, all pixels of the image usable."""
@@ -486,43 +519,51 @@ class Objective:
 
     def _equations(
         self,
-        look: Look,
         p: np.ndarray,
         design: _Design,
         root: np.ndarray,
-        right: np.ndarray,
-        known: _Weighted,
-        unit: float,
+        slope: np.ndarray | None,
+        look: Look,
+        sums: Sums,
+        expected: np.ndarray | None,
     ) -> NormalEquations:
-        """Normal equations of (p, angles) and lambda; the last of ``right`` is the residual."""
-        jj, aj, rj = self._warp_products(look.steep, root, design.modes, right, p)
-        squares = np.square(root).reshape(-1)
-        weight = float(squares.sum(dtype=np.float64))
-        weighted_right = right * squares
-        rr, ar = gram(right, weighted_right, WIDE), gram(design.modes, weighted_right, WIDE)
-        aa, inverse = known.aa, known.inverse
-        blind = look.weights == 0
-        if blind.any():
-            unseen = known.root[blind].reshape(-1) * design.modes[:, np.repeat(blind, root.shape[1])]
-            aa, inverse = aa - gram(unseen, unseen), None
-        n = len(right) - 1
-        jr = np.concatenate([rj[n], rr[n, :n]])
+        """Normal equations of (p, angles) and lambda at the warp's parameters p."""
+        right = np.concatenate([self._turning(look, slope), look.residual.reshape(1, -1)])
+        jj, aj, rj = self._warp_products(look.steep, expected, root, design.modes, right, p)
+        n, jr = len(right) - 1, rj[-1]
         if n:  # the angles' rows and columns
-            jj = np.concatenate([np.concatenate([jj, rj[:n]]), np.concatenate([rj[:n].T, rr[:n, :n]])], axis=1)
-            aj = np.concatenate([aj, ar[:, :n]], axis=1)
-        return NormalEquations(jj, jr, aj, aa, ar[:, n], float(rr[n, n]), weight, inverse, unit)
+            by_angles = right[:n]
+            weighted = by_angles * np.square(root).reshape(-1)
+            mixed, own = gram(design.modes, weighted, WIDE), gram(right, weighted, WIDE)
+            jj = np.concatenate([np.concatenate([jj, rj[:n]]), np.concatenate([rj[:n].T, own[:n]])], axis=1)
+            aj, jr = np.concatenate([aj, mixed], axis=1), np.concatenate([jr, own[n]])
+        return NormalEquations.of(sums, jj, jr, aj)
+
+    def _turning(self, look: Look, slope: np.ndarray | None) -> np.ndarray:
+        """Derivative of the weighted residual by the free angles, over the root of the weights."""
+        if slope is None:
+            return look.by_angles
+        directions = self.method.angle_directions[1].astype(np.float32)
+        return look.by_angles + directions[:, None] * (slope * look.residual).reshape(1, -1)
 
     def _warp_products(
-        self, steep: np.ndarray, root: np.ndarray, modes: np.ndarray, right: np.ndarray, p: np.ndarray
+        self,
+        steep: np.ndarray,
+        expected: np.ndarray | None,
+        root: np.ndarray,
+        modes: np.ndarray,
+        right: np.ndarray,
+        p: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Give J'J, A'J and right'J for the warp's parameters: sparse where pixels move with a mesh."""
+        """Give E'J, A'J and right'E for the warp's parameters (E is J where nothing is expected), sparse by a mesh."""
         mesh = self.warp.mesh_pixels()
         if mesh is None:
-            columns = _rows_of(steep, root, self.warp.jacobian(p))
-            by_root = root.reshape(-1)
-            return gram(columns, columns), gram(modes * by_root, columns), gram(right * by_root, columns)
+            columns, by_root = _rows_of(steep, root, self.warp.jacobian(p)), root.reshape(-1)
+            own = columns if expected is None else _rows_of(expected, root, self.warp.jacobian(p))
+            return gram(own, columns), gram(modes * by_root, columns), gram(right * by_root, own)
         products = get_kernel(self.kernel).mesh_products
-        jj, aj, rj = products(steep, root, modes, right, mesh.beta, mesh.starts, mesh.triangles, mesh.n_vertices)
+        where = mesh.beta, mesh.starts, mesh.triangles, mesh.n_vertices
+        jj, aj, rj = products(steep, root, modes, right, *where, expected)
         return mesh.modes.T @ (jj @ mesh.modes), aj @ mesh.modes, rj @ mesh.modes
 
     def columns(self, problem: FitProblem, state: State, trust: Trust | None = None) -> np.ndarray:
@@ -530,11 +571,8 @@ class Objective:
         look = self.look(problem, state, trust)
         own_root, slope = self._root_weights(state.angles[1], trust)
         root = own_root * look.weights[:, None]
-        by_angles = look.by_angles.T.copy()
-        if slope is not None:
-            turned = (slope * look.residual).reshape(-1, 1)
-            by_angles += turned * self.method.angle_directions[1].astype(np.float32)
-        own = np.concatenate([by_angles, look.residual.reshape(-1, 1)], axis=1) * root.reshape(-1, 1)
+        own = np.concatenate([self._turning(look, slope).T, look.residual.reshape(-1, 1)], axis=1)
+        own *= root.reshape(-1, 1)
         return np.concatenate([_rows_of(look.steep, root, self.warp.jacobian(state.p)).T, own], axis=1)
 
     def _root_weights(self, theta: float, trust: Trust | None) -> tuple[np.ndarray, np.ndarray | None]:
@@ -760,8 +798,20 @@ again. Measured on the spot protocol with ``soft-li``: a median of 4.03 % with a
 sharpest level's, 4.11 with a quarter, and a 90th percentile of 5.6 with each."""
 
 
-def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[Objective, ...]:
+def make_objectives(
+    model: AAM, method: Method, kernel: str = "fast", thinning: float | None = None
+) -> tuple[Objective, ...]:
     """Bring a model and a method together: one objective per level of the model, coarse to fine.
+
+    Parameters
+    ----------
+    model : AAM
+    method : Method
+    kernel : {"fast", "reference"}
+    thinning : float, optional
+        Distance between the pixels that are looked at, in standard deviations of a level's blur; :data:`THINNING` if
+        left out, and nought (every pixel) for directions: each is normalised by itself after the blur, so that it does
+        not say what its neighbours say. Measured on strangers of IMM: ``igo`` 6.1 % with all pixels, 7.1 without.
 
     Raises
     ------
@@ -774,10 +824,12 @@ def make_objectives(model: AAM, method: Method, kernel: str = "fast") -> tuple[O
         )
     _check_holds(model, method)
     get_kernel(kernel)
-    return tuple(_objective(model, method, kernel, level) for level in model.levels_of(method.appearance))
+    if thinning is None:
+        thinning = 0.0 if method.encoding == "orientation" else THINNING
+    return tuple(_objective(model, method, kernel, level, thinning) for level in model.levels_of(method.appearance))
 
 
-def _objective(model: AAM, method: Method, kernel: str, level: Level) -> Objective:
+def _objective(model: AAM, method: Method, kernel: str, level: Level, thinning: float) -> Objective:
     """One level seen through a method, at as many pixels as its blur leaves worth looking at."""
     appearance, illumination = level.appearances[method.appearance], level.appearances.get("illumination")
     warp = model.warp_of(method.appearance)
@@ -786,7 +838,7 @@ def _objective(model: AAM, method: Method, kernel: str, level: Level) -> Objecti
     freedom = shapes.freedom if method.soft else np.inf
     prior = _shape_prior(shapes)
     whole = Objective(method, warp, appearance, model.theta, prior, kernel, illumination, freedom=freedom)
-    kept = warp.every(THINNING * level.blur)
+    kept = warp.every(thinning * level.blur)
     density = len(kept) / len(appearance.mean)
     return replace(
         whole,

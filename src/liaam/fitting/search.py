@@ -14,7 +14,7 @@ import numpy as np
 from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
 from liaam.fitting.methods import get_method
-from liaam.fitting.objective import NEAR, FitProblem, Objective, make_objectives
+from liaam.fitting.objective import THINNING, FitProblem, Objective, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.solver import Solution, SolverOptions, solve
 from liaam.kernels import get_kernel
@@ -81,6 +81,9 @@ MOST = 20
 SPECTRA_KEPT = 600_000
 """Pixels of the fields whose templates' spectra are kept, some 90 bytes each: those of pictures of one size and more,
 unless they are panoramas."""
+
+VISITED = 0.25
+"""Surroundings of a place that its fit may visit, as a share of the object's diagonal."""
 
 SURROUNDINGS = 2
 """Pixels on every side among which a place has to be the best."""
@@ -241,7 +244,8 @@ class Finder:
     @cached_property
     def objective(self) -> Objective:
         """What the fits that judge places minimise."""
-        return make_objectives(self.small, get_method("igo"))[0]
+        # Scores are compared with limits that were set so; all pixels find no more, and take longer.
+        return make_objectives(self.small, get_method("igo"), thinning=THINNING)[0]
 
     def find(
         self,
@@ -315,7 +319,7 @@ class Finder:
         template, warp = self.templates[int(peak.templates[0])], self.objective.warp
         pose = Similarity(rotation(template.turn) * peak.scales[0], peak.centres[0])
         start, blur = pose(warp.shape(template.p)), self.small.levels[0].blur
-        problem = FitProblem.at(image, start, pose, self.objective.method, response, blur, margin=NEAR)
+        problem = FitProblem.at(image, start, pose, self.objective.method, response, blur, margin=VISITED)
         solution = solve(self.objective, problem, self.objective.start(template.p), SETTINGS)
         shape = pose(warp.shape(solution.state.p))
         sane = np.isfinite(shape).all() and GROWTH[0] < diagonal_of(shape) / diagonal_of(start) < GROWTH[1]

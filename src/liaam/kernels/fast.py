@@ -98,13 +98,14 @@ def steepest(
 
 
 @_jit
-def _mesh_products(steep, root, modes, right, beta, starts, triangles, jj, aj, rj):
+def _mesh_products(steep, expected, same, root, modes, right, beta, starts, triangles, jj, aj, rj):
     k = root.shape[1]
     longest = 0
     for t in range(len(triangles)):
         longest = max(longest, starts[t + 1] - starts[t])
     # Slices rather than indices in the inner loops: only then does the compiler see that they never wrap around.
-    rows, weight = np.empty((6, longest * k), np.float32), np.empty(longest * k, np.float32)
+    rows, lefts = np.empty((6, longest * k), np.float32), np.empty((6, longest * k), np.float32)
+    weight = np.empty(longest * k, np.float32)
     p0, p1, p2, p3, p4, p5 = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
     at = np.empty(6, np.int64)
     for t in range(len(triangles)):
@@ -118,27 +119,36 @@ def _mesh_products(steep, root, modes, right, beta, starts, triangles, jj, aj, r
                 p0[e], p1[e], p2[e] = b0 * sx, b0 * sy, b1 * sx
                 p3[e], p4[e], p5[e] = b1 * sy, b2 * sx, b2 * sy
                 weight[e] = w
+                if not same:
+                    sx, sy = w * expected[i, r, 0], w * expected[i, r, 1]
+                    lefts[0, e], lefts[1, e], lefts[2, e] = b0 * sx, b0 * sy, b1 * sx
+                    lefts[3, e], lefts[4, e], lefts[5, e] = b1 * sy, b2 * sx, b2 * sy
                 e += 1
         for a in range(3):
             at[2 * a], at[2 * a + 1] = 2 * triangles[t, a], 2 * triangles[t, a] + 1
+        left = rows if same else lefts
         for a in range(6):
-            own = rows[a]
-            for b in range(a, 6):
+            own = left[a]
+            for b in range(a if same else 0, 6):
                 other = rows[b]
                 total = _F(0.0)
                 for e in range(size):
                     total += own[e] * other[e]
                 jj[at[a], at[b]] += total
-                if b > a:
+                if same and b > a:
                     jj[at[b], at[a]] += total
         for a in range(6):
             own = rows[a]
             for e in range(size):
                 own[e] *= weight[e]
+            if not same:
+                own = lefts[a]
+                for e in range(size):
+                    own[e] *= weight[e]
         for j in range(len(right)):
             column = right[j, first * k : last * k]
             for a in range(6):
-                own = rows[a]
+                own = left[a]
                 total = _F(0.0)
                 for e in range(size):
                     total += own[e] * column[e]
@@ -171,11 +181,14 @@ def mesh_products(
     starts: np.ndarray,
     triangles: np.ndarray,
     n_vertices: int,
+    expected: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """See :func:`liaam.kernels.reference.mesh_products`."""
     jj = np.zeros((2 * n_vertices, 2 * n_vertices))
     aj, rj = np.zeros((len(modes), 2 * n_vertices)), np.zeros((len(right), 2 * n_vertices))
-    _mesh_products(steep, root, modes, right, beta, starts, triangles, jj, aj, rj)
+    same = expected is None
+    own = steep if expected is None else expected
+    _mesh_products(steep, own, same, root, modes, right, beta, starts, triangles, jj, aj, rj)
     return jj, aj, rj
 
 

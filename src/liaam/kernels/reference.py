@@ -258,6 +258,7 @@ def mesh_products(
     starts: np.ndarray,
     triangles: np.ndarray,
     n_vertices: int,
+    expected: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted products of the derivatives by a mesh's vertices with themselves and with other columns.
 
@@ -284,6 +285,8 @@ def mesh_products(
         First pixel of each triangle, and the end.
     triangles : (t, 3) int64
     n_vertices : int
+    expected : (n, k, 2) float32, optional
+        What the derivatives are expected to be, E by the vertices; J'J and right'J become E'J and right'E.
 
     Returns
     -------
@@ -292,14 +295,18 @@ def mesh_products(
     aj : (m, 2 n_vertices) float64
     rj : (b, 2 n_vertices) float64
     """
-    n, k = root.shape
     owners = np.repeat(np.arange(len(triangles)), np.diff(starts))
-    columns = np.zeros((n, k, n_vertices, 2))
-    for corner in range(3):
-        columns[np.arange(n), :, triangles[owners, corner]] = (beta[:, corner, None] * root)[..., None] * steep
-    columns = columns.reshape(n * k, 2 * n_vertices)
-    by_root = root.reshape(-1, 1) * columns
-    return columns.T @ columns, modes @ by_root, right @ by_root
+
+    def columns_of(slopes: np.ndarray) -> np.ndarray:
+        columns = np.zeros((*root.shape, n_vertices, 2))
+        for corner in range(3):
+            at = triangles[owners, corner]
+            columns[np.arange(len(root)), :, at] = (beta[:, corner, None] * root)[..., None] * slopes
+        return columns.reshape(root.size, 2 * n_vertices)
+
+    by_root, columns = root.reshape(-1, 1), columns_of(steep)
+    left = columns if expected is None else columns_of(expected)
+    return left.T @ columns, modes @ (by_root * columns), right @ (by_root * left)
 
 
 def soft_noise_batch(

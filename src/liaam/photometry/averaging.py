@@ -279,7 +279,8 @@ def _soft_light(means, all_, grey, luminance, dark, floor, light, masks):
             red, green, blue = means[y, x, 0], means[y, x, 1], means[y, x, 2]
             light[y, x, 0] = luminance[0] * red + luminance[1] * green + luminance[2] * blue + dark
             light[y, x, 1], light[y, x, 2], light[y, x, 3] = max(red, floor), max(green, floor), max(blue, floor)
-            known, finite = means[y, x, 3] > all_ and not grey, means[y, x, 4] > all_
+            known = means[y, x, 3] > all_ and not grey
+            finite = means.shape[2] < 5 or means[y, x, 4] > all_
             masks[y, x, 0], masks[y, x, 1] = _F(known), _F(finite)
             every = every and known and finite
     return every
@@ -293,7 +294,8 @@ def soft_light(
     Parameters
     ----------
     means : (h, w, 5) float32
-        Mean linear R, G, B, and the shares of pixels whose logarithm says something, and of finite ones.
+        Mean linear R, G, B, and the shares of pixels whose logarithm says something, and of finite ones (all, if left
+        out).
     least : float
         Share above which all are meant.
     grey : bool

@@ -216,14 +216,14 @@ def _block_means(image: np.ndarray, encoding: str, response: Response, blocks: _
     Returns
     -------
     (rows, columns, 5) float32
+        Without the last where all are finite.
     """
     from liaam.photometry import averaging  # numba: imported when first needed
 
     if image.dtype.kind == "u":
         low, high = _usable_range(image.dtype) if encoding == "log" else (0, np.iinfo(image.dtype).max)
         table = _table(image.dtype.str, "linear", response)
-        means = averaging.stored_means(np.ascontiguousarray(image), table, (low, high), *blocks)
-        return np.concatenate([means, np.ones((*blocks.shape, 1), np.float32)], axis=2)
+        return averaging.stored_means(np.ascontiguousarray(image), table, (low, high), *blocks)
     stored, usable = _stored_and_usable(image, encoding)
     masks = np.stack([usable, _stored_and_usable(image, "value")[1]], axis=-1)
     return averaging.value_means(

@@ -303,8 +303,8 @@ class BatchObjective:
         change = self._combine(self._at(shared.modes, state.angles[:, 0]), self.xp.astype(step, self.xp.float32))
         return look._replace(residual=look.residual - self.xp.reshape(change, look.residual.shape))
 
-    def own_gradient(self, shared: Shared, look: Look, state: States) -> Look:
-        """The same with the gradient of the fitted appearance: ``Objective.own_gradient``."""
+    def model_gradient(self, shared: Shared, look: Look, state: States) -> Array:
+        """Derivative of the fitted appearance by the place, (b, n, k, 2): ``Objective.model_gradient``."""
         xp, n_own, n = self.xp, shared.slopes.shape[0] - 1, look.residual.shape[1]
         scale = xp.ones_like(state.lam[:, :1])
         if self.objective.method.gain:  # its mode is the mean
@@ -313,7 +313,7 @@ class BatchObjective:
         metric = xp.astype(self._at(shared.model_metric, state.angles[:, 0]), xp.float32)
         slopes = xp.reshape(coordinates @ shared.slopes, (-1, 2 * n, metric.shape[-1])) @ xp.matrix_transpose(metric)
         inverse = xp.astype(self._inverse_affinities(shared, state.p), xp.float32)
-        return look._replace(steep=pull_batch(xp.reshape(slopes, (-1, n, 2, metric.shape[-2])), inverse, shared.owners))
+        return pull_batch(xp.reshape(slopes, (-1, n, 2, metric.shape[-2])), inverse, shared.owners)
 
     def _inverse_affinities(self, shared: Shared, p: Array) -> Array:
         """Linear parts (b, t, 2, 2) of the maps back from each triangle: ``warp._inverse_affinities``."""
@@ -329,18 +329,30 @@ class BatchObjective:
         products = [own[..., 0] * x[..., None] + own[..., 1] * y[..., None] for x, y in columns]
         return xp.stack(products, axis=-1)
 
-    def weighed(self, shared: Shared, look: Look, state: States, trust: Trusts | None) -> Seen:
-        """Normal equations of what is seen, under weights: :meth:`liaam.fitting.objective.Objective.weighed`."""
+    def weighed(
+        self, shared: Shared, look: Look, state: States, trust: Trusts | None, expected: Array | None = None
+    ) -> Seen:
+        """Normal equations of what is seen, under weights: :meth:`liaam.fitting.objective.Objective.weighed`.
+
+        With an expected gradient (b, n, k, 2) those of ``Linearisation.expecting``.
+        """
         xp = self.xp
         own_root = shared.root[None] if trust is None else trust.root
         root = own_root * look.weights[..., None]
-        steep = root[..., None] * look.steep
-        jacobian = sum(steep[..., i][..., None] * shared.jacobian[:, None, i] for i in (0, 1))
         by_angles = self._rows(root)[..., None] * xp.matrix_transpose(look.by_angles)
         residual = self._rows(root * look.residual)[..., None]
-        columns = xp.concat([xp.reshape(jacobian, (*residual.shape[:2], self.n_p)), by_angles, residual], axis=-1)
+        columns, left = (
+            None if steep is None else xp.concat([self._by_warp(shared, root, steep), by_angles, residual], axis=-1)
+            for steep in (look.steep, expected)
+        )
         modes = self._at(shared.modes, state.angles[:, 0])
-        return Seen(self._equations(shared, columns, modes, root, trust), look)
+        return Seen(self._equations(shared, columns, left, modes, root, trust), look)
+
+    def _by_warp(self, shared: Shared, root: Array, steep: Array) -> Array:
+        """Weighted derivatives of the residual by p, (b, n * k, n_p)."""
+        steep = root[..., None] * steep
+        jacobian = sum(steep[..., i][..., None] * shared.jacobian[:, None, i] for i in (0, 1))
+        return self.xp.reshape(jacobian, (root.shape[0], root.shape[1] * root.shape[2], self.n_p))
 
     def _at(self, terms: Array, theta: Array, slope: bool = False) -> Array:
         """Sum of the terms of (1, cos theta, sin theta), or its derivative, (b or 1, ...), in the terms' type."""
@@ -379,10 +391,17 @@ class BatchObjective:
             columns = columns - directions[0][:, None] * (self._rows(mean) + turned)[:, None]
         return columns
 
-    def _equations(self, shared: Shared, columns: Array, modes: Array, root: Array, trust: Trusts | None) -> Equations:
+    def _equations(
+        self, shared: Shared, columns: Array, left: Array | None, modes: Array, root: Array, trust: Trusts | None
+    ) -> Equations:
         xp, roots = self.xp, self._rows(root)
         squares = roots * roots
-        own, cross = gram(columns, columns), gram(modes, columns * roots[..., None])
+        cross = gram(modes, columns * roots[..., None])
+        own = gram(columns if left is None else left, columns)
+        if left is not None:  # the angles' rows are their columns' transpose, as the warp expects them
+            n = self.n_p
+            below = xp.concat([xp.matrix_transpose(own[:, :n, n:]), own[:, n:, n:]], axis=2)
+            own = xp.concat([own[:, :n], below], axis=1)
         aa = self._modes_gram(shared, modes, squares)
         weight = xp.sum(squares, axis=-1, dtype=xp.float64)
         unit = xp.full_like(weight, float("nan")) if trust is None else trust.unit

@@ -33,10 +33,12 @@ from liaam.fitting.objective import Look as OneLook
 from liaam.fitting.prior import next_scale
 from liaam.fitting.solver import (
     DAMPING_RANGE,
+    EXPECTED_RISE,
+    LEAST_CURVATURE,
     OBSERVABLE_APART,
-    SCORING_RISE,
-    SCORING_STEPS,
+    REFUSED_DAMPING,
     STILL,
+    TO_AND_FRO,
     TRUSTED_DAMPING,
     Solution,
     SolverOptions,
@@ -61,6 +63,16 @@ class Run(NamedTuple):
     n_iterations : (b,) int64
     scale : (b,) float64
         Of the shape prior's variances.
+    least : (b,) float64
+        Lowest merit under these weights.
+    curvature : (b, n_q, n_q) float64
+        Expected Hessian under these weights.
+    curved : (b,) bool
+        Whether it has been worked out.
+    lift : (b,) float64
+        Least curvature as a share of it.
+    before : (b, n_q) float64
+        The last step taken; 0 if there is none.
     """
 
     item: Array
@@ -74,13 +86,19 @@ class Run(NamedTuple):
     done: Array
     n_iterations: Array
     scale: Array
+    least: Array
+    curvature: Array
+    curved: Array
+    lift: Array
+    before: Array
 
 
 class Proposal(NamedTuple):
     """Steps to be tried.
 
     The states they lead to, which are too small to matter (b,) or to weigh anew after (b,), where there was something
-    to see (b,), and the precision of the prior that they reckon with (b, n_p).
+    to see (b,), the precision of the prior that they reckon with (b, n_p), the steps of q (b, n_q), and which
+    go back where the last ones came from (b,).
     """
 
     state: States
@@ -88,6 +106,8 @@ class Proposal(NamedTuple):
     still: Array
     sees: Array
     precision: Array
+    step: Array
+    back: Array
 
 
 class Step(NamedTuple):
@@ -135,11 +155,8 @@ class BatchSolver:
         shared, record = self.objective.shared, _Record(self.objective, self.options, start.p.shape[0])
         run = self._begin(shared, pictures, start)
         record.accept(run, None)
-        for iteration in range(1, self.options.max_iterations + 1):
-            tried = self._try_step(shared, pictures, run, iteration)
-            run = self._weigh_anew(shared, pictures, tried.run, tried.accepted & ~tried.still)
-            record.accept(run, tried.accepted)
-            run = self._finish(shared, run, tried)
+        for _ in range(self.options.max_iterations):
+            run = self._turn(shared, pictures, run, record.accept, expects=self._weighs)
             going = ~record.fetch(run.done)
             if not going.any():
                 break
@@ -157,7 +174,7 @@ class BatchSolver:
         """Score fits that have ended, where their method asks for it, and keep what came out."""
         mask = np.isin(np.arange(run.item.shape[0]), which)
         run, pictures = self._take(run, mask), self._take(pictures, mask)
-        if self.options.scoring or self._weighs:
+        if self.options.scoring and not self._weighs:
             run = self._score(shared, pictures, run, record)
         record.keep(run, self.objective.backend.fetch(self._held(shared, run)))
 
@@ -182,12 +199,16 @@ class BatchSolver:
             "weighed_and_solved": weigh,
             "weighed": weigh if solves else compiled(self._weighed),
             "expected": compiled(self._expected),
+            "curvature": compiled(self._curvature),
             "trust": compiled(partial(soft_trust, self.objective)),
             "propose": compiled(self._propose),
+            "propose_expected": compiled(self._propose_expected),
             "rescale": compiled(self._rescaled),
             "judge": compiled(self._judge),
+            "judge_expected": compiled(partial(self._judge, expects=True)),
             "free": compiled(self._free),
             "finish": compiled(self._finished),
+            "finish_expected": compiled(partial(self._finished, expects=True)),
         }
 
     def _begin(self, shared: Shared, pictures: Pictures, start: States) -> Run:
@@ -202,49 +223,96 @@ class BatchSolver:
         item = self.objective.backend.put(np.arange(batch))
         every = xp.ones((batch, self.objective.objective.n_q), dtype=xp.bool, device=device_of(zeros))
         damping = zeros + self.options.damping
-        run = Run(item, state, last, trust, damping, every, no, no, no, 0 * item, xp.ones_like(zeros))
+        unknown = xp.zeros_like(last.equations.jj)
+        least = xp.full_like(zeros, float("inf"))
+        nowhere = xp.zeros_like(last.equations.jr)
+        lift = zeros + LEAST_CURVATURE
+        facts = damping, every, no, no, no, 0 * item, zeros + 1.0, least, unknown, no, lift, nowhere
+        run = Run(item, state, last, trust, *facts)
         # Again: what the weights are worked out from depends on the weights.
         run = self._weigh_anew(shared, pictures, run, ~no)
         return run._replace(free=self._functions["free"](shared, run.state, run.last.equations))
 
-    def _try_step(self, shared: Shared, pictures: Pictures, run: Run, iteration: int) -> Step:
-        """One turn of the loop: a step, and whether it is taken."""
+    def _turn(
+        self, shared: Shared, pictures: Pictures, run: Run, accept: Callable[[Run, Array], None], expects: bool
+    ) -> Run:
+        """One turn of the loop: steps, those that are taken, and what follows from them (``solver._iterate``)."""
+        name = "_expected" if expects else ""
+        tried = self._try_step(shared, pictures, run, name)
+        trust = tried.run.trust
+        run = self._weigh_anew(shared, pictures, tried.run, tried.accepted & ~tried.still)
+        if run.trust is not trust:  # another trust's merits and curvature say nothing
+            same = self.xp.all(run.trust.root == trust.root, axis=(1, 2))
+            run = run._replace(least=self.xp.where(same, run.least, float("inf")), curved=run.curved & same)
+        accept(run, tried.accepted)
+        return self._functions["finish" + name](shared, run, tried.accepted, tried.small)
+
+    def _try_step(self, shared: Shared, pictures: Pictures, run: Run, name: str) -> Step:
+        """Steps with the picture's own or the expected gradient, and whether they are taken."""
+        equations, hessian = run.last.equations, None
+        if name:
+            if not bool(self.xp.all(run.curved | run.done)):
+                curvature = self._functions["curvature"](shared, run.last.look, run.state, run.trust or None)
+                curvature = choose(run.curved, (run.curvature,), (curvature,))[0]
+                run = run._replace(curvature=curvature, curved=run.curved | True)
+            equations = self._functions["expected"](shared, run.last.look, run.state, run.trust or None)
+            hessian = run.curvature
         if self._rescales:
-            run = self._functions["rescale"](shared, run)
-        proposed = self._functions["propose"](shared, run, run.last.equations, run.damping)
+            run = self._functions["rescale"](
+                shared, run, reduced(run.last.equations)[0] if hessian is None else hessian
+            )
+        proposed = self._functions["propose" + name](shared, run, equations, run.damping)
         there = self._functions["seen"](shared, pictures, proposed.state, run.trust or None)
-        return self._functions["judge"](run, proposed, there, run.item * 0 + iteration)
+        return self._functions["judge" + name](run, proposed, there)
 
     def _propose(self, shared: Shared, run: Run, equations: Equations, damping: Array) -> Proposal:
-        """Where a step leads."""
-        precision = self._precision(shared, equations) / run.scale[:, None]
+        """Where a step with the picture's own gradient leads (``solver._own_step``)."""
+        precision = self._precision(shared, run)
         step, lambda_step, sees = self._step(equations, run.state, precision, run.free, damping)
-        small = self._is_small(step, equations, precision)
-        return Proposal(
-            self._update(shared, run.state, step, lambda_step), small, self._movement(step) < STILL, sees, precision
-        )
+        return self._proposal(shared, run, step, lambda_step, sees, precision, reduced(equations)[0])
 
-    def _is_small(self, step: Array, equations: Equations, precision: Array) -> Array:
+    def _propose_expected(self, shared: Shared, run: Run, equations: Equations, damping: Array) -> Proposal:
+        """Where a step with the expected gradient leads (``solver._expected_step``)."""
+        precision = self._precision(shared, run)
+        step, sees = self._guarded_step(equations, run, precision, damping)
+        lambda_step = apply(equations.inverse, equations.ar + apply(equations.aj, step))
+        return self._proposal(shared, run, step, lambda_step, sees, precision, run.curvature)
+
+    def _proposal(
+        self, shared: Shared, run: Run, step: Array, lambda_step: Array, sees: Array, precision: Array, hessian: Array
+    ) -> Proposal:
+        small = self._is_small(step, hessian, run.last.equations.unit, precision)
+        there = self._update(shared, run.state, step, lambda_step)
+        metric = hessian + self.xp.concat([precision, 0.0 * step[:, self.objective.n_p :]], axis=-1)[
+            :, None, :
+        ] * identity(hessian)
+        ahead, length = (self.xp.sum(run.before * apply(metric, other), axis=-1) for other in (step, run.before))
+        back = ahead < -TO_AND_FRO * length
+        return Proposal(there, small, self._movement(step) < STILL, sees, precision, step, back)
+
+    def _is_small(self, step: Array, hessian: Array, unit: Array, precision: Array) -> Array:
         """Which steps are too small to matter, (b,): in pixels, or in standard deviations where they are known."""
         xp, n_p = self.xp, self.objective.n_p
-        information = xp.sum(step * apply(reduced(equations)[0], step), axis=-1)
+        information = xp.sum(step * apply(hessian, step), axis=-1)
         information = information + xp.sum(precision * step[:, :n_p] ** 2, axis=-1)
-        unseen = information < self.options.notice**2 * step.shape[1] * equations.unit  # not where it is NaN
+        unseen = information < self.options.notice**2 * step.shape[1] * unit  # not where it is NaN
         return (self._movement(step) < self.options.tolerance) | unseen
 
-    def _judge(self, run: Run, proposed: Proposal, there: tuple[States, Seen], number: Array) -> Step:
-        """Take the steps that do not raise the merit; damp the others more."""
+    def _judge(self, run: Run, proposed: Proposal, there: tuple[States, Seen], expects: bool = False) -> Step:
+        """Take the steps that do not raise the merit (by too much); damp the others more."""
         xp, options = self.xp, self.options
         before = _merit(run.last.equations, run.state, proposed.precision)
-        worse = ~(_merit(there[1].equations, there[0], proposed.precision) <= before)
+        merit = _merit(there[1].equations, there[0], proposed.precision)
+        least = xp.where(run.least < before, run.least, before)
+        worse = ~(merit <= (EXPECTED_RISE if expects else 1.0) * least)
         going = ~run.done
         flat = run.flat | (going & ~proposed.sees)
         going = going & proposed.sees
-        refused = going & worse if options.damping > 0 else going & ~going
+        refused = going & worse if expects or options.damping > 0 else going & ~going
         stuck = refused & (proposed.small | (run.damping >= DAMPING_RANGE[1]))
         accepted = going & ~refused
         state, last = choose(accepted, there, (run.state, run.last))
-        raised = xp.clip(xp.clip(run.damping, 1e-4, None) * 10, None, DAMPING_RANGE[1])
+        raised = xp.clip(run.damping * 10, REFUSED_DAMPING if expects else 1e-3, DAMPING_RANGE[1])
         after = run._replace(
             state=state,
             last=last,
@@ -252,7 +320,10 @@ class BatchSolver:
             settled=run.settled | stuck,
             flat=flat,
             done=run.done | stuck | flat,
-            n_iterations=xp.where(run.done, run.n_iterations, number),
+            n_iterations=run.n_iterations + xp.astype(going, run.n_iterations.dtype),
+            least=xp.where(accepted & (merit < least), merit, least),
+            lift=xp.where(going & proposed.back, 2.0 * run.lift, run.lift),
+            before=xp.where(accepted[:, None], proposed.step, run.before),
         )
         return Step(after, accepted, proposed.small, proposed.still)
 
@@ -268,13 +339,13 @@ class BatchSolver:
         new = choose(changed, (state, last, trust), (run.state, run.last, run.trust))
         return run._replace(state=new[0], last=new[1], trust=new[2])
 
-    def _finish(self, shared: Shared, run: Run, tried: Step) -> Run:
-        return self._functions["finish"](shared, run, tried.accepted, tried.small)
-
-    def _finished(self, shared: Shared, run: Run, accepted: Array, small: Array) -> Run:
+    def _finished(self, shared: Shared, run: Run, accepted: Array, small: Array, expects: bool = False) -> Run:
         """End of a turn, for those that took the step: damping, directions, and whether the fit has settled."""
         xp, options = self.xp, self.options
-        lowered = xp.clip(run.damping / 10, DAMPING_RANGE[0], None) if options.damping > 0 else 0.0 * run.damping
+        if expects:
+            lowered = xp.where(run.damping > TRUSTED_DAMPING, run.damping / 10, 0.0 * run.damping)
+        else:
+            lowered = xp.clip(run.damping / 10, DAMPING_RANGE[0], None) if options.damping > 0 else 0.0 * run.damping
         damping = xp.where(accepted, lowered, run.damping)
         free = xp.where(accepted[:, None], self._free(shared, run.state, run.last.equations), run.free)
         small = accepted & small & (damping <= TRUSTED_DAMPING)  # small of itself, not by damping
@@ -306,8 +377,14 @@ class BatchSolver:
         return state._replace(lam=state.lam + step), Seen(after_lambda_step(equations, step), look)
 
     def _expected(self, shared: Shared, look: Look, state: States, trust: Trusts | None) -> Equations:
-        """Normal equations with the gradient of the model, which has no noise."""
-        return self.objective.weighed(shared, self.objective.own_gradient(shared, look, state), state, trust).equations
+        """Equations of the zero of E'r, by the gradient of the model: ``Linearisation.expecting``."""
+        gradient = self.objective.model_gradient(shared, look, state)
+        return self.objective.weighed(shared, look, state, trust, gradient).equations
+
+    def _curvature(self, shared: Shared, look: Look, state: States, trust: Trusts | None) -> Array:
+        """Expected Hessians, (b, n_q, n_q): ``Linearisation.with_gradient``."""
+        look = look._replace(steep=self.objective.model_gradient(shared, look, state))
+        return reduced(self.objective.weighed(shared, look, state, trust).equations)[0]
 
     def _update(self, shared: Shared, state: States, step: Array, lambda_step: Array) -> States:
         n_p = self.objective.n_p
@@ -320,9 +397,9 @@ class BatchSolver:
         unit = self.objective.objective.warp.movement(np.eye(n_p)[0])
         return unit * self.xp.sqrt(self.xp.sum(step[:, :n_p] ** 2, axis=-1))
 
-    def _precision(self, shared: Shared, equations: Equations) -> Array:
-        """Precision of the prior on p at a scale of 1, in units of squared residuals, (b, n_p)."""
-        return self.options.shape_prior * self._unit(equations)[:, None] * shared.prior
+    def _precision(self, shared: Shared, run: Run) -> Array:
+        """Precision of the prior on p, in units of squared residuals, (b, n_p)."""
+        return (self.options.shape_prior * self._unit(run.last.equations) / run.scale)[:, None] * shared.prior
 
     def _unit(self, equations: Equations) -> Array:
         """Variance that a residual of weight 1 stands for, (b,): ``Objective.unit``."""
@@ -334,10 +411,10 @@ class BatchSolver:
     def _rescales(self) -> bool:
         return bool(np.isfinite(self.objective.objective.freedom)) and self.options.shape_prior > 0
 
-    def _rescaled(self, shared: Shared, run: Run) -> Run:
+    def _rescaled(self, shared: Shared, run: Run, hessian: Array) -> Run:
         """Scale of the prior's variances in each picture, a step further."""
-        equations, prior = run.last.equations, self.options.shape_prior * shared.prior
-        hessian, unit, freedom = reduced(equations)[0], self._unit(equations), self.objective.objective.freedom
+        prior, unit = self.options.shape_prior * shared.prior, self._unit(run.last.equations)
+        freedom = self.objective.objective.freedom
         scale = next_scale(hessian, run.state.p, prior, unit, freedom, run.scale)
         return run._replace(scale=self.xp.where(run.done, run.scale, scale))
 
@@ -367,6 +444,30 @@ class BatchSolver:
         lambda_step = apply(equations.inverse, equations.ar + apply(equations.aj, step))
         return step, lambda_step, sees
 
+    def _guarded_step(self, equations: Equations, run: Run, precision: Array, damping: Array) -> tuple[Array, Array]:
+        """Steps to the zero of a gradient (``solver._guarded_step``), and where there was something to see."""
+        xp, n_p, base = self.xp, self.objective.n_p, run.curvature
+        hessian, gradient = reduced(equations)
+        seen = xp.max(xp.abs(xp.linalg.diagonal(hessian)[:, :n_p]), axis=-1) > 1e-10 * equations.weight
+        sees = (equations.weight > 0) & xp.isfinite(equations.rr) & seen
+        sees = sees & xp.all(xp.isfinite(hessian) & xp.isfinite(base), axis=(1, 2))
+        rest = xp.zeros_like(gradient[:, n_p:])
+        gradient = gradient + xp.concat([precision * run.state.p, rest], axis=-1)
+        moves, unit = run.free & sees[:, None], identity(hessian)
+        both = moves[:, :, None] & moves[:, None, :]
+        own = xp.concat([precision, rest], axis=-1)[:, None, :] * unit
+        # Directions that are held, and fits with nothing to see, give steps of 0.
+        base, hessian = (xp.where(both, matrix + own, xp.zeros_like(matrix)) for matrix in (base, hessian))
+        floor = 1e-9 * xp.max(xp.linalg.diagonal(base), axis=-1)[:, None]
+        base = base + xp.where(moves, floor + 0.0 * gradient, xp.ones_like(gradient))[:, None, :] * unit
+        base = xp.where(sees[:, None, None], base, unit + xp.zeros_like(base))
+        whiten = xp.linalg.inv(xp.linalg.cholesky(base))
+        ratios, axes = xp.linalg.eigh(whiten @ hessian @ xp.matrix_transpose(whiten))
+        axes = xp.matrix_transpose(whiten) @ axes
+        gradient = xp.where(moves, gradient, xp.zeros_like(gradient))
+        along = apply(xp.matrix_transpose(axes), gradient)
+        return -apply(axes, along / (xp.maximum(ratios, run.lift[:, None]) + damping[:, None])), sees
+
     def _free(self, shared: Shared, state: States, equations: Equations) -> Array:
         """Directions of q that may move, (b, n_q): all of p, and the angles that the image can tell."""
         xp, method = self.xp, self.objective.objective.method
@@ -393,29 +494,19 @@ class BatchSolver:
         return ~self.xp.all(run.free, axis=-1)
 
     def _score(self, shared: Shared, pictures: Pictures, run: Run, record: "_Record") -> Run:
-        """Step on by Fisher scoring (``solver._score``), as far as the cost does not say that the minimum was left."""
-        xp = self.xp
-        scores = ~run.flat if self.options.scoring else ~run.flat & ~xp.isnan(run.trust.unit)
-        going, new, steps = scores, run, 0 * run.item
-        path = []
-        for _ in range(min(self.options.scoring or SCORING_STEPS, self.options.max_iterations)):
-            expected = self._functions["expected"](shared, new.last.look, new.state, new.trust or None)
-            proposed = self._functions["propose"](shared, new, expected, 0.0 * new.damping)
-            there = self._functions["seen"](shared, pictures, proposed.state, new.trust or None)
-            going = going & proposed.sees
-            state, last = choose(going, there, (new.state, new.last))
-            new = new._replace(state=state, last=last)
-            if self.options.scoring:  # asked for more than a step or two: the weights move along
-                new = self._weigh_anew(shared, pictures, new, going)
-            path.append((new, going))
-            steps = steps + xp.astype(going, steps.dtype)
-            going = going & ~proposed.small
-            if not bool(xp.any(going)):
+        """Step on with the expected gradient, as far as the cost does not say that the minimum was left."""
+        going, path = ~run.flat, []
+        least = self.xp.full_like(run.least, float("inf"))
+        start = {"damping": 0.0 * run.damping, "done": run.flat, "least": least, "before": 0.0 * run.before}
+        scored = run._replace(**start)
+        for _ in range(min(self.options.scoring, self.options.max_iterations)):
+            scored = self._turn(shared, pictures, scored, lambda *taken: path.append(taken), expects=True)
+            if bool(self.xp.all(scored.done)):
                 break
-        good = scores & (steps > 0) & (cost(new.last.equations) <= SCORING_RISE * cost(run.last.equations))
+        good = going & (cost(scored.last.equations) <= EXPECTED_RISE * cost(run.last.equations))
         for there, mask in path:
             record.accept(there, good & mask)
-        return choose(good, new._replace(n_iterations=run.n_iterations + steps), run)
+        return choose(good, scored._replace(settled=run.settled, flat=run.flat), run)
 
 
 def _merit(equations: Equations, state: States, precision: Array) -> Array:
@@ -448,13 +539,13 @@ class _Record:
         for i, item in enumerate(items):
             equations = last.equations
             own = NormalEquations(
-                *(getattr(equations, name)[i] for name in ("jj", "jr", "aj", "aa", "ar")),
+                **{name: getattr(equations, name)[i] for name in ("jj", "jr", "aj", "aa", "ar")},
                 rr=float(equations.rr[i]),
                 weight=float(equations.weight[i]),
                 inverse=equations.inverse[i],
                 unit=float(equations.unit[i]),
             )
-            seen = Linearisation(own, OneLook(*(array[i] for array in last.look)))
+            seen = Linearisation.of(own, OneLook(*(array[i] for array in last.look)))
             self._ends[int(item)] = (seen, *(end[i].item() for end in ends), bool(held[i]))
 
     def solutions(self) -> list[Solution]:
