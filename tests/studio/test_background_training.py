@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from liaam.io import Landmarks, write_image, write_landmarks
-from liaam.studio.project import STATE, Project
+from liaam.studio.folder import STATE
+from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.training import (
     ModelStore,
@@ -60,8 +61,13 @@ def setting(folder):
         trainer.stop()
 
 
+def shown(current, project):
+    """What the page is told of a model."""
+    return model_json(current, project.overview().done)
+
+
 def states(project):
-    return [picture["state"] for picture in project.overview()]
+    return [picture["state"] for picture in project.overview().pictures]
 
 
 def test_training_places_the_points_of_the_other_pictures(setting, portraits):
@@ -89,7 +95,7 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
         size = np.hypot(*np.ptp(truth, axis=0))
         assert error < 0.03 * size
         assert np.array(marks["covariances"]).shape == (58, 2, 2)
-    pictures = {picture["name"]: picture for picture in project.overview()}
+    pictures = {picture["name"]: picture for picture in project.overview().pictures}
     assert sorted(pictures[f"p{i}.png"]["rank"] for i in range(5, 9)) == [1, 2, 3, 4]
     assert all(0 < pictures[f"p{i}.png"]["uncertainty"] < 0.2 for i in range(5, 9))
     assert pictures["p9.png"]["state"] == "new" and "cut short" in pictures["p9.png"]["error"]
@@ -99,13 +105,13 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     again, store = Project(project.root), ModelStore()
     load_studio_model(again, store)
     assert states(again) == states(project)
-    told_of = model_json(store.current, again)
+    told_of = shown(store.current, again)
     assert (told_of["stale"], told_of["source"], told_of["n_points"]) == (0, "studio", 58)
     assert told_of["trained"] == models.current.facts["trained"]
     json.dumps(told_of, allow_nan=False)
     marks = again.marks("p5.png")
     again.save_marks("p5.png", marks)
-    assert model_json(store.current, again)["stale"] == 1
+    assert shown(store.current, again)["stale"] == 1
     forget_studio_model(again, store)
     assert store.current is None and not (again.root / STATE / "model.liaam").exists()
 
@@ -141,7 +147,7 @@ def test_a_training_that_is_stopped_leaves_the_careful_model_in_place(setting):
     trainer.start()
     assert trainer.wait(240).state == "done"
     careful, data = models.current, (project.root / STATE / "model.liaam").read_bytes()
-    assert model_json(careful, project)["careful"] and model_json(careful, project)["stale"] == 0
+    assert shown(careful, project)["careful"] and shown(careful, project)["stale"] == 0
     project.save_marks("p5.png", project.marks("p5.png"))
     told.events.clear()
     trainer.start()
@@ -151,7 +157,7 @@ def test_a_training_that_is_stopped_leaves_the_careful_model_in_place(setting):
     trainer.stop()
     assert models.current is careful
     assert (project.root / STATE / "model.liaam").read_bytes() == data
-    assert model_json(models.current, project)["stale"] == 1
+    assert shown(models.current, project)["stale"] == 1
     store = ModelStore()
     load_studio_model(Project(project.root), store)
     assert store.current.facts["trained"] == careful.facts["trained"] and store.current.is_careful
@@ -166,7 +172,7 @@ def test_of_a_first_training_that_is_stopped_the_quick_model_stays_as_such(setti
     load_studio_model(again, store)
     for current in (models.current, store.current):
         assert current.model.reliability is None
-        told_of = model_json(current, again)
+        told_of = shown(current, again)
         assert (told_of["careful"], told_of["stale"]) == (False, 4)
     assert not (project.root / STATE / "model.liaam").exists()
 
@@ -228,7 +234,7 @@ def test_what_cannot_be_learnt_from_is_told(setting):
 def test_a_damaged_model_is_told_and_passed_over(folder):
     project, models = Project(folder(3, 3)), ModelStore()
     for data in (b"", b"rubbish" * 100):
-        project.state_path("model.liaam").write_bytes(data)
+        project.state.path("model.liaam").write_bytes(data)
         load_studio_model(project, models)
         assert models.current is None
         assert any("model.liaam" in problem and "train again" in problem for problem in project.problems)
@@ -236,11 +242,11 @@ def test_a_damaged_model_is_told_and_passed_over(folder):
 
 def test_a_model_without_its_facts_still_serves(folder, head_model):
     project, models = Project(folder(3, 3)), ModelStore()
-    head_model.save(project.state_path("model.liaam"))
-    project.state_path("model.json").write_text('{"pictures": 3')
+    head_model.save(project.state.path("model.liaam"))
+    project.state.path("model.json").write_text('{"pictures": 3')
     load_studio_model(project, models)
     assert models.current.facts["trained"] is None
-    assert model_json(models.current, project)["stale"] == 3
+    assert shown(models.current, project)["stale"] == 3
     assert any("model.json" in problem for problem in project.problems)
 
 
@@ -248,7 +254,7 @@ def test_a_given_model_serves(folder, head_model, tmp_path):
     head_model.save(tmp_path / "m.liaam")
     project, models = Project(folder(2)), ModelStore()
     load_given_model(tmp_path / "m.liaam", models)
-    assert model_json(models.current, project)["source"] == "file"
+    assert shown(models.current, project)["source"] == "file"
 
 
 def test_a_fit_that_blew_up_is_no_proposal(head_model, moving):

@@ -9,9 +9,12 @@ import pytest
 
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, write_image, write_landmarks
-from liaam.studio import project as project_module
+from liaam.studio import folder as project_folder
+from liaam.studio import landmark_files, state_files
 from liaam.studio.app import make_studio
-from liaam.studio.project import STATE, Project
+from liaam.studio.folder import STATE
+from liaam.studio.listing import Listing
+from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 
@@ -32,7 +35,7 @@ def put(project, name, points, **more):
 
 
 def by_name(project):
-    return {picture["name"]: picture for picture in project.overview()}
+    return {picture["name"]: picture for picture in project.overview().pictures}
 
 
 def proposal():
@@ -67,10 +70,11 @@ def disk(monkeypatch):
             raise error(f"{path} cannot be written ({fault.strerror}): check the free space.") from fault
         real(path, data, error)
 
-    real = project_module.write_bytes_atomically
-    monkeypatch.setattr(project_module, "write_bytes_atomically", write)
+    real = state_files.write_bytes_atomically
+    for module in (state_files, landmark_files):
+        monkeypatch.setattr(module, "write_bytes_atomically", write)
     monkeypatch.setattr(
-        project_module, "write_text_atomically", lambda path, text, error: write(path, text.encode(), error)
+        landmark_files, "write_text_atomically", lambda path, text, error: write(path, text.encode(), error)
     )
     return full
 
@@ -249,7 +253,7 @@ def test_a_stamp_changes_with_all_that_is_shown(small):
     assert changed()
     small.save_template(TURNED)
     assert changed()
-    small.note("something", "is wrong")
+    small.state.note("something", "is wrong")
     assert changed()
 
 
@@ -336,7 +340,7 @@ def test_a_file_that_cannot_be_removed_is_no_bug(small, serve, monkeypatch):
     def refuse(path, missing_ok=False):
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr(project_module.Path, "unlink", refuse)
+    monkeypatch.setattr(project_folder.Path, "unlink", refuse)
     answer = client.put("/api/pictures/p1.png/landmarks", json={**marks, "points": [None] * 3})
     assert answer.status_code == 503 and answer.json()["error"].startswith("p1.ljson cannot be removed")
 
@@ -354,6 +358,18 @@ def test_a_page_asks_cheaply_whether_anything_changed(small, serve, head_model):
     (small.root / "p1.ljson").unlink()
     project = client.get("/api/project", params={"stamp": project["stamp"]}).json()
     assert project["pictures"][0]["state"] == "new"
+
+
+def test_the_folder_is_listed_once_for_each_time_the_page_asks(small, serve, head_model, monkeypatch):
+    running = serve(small.root)
+    running.studio.models.publish(head_model, {"source": "studio", "trained": None, "pictures": {}})
+    running.client.get("/api/project").raise_for_status()
+    listed, scan = [], Listing.scan
+    monkeypatch.setattr(Listing, "scan", lambda listing: listed.append(listing) or scan(listing))
+    project = running.client.get("/api/project").json()
+    assert len(listed) == 1 and project["model"]["stale"] == 3
+    assert running.client.get("/api/project", params={"stamp": project["stamp"]}).json()["unchanged"]
+    assert len(listed) == 2
 
 
 def test_a_change_of_the_template_leaves_a_given_model_alone(small, serve, head_model, tmp_path):

@@ -9,7 +9,9 @@ import pytest
 from liaam.datasets import load_folder
 from liaam.errors import ImageError
 from liaam.io import Contour, Landmarks, read_landmarks, write_collection, write_image, write_landmarks
-from liaam.studio.project import STATE, Project, teaching_order
+from liaam.studio.folder import STATE
+from liaam.studio.project import Project
+from liaam.studio.proposals import teaching_order
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 
@@ -17,7 +19,7 @@ TRIANGLE = {"names": ["a", "b", "c"], "contours": [{"indices": [0, 1, 2], "close
 
 
 def by_name(project):
-    return {picture["name"]: picture for picture in project.overview()}
+    return {picture["name"]: picture for picture in project.overview().pictures}
 
 
 def states(project):
@@ -122,7 +124,7 @@ def test_folders_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
 
 def test_an_empty_folder_is_fine(tmp_path):
     project = Project(tmp_path)
-    assert project.overview() == [] and project.template is None and project.problems == []
+    assert project.overview().pictures == [] and project.template is None and project.problems == []
     assert list(tmp_path.iterdir()) == []  # looking leaves nothing behind
 
 
@@ -313,9 +315,9 @@ def test_the_template_comes_from_the_first_landmark_file(small):
     assert not (small.root / STATE).exists()
     file = small.root / "p2.ljson"
     file.rename(small.root / "p2.away")
-    assert not project.overview()[1]["placed"] and project.template is None
+    assert not project.overview().pictures[1]["placed"] and project.template is None
     (small.root / "p2.away").rename(file)
-    assert project.overview()[1]["placed"] and project.template.names == names
+    assert project.overview().pictures[1]["placed"] and project.template.names == names
     put(project, "p1.png", POINTS)
     assert json.loads((small.root / STATE / "template.json").read_text())["names"] == list(names)
 
@@ -347,14 +349,14 @@ def test_new_names_and_contours_reach_the_files_and_keep_the_model(small):
 def test_a_kill_in_the_middle_of_a_change_loses_nothing(small, monkeypatch):
     for name in ("p1.png", "p2.png", "p10.png"):
         put(small, name, POINTS)
-    write = small._write_state
+    write = small.state.write
 
     def die_at_the_template(name, content):
         if name == "template.json":
             raise KeyboardInterrupt
         write(name, content)
 
-    monkeypatch.setattr(small, "_write_state", die_at_the_template)
+    monkeypatch.setattr(small.state, "write", die_at_the_template)
     with pytest.raises(KeyboardInterrupt):
         small.save_template({"names": ["c", "a"], "mapping": [2, 0]})
     # As if only the first file had been written, and somebody had changed the third since.
@@ -533,7 +535,7 @@ def test_a_state_folder_that_leads_out_is_not_used(small, tmp_path):
     assert project.template is None
     assert any("remove it" in problem for problem in project.problems)
     assert refused(project.save_template, TRIANGLE).status == 409
-    assert refused(project.state_path, "model.liaam").status == 409
+    assert refused(project.state.path, "model.liaam").status == 409
     assert [path.name for path in outside.iterdir()] == ["template.json"]
 
 
@@ -560,4 +562,4 @@ def test_names_that_no_answer_can_hold_are_passed_over(small):
         (small.root / os.fsdecode(b"bad\xff.png")).write_bytes((small.root / "p1.png").read_bytes())
     except OSError:
         pytest.skip("this file system takes no such names")
-    assert json.dumps(small.overview(), ensure_ascii=False).encode()
+    assert json.dumps(small.overview().pictures, ensure_ascii=False).encode()

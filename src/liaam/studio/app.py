@@ -27,9 +27,10 @@ from liaam.photometry import CameraModel
 from liaam.studio.events import Events
 from liaam.studio.fits import Fits, attachment
 from liaam.studio.fits import routes as fit_routes
+from liaam.studio.folder import checked_folder, status_of
 from liaam.studio.locking import FolderLock
 from liaam.studio.pictures import Pictures, Source, checked_size, source_of
-from liaam.studio.project import Project, checked_folder, status_of
+from liaam.studio.project import Project
 from liaam.studio.safety import HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.training import (
@@ -179,19 +180,19 @@ class _Handlers:
         from liaam.fitting.methods import DEFAULT_METHOD
 
         studio, project = self.studio, self.studio.project
-        stamp = self._stamp()  # before what it stands for: a change meanwhile shows the next time
-        if stamp == known:
-            return {"unchanged": True, "stamp": stamp}
-        pictures = project.overview()
+        learnt = self._learnt()  # before what it stands for: a change meanwhile shows the next time
+        overview = project.overview_since(_without(learnt, known))
+        if overview is None:
+            return {"unchanged": True, "stamp": known}
         follow_template(project, studio.models, studio.training)
         return {
             "id": project.id,
-            "stamp": stamp,
+            "stamp": overview.stamp + learnt,
             "folder": project.root.name or str(project.root),
             "version": __version__,
-            "pictures": pictures,
+            "pictures": overview.pictures,
             "template": project.template_json(),
-            "model": model_json(studio.models.current, project),
+            "model": model_json(studio.models.current, overview.done),
             "training": asdict(studio.training.state),
             "methods": [
                 {"name": method.name, "summary": method.summary, "needs_colour": method.needs_colour}
@@ -202,11 +203,10 @@ class _Handlers:
             "problems": project.problems,
         }
 
-    def _stamp(self) -> str:
-        """Changes with everything that the page is told of the project, but for how far a training is."""
-        studio = self.studio
-        model = studio.models.current
-        return f"{studio.project.stamp}-{0 if model is None else model.number}-{studio.training.state.state}"
+    def _learnt(self) -> str:
+        """What a stamp says beside the folder's own: which model there is, and whether a training runs."""
+        model = self.studio.models.current
+        return f"-{0 if model is None else model.number}-{self.studio.training.state.state}"
 
     async def landmarks(self, request: Request) -> Response:
         return JSONResponse(await run_sync(self.studio.project.marks, request.path_params["name"]))
@@ -324,6 +324,11 @@ class _Handlers:
             return JSONResponse({"error": text, **fault.details}, fault.status)
         refused_write = isinstance(fault.__cause__, OSError) and request.method != "GET"
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
+
+
+def _without(learnt: str, stamp: str | None) -> str | None:
+    """Give the folder's own part of a stamp; None if the rest of it has changed, or there is no stamp."""
+    return stamp.removesuffix(learnt) if stamp is not None and stamp.endswith(learnt) else None
 
 
 async def _nothing(request: Request) -> Response:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from liaam.errors import LiaamError
-from liaam.studio.project import STATE
+from liaam.studio.folder import STATE
 
 LOCK_FILE = "lock"
 

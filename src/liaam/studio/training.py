@@ -25,7 +25,8 @@ import numpy as np
 from liaam.errors import ImageError, LiaamError, TrainingError
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.studio.pictures import file_tag
-from liaam.studio.project import Annotated, Project, is_proposal
+from liaam.studio.project import Annotated, Project
+from liaam.studio.proposals import is_proposal
 from liaam.studio.safety import Refusal
 
 if TYPE_CHECKING:
@@ -223,8 +224,8 @@ class Trainer:
             done,
             self.project.to_propose(self.project.settings.proposals_per_training),
             template.contours,
-            self.project.state_path(MODEL_FILE),
-            self.project.state_path(QUICK_FILE),
+            self.project.state.path(MODEL_FILE),
+            self.project.state.path(QUICK_FILE),
             order,
             self.project.root.name,
             self.project.settings.proposals_at_once,
@@ -288,10 +289,10 @@ class Trainer:
             "careful": careful,
             "order": job.order,
         }
-        self.project.write_state(FACTS_FILE if careful else QUICK_FACTS_FILE, facts)
+        self.project.state.write(FACTS_FILE if careful else QUICK_FACTS_FILE, facts)
         self.models.publish(load_model(job.model if careful else job.quick), facts)
         if careful:
-            self.project.remove_state(QUICK_FILE, QUICK_FACTS_FILE)
+            self.project.state.remove(QUICK_FILE, QUICK_FACTS_FILE)
         self._publish("project", {})
 
     def _end(self, process: Any) -> None:
@@ -318,17 +319,17 @@ def load_studio_model(project: Project, models: ModelStore) -> None:
 def _load_model(project: Project, models: ModelStore, file: str, facts_file: str, careful: bool) -> None:
     from liaam.model import load_model
 
-    project.note(file, None)
+    project.state.note(file, None)
     try:
-        path = project.state_path(file)
+        path = project.state.path(file)
         if not path.exists():
             return
-        facts = project.read_state(facts_file, _are_facts) or {"source": "studio", "trained": None, "pictures": {}}
+        facts = project.state.read(facts_file, _are_facts) or {"source": "studio", "trained": None, "pictures": {}}
         facts = {"order": project.order, **facts, "careful": careful}
         if facts["order"] == project.order:
             models.publish(load_model(path), facts)
     except (LiaamError, OSError) as fault:
-        project.note(file, f"{fault}; it is passed over: train again")
+        project.state.note(file, f"{fault}; it is passed over: train again")
 
 
 def forget_studio_model(project: Project, models: ModelStore) -> None:
@@ -336,7 +337,7 @@ def forget_studio_model(project: Project, models: ModelStore) -> None:
     current = models.current
     if current is not None and current.facts["source"] == "studio":
         models.withdraw()
-    project.remove_state(MODEL_FILE, FACTS_FILE, QUICK_FILE, QUICK_FACTS_FILE)
+    project.state.remove(MODEL_FILE, FACTS_FILE, QUICK_FILE, QUICK_FACTS_FILE)
 
 
 def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:
@@ -360,13 +361,13 @@ def load_given_model(path: Path, models: ModelStore) -> None:
     models.publish(load_model(path), {"source": "file", "trained": None, "pictures": {}})
 
 
-def model_json(current: ModelInUse | None, project: Project) -> dict[str, Any] | None:
-    """What the page is told of the model in use."""
+def model_json(current: ModelInUse | None, done: Mapping[str, str]) -> dict[str, Any] | None:
+    """What the page is told of the model in use, while there are pictures that are done (revisions by name)."""
     if current is None:
         return None
     model, facts = current.model, current.facts
     known = facts["pictures"] if current.is_careful else {}
-    stale = sum(known.get(item.name) != item.revision for item in project.annotated())
+    stale = sum(known.get(name) != revision for name, revision in done.items())
     return {
         "n_images": model.n_images,
         "n_points": model.n_points,

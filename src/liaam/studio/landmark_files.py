@@ -1,0 +1,236 @@
+"""The landmark files of a project: what they say of each picture, and how they are written.
+
+Landmarks are kept beside the picture as ``.ljson``, or in the ``.pts`` that is there, since :func:`liaam.load_folder`
+prefers that. A file of another format is read, never written or removed: what is saved goes into an ``.ljson``, which
+comes before it. The studio's own are ``invisible.json`` (marks that a ``.pts`` cannot hold) and ``kept`` (landmark
+files as they were before the studio replaced what it could not read).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from liaam.datasets.folder import pair_files
+from liaam.errors import LandmarkError
+from liaam.io.atomic import write_bytes_atomically, write_text_atomically
+from liaam.io.files import read_bytes
+from liaam.io.landmarks import FORMATS, Landmarks, parse_landmark_data
+from liaam.studio.folder import remove, revision_of
+from liaam.studio.listing import File, Listing, Signature
+from liaam.studio.safety import Refusal
+from liaam.studio.state_files import StateFiles
+from liaam.studio.template import Template, landmarks_of
+
+INVISIBLE_FILE = "invisible.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """What the file of a picture's landmarks says."""
+
+    file: str
+    revision: str
+    landmarks: Landmarks | None
+    error: str | None = None
+
+    @property
+    def points(self) -> list[list[float] | None]:
+        """Points as JSON knows them: [x, y] or None."""
+        placed = [] if self.landmarks is None else self.landmarks.points.tolist()
+        return [None if x != x else [round(x, 3), round(y, 3)] for x, y in placed]
+
+    @property
+    def n_placed(self) -> int:
+        """Points that are placed."""
+        return 0 if self.landmarks is None else int((~self.landmarks.missing).sum())
+
+
+def n_placed(marks: Marks | None) -> int:
+    """Points that are placed; none where there is no file."""
+    return 0 if marks is None else marks.n_placed
+
+
+class LandmarkFiles:
+    """Landmark files of the pictures that are listed; what they say is kept until they change.
+
+    Parameters
+    ----------
+    listing : Listing
+    state : StateFiles
+    most_bytes : int
+        Of a file that is read.
+    """
+
+    def __init__(self, listing: Listing, state: StateFiles, most_bytes: int) -> None:
+        self._folder = listing.folder
+        self._listing = listing
+        self._state = state
+        self._most_bytes = most_bytes
+        self._read: dict[str, tuple[Signature, Marks]] = {}
+        self._paired: dict[str, Marks] = {}
+        self._faults: dict[str, str] = {}
+        self._problems: list[str] = []
+        self._paired_files: object = None
+        self._paired_version = -1
+        self._invisible: dict[str, Any] = state.read(INVISIBLE_FILE, _is_invisible) or {}
+        self._written_invisible = self._invisible
+
+    # What they say --------------------------------------------------------------------------------
+
+    def of(self, picture: File) -> Marks | None:
+        """Landmarks of a picture; None if it has no file, or the file belongs to another picture."""
+        if self._listing.winners[picture.stem] != picture.name:
+            return None
+        own = self._listing.own(picture)
+        return self._foreign().get(picture.name) if own is None else self._own(own)
+
+    def revision(self, picture: File) -> str | None:
+        """What tells the contents of a picture's landmark file from all others; None if it has none."""
+        marks = self.of(picture)
+        return None if marks is None else marks.revision
+
+    def fault_of(self, picture: File) -> str | None:
+        """Why a file of another format gives a picture without landmarks none."""
+        self._foreign()
+        return self._faults.get(picture.name)
+
+    @property
+    def problems(self) -> list[str]:
+        """Say which files cannot be read and belong to no picture."""
+        return self._problems
+
+    def is_current(self, picture: File) -> bool:
+        """Whether the listing holds what there is of a picture: no file has come or gone, and its own are the same."""
+        marks = self._foreign().get(picture.name)
+        others = [self._listing.own(picture), None if marks is None else self._listing.files.get(marks.file)]
+        return self._listing.is_current(picture, *(other for other in others if other is not None))
+
+    def forget(self) -> None:
+        """Read all files anew."""
+        self._read.clear()
+
+    def _own(self, own: File) -> Marks:
+        known = self._read.get(own.name)
+        if known is None or known[0] != own.signature:
+            known = self._read[own.name] = (own.signature, self._read_own(own))
+        return known[1]
+
+    def _read_own(self, own: File) -> Marks:
+        try:
+            data = read_bytes(self._folder.inside(own.name), LandmarkError, self._most_bytes)
+        except LandmarkError as fault:
+            return Marks(own.name, "", None, self._folder.plain(fault))
+        revision = revision_of(data)
+        try:
+            landmarks = parse_landmark_data(own.name, data)
+        except LandmarkError as fault:
+            return Marks(own.name, revision, None, f"{fault} A copy is kept when you place points anew.")
+        assert isinstance(landmarks, Landmarks)  # these formats are of one picture
+        marks = self._invisible.get(own.name)
+        if marks is not None and marks["revision"] == revision and max(marks["points"], default=0) < len(landmarks):
+            landmarks = replace(landmarks, invisible=tuple(marks["points"]))
+        return Marks(own.name, revision, landmarks)
+
+    def _foreign(self) -> dict[str, Marks]:
+        """Landmarks by picture of all files that are read only, paired as ``liaam train`` pairs them."""
+        listing = self._listing
+        if self._paired_version == listing.version:
+            return self._paired
+        self._paired_version = listing.version
+        files = (tuple(listing.other_files), tuple(listing.winners.values())) if listing.other_files else None
+        if files != self._paired_files or files is None:
+            self._paired, self._faults, self._problems = self._pair() if files else ({}, {}, [])
+            self._paired_files = files
+        return self._paired
+
+    def _pair(self) -> tuple[dict[str, Marks], dict[str, str], list[str]]:
+        """Pair pictures with files of other formats: landmarks, faults by picture, and faults of other files."""
+        root, listing = self._folder.root, self._listing
+        images = [root / name for name in listing.winners.values()]
+        samples, left_out = pair_files(root, images, [root / file.name for file in listing.other_files])
+        marks, revisions = {}, {}
+        for sample in samples:
+            file = sample.landmark_file
+            assert isinstance(sample.image, Path)
+            assert file is not None
+            if file not in revisions:  # one file may be of all pictures
+                revisions[file] = revision_of(file.read_bytes())
+            marks[sample.image.name] = Marks(file.name, revisions[file], sample.landmarks)
+        faults, problems = {}, []
+        for left in left_out:
+            if "cannot be read" not in left.reason:
+                continue
+            reason = self._folder.plain(left.reason)
+            picture = listing.winners.get(left.path.stem)
+            if picture is None:
+                problems.append(f"{left.path.name}: {reason}")
+            elif picture not in marks:
+                faults[picture] = reason
+        return marks, faults, problems
+
+    # How they are written -------------------------------------------------------------------------
+
+    def target(self, picture: File) -> Path:
+        """File that a picture's landmarks are written to."""
+        own = self._listing.own(picture)
+        return self._folder.inside(own.name if own is not None else f"{picture.stem}.ljson")
+
+    def save(self, picture: File, template: Template, points: Sequence[Any], invisible: Sequence[int]) -> None:
+        """Write a picture's landmarks; of a picture without any point nothing is left."""
+        target = self.target(picture)
+        self._keep_unreadable(self.of(picture), target, template)
+        # A file of another format would show again if the studio's own were removed.
+        is_alone = picture.name not in self._foreign()
+        if not any(points) and target.suffix.lower() == ".ljson" and is_alone:
+            remove(target)
+        else:
+            landmarks = landmarks_of(template, points, invisible)
+            text = text_of(landmarks, target)
+            write_text_atomically(target, text, LandmarkError)
+            self._remember_invisible(target.name, text.encode(), landmarks.invisible)
+        self._listing.renew(target.name)
+        self._read.pop(target.name, None)  # a write within the clock's resolution does not show in the signature
+
+    def rewrite(self, name: str, text: str, before: str | None, invisible: Sequence[int]) -> None:
+        """Replace a file whose revision is ``before``; one that is there already, or is another, is left alone."""
+        try:
+            target, after = self._folder.inside(name), text.encode()
+        except Refusal:  # it has become a link that leads out: not ours to write
+            return
+        data = target.read_bytes() if target.is_file() else None
+        if data != after and (None if data is None else revision_of(data)) == before:
+            write_bytes_atomically(target, after, LandmarkError)
+        if invisible:
+            self._remember_invisible(name, after, invisible)
+
+    def _keep_unreadable(self, before: Marks | None, target: Path, template: Template) -> None:
+        """Keep a copy of what a person may miss: a file that cannot be read, or of another number of points."""
+        if before is None or before.file != target.name:
+            return
+        if before.landmarks is None or len(before.landmarks) != len(template):
+            data = target.read_bytes()
+            self._state.write(f"kept/{target.stem}.{revision_of(data)}{target.suffix}", data)
+
+    def _remember_invisible(self, name: str, data: bytes, invisible: Sequence[int]) -> None:
+        """Keep the marks that a ``.pts`` has no place for."""
+        known = {key: marks for key, marks in self._invisible.items() if key != name}
+        if invisible and Path(name).suffix.lower() == ".pts":
+            known[name] = {"revision": revision_of(data), "points": list(invisible)}
+        self._invisible = known
+        if known != self._written_invisible:
+            self._state.write(INVISIBLE_FILE, known)
+            self._written_invisible = known
+
+
+def text_of(landmarks: Landmarks, target: Path) -> str:
+    """Landmarks as a file of a format that the studio writes holds them."""
+    dump = FORMATS[target.suffix.lower()].dump
+    assert dump is not None
+    return dump(landmarks)
+
+
+def _is_invisible(data: Any) -> bool:
+    return all(isinstance(item["revision"], str) and all(i >= 0 for i in item["points"]) for item in data.values())

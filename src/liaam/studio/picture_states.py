@@ -1,0 +1,130 @@
+"""How far each picture of a project is: new, proposed, partial, done or broken, and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from liaam.studio.landmark_files import LandmarkFiles, Marks, n_placed
+from liaam.studio.listing import File, Listing
+from liaam.studio.proposals import Proposals, teaching_order
+from liaam.studio.template_store import TemplateStore
+
+
+class PictureStates:
+    """What the page is told of pictures, from their listing, landmarks and proposals."""
+
+    def __init__(
+        self, listing: Listing, landmarks: LandmarkFiles, proposals: Proposals, templates: TemplateStore
+    ) -> None:
+        self._listing = listing
+        self._landmarks = landmarks
+        self._proposals = proposals
+        self._templates = templates
+
+    def ranks(self) -> dict[str, int]:
+        """Rank the pictures that have only a proposal: 1 teaches most (see :func:`teaching_order`)."""
+        template = self._templates.current
+        waiting = {
+            file.name: proposal
+            for file in self._listing.pictures
+            if (proposal := self._proposals.with_points(file, template)) is not None
+            and not n_placed(self._landmarks.of(file))
+        }
+        return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
+
+    def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
+        """Give one picture, as the page shows it."""
+        size, fault, marks = self._listing.size_of(file), self._listing.fault_of(file), self._landmarks.of(file)
+        proposal = self._proposals.with_points(file, self._templates.current)
+        placed = n_placed(marks)
+        waiting = proposal is not None and not placed and fault is None
+        if fault is not None:
+            state = "broken"
+        elif placed:
+            state = "done" if self.is_done(file) else "partial"
+        else:
+            state = "proposed" if waiting else "new"
+        return {
+            "name": file.name,
+            "tag": file.tag,
+            "state": state,
+            "placed": placed,
+            "error": fault or self._error_of(file, marks),
+            "width": None if isinstance(size, str) else size[0],
+            "height": None if isinstance(size, str) else size[1],
+            "uncertainty": proposal["uncertainty"] if waiting and proposal else None,
+            "doubtful": bool(waiting and proposal and proposal["doubtful"]),
+            "rank": ranks.get(file.name) if waiting else None,
+        }
+
+    def marks_json(self, file: File) -> dict[str, Any]:
+        """Landmarks of a picture as the page takes them: of its file, or as proposed, or none.
+
+        Raises
+        ------
+        Refusal
+            409 if the picture cannot be used.
+        """
+        width, height = self._listing.usable_size(file)
+        template, marks = self._templates.current, self._landmarks.of(file)
+        answer: dict[str, Any] = {
+            "points": [None] * (0 if template is None else len(template)),
+            "invisible": [],
+            "revision": None if marks is None else marks.revision,
+            "source": "none",
+            "tag": file.tag,
+            "file": None if marks is None else marks.file,
+            "covariances": None,
+            "quality": None,
+            "status": None,
+            "doubtful": False,
+            "error": None if marks is None else marks.error,
+            "width": width,
+            "height": height,
+        }
+        if marks is not None and marks.landmarks is not None and marks.n_placed:
+            return {**answer, "points": marks.points, "invisible": list(marks.landmarks.invisible), "source": "file"}
+        proposal = self._proposals.with_points(file, template)
+        if proposal is None:
+            return answer
+        shown = ("points", "covariances", "quality", "status", "doubtful")
+        return {**answer, **{key: proposal[key] for key in shown}, "source": "proposal"}
+
+    def is_done(self, file: File) -> bool:
+        """Whether a picture has all of its points, and they are of that picture."""
+        template, marks = self._templates.current, self._landmarks.of(file)
+        if template is None or marks is None or marks.landmarks is None:
+            return False
+        is_complete = marks.n_placed == len(template) == len(marks.landmarks)
+        return is_complete and self._misplaced(file, marks) is None
+
+    def _error_of(self, file: File, marks: Marks | None) -> str | None:
+        """What is wrong with the landmarks of a picture that can be shown."""
+        template = self._templates.current
+        if marks is None:
+            proposal = self._proposals.of(file)
+            failed = proposal is not None and proposal["points"] is None
+            return self._landmarks.fault_of(file) or (proposal["message"] if proposal and failed else None)
+        if marks.landmarks is not None and template is not None and len(marks.landmarks) != len(template):
+            return (
+                f"{marks.file} has {len(marks.landmarks)} points where the template has {len(template)}: "
+                "place the points anew, or remove that file"
+            )
+        return marks.error or self._misplaced(file, marks)
+
+    def _misplaced(self, file: File, marks: Marks) -> str | None:
+        """Say so if most points lie outside the picture: they are of another one."""
+        size = self._listing.size_of(file)
+        if isinstance(size, str) or marks.landmarks is None:
+            return None
+        placed = marks.landmarks.points[~marks.landmarks.missing]
+        n_outside = int(((placed < -0.5) | (placed > np.array(size) - 0.5)).any(axis=1).sum())
+        if 2 * n_outside <= len(placed):
+            return None
+        return (
+            f"{n_outside} of the {len(placed)} points of {marks.file} lie outside the picture of "
+            f"{size[0]} x {size[1]} pixels, which may have been replaced: place them anew, or put the picture back"
+        )

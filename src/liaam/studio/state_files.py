@@ -1,0 +1,141 @@
+"""What belongs to the studio alone: JSON files in a folder of their own, in the project's folder.
+
+They are ``template.json``, ``change.json`` (:mod:`liaam.studio.template_change`), ``proposals.json``
+(:mod:`liaam.studio.proposals`), ``invisible.json`` and ``kept`` (:mod:`liaam.studio.landmark_files`), the models
+(:mod:`liaam.studio.training`), and ``id``, by which a page tells folders apart.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LiaamError
+from liaam.io.atomic import write_bytes_atomically
+from liaam.studio.folder import STATE, Folder, remove, revision_of
+from liaam.studio.safety import Refusal
+
+_TEMPORARY = re.compile(r"\.liaam-[0-9a-f]{16}(\..*)?")
+"""What :mod:`liaam.io.atomic` leaves behind where it is killed."""
+
+
+class StateFiles:
+    """The studio's own files in a folder; may be used from any thread.
+
+    Attributes
+    ----------
+    folder : Folder
+    faults : dict of str to str
+        What is wrong with them, and with what is made of them.
+    writes : int
+        Counts up when what they show has changed.
+    """
+
+    def __init__(self, folder: Folder) -> None:
+        self.folder = folder
+        self.faults: dict[str, str] = {}
+        self.writes = 0
+        self._lock = threading.RLock()
+        self._id = ""
+
+    @property
+    def id(self) -> str:
+        """What tells this folder from all others, wherever it is moved to; a copy of it has another."""
+        with self._lock:
+            if not self._id:
+                known = self.read("id", _is_id)
+                if known is None:
+                    known = secrets.token_hex(16)
+                    with suppress(LiaamError):  # it then holds until the studio ends
+                        self.write("id", known)
+                facts = self.folder.root.stat()
+                self._id = revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
+            return self._id
+
+    def path(self, name: str) -> Path:
+        """Path of a file, whose folder exists then.
+
+        Raises
+        ------
+        Refusal
+            409 if it would lie outside the project's folder.
+        """
+        path = self._folder() / name
+        if not path.resolve().is_relative_to(self.folder.root / STATE):
+            raise Refusal(409, f"{STATE}/{name} is a link that leads elsewhere, so it is not used: remove it")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            raise LiaamError(
+                f"{path.parent} cannot be made ({fault.strerror or fault}): check the rights on the folder."
+            ) from fault
+        return path
+
+    def write(self, name: str, content: Any) -> None:
+        """Write a file, all or nothing: bytes as they are, all else as JSON."""
+        data = content if isinstance(content, bytes) else json.dumps(content, ensure_ascii=False).encode()
+        with self._lock:
+            write_bytes_atomically(self.path(name), data)
+            self.writes += name != "id"  # which changes nothing that is shown
+            self.note(name, None)
+
+    def read(self, name: str, check: Callable[[Any], bool]) -> Any:
+        """Read a JSON file; None if there is none, or it is damaged, which is noted then."""
+        with self._lock:
+            self.note(name, None)
+            try:
+                path = self._folder() / name
+            except Refusal as refusal:
+                self.note(STATE, str(refusal))
+                return None
+            try:
+                if not path.is_file():
+                    return None
+                content = json.loads(self.path(name).read_bytes())
+                json.dumps(content, allow_nan=False)  # NaN, too, is no JSON that the page could read
+                if check(content):
+                    return content
+                fault: object = "it is not of the studio's making"
+            except (OSError, ValueError, RecursionError, LiaamError, KeyError, TypeError, AttributeError) as error:
+                fault = error
+            self.note(name, f"{STATE}/{name} cannot be read ({fault}), so it is passed over: remove it, or mend it")
+            return None
+
+    def remove(self, *names: str) -> None:
+        """Remove files, if they are there."""
+        with self._lock:
+            for name in names:
+                remove(self.path(name))
+            self.writes += 1
+
+    def note(self, key: str, fault: str | None) -> None:
+        """Note what is wrong with a file, or that nothing is (any more)."""
+        with self._lock:
+            if fault is None:
+                self.faults.pop(key, None)
+            else:
+                self.faults[key] = self.folder.plain(fault)
+
+    def sweep(self) -> None:
+        """Remove what a killed process left half written; no other may write now."""
+        with self._lock, suppress(LiaamError, OSError):
+            for folder in (self._folder(), self._folder() / "kept"):
+                for path in list(folder.iterdir()):
+                    if _TEMPORARY.fullmatch(path.name) and path.is_file() and not path.is_symlink():
+                        path.unlink()
+
+    def _folder(self) -> Path:
+        folder = self.folder.root / STATE
+        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+            raise Refusal(409, f"{STATE} is a link or a file where the studio keeps a folder: remove it")
+        return folder
+
+
+def _is_id(data: Any) -> bool:
+    return isinstance(data, str) and 16 <= len(data) <= 64

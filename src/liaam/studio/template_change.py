@@ -1,0 +1,176 @@
+"""Changes of the template, which landmark files follow: all of them, even if the studio is killed half way.
+
+A change is written down whole, in ``change.json``, before its first file is rewritten. From then on it counts: until
+all of its files are written, landmarks are neither given nor taken, and every call tries to finish it first.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LiaamError
+from liaam.studio.folder import Folder, status_of
+from liaam.studio.landmark_files import LandmarkFiles, Marks, text_of
+from liaam.studio.listing import OWN_SUFFIXES, File, Listing
+from liaam.studio.proposals import Proposals
+from liaam.studio.safety import Refusal
+from liaam.studio.state_files import StateFiles
+from liaam.studio.template import Template, landmarks_of, parse_indices
+from liaam.studio.template_store import TemplateStore, is_template
+
+CHANGE_FILE = "change.json"
+
+
+class TemplateChanges:
+    """Makes changes of the template, and finishes those of before."""
+
+    def __init__(
+        self,
+        listing: Listing,
+        state: StateFiles,
+        landmarks: LandmarkFiles,
+        proposals: Proposals,
+        templates: TemplateStore,
+    ) -> None:
+        self.is_pending = True  # until it has been looked for
+        self._folder: Folder = listing.folder
+        self._listing = listing
+        self._state = state
+        self._landmarks = landmarks
+        self._proposals = proposals
+        self._templates = templates
+
+    def save(self, template: Template, data: dict[str, Any]) -> bool:
+        """Take a template; gives whether points were added, taken away or put in another order.
+
+        Parameters
+        ----------
+        template : Template
+        data : dict
+            As it was sent, with ``mapping`` and ``revision`` if they are known.
+
+        Raises
+        ------
+        Refusal
+            See :meth:`liaam.studio.project.Project.save_template`.
+        """
+        self.settle()
+        self._listing.scan()
+        templates = self._templates
+        old = templates.current
+        marks = [(file, marks) for file in self._listing.pictures if (marks := self._landmarks.of(file)) is not None]
+        identity = None if old is None else list(range(len(old)))
+        is_there, is_current = template == templates.saved, data.get("revision") == templates.revision
+        if "revision" in data and not is_current:
+            if is_there:  # sent once more: the answer may have been lost on its way
+                return False
+            templates.check(data["revision"], "the template")
+        mapping = _mapping(data.get("mapping"), len(template), old, bool(marks))
+        if is_there and (mapping == identity or not is_current):
+            return False
+        moved = old is not None and mapping != identity
+        change = self._change(template, old, mapping, marks, moved)
+        self.is_pending = True
+        self._state.write(CHANGE_FILE, change)  # from here on the change will be finished, even after a kill
+        self.settle()
+        return moved
+
+    def settle(self) -> None:
+        """Finish a change that is under way; nothing may be read or written between its files.
+
+        Raises
+        ------
+        Refusal
+            503, or 507 where there is no space: it cannot be finished yet.
+        """
+        if not self.is_pending:
+            return
+        try:
+            self._finish()
+        except (LiaamError, OSError) as fault:
+            cause = fault if isinstance(fault, OSError) else fault.__cause__
+            sentence = (
+                f"a change of the template cannot be finished yet ({self._folder.plain(fault)}): it is tried again"
+            )
+            self._state.note(CHANGE_FILE, sentence)
+            status = fault.status if isinstance(fault, Refusal) else status_of(cause)
+            raise Refusal(status, sentence) from fault
+
+    def try_to_settle(self) -> None:
+        """Do so if it is possible, for who only looks."""
+        with suppress(Refusal):  # it has been noted
+            self.settle()
+
+    def _change(
+        self,
+        template: Template,
+        old: Template | None,
+        mapping: Sequence[int | None],
+        marks: list[tuple[File, Marks]],
+        moved: bool,
+    ) -> dict[str, Any]:
+        """What a change writes, in full: doing it twice does no harm."""
+        files = []
+        for file, known in marks:
+            target = self._landmarks.target(file)
+            stays = not moved and (known.file != target.name or target.suffix.lower() == ".pts")
+            if stays or old is None or known.landmarks is None or len(known.landmarks) != len(old):
+                continue
+            points = known.points
+            hidden = [i for i, source in enumerate(mapping) if source in known.landmarks.invisible]
+            landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden)
+            before = known.revision if known.file == target.name else None
+            text = text_of(landmarks, target)
+            files.append({"file": target.name, "before": before, "text": text, "invisible": hidden})
+        order = secrets.token_hex(8) if moved else self._templates.order
+        stored = {**template.as_json(), "revision": secrets.token_hex(8), "order": order}
+        return {"template": stored, "files": files}
+
+    def _finish(self) -> None:
+        """Do what ``change.json`` says, and remove it; files that somebody changed meanwhile are left alone."""
+        change = self._state.read(CHANGE_FILE, _is_change)
+        if change is None:  # none, or damaged, which is noted
+            self.is_pending = False
+            return
+        for item in change["files"]:
+            self._landmarks.rewrite(item["file"], item["text"], item["before"], item["invisible"])
+        if (change["template"].get("order") or "") != self._templates.order:
+            self._proposals.forget()
+        self._templates.store(change["template"])
+        self._state.remove(CHANGE_FILE)
+        self.is_pending = False
+        self._landmarks.forget()
+        self._listing.scan()
+
+
+def _mapping(data: Any, n: int, old: Template | None, has_marks: bool) -> list[int | None]:
+    """Index of each point before the change, None for a new one."""
+    if old is None:
+        return [None] * n
+    if data is None:
+        if has_marks and len(old) != n:
+            raise Refusal(
+                422,
+                f"the template had {len(old)} points and now has {n}, but pictures have landmarks: "
+                "send a mapping that says which point was which",
+            )
+        return [i if i < len(old) else None for i in range(n)]
+    if not isinstance(data, list) or len(data) != n:
+        raise Refusal(422, f"the mapping has to say for each of the {n} points which it was, or null for a new one")
+    parse_indices([index for index in data if index is not None], len(old), "mapping")
+    return data
+
+
+def _is_change(data: Any) -> bool:
+    keys = {"file", "before", "text", "invisible"}
+    sound = all(set(item) == keys and isinstance(item["text"], str) and _is_own(item["file"]) for item in data["files"])
+    return sound and is_template(data["template"])
+
+
+def _is_own(name: str) -> bool:
+    """Whether a name is that of a landmark file of the folder itself, in a format that is written."""
+    return Path(name).name == name and Path(name).suffix.lower() in OWN_SUFFIXES

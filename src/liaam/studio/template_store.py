@@ -1,0 +1,120 @@
+"""The template of a project: ``template.json``, or else what the first picture with landmarks has."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from liaam.io.landmarks import Landmarks
+from liaam.studio.folder import revision_of
+from liaam.studio.landmark_files import LandmarkFiles
+from liaam.studio.listing import Listing
+from liaam.studio.safety import Refusal
+from liaam.studio.state_files import StateFiles
+from liaam.studio.template import Template, parse_template, template_of
+
+TEMPLATE_FILE = "template.json"
+
+_MOST = 10**6
+"""Points of a template that is stored: what was let in once is read again."""
+
+
+class TemplateStore:
+    """The template that there is, and what tells it from others.
+
+    Attributes
+    ----------
+    saved : Template or None
+    order : str
+        Changes whenever points are added, taken away or put in another order.
+    """
+
+    def __init__(self, listing: Listing, state: StateFiles, landmarks: LandmarkFiles) -> None:
+        self.saved: Template | None = None
+        self.order = ""
+        self._revision = ""
+        self._listing = listing
+        self._state = state
+        self._landmarks = landmarks
+        self._guess: Template | None = None
+        self._guessed_of: Landmarks | None = None
+        self._guessed_version = -1
+        stored = state.read(TEMPLATE_FILE, is_template)
+        if stored is not None:
+            self._take(stored)
+
+    @property
+    def current(self) -> Template | None:
+        """The template that was saved, or else that of the first picture with landmarks."""
+        if self.saved is None and self._guessed_version != self._listing.version:
+            self._guessed_version = self._listing.version
+            self._guess = self._guessed()
+        return self.saved or self._guess
+
+    @property
+    def needed(self) -> Template:
+        """The template.
+
+        Raises
+        ------
+        Refusal
+            422 if there is none.
+        """
+        template = self.current
+        if template is None:
+            raise Refusal(422, "there is no template yet: define which points to place, or load a landmark file")
+        return template
+
+    @property
+    def revision(self) -> str | None:
+        """What changes of the template are made for; None if there is no template."""
+        template = self.current
+        if template is None:
+            return None
+        return self._revision or revision_of(json.dumps(template.as_json()).encode())
+
+    def as_json(self) -> dict[str, Any] | None:
+        """Give the template as the page takes it, with its ``revision``."""
+        template = self.current
+        return None if template is None else {**template.as_json(), "revision": self.revision}
+
+    def check(self, revision: Any, what: str) -> None:
+        """Refuse what was made for another template than there is."""
+        if revision != self.revision:
+            raise Refusal(
+                409,
+                f"the template was changed elsewhere since, and {what} came for the one before: look at it again",
+                template=self.as_json(),
+            )
+
+    def store(self, stored: Mapping[str, Any]) -> None:
+        """Use and keep a template, as JSON with its ``revision`` and ``order``."""
+        self._state.write(TEMPLATE_FILE, stored)
+        self._take(stored)
+
+    def keep(self) -> None:
+        """Keep what was taken from a file."""
+        if self.saved is None:
+            self.store({**self.needed.as_json(), "revision": self.revision, "order": self.order})
+
+    def _take(self, stored: Mapping[str, Any]) -> None:
+        self.saved = parse_template(stored, _MOST)
+        self._revision = stored.get("revision") or ""
+        self.order = stored.get("order") or ""
+
+    def _guessed(self) -> Template | None:
+        all_marks = (self._landmarks.of(file) for file in self._listing.pictures)
+        first = next((marks for marks in all_marks if marks is not None and marks.landmarks is not None), None)
+        if first is None or first.landmarks is None:
+            self._guessed_of = None
+            return None
+        if self._guessed_of is not first.landmarks:  # to look for symmetry takes a moment
+            self._guessed_of, self._guess = first.landmarks, template_of(first.landmarks)
+        return self._guess
+
+
+def is_template(data: Any) -> bool:
+    """Whether JSON is a template as it is stored."""
+    known = all(data.get(key) is None or isinstance(data[key], str) for key in ("revision", "order"))
+    return known and bool(parse_template(data, _MOST))
