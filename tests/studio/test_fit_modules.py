@@ -1,19 +1,15 @@
 """The pure parts of the Fit and Compare tabs, by Node; and that the page's invariant image is liaam's own."""
 
 import json
-import os
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from by_node import run_by_node
 
 from liaam.photometry import CameraModel, invariant_image
 from liaam.studio.pictures import chroma_bytes
 
-HERE = Path(__file__).parent
-MODULES = HERE.parents[1] / "src" / "liaam" / "studio" / "static" / "js"
 ANGLES = (0.0, 90.0, 118.0, 171.5)
 
 
@@ -35,21 +31,4 @@ def invariants(rng, tmp_path) -> Path:
 
 
 def test_pure_parts_of_the_page_by_node(invariants, tmp_path):
-    node = shutil.which("node")
-    if not node:
-        pytest.skip("node is not on this machine; the page's modules are tested in the browser only")
-    # Node takes .js for modules where a package.json says so; none is needed beside what is served.
-    shutil.copytree(MODULES, tmp_path / "modules")
-    (tmp_path / "package.json").write_text('{"type": "module"}')
-    shutil.copy(HERE / "js" / "fit.test.mjs", tmp_path)
-    ran = subprocess.run(
-        [node, "--test", "fit.test.mjs"],
-        cwd=tmp_path,
-        env={**os.environ, "LIAAM_INVARIANT": str(invariants)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert "# fail 0" in ran.stdout
-    assert "# pass 0" not in ran.stdout
+    run_by_node("fit.test.mjs", tmp_path, {"LIAAM_INVARIANT": str(invariants)})

@@ -1,5 +1,5 @@
 // The Annotate tab's parts that need no page: points, undo, saving, templates, and when to train.
-// Run by test_annotate_modules.py, which puts the modules beside this file.
+// Run by test_annotate_modules.py, by Node.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";

@@ -1,4 +1,4 @@
-// The Fit and Compare tabs' pure parts. Run by test_fit_modules.py, which puts the modules beside this file.
+// The Fit and Compare tabs' pure parts. Run by test_fit_modules.py, by Node.
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";

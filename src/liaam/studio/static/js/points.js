@@ -119,6 +119,16 @@ export function fitInto(layout, width, height, share = 0.6) {
   return layout.map((p) => p && rounded([width / 2 + scale * (p[0] - cx), height / 2 + scale * (p[1] - cy)]));
 }
 
+/** A layout as it may lie on a picture of width x height: as it is where it fills a part of the picture, else put into
+ *  the middle; null where there is none. */
+export function layoutIn(layout, width, height) {
+  const box = layout && bounds(layout);
+  if (!box) return null;
+  const inside = box[0] >= 0 && box[1] >= 0 && box[2] < width && box[3] < height;
+  const large = Math.max((box[2] - box[0]) / width, (box[3] - box[1]) / height) > 0.2;
+  return inside && large ? layout : fitInto(layout, width, height);
+}
+
 const spread = (points, centre) =>
   Math.sqrt(points.reduce((sum, [x, y]) => sum + (x - centre[0]) ** 2 + (y - centre[1]) ** 2, 0) / points.length);
 

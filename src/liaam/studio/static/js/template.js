@@ -4,7 +4,7 @@
 // A draft is {names, points, contours: [{indices, closed}], mirror: twin of each point (itself if none), origins: index of each
 //  point in the saved template or null, path: the contour that clicks continue or -1, twinPath: its mirror image or -1}
 
-import { indicesOf, rounded } from "./points.js";
+import { axisNormal, bounds, indicesOf, rounded } from "./points.js";
 
 export const EMPTY = Object.freeze({
   names: [],
@@ -68,6 +68,17 @@ export function addPoint(draft, xy, { axis = null, tolerance = 0 } = {}) {
   // The mirrored path begins with the twins of what the path has so far.
   const indices = twinsOf(next.contours[next.path].indices, next.mirror);
   return { ...next, contours: [...next.contours, { indices, closed: false }], twinPath: next.contours.length };
+}
+
+/** Where the axis of symmetry is on a picture of that width: half-way between twins, in the middle of points without
+ *  twins, or in the middle of the picture. */
+export function axisOf({ names, points, mirror }, width) {
+  const box = bounds(points);
+  const pairs = indicesOf(mirror).filter((i) => mirror[i] > i);
+  if (!pairs.length || Math.abs(axisNormal(points, mirror)[0]) < 0.9) {
+    return box && names.length > 2 ? (box[0] + box[2]) / 2 : (width - 1) / 2;
+  }
+  return pairs.reduce((sum, i) => sum + (points[i][0] + points[mirror[i]][0]) / 2, 0) / pairs.length;
 }
 
 /** A path and its mirror image as they are kept: one path where they meet on the axis, two where they do not. */

@@ -1,0 +1,187 @@
+// What the Annotate tab's buttons and keys do.
+
+import { nextToTeach } from "./assist.js";
+import { called, missingText } from "./annotate-words.js";
+import { placed } from "./points.js";
+
+const EDGE = 20; // css pixels from the border of the view within which a point is not well seen
+
+export class Commands {
+  /** tab: the Annotate tab. */
+  constructor(tab) {
+    Object.assign(this, { tab, marking: tab.marking });
+    this.nagged = null; // the picture of which it was said that points are missing
+    this.escaped = false; // whether Tab leaves the picture
+  }
+
+  /** Whether a picture's points can be edited now. */
+  get marks() {
+    return !this.tab.editing && this.marking.book !== null;
+  }
+
+  say(text) {
+    this.tab.speaker.say(text);
+  }
+
+  // What is shown ---------------------------------------------------------------------------------------------------
+
+  flick(what) {
+    const { show, toolbar, viewer } = this.tab;
+    show[what] = !show[what];
+    toolbar.press(what, show[what]);
+    viewer.redraw();
+  }
+
+  hideMarks(on) {
+    if (this.marking.hidden === on) return;
+    this.marking.hidden = on;
+    this.tab.viewer.redraw();
+  }
+
+  toggleBox() {
+    const { tab } = this;
+    tab.boxing = !tab.boxing;
+    tab.toolbar.press("box", tab.boxing);
+  }
+
+  toggleMirrored() {
+    const { tab, marking } = this;
+    if (!tab.template?.mirror) {
+      tab.app.toast(
+        "The template has no twins. Edit the template with Mirror on, or load one whose names tell left from right.",
+      );
+      return;
+    }
+    marking.mirrored = !marking.mirrored;
+    tab.toolbar.press("mirror", marking.mirrored);
+    this.say(marking.mirrored ? "Twins move along" : "Twins stay");
+  }
+
+  // Choosing --------------------------------------------------------------------------------------------------------
+
+  chooseFromList(index, adds) {
+    const { marking } = this;
+    const { chosen } = marking;
+    if (!adds) marking.select([index]);
+    else marking.select(marking.selection.has(index) ? chosen.filter((i) => i !== index) : [...chosen, index]);
+    this.reveal(index);
+    this.tab.sayPlace(index);
+  }
+
+  chooseAll() {
+    const { doc } = this.tab;
+    doc.select(placed(doc.points), -1);
+    this.say(`${doc.selection.size} points chosen`);
+  }
+
+  escape() {
+    this.tab.tool.cancel();
+    this.marking.select([]);
+    this.escaped = true;
+  }
+
+  /** Choose the next point, or the one before; false where there is none, and the focus goes on with the page. */
+  stepPoint(by) {
+    const index = this.marking.step(by);
+    if (index < 0) return false;
+    this.reveal(index);
+    this.tab.sayPlace(index);
+    return true;
+  }
+
+  /** Bring a point into view where the picture is zoomed in. */
+  reveal(index) {
+    const { viewer } = this.tab;
+    const point = this.marking.points[index];
+    if (!point) return;
+    const [x, y] = viewer.toScreen(point);
+    const { clientWidth: w, clientHeight: h } = viewer.canvas;
+    if (x < EDGE || y < EDGE || x > w - EDGE || y > h - EDGE) viewer.panBy(w / 2 - x, h / 2 - y);
+  }
+
+  // Editing ---------------------------------------------------------------------------------------------------------
+
+  undo() {
+    this.travel("undo");
+  }
+
+  redo() {
+    this.travel("redo");
+  }
+
+  travel(way) {
+    const { tab, marking } = this;
+    tab.tool.cancel();
+    if (tab.editing) {
+      tab.doc.travel(way);
+      return;
+    }
+    const what = marking.travel(way);
+    if (what !== null) this.say(`${way === "undo" ? "Undone" : "Redone"}: ${what}`);
+  }
+
+  flip() {
+    if (!this.marks) return;
+    this.marking.flip();
+    this.say("Flipped left and right");
+  }
+
+  toggleInvisible() {
+    const { marking } = this;
+    const chosen = marking.chosenPlaced;
+    if (!this.marks || !chosen.length) return;
+    const hidden = marking.toggleInvisible();
+    this.say(`${called(marking.names, chosen)} ${hidden ? "invisible" : "visible"}`);
+  }
+
+  removeChosen() {
+    const { marking } = this;
+    const chosen = marking.chosenPlaced;
+    if (!this.marks || !chosen.length) return;
+    marking.removeChosen();
+    this.say(`${called(marking.names, chosen)} has no place now`);
+  }
+
+  placeChosen() {
+    const index = this.marking.placeChosen(this.tab.viewer);
+    if (index >= 0) this.tab.sayPlace(index);
+  }
+
+  // Going on --------------------------------------------------------------------------------------------------------
+
+  accept() {
+    const { tab, marking } = this;
+    if (!this.marks) return;
+    marking.accept();
+    const left = marking.missing;
+    if (left.length && this.nagged !== tab.name) {
+      this.nagged = tab.name; // said once: points may be left out on purpose
+      marking.select([left[0]]);
+      tab.app.toast(missingText(marking.names, left));
+      return;
+    }
+    this.goNext();
+  }
+
+  skip() {
+    if (this.marks) this.goNext();
+  }
+
+  goNext() {
+    const { tab } = this;
+    const { name, state } = tab;
+    const { pictures } = state.project;
+    this.nagged = null;
+    const next = nextToTeach(pictures, name);
+    if (next) {
+      state.select(next.name);
+      tab.viewer.canvas.focus({ preventScroll: true });
+      return;
+    }
+    tab.leavePicture(name);
+    const open = pictures.some(
+      (picture) => picture.name !== name && picture.state !== "done" && picture.state !== "broken",
+    );
+    if (!open) tab.app.toast("All pictures are done. Open Fit to see what the model makes of them.", "good");
+  }
+}

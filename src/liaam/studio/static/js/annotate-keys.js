@@ -1,0 +1,104 @@
+// The Annotate tab's keys: which command each is, and what arrow keys do to points.
+
+import { keyEdit } from "./gestures.js";
+import { placed } from "./points.js";
+
+export const SHORTCUTS = [
+  { keys: "Enter", what: "Accept the points, open the picture that teaches most" },
+  { keys: "N", what: "Open it without accepting" },
+  { keys: "Tab Shift+Tab", what: "Next, previous point (Escape, then Tab: leave the picture)" },
+  { keys: "← → ↑ ↓", what: "Move the chosen points by 1 px; Shift 10, Alt 0.1" },
+  { keys: "Ctrl+← Ctrl+→", what: "Turn them by 1°, Shift 5°" },
+  { keys: "Ctrl+↑ Ctrl+↓", what: "Scale them by 1 %, Shift 5 %" },
+  { keys: "Shift click", what: "Add to the choice; Shift drag: choose with a box" },
+  { keys: "Ctrl+A Escape", what: "Choose all, none" },
+  { keys: "P", what: "Place the missing point where the others suggest" },
+  { keys: "Delete", what: "Take the point's place away" },
+  { keys: "V", what: "Visible or not" },
+  { keys: "X M", what: "Move twins along; flip left and right" },
+  { keys: "B", what: "Dragging draws a box" },
+  { keys: "L K E", what: "Names, contours, ellipses" },
+  { keys: "H", what: "Hide all while held" },
+  { keys: "Ctrl+Z Ctrl+Y", what: "Undo, redo" },
+  { keys: "N C X P", what: "In the template: new path, close path, mirror, a point in the middle" },
+];
+
+const CONTROLS = "button, a, label, input, summary, [role=tab]";
+const WITH_ARROWS = "input, [role=listbox], [role=radiogroup], [role=tab]";
+
+const isIn = (event, selector) => event.target instanceof Element && Boolean(event.target.closest(selector));
+
+export class Keys {
+  /** tab: the Annotate tab. */
+  constructor(tab) {
+    const { commands } = tab;
+    this.tab = tab;
+    this.always = {
+      l: () => commands.flick("names"),
+      k: () => commands.flick("contours"),
+      e: () => commands.flick("ellipses"),
+      b: () => commands.toggleBox(),
+      h: () => commands.hideMarks(true),
+      escape: () => commands.escape(),
+    };
+    this.marking = {
+      v: () => commands.toggleInvisible(),
+      x: () => commands.toggleMirrored(),
+      m: () => commands.flip(),
+      n: () => commands.skip(),
+      p: () => commands.placeChosen(),
+      delete: () => commands.removeChosen(),
+      backspace: () => commands.removeChosen(),
+    };
+  }
+
+  /** Act on a key; gives whether it meant something. */
+  down(event) {
+    const { tab } = this;
+    const { commands } = tab;
+    const letter = event.key.toLowerCase();
+    const command = event.ctrlKey || event.metaKey;
+    if (command && letter === "z") commands[event.shiftKey ? "redo" : "undo"]();
+    else if (command && letter === "y") commands.redo();
+    else if (command && letter === "a") commands.chooseAll();
+    else if (event.key === "Tab") return this.tabKey(event);
+    else if (event.key.startsWith("Arrow")) return this.arrow(event);
+    else if (event.key === "Enter" && !command) {
+      if (isIn(event, CONTROLS)) return false;
+      commands.accept();
+    } else if (command || event.altKey) return false;
+    else if (tab.editing && tab.editor.key(event)) return true;
+    else return this.plain(letter) || tab.viewer.key(event);
+    return true;
+  }
+
+  plain(letter) {
+    const work = this.always[letter] ?? (this.tab.commands.marks ? this.marking[letter] : null);
+    if (!work) return false;
+    work();
+    return true;
+  }
+
+  /** Tab goes through the points while the picture has the focus; past the last, or after Escape, it goes on. */
+  tabKey(event) {
+    const { commands, viewer } = this.tab;
+    if (event.target !== viewer.canvas || !commands.marks || commands.escaped) return false;
+    return commands.stepPoint(event.shiftKey ? -1 : 1);
+  }
+
+  arrow(event) {
+    const { tab } = this;
+    const { doc, editing, marking } = tab;
+    if (isIn(event, WITH_ARROWS) && event.target !== tab.panel.list.element) return false;
+    if (!doc.editable || tab.tool.gesture) return true;
+    if (!editing && marking.placing) tab.commands.placeChosen();
+    const chosen = [...doc.selection].filter((i) => doc.points[i]);
+    const before = doc.points;
+    if (editing && !chosen.length && doc.shiftAxis(event)) return true;
+    const edit = keyEdit(event, before, chosen.length ? chosen : placed(before), chosen);
+    if (!edit) return false;
+    doc.commit(doc.follow(before, edit.points, chosen), edit.what, edit.key);
+    tab.saySoon(chosen);
+    return true;
+  }
+}

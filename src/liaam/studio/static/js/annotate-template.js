@@ -1,0 +1,152 @@
+// The template in the Annotate tab: when it is made or edited there, what saving it does to the picture that is open,
+// and what to do where it was changed elsewhere.
+
+import { expected, indicesOf, layoutIn, placed } from "./points.js";
+import { TemplateEditor } from "./template-editor.js";
+
+const sentence = (text) => (/[.!?]$/.test(text) ? text : `${text}.`);
+
+export class TemplateSession {
+  /** tab: the Annotate tab. */
+  constructor(tab) {
+    Object.assign(this, { tab, state: tab.state, marking: tab.marking });
+    this.editing = false;
+    this.saving = false;
+    this.key = JSON.stringify(tab.template);
+    this.editor = new TemplateEditor({
+      app: tab.app,
+      viewer: tab.viewer,
+      onchange: () => tab.refresh(),
+      say: (text) => tab.speaker.say(text),
+      onsave: (work) => this.save(work),
+      oncancel: () => this.cancel(),
+    });
+  }
+
+  // Beginning and ending --------------------------------------------------------------------------------------------
+
+  /** There is no template yet: make one on the picture that is open. */
+  begin() {
+    const running = this.editing && this.editor.started;
+    this.editing = true;
+    if (!running) this.editor.start(null, null); // changing pictures keeps what was begun
+    this.tab.refresh();
+  }
+
+  edit() {
+    const { tab, marking } = this;
+    if (!marking.book) return;
+    const { points, template } = marking;
+    const { width, height } = tab.viewer;
+    const layout = template.points ?? points;
+    const known = placed(points).length ? expected(layout, points) : layoutIn(template.points, width, height);
+    tab.saving.saver.flush();
+    tab.tool.cancel();
+    this.editing = true;
+    this.editor.start(
+      template,
+      points.map((point, i) => point ?? known?.[i] ?? null),
+    );
+    tab.refresh();
+  }
+
+  leave() {
+    const { tab } = this;
+    this.editing = false;
+    this.marking.select([]);
+    tab.refresh();
+    tab.viewer.canvas.focus({ preventScroll: true });
+  }
+
+  cancel() {
+    this.leave();
+    if (!this.marking.book && this.tab.visible) this.tab.opening.open(this.tab.name);
+  }
+
+  // Saving ----------------------------------------------------------------------------------------------------------
+
+  async save({ template, mapping, points, isFresh }) {
+    const { tab, state, marking } = this;
+    const { api } = tab.app;
+    const isNew = !tab.template;
+    // Editing the template does not place what was missing on this picture, but for points that are new.
+    await tab.saving.saver.flush();
+    const before = marking.state ?? (isNew ? null : await tab.saving.fetchMarks(tab.name));
+    const hadFile = before?.source === "file";
+    this.saving = true;
+    try {
+      const saved = await api.put(api.url("template"), mapping ? { ...template, mapping } : template);
+      await tab.saving.keepUnsaved(saved, mapping);
+      this.key = JSON.stringify(saved);
+      tab.opening.clear();
+      await state.refresh();
+      this.key = JSON.stringify(tab.template);
+      const marks = await tab.saving.fetchMarks(tab.name);
+      this.leave();
+      await tab.opening.take(tab.name, marks);
+      if (isFresh && marks.source !== "file") marking.commit(points, "template");
+      else if (hadFile) this.commitEdited(points, mapping ?? indicesOf(points), before);
+      await tab.saving.saver.flush(tab.name);
+    } catch (error) {
+      if (error.status !== 409 || !error.body?.template) throw error;
+      // What was made stays in the editor, on top of what the template is now.
+      this.saving = false;
+      this.key = ""; // whatever has come meanwhile
+      await state.refresh();
+      throw new Error(`${sentence(error.message)} What you made is still here: look at it, then press Done again.`);
+    } finally {
+      this.saving = false;
+    }
+    tab.app.toast(isNew ? "Template saved, and with it the points of this picture." : "Template saved.", "good");
+  }
+
+  commitEdited(points, mapping, before) {
+    const next = points.map((point, i) => (mapping[i] !== null && !before.points[mapping[i]] ? null : point));
+    this.marking.commit(next, "edit the template");
+  }
+
+  // Changes that come from elsewhere --------------------------------------------------------------------------------
+
+  /** Whether the template was made or changed elsewhere, which is seen to then. */
+  noticed() {
+    const { tab } = this;
+    const key = JSON.stringify(tab.template);
+    if (key === this.key) return false;
+    const before = this.key !== "null";
+    this.key = key;
+    tab.opening.clear();
+    if (!tab.template || this.saving) return false;
+    this.changed(before);
+    return true;
+  }
+
+  /** What is being done here goes on under the new template. */
+  async changed(before) {
+    const { tab } = this;
+    const drafting = this.editing && this.editor.hasChanges;
+    this.marking.open(null);
+    if (drafting) {
+      this.editor.rebase(tab.template);
+      tab.app.toast("The template was changed elsewhere. What you made is still here: look at it, then press Done.");
+    } else if (before) {
+      tab.app.toast("The template was changed elsewhere, and is shown as it is now.");
+    }
+    await tab.saving.rebase();
+    if (drafting) return;
+    this.leave();
+    if (tab.visible) await tab.opening.open(tab.name);
+  }
+
+  /** Another picture is chosen; gives whether it may be opened: a change of the template is finished first, on the
+   *  picture that it was begun on. */
+  mayLeave(before) {
+    if (!this.editing) return true;
+    if (this.editor.isChanging && this.state.picture(before)) {
+      this.tab.app.toast("First finish the template: Done or Cancel at the right.");
+      this.state.select(before);
+      return false;
+    }
+    if (this.tab.template) this.leave();
+    return true;
+  }
+}

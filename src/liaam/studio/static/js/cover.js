@@ -1,0 +1,23 @@
+// What stands in the place of a picture that cannot be shown: an icon, a title and what to do.
+
+export class Cover {
+  constructor({ h, icon }) {
+    Object.assign(this, { h, icon });
+    this.element = h("div", { class: "annotate-cover", hidden: true });
+  }
+
+  get isShown() {
+    return !this.element.hidden;
+  }
+
+  show(icon, title, text) {
+    const { h } = this;
+    const words = [h("h2", {}, title), h("p", {}, text)];
+    this.element.hidden = false;
+    this.element.replaceChildren(h("div", { class: "empty" }, this.icon(icon, 40), ...words));
+  }
+
+  hide() {
+    this.element.hidden = true;
+  }
+}

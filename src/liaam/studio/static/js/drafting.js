@@ -1,0 +1,278 @@
+// A template while it is made or edited over one picture: its draft, what is chosen, what is undone, and what clicks
+// do. It is the document that gestures edit (see gestures.js); of the page it knows the view only.
+
+import { AxisGrip } from "./axis-grip.js";
+import { History } from "./history.js";
+import { flip, indicesOf, place, withTwins } from "./points.js";
+import * as drafts from "./template.js";
+
+const AXIS_REACH = 8; // css pixels within which a point lies on the axis
+
+export class Drafting {
+  /** viewer; onchange(): the draft is another, or something else that the page shows; onselect(): other points are
+   *  chosen; say(text): to screen readers. */
+  constructor({ viewer, onchange = () => {}, onselect = () => {}, say = () => {} }) {
+    Object.assign(this, { viewer, onchange, onselect, say });
+    this.editable = true;
+    this.invisible = new Set();
+    this.start(null, null, drafts.EMPTY);
+  }
+
+  /** Edit `template` with its points at `points` on the picture, or, where it is null, a draft of a new one. */
+  start(template, points, draft) {
+    this.saved = template; // the template that is edited, or null for a new one
+    this.isFresh = template === null; // whether it was begun without any template
+    this.loaded = ""; // the file that a new one came from
+    this.layingOut = false; // whether the layout as a whole is being put in place
+    this.axis = null; // x of the mirror line while mirroring
+    this.choose([]);
+    this.shown = null; // points during a gesture
+    this.draft = template ? drafts.draftOf(template, points) : draft;
+    this.history = new History(this.draft);
+  }
+
+  /** The template is another now: what was made becomes a change of that one. */
+  rebase(template) {
+    const before = this.saved;
+    this.saved = template;
+    this.draft = drafts.rebased(this.draft, before, template);
+    this.history = new History(drafts.draftOf(template));
+    this.history.push(this.draft, "what was made before");
+    this.shown = null;
+    this.changed();
+  }
+
+  get names() {
+    return this.draft.names;
+  }
+  get points() {
+    return this.shown ?? this.draft.points;
+  }
+  /** Whether clicks add points. */
+  get placing() {
+    return !this.layingOut;
+  }
+  get followsPointer() {
+    return this.axis !== null;
+  }
+
+  framed() {
+    if (this.selection.size > 1) return [...this.selection];
+    return this.layingOut ? indicesOf(this.draft.points) : [];
+  }
+
+  // Steps -----------------------------------------------------------------------------------------------------------
+
+  apply(next, what, key = null) {
+    this.history.push(next, what, key);
+    this.draft = next;
+    this.changed();
+  }
+
+  changed() {
+    this.selection = new Set([...this.selection].filter((i) => i < this.names.length));
+    if (this.active >= this.names.length) this.active = -1;
+    this.onchange();
+  }
+
+  /** Undo or redo. */
+  travel(way) {
+    const state = this.history[way]();
+    if (!state) return;
+    this.draft = state;
+    this.shown = null;
+    if (!state.names.length) this.layingOut = false;
+    this.changed();
+  }
+
+  choose(indices, active = indices.at(-1) ?? -1) {
+    this.selection = new Set(indices);
+    this.active = active;
+  }
+
+  select(indices, active) {
+    this.choose(indices, active);
+    this.onselect();
+    this.viewer.redraw();
+  }
+
+  preview(points) {
+    this.shown = points;
+    this.viewer.redraw();
+  }
+
+  revert() {
+    this.preview(null);
+  }
+
+  commit(points, what, key = null) {
+    this.shown = null;
+    this.apply({ ...this.draft, points }, what, key);
+  }
+
+  // Gestures --------------------------------------------------------------------------------------------------------
+
+  follow(before, after, indices) {
+    return this.axis === null ? after : withTwins(before, after, indices, this.draft.mirror);
+  }
+
+  adding(xy) {
+    const grip = this.axis === null ? null : new AxisGrip(this.viewer, this.axis);
+    if (grip?.isAt(xy)) return this.draggingAxis();
+    if (this.layingOut) return null;
+    const drafting = this;
+    const unplaced = this.draft.points.findIndex((point) => !point);
+    const index = unplaced >= 0 ? unplaced : this.names.length;
+    const add = (at) =>
+      unplaced >= 0 ? { ...this.draft, points: place(this.draft.points, unplaced, at) } : this.withPoint(at);
+    // Drawn as if it were there, so that its line is seen; the step is taken when the pointer goes up.
+    return {
+      loupe: xy,
+      ghost: add(xy),
+      move(at) {
+        this.loupe = at;
+        this.ghost = add(at);
+        drafting.viewer.redraw();
+      },
+      up() {
+        drafting.choose([index]);
+        drafting.apply(this.ghost, "add a point");
+        drafting.say(`${drafting.names[index]} added`);
+      },
+      cancel() {},
+    };
+  }
+
+  withPoint(at) {
+    return drafts.addPoint(this.draft, at, { axis: this.axis, tolerance: AXIS_REACH / this.viewer.scale });
+  }
+
+  draggingAxis() {
+    const before = this.axis;
+    return {
+      loupe: null,
+      move: ([x]) => {
+        this.axis = Math.round(x * 10) / 10;
+        this.viewer.redraw();
+      },
+      up() {},
+      cancel: () => {
+        this.axis = before;
+      },
+    };
+  }
+
+  /** A press on a point: with Shift the path runs through it, on the path's first point it closes. */
+  press(index, event) {
+    if (this.layingOut) return false;
+    if (event.shiftKey) {
+      this.apply(drafts.connect(this.draft, index), "connect");
+      return true;
+    }
+    const path = this.draft.contours[this.draft.path]?.indices;
+    if (path && path.length > 2 && path[0] === index) {
+      this.close();
+      return true;
+    }
+    return false;
+  }
+
+  // Edits -----------------------------------------------------------------------------------------------------------
+
+  close() {
+    if (this.draft.path < 0) return;
+    this.apply(drafts.closePath(this.draft), "close path");
+    this.say("Path closed");
+  }
+
+  startPath() {
+    if (this.draft.path < 0) return;
+    this.apply(drafts.newPath(this.draft), "new path");
+    this.say("The next point begins a new path");
+  }
+
+  flip() {
+    this.apply({ ...this.draft, points: flip(this.draft.points, this.draft.mirror) }, "flip");
+  }
+
+  /** For those who place by keys: a point where the view is, to be moved from there. */
+  addInTheMiddle() {
+    if (this.layingOut) return;
+    const { clientWidth, clientHeight } = this.viewer.canvas;
+    const index = this.names.length;
+    this.apply(this.withPoint(this.viewer.toImage([clientWidth / 2, clientHeight / 2])), "add a point");
+    this.select([index], index);
+    this.say(`${this.names[index]} added in the middle; arrow keys move it`);
+  }
+
+  deleteChosen(indices = [...this.selection]) {
+    if (indices.length === 0) return;
+    const names = indices.map((i) => this.names[i]);
+    this.choose([]);
+    this.apply(drafts.deletePoints(this.draft, indices), "delete");
+    this.say(`${names.length === 1 ? names[0] : `${names.length} points`} deleted`);
+  }
+
+  rename(index, name) {
+    this.apply(drafts.rename(this.draft, index, name), "rename", `rename ${index}`);
+  }
+
+  /** Give a point another place in the order. */
+  shift(from, to) {
+    if (to < 0 || to >= this.names.length || from === to) return;
+    this.apply(drafts.reorder(this.draft, from, to), "reorder");
+    this.select([to], to);
+    this.say(`${this.names[to]} is number ${to + 1} now`);
+  }
+
+  setClosed(path, closed) {
+    this.apply(drafts.setClosed(this.draft, path, closed), "close path");
+  }
+
+  continuePath(path) {
+    this.apply(drafts.continuePath(this.draft, path), "continue path");
+  }
+
+  removePath(path) {
+    this.apply(drafts.removePath(this.draft, path), "delete path");
+  }
+
+  // The axis of symmetry --------------------------------------------------------------------------------------------
+
+  /** Begin or end mirroring; gives whether it is on. */
+  toggleMirror() {
+    const on = this.axis === null;
+    this.axis = on ? drafts.axisOf(this.draft, this.viewer.width) : null;
+    this.say(on ? "Mirroring on: each point gets a twin" : "Mirroring off");
+    this.viewer.redraw();
+    return on;
+  }
+
+  /** Arrow keys move the axis where no point is chosen. */
+  shiftAxis(event) {
+    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (this.axis === null || !by) return false;
+    this.axis += by * (event.shiftKey ? 10 : 1);
+    this.viewer.redraw();
+    return true;
+  }
+
+  // A layout from a file --------------------------------------------------------------------------------------------
+
+  /** Begin with the points of a file, at `points` on the picture. */
+  load(file, template, points) {
+    this.layingOut = true;
+    this.loaded = file;
+    this.choose([]);
+    const draft = drafts.draftOf(template, points);
+    this.apply({ ...draft, origins: template.names.map(() => null) }, "load");
+    this.say(`${template.names.length} points loaded; put them in place`);
+  }
+
+  /** The loaded points are in place: single ones are edited from now on. */
+  endLayout() {
+    this.layingOut = false;
+    this.select([]);
+    this.changed();
+  }
+}

@@ -1,0 +1,287 @@
+// What is edited on a picture, without a page: its marks, a template that is made on it, and how both are told in words.
+// Run by test_annotate_modules.py, by Node.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import * as words from "./modules/annotate-words.js";
+import { Drafting } from "./modules/drafting.js";
+import { FirstMarks } from "./modules/first-marks.js";
+import { History } from "./modules/history.js";
+import { Marking } from "./modules/marking.js";
+import { layoutIn } from "./modules/points.js";
+import { axisOf, EMPTY } from "./modules/template.js";
+
+const NAMES = ["left", "right", "tip"];
+const TRIANGLE = [
+  [10, 20],
+  [30, 20],
+  [20, 30],
+];
+const TEMPLATE = { names: NAMES, mirror: [1, 0, 2], points: TRIANGLE, contours: [], revision: "r" };
+const MOUSE = { shiftKey: false };
+
+/** Marks of a picture that is open, and what was told of them. */
+function marking(state = {}, template = TEMPLATE) {
+  const told = [];
+  const made = new Marking({
+    template: () => template,
+    onchange: () => told.push("change"),
+    onselect: () => told.push("select"),
+    onplaced: (index) => told.push(`placed ${index}`),
+  });
+  made.open({ history: new History({ points: TRIANGLE, invisible: [], source: "file", ...state }), doubtful: false });
+  return { made, told };
+}
+
+// Marks -------------------------------------------------------------------------------------------------------------
+
+test("what was suggested is the person's after the first step, and undo gives it back", () => {
+  const { made, told } = marking({ source: "proposal" });
+  assert.equal(made.suggested, true);
+  assert.equal(made.stateOf(0), "proposed");
+  made.accept();
+  assert.deepEqual([made.state.source, made.stateOf(0), told], ["file", "placed", ["change"]]);
+  assert.equal(made.travel("undo"), "accept");
+  assert.equal(made.state.source, "proposal");
+  assert.equal(made.travel("undo"), null);
+  assert.equal(made.travel("redo"), "accept");
+});
+
+test("a step that changes nothing is none", () => {
+  const { made, told } = marking();
+  made.commit(
+    TRIANGLE.map((point) => [...point]),
+    "move",
+  );
+  assert.deepEqual([told, made.history.canUndo], [[], false]);
+});
+
+test("a point that has no place is visible by definition", () => {
+  const { made } = marking({ invisible: [1] });
+  assert.deepEqual([...made.invisible], [1]);
+  made.select([1, 2], 2);
+  assert.equal(made.toggleInvisible(), true); // mixed: all become so
+  made.select([1]);
+  made.removeChosen();
+  assert.deepEqual([made.points[1], made.state.invisible, made.stateOf(1)], [null, [2], "missing"]);
+});
+
+test("a click places the chosen point that is missing, and none else", () => {
+  const { made, told } = marking({ points: [TRIANGLE[0], null, null] });
+  assert.equal(made.adding([1, 1]), null);
+  made.select([1]);
+  const gesture = made.adding([29, 19]);
+  gesture.move([30, 20]);
+  assert.deepEqual(made.points[1], [29, 19]); // the tool shows a gesture by its loupe; the step is taken at its end
+  gesture.up();
+  assert.deepEqual(made.points, [TRIANGLE[0], [30, 20], null]);
+  assert.deepEqual(told, ["select", "change", "placed 1"]);
+  assert.equal(made.history.undoes, "place right");
+});
+
+test("a gesture that is given up leaves all as it was", () => {
+  const { made } = marking({ points: [null, TRIANGLE[1], TRIANGLE[2]] });
+  made.select([0]);
+  made.adding([5, 5]).cancel();
+  assert.deepEqual([made.points[0], made.history.canUndo], [null, false]);
+});
+
+test("by keys a missing point is placed where the others suggest, or in the middle", () => {
+  const size = { width: 100, height: 60 };
+  const shifted = TRIANGLE.map(([x, y]) => [x + 5, y + 5]);
+  const { made } = marking({ points: [shifted[0], shifted[1], null] });
+  assert.equal(made.placeChosen(size), 2);
+  assert.deepEqual(made.points[2], [25, 35]);
+  assert.equal(made.placeChosen(size), -1);
+  const blank = marking({ points: [null, null, null] }, { ...TEMPLATE, points: null }).made;
+  blank.placeChosen(size);
+  assert.deepEqual(blank.points[0], [50, 30]);
+});
+
+test("Tab goes through the points and then on", () => {
+  const { made } = marking();
+  assert.deepEqual([1, 1, 1, 1].map((by) => made.step(by)), [0, 1, 2, -1]);
+  assert.equal(made.selection.size, 0);
+  assert.equal(made.step(-1), 2);
+});
+
+test("twins move along only where that is wanted", () => {
+  const { made } = marking();
+  const after = [[8, 22], TRIANGLE[1], TRIANGLE[2]];
+  assert.equal(made.follow(TRIANGLE, after, [0]), after);
+  made.mirrored = true;
+  assert.deepEqual(made.follow(TRIANGLE, after, [0])[1], [32, 22]);
+});
+
+test("the frame is around the chosen points, or all of a mean shape", () => {
+  const { made } = marking();
+  assert.deepEqual(made.framed(), []);
+  made.select([0, 2]);
+  assert.deepEqual(made.framed(), [0, 2]);
+  assert.deepEqual(marking({ source: "layout" }).made.framed(), [0, 1, 2]);
+});
+
+test("nothing is edited while no picture is open, or all is hidden", () => {
+  const { made } = marking();
+  assert.equal(made.editable, true);
+  made.hidden = true;
+  assert.equal(made.editable, false);
+  made.hidden = false;
+  made.open(null);
+  assert.deepEqual([made.editable, made.points, made.suggested, made.placing], [false, [], false, false]);
+});
+
+// What a picture begins with ----------------------------------------------------------------------------------------
+
+function first({ begins = "layout", marks = {}, pictures = [], template = TEMPLATE } = {}) {
+  const asked = [];
+  const fetchMarks = async (name) => {
+    asked.push(name);
+    if (!marks[name]) throw new Error("not now");
+    return marks[name];
+  };
+  return { asked, first: new FirstMarks({ state: { project: { template, pictures } }, fetchMarks, begins: () => begins }) };
+}
+
+const EMPTY_MARKS = { points: [null, null, null], invisible: [], source: "none", width: 100, height: 60 };
+const DONE = { ...EMPTY_MARKS, points: TRIANGLE, source: "file" };
+
+test("a picture begins with its file, or the proposal, unless it is of another template", async () => {
+  const { first: one } = first();
+  assert.equal((await one.of("a", DONE)).points, TRIANGLE);
+  assert.equal((await one.of("a", { ...DONE, source: "proposal" })).source, "proposal");
+  assert.equal((await one.of("a", { ...DONE, points: [[1, 1]] })).source, "layout");
+});
+
+test("else with the mean of others that are done; each is asked for once, and one that fails is left out", async () => {
+  const pictures = ["a", "b", "c", "d"].map((name) => ({ name, state: name === "d" ? "new" : "done" }));
+  const { first: one, asked } = first({ pictures, marks: { b: DONE, d: DONE } });
+  const state = await one.of("a", EMPTY_MARKS);
+  assert.deepEqual([state.points, state.source], [TRIANGLE, "layout"]);
+  await one.of("a", EMPTY_MARKS);
+  assert.deepEqual(asked, ["b", "c", "c"]);
+  one.forget("b");
+  await one.of("a", EMPTY_MARKS);
+  assert.deepEqual(asked.slice(3).sort(), ["b", "c"]);
+});
+
+test("or with nothing, where the points are clicked or there is no layout", async () => {
+  assert.equal((await first({ begins: "click" }).first.of("a", EMPTY_MARKS)).source, "none");
+  const bare = { ...TEMPLATE, points: null };
+  assert.deepEqual((await first({ template: bare }).first.of("a", EMPTY_MARKS)).points, [null, null, null]);
+});
+
+test("a layout stays where it fills a part of the picture", () => {
+  assert.equal(layoutIn(TRIANGLE, 60, 60), TRIANGLE);
+  for (const [width, height] of [[30, 60], [600, 600]]) assert.notEqual(layoutIn(TRIANGLE, width, height), TRIANGLE);
+  assert.equal(layoutIn(null, 60, 60), null);
+});
+
+// The template ------------------------------------------------------------------------------------------------------
+
+/** A template that is made on a picture of 100 x 60 at twice its size. */
+function drafting() {
+  const said = [];
+  const viewer = {
+    width: 100,
+    height: 60,
+    scale: 2,
+    canvas: { clientWidth: 200, clientHeight: 120 },
+    redraw() {},
+    toScreen: ([x, y]) => [2 * x, 2 * y],
+    toImage: ([x, y]) => [x / 2, y / 2],
+  };
+  const made = new Drafting({ viewer, say: (text) => said.push(text) });
+  const click = (xy) => made.adding(xy).up();
+  return { made, click, said };
+}
+
+test("a click adds a point at its end, and shows it before", () => {
+  const { made, said } = drafting();
+  const gesture = made.adding([5, 5]);
+  gesture.move([6, 7]);
+  assert.deepEqual([made.draft, gesture.ghost.points], [EMPTY, [[6, 7]]]);
+  gesture.up();
+  assert.deepEqual([made.points, [...made.selection], said], [[[6, 7]], [0], ["point 1 added"]]);
+});
+
+test("a click on the path's first point closes it, with Shift the path runs through a point", () => {
+  const { made, click } = drafting();
+  TRIANGLE.forEach(click);
+  assert.equal(made.press(1, MOUSE), false);
+  assert.equal(made.press(0, MOUSE), true);
+  assert.deepEqual(made.draft.contours, [{ indices: [0, 1, 2], closed: true }]);
+  click([50, 50]);
+  assert.equal(made.press(1, { shiftKey: true }), true);
+  assert.deepEqual(made.draft.contours[1].indices, [3, 1]);
+});
+
+test("while mirroring a click makes twins, but on the grip it drags the axis", () => {
+  const { made, click } = drafting();
+  assert.equal(made.toggleMirror(), true);
+  assert.equal(made.axis, 49.5);
+  made.shiftAxis({ key: "ArrowRight", shiftKey: false });
+  assert.equal(made.axis, 50.5);
+  const gesture = made.adding([50.5, 8]); // the grip is 16 css pixels below the picture's top
+  gesture.move([40, 8]);
+  assert.equal(made.axis, 40);
+  gesture.cancel();
+  assert.equal(made.axis, 50.5);
+  click([30, 30]);
+  assert.deepEqual([made.points, made.draft.mirror], [[[30, 30], [71, 30]], [1, 0]]);
+  click([52, 40]); // within reach of the axis
+  assert.deepEqual([made.points[2], made.draft.mirror[2]], [[50.5, 40], 2]);
+});
+
+test("undo forgets what it takes away from the choice", () => {
+  const { made, click } = drafting();
+  TRIANGLE.forEach(click);
+  assert.deepEqual([...made.selection], [2]);
+  made.travel("undo");
+  assert.deepEqual([made.names.length, [...made.selection], made.active], [2, [], -1]);
+  made.travel("redo");
+  assert.equal(made.names.length, 3);
+});
+
+test("points of a file are put in place before single ones are edited", () => {
+  const { made } = drafting();
+  made.load("a.pts", TEMPLATE, TRIANGLE);
+  assert.deepEqual([made.placing, made.framed(), made.draft.origins], [false, [0, 1, 2], [null, null, null]]);
+  assert.equal(made.adding([5, 5]), null);
+  assert.equal(made.press(0, { shiftKey: true }), false);
+  made.endLayout();
+  assert.deepEqual([made.placing, made.framed()], [true, []]);
+});
+
+test("what was made goes on under a template that is another now, as one step", () => {
+  const { made, click } = drafting();
+  made.start(TEMPLATE, TRIANGLE);
+  click([50, 50]);
+  made.rebase({ ...TEMPLATE, names: ["tip", "left", "right"], revision: "s" });
+  assert.deepEqual([made.saved.revision, made.draft.origins], ["s", [1, 2, 0, null]]);
+  assert.equal(made.history.undoes, "what was made before");
+});
+
+test("the axis is half-way between twins, else in the middle of the points or the picture", () => {
+  const draft = { names: NAMES, points: TRIANGLE, mirror: [1, 0, 2] };
+  assert.equal(axisOf({ ...draft, points: [[10, 20], [34, 20], [90, 30]] }, 100), 22);
+  assert.equal(axisOf({ ...draft, mirror: [0, 1, 2] }, 100), 20);
+  assert.equal(axisOf(EMPTY, 100), 49.5);
+});
+
+// In words ----------------------------------------------------------------------------------------------------------
+
+test("where a point is, what comes next, and what is missing", () => {
+  const { made } = marking({ points: [TRIANGLE[0], null, TRIANGLE[2]], invisible: [2] });
+  assert.equal(words.placeOf(made, 0), "left, 10.0, 20.0");
+  assert.equal(words.placeOf(made, 2, 1), "tip, 20.0, 30.0, invisible. Next: right");
+  assert.equal(words.placeOf(made, 1), "right, missing");
+  assert.equal(words.tallyOf(made), "2 of 3, 1 invisible");
+  assert.match(words.promptOf(made), /^1 point is missing/);
+  made.select([1]);
+  assert.equal(words.promptOf(made), "Click right");
+  assert.match(words.missingText(NAMES, [1]), /^'right' is still missing here\. Place it,/);
+  assert.match(words.missingText(NAMES, [0, 1]), /^2 points are still missing here\. Place them,/);
+  assert.match(words.descriptionOf("a.png", made), /^a\.png: 2 of 3 points, placed by you\./);
+});
