@@ -32,7 +32,6 @@ const app = { state, api, ui, toast, confirm: ui.confirm, openTab };
 window.liaamStudio = { app, state };
 
 async function start() {
-  theme();
   try {
     await state.open();
   } catch (error) {
@@ -139,28 +138,13 @@ function showKeys() {
   dialog("Keys", h("div", { class: "keys" }, table("Everywhere", COMMON_KEYS), sections), [{ label: "Close", kind: "primary", value: null }], { wide: true });
 }
 
-// Theme: as the system's, unless a person has chosen.
-
-function theme(next = localStorage.getItem("liaam-theme")) {
-  if (next) document.documentElement.dataset.theme = next;
-  else delete document.documentElement.dataset.theme;
-}
-
-function isDark() {
-  const chosen = document.documentElement.dataset.theme;
-  return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-}
-
 function actions() {
+  const theme = window.liaamTheme; // of theme.js
+  const face = () => (theme.isDark ? "sun" : "moon");
   const toggle = button("Light or dark", {
-    icon: isDark() ? "sun" : "moon", iconOnly: true, kind: "ghost",
-    onclick: () => {
-      const next = isDark() ? "light" : "dark";
-      localStorage.setItem("liaam-theme", next);
-      theme(next);
-      toggle.replaceChildren(ui.icon(next === "dark" ? "sun" : "moon"));
-    },
+    icon: face(), iconOnly: true, kind: "ghost", testid: "theme", onclick: () => theme.toggle(),
   });
+  addEventListener("theme", () => toggle.replaceChildren(ui.icon(face())));
   document.getElementById("top-actions").append(
     button("Keys", { icon: "keyboard", iconOnly: true, kind: "ghost", shortcut: "?", onclick: showKeys }),
     toggle,
