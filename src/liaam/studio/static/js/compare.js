@@ -1,10 +1,10 @@
 // The Compare tab: two methods on the same picture, side by side under one view.
 
 import { api } from "./api.js";
-import { drawFit, drawTruth, entries, modelNeeded, OVERLAYS } from "./fit-draw.js";
+import { drawFit, drawTruth, entries, modelNeeded, overlayButtons, OVERLAYS, pressOverlays } from "./fit-draw.js";
 import { meanDistance } from "./fit-geometry.js";
 import { comparison, factsOf, fitsOf, verdictOf } from "./fit-run.js";
-import { intake, sourcesOf } from "./fit-source.js";
+import { Intake, sourcesOf } from "./fit-source.js";
 import { button, h, icon } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
@@ -122,7 +122,6 @@ class CompareTab {
     this.state = app.state;
     this.sources = sourcesOf(app);
     this.store = fitsOf(app);
-    this.visible = false;
     this.shown = new Set(["contours", "landmarks"]);
     this.truth = null;
     this.showTruth = true;
@@ -151,16 +150,16 @@ class CompareTab {
   }
 
   open() {
-    if (!this.visible) this.sources.watch(true);
-    this.visible = true;
     this.intake.open(true);
     this._source();
   }
 
   leave() {
-    if (this.visible) this.sources.watch(false);
-    this.visible = false;
     this.intake.open(false);
+  }
+
+  get visible() {
+    return this.intake.isOpen;
   }
 
   key(event) {
@@ -248,7 +247,7 @@ class CompareTab {
     const another = this._trained !== undefined && this._trained !== trained;
     this._trained = trained;
     this._overlays.get("contours").disabled = !model?.contours?.length;
-    this._press();
+    pressOverlays(this._overlays, this.shown);
     this._emptiness();
     if (!another) return;
     this.sides.forEach((side) => side.reset());
@@ -276,18 +275,7 @@ class CompareTab {
   // The page.
 
   _build(root) {
-    this._overlays = new Map(
-      OVERLAYS.map(({ name, label, key, title }) => [
-        name,
-        button(label, {
-          small: true,
-          shortcut: key,
-          title,
-          pressed: this.shown.has(name),
-          onclick: () => this._toggle(name),
-        }),
-      ]),
-    );
+    this._overlays = overlayButtons(this.shown, (name) => this._toggle(name));
     this._truthButton = button("Truth", {
       small: true,
       shortcut: "T",
@@ -332,11 +320,6 @@ class CompareTab {
     );
     this._pair = h("div", { class: "compare-pair" }, this.left.element, this.right.element);
     this._empty = h("div", { class: "empty big" });
-    const overlay = h(
-      "div",
-      { class: "fit-dropping", hidden: true, "aria-hidden": "true" },
-      h("p", {}, icon("upload", 28), "Drop the picture to compare on it"),
-    );
     const area = h(
       "div",
       { class: "workspace compare-tab" },
@@ -344,10 +327,11 @@ class CompareTab {
       this._pair,
       this._empty,
       h("div", { class: "compare-foot" }, this._verdictText),
-      overlay,
     );
     root.append(area);
-    this.intake = intake(area, overlay, this.sources, (error) => this.app.toast(error, "bad"));
+    this.intake = new Intake(area, "Drop the picture to compare on it", this.sources, (error) =>
+      this.app.toast(error, "bad"),
+    );
   }
 
   /** Zoom and pan of either side move the other. */
@@ -362,13 +346,8 @@ class CompareTab {
 
   _toggle(name) {
     if (!this.shown.delete(name)) this.shown.add(name);
-    this._press();
+    pressOverlays(this._overlays, this.shown);
     this.sides.forEach((side) => side.viewer.redraw());
-  }
-
-  _press() {
-    for (const [name, each] of this._overlays)
-      each.setAttribute("aria-pressed", String(this.shown.has(name) && !each.disabled));
   }
 
   _toggleTruth() {

@@ -10,6 +10,28 @@ export const OVERLAYS = [
   { name: "ellipses", label: "Ellipses", key: "E", title: "Ellipses that hold 95 % of where each point may be" },
 ];
 
+/** A button for each overlay, by its name; `shown`: names of those that are drawn. */
+export function overlayButtons(shown, onclick, testid = () => null) {
+  return new Map(
+    OVERLAYS.map(({ name, label, key, title }) => [
+      name,
+      button(label, {
+        small: true,
+        shortcut: key,
+        title,
+        pressed: shown.has(name),
+        testid: testid(name),
+        onclick: () => onclick(name),
+      }),
+    ]),
+  );
+}
+
+/** Let the buttons say which overlays are drawn. */
+export function pressOverlays(buttons, shown) {
+  for (const [name, each] of buttons) each.setAttribute("aria-pressed", String(shown.has(name) && !each.disabled));
+}
+
 /** A button whose label gives way to its icon where there is little room. */
 export function roomy(element) {
   const label = element.lastChild;

@@ -1,7 +1,7 @@
 // The picture that Fit and Compare work on: one of the folder, or one that was dropped, pasted or opened.
 
 import { api } from "./api.js";
-import { isTyping } from "./ui.js";
+import { h, icon, isTyping } from "./ui.js";
 
 /** Longest side of the copy that is shown, pixels. */
 const SHOWN = 2048;
@@ -205,50 +205,50 @@ const megabytes = (octets) => `${(octets / 1e6).toFixed(0)} MB`;
 /** Whether a drag carries files. */
 const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
 
-/** Let a tab take pictures by dropping and pasting; gives {open(bool)}: pasting goes to the tab that is open. */
-export function intake(root, overlay, sources, complain) {
-  let depth = 0;
-  let open = false;
-  const show = () => {
-    overlay.hidden = depth === 0;
-  };
-  const take = (file) => {
-    if (file) sources.take(file);
-    else complain(new Error("Nothing that was dropped is a file: drop a picture file."));
-  };
-  root.addEventListener("dragenter", (event) => {
-    if (carriesFiles(event)) {
-      depth += 1;
-      show();
-    }
-  });
-  root.addEventListener("dragleave", (event) => {
-    if (carriesFiles(event)) {
-      depth = Math.max(0, depth - 1);
-      show();
-    }
-  });
-  root.addEventListener("dragover", (event) => {
-    if (!carriesFiles(event)) return;
-    event.preventDefault();
-    event.dataTransfer.dropEffect = "copy";
-  });
-  root.addEventListener("drop", (event) => {
-    event.preventDefault();
-    depth = 0;
-    show();
-    take(event.dataTransfer?.files[0]);
-  });
-  document.addEventListener("paste", (event) => {
-    if (!open || isTyping(event)) return;
-    const file = [...(event.clipboardData?.files ?? [])][0];
-    if (!file) return;
-    event.preventDefault();
-    take(file);
-  });
-  return {
-    open: (now) => {
-      open = now;
-    },
-  };
+/** Lets a tab take pictures by dropping and pasting while it is open, and keeps its source loaded then. */
+export class Intake {
+  /** root: where pictures are dropped; text: what is said there; complain(error). */
+  constructor(root, text, sources, complain) {
+    Object.assign(this, { sources, complain });
+    this.isOpen = false;
+    this._depth = 0; // of the elements that a drag is over
+    const words = h("p", {}, icon("upload", 28), text);
+    this._overlay = h("div", { class: "fit-dropping", hidden: true, "aria-hidden": "true" }, words);
+    root.append(this._overlay);
+    root.addEventListener("dragenter", (event) => carriesFiles(event) && this._enter(this._depth + 1));
+    root.addEventListener("dragleave", (event) => carriesFiles(event) && this._enter(Math.max(0, this._depth - 1)));
+    root.addEventListener("dragover", (event) => {
+      if (!carriesFiles(event)) return;
+      event.preventDefault();
+      event.dataTransfer.dropEffect = "copy";
+    });
+    root.addEventListener("drop", (event) => {
+      event.preventDefault();
+      this._enter(0);
+      this._take(event.dataTransfer?.files[0]);
+    });
+    document.addEventListener("paste", (event) => {
+      if (!this.isOpen || isTyping(event)) return;
+      const file = [...(event.clipboardData?.files ?? [])][0];
+      if (!file) return;
+      event.preventDefault();
+      this._take(file);
+    });
+  }
+
+  /** The tab opens (true) or is left (false). */
+  open(now) {
+    if (now !== this.isOpen) this.sources.watch(now);
+    this.isOpen = now;
+  }
+
+  _enter(depth) {
+    this._depth = depth;
+    this._overlay.hidden = depth === 0;
+  }
+
+  _take(file) {
+    if (file) this.sources.take(file);
+    else this.complain(new Error("Nothing that was dropped is a file: drop a picture file."));
+  }
 }

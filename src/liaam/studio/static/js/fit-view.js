@@ -2,7 +2,7 @@
 
 import { api } from "./api.js";
 import { Divider } from "./divider.js";
-import { drawFit, drawOver, OVERLAYS, roomy } from "./fit-draw.js";
+import { drawFit, drawOver, overlayButtons, pressOverlays, roomy } from "./fit-draw.js";
 import { isGone, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { Light, Relighter } from "./relight.js";
@@ -253,18 +253,10 @@ export class FitView {
         },
       }),
     );
-    this._overlays = new Map(
-      OVERLAYS.map(({ name, label, key, title }) => [
-        name,
-        button(label, {
-          small: true,
-          shortcut: key,
-          title,
-          pressed: this.shown.has(name),
-          testid: `layer-${name}`,
-          onclick: () => this.toggle(name),
-        }),
-      ]),
+    this._overlays = overlayButtons(
+      this.shown,
+      (name) => this.toggle(name),
+      (name) => `layer-${name}`,
     );
     this._hint = h("p", { class: "small muted fit-hint" });
     this._bars = { invariant: this.invariant.controls, relit: this.light.controls };
@@ -290,8 +282,7 @@ export class FitView {
     const why = this._why(this.name);
     for (const each of this._choice.element.children)
       each.classList.toggle("unavailable", Boolean(this._why(each.dataset.value)));
-    for (const [name, each] of this._overlays)
-      each.setAttribute("aria-pressed", String(this.shown.has(name) && !each.disabled));
+    pressOverlays(this._overlays, this.shown);
     for (const [name, bar] of Object.entries(this._bars)) bar.hidden = name !== this.name || Boolean(why);
     this._hint.textContent = this.source ? why || view.hint || "" : "";
     this._splitter.disabled = !this.source;

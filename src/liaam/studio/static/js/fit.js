@@ -7,7 +7,7 @@ import { ExportMenu, useAsAnnotation } from "./fit-export.js";
 import { Iterations } from "./fit-iterations.js";
 import { factsOf, fitsOf, verdictOf } from "./fit-run.js";
 import { afterPaint } from "./fit-schedule.js";
-import { intake, sourcesOf } from "./fit-source.js";
+import { Intake, sourcesOf } from "./fit-source.js";
 import { BoxTool, meanShape, MeanTool } from "./fit-start.js";
 import { button, h, icon, segmented } from "./ui.js";
 
@@ -58,7 +58,6 @@ class FitTab {
     this.state = app.state;
     this.sources = sourcesOf(app);
     this.store = fitsOf(app);
-    this.visible = false;
     this.start = "auto";
     this.method = null;
     this.fit = null;
@@ -84,18 +83,18 @@ class FitTab {
 
   open({ name } = {}) {
     if (name) this.state.select(name);
-    if (!this.visible) this.sources.watch(true);
-    this.visible = true;
     this.intake.open(true);
     this._source();
   }
 
   leave() {
-    if (this.visible) this.sources.watch(false);
-    this.visible = false;
     this.intake.open(false);
     this.iterations.pause();
     this.exports.close();
+  }
+
+  get visible() {
+    return this.intake.isOpen;
   }
 
   key(event) {
@@ -309,11 +308,6 @@ class FitTab {
       this.exports.element,
     );
     this._empty = h("div", { class: "empty big fit-empty" });
-    const overlay = h(
-      "div",
-      { class: "fit-dropping", hidden: true, "aria-hidden": "true" },
-      h("p", {}, icon("upload", 28), "Drop the picture to fit it"),
-    );
     const stage = h("div", { class: "fit-stage" }, this.view.container, this._empty);
     this._ofFits = [this._panelDraw(), this._panelIterations()];
     this._side = h("div", { class: "side fit-side" }, this._panelStart(), this._panelResult(), this._ofFits);
@@ -322,11 +316,10 @@ class FitTab {
       { class: "fit-tab", dataset: { testid: "fit-drop" } },
       h("div", { class: "workspace" }, toolbar, stage, this.view.bar),
       this._side,
-      overlay,
       this._file,
     );
     root.append(this._area);
-    this.intake = intake(this._area, overlay, this.sources, (error) => this._complain(error));
+    this.intake = new Intake(this._area, "Drop the picture to fit it", this.sources, (error) => this._complain(error));
   }
 
   _panelStart() {
