@@ -1,19 +1,23 @@
 """How quickly the studio answers a person, in a real browser: a dropped picture, the theta slider, a moving light.
 
-Needs Playwright (the ``test`` extra) and a Chromium.
+Needs Playwright (the ``test`` extra) and a Chromium. The studio's tests, and the figures of its documentation, take
+their server and their browser from here.
 """
 
 import base64
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -23,7 +27,9 @@ from liaam.training import train
 
 SIZE = (480, 640)
 N_DROPS, N_MOVES = 12, 120
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
+ADDRESS = re.compile(r"http://\S+/\?token=\S+")
 
 DROP = """([name, base64]) => {
   const bytes = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
@@ -33,12 +39,6 @@ DROP = """([name, base64]) => {
   for (const type of ["dragenter", "dragover", "drop"])
     target.dispatchEvent(new DragEvent(type, {dataTransfer: transfer, bubbles: true, cancelable: true}));
 }"""
-
-
-def chromium() -> str | None:
-    """Path of a Chromium, if there is one."""
-    names = ("chromium", "chromium-browser", "google-chrome")
-    return os.environ.get("LIAAM_CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
 
 
 def material(folder: Path) -> list[Path]:
@@ -84,38 +84,94 @@ def theta_rate(page) -> float:
     return rate
 
 
+# The server and the browser ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Server:
+    """A ``liaam studio`` in a process of its own."""
+
+    process: subprocess.Popen
+    address: str
+
+    def stop(self) -> None:
+        """End it as Ctrl-C would, but quietly."""
+        self.process.terminate()
+        self.process.wait()
+
+    def kill(self) -> None:
+        """End it as a power cut would."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+
+def start(folder: Path, *arguments: str, errors: IO[str] | None = None) -> Server:
+    """Run ``liaam studio`` on a folder; what it complains of goes to a file, if one is given.
+
+    Raises
+    ------
+    RuntimeError
+        If it ends without saying its address.
+    """
+    command = [sys.executable, "-m", "liaam", "studio", str(folder), "--no-browser", *arguments]
+    environment = {**os.environ, "COLUMNS": "300"}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment)
+    assert process.stdout
+    said = []
+    for line in process.stdout:
+        said.append(line)
+        address = ADDRESS.search(line)
+        if address:
+            return Server(process, address.group())
+    process.wait()
+    raise RuntimeError(f"the studio did not start: {''.join(said)}")
+
+
 @contextmanager
 def served(folder: Path, *arguments: str) -> Iterator[str]:
-    """Run ``liaam studio`` on a folder in a process of its own; gives its address."""
-    command = [sys.executable, "-m", "liaam", "studio", str(folder), "--no-browser", "--port", "0", *arguments]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "300"})
+    """Run ``liaam studio`` on a folder for a while; gives its address."""
+    server = start(folder, "--port", "0", *arguments)
     try:
-        assert server.stdout
-        found = next(filter(None, (re.search(r"http://\S+", line) for line in server.stdout)), None)
-        if found is None:
-            raise RuntimeError("the studio did not start")
-        yield found.group()
+        yield server.address
     finally:
-        server.terminate()
-        server.wait()
+        server.stop()
+
+
+def chromium() -> str | None:
+    """Path of a Chromium, if there is one."""
+    return os.environ.get("LIAAM_CHROMIUM") or next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
+
+
+def lacking() -> str | None:
+    """Say what is missing for a browser; None if nothing is."""
+    if find_spec("playwright") is None:
+        return "playwright is not installed: pip install '.[test]'"
+    if chromium() is None:
+        return "there is no Chromium on this machine (install one, or name it in LIAAM_CHROMIUM)"
+    return None
+
+
+@contextmanager
+def launched() -> Iterator[Any]:
+    """Give a headless browser, where nothing is :func:`lacking`."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium(), args=FLAGS)
+        yield browser
+        browser.close()
 
 
 @contextmanager
 def browsing(size: tuple[int, int] = (1280, 720), **options) -> Iterator[Any]:
     """Give a page of a headless browser, or None, with the reason printed, where there is none."""
-    executable = chromium()
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        executable = None
-    if executable is None:
-        print("studio: skipped; it needs playwright (pip install '.[test]') and a Chromium (LIAAM_CHROMIUM names one)")
+    reason = lacking()
+    if reason:
+        print(f"studio: skipped; {reason}")
         yield None
         return
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=executable, args=FLAGS)
+    with launched() as browser:
         yield browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
-        browser.close()
 
 
 def main() -> None:

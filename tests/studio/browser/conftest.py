@@ -1,43 +1,24 @@
 """A real server and a real browser, and pictures with known landmarks to show them."""
 
 import os
-import re
-import shutil
-import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from benchmarks.studio import Server, lacking, launched, start
 
 from liaam.datasets.scenes import DIFFUSE, Head, Scene, lateral, make_set, random_expression, random_pose, render
 from liaam.io import write_image
-
-CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-CHROMIUM_FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
-PORT_LINE = re.compile(r"http://127\.0\.0\.1:(\d+)/\?token=\S+")
-
-
-def chromium() -> str:
-    """Path of a Chromium, or skip."""
-    named = os.environ.get("LIAAM_CHROMIUM")
-    found = named or next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
-    if not found:
-        pytest.skip("there is no Chromium on this machine (install one, or name it in LIAAM_CHROMIUM)")
-    return found
 
 
 @pytest.fixture(scope="module")
 def browser():
     """Give one headless browser for a file's tests: while Playwright runs, no other test can have an event loop."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install '.[test]'")
-    executable = chromium()
-    with playwright.sync_playwright() as driver:
-        found = driver.chromium.launch(executable_path=executable, args=CHROMIUM_FLAGS)
+    reason = lacking()
+    if reason:
+        pytest.skip(reason)
+    with launched() as found:
         yield found
-        found.close()
 
 
 @pytest.fixture(scope="session")
@@ -61,44 +42,23 @@ def page(browser):
     assert not faults, f"scripts of the page failed: {faults}"
 
 
-@dataclass
-class Server:
-    """A ``liaam studio`` of its own process."""
-
-    process: subprocess.Popen
-    address: str
-
-    def kill(self) -> None:
-        """End it as a power cut would."""
-        self.process.send_signal(signal.SIGKILL)
-        self.process.wait()
-
-
 @pytest.fixture
 def serve(tmp_path) -> Iterator[Callable[..., Server]]:
     """Give a function that starts ``liaam studio FOLDER ...`` and waits for its address."""
     running = []
 
-    def start(folder: Path, *arguments: str) -> Server:
-        log = (tmp_path / f"studio-{len(running)}.log").open("w")
-        command = [sys.executable, "-m", "liaam", "studio", str(folder), "--no-browser", *arguments]
-        process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=log, text=True, env={**os.environ, "COLUMNS": "300"}
-        )
-        running.append(process)
-        assert process.stdout
-        seen = []
-        for line in process.stdout:
-            seen.append(line)
-            address = PORT_LINE.search(line)
-            if address:
-                return Server(process, address.group())
-        pytest.fail(f"the studio did not start: {seen} {Path(log.name).read_text()}")
+    def serve(folder: Path, *arguments: str) -> Server:
+        log = tmp_path / f"studio-{len(running)}.log"
+        with log.open("w") as errors:
+            try:
+                running.append(start(folder, *arguments, errors=errors))
+            except RuntimeError as fault:
+                pytest.fail(f"{fault} {log.read_text()}")
+        return running[-1]
 
-    yield start
-    for process in running:
-        process.kill()
-        process.wait()
+    yield serve
+    for server in running:
+        server.kill()
 
 
 @pytest.fixture(scope="session")
