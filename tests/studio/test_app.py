@@ -13,6 +13,7 @@ import pytest
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, read_landmarks, write_image, write_landmarks
 from liaam.model import load_model
+from liaam.relighting.relighter import AMBIENT
 from liaam.studio.serving import open_port
 from liaam.studio.serving import serve as serve_until_interrupted
 
@@ -66,6 +67,7 @@ def test_the_project_is_described(folder, serve):
         "state": "idle", "phase": None, "done": 0, "total": 0, "what": "", "error": None,
     }  # fmt: skip
     assert answer["default_method"] in {method["name"] for method in answer["methods"]}
+    assert answer["default_ambient"] == AMBIENT
     assert answer["limits"] == {"upload_bytes": 64_000_000, "pixels": 50_000_000}
 
 

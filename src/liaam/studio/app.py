@@ -24,6 +24,7 @@ from starlette.staticfiles import StaticFiles
 from liaam import __version__
 from liaam.errors import LiaamError
 from liaam.photometry import CameraModel
+from liaam.relighting.relighter import AMBIENT
 from liaam.studio.events import Events
 from liaam.studio.fits import Fits, attachment
 from liaam.studio.fits import routes as fit_routes
@@ -199,6 +200,7 @@ class _Handlers:
                 for method in METHODS.values()
             ],
             "default_method": DEFAULT_METHOD,
+            "default_ambient": AMBIENT,
             "limits": {"upload_bytes": studio.settings.upload_bytes, "pixels": studio.settings.pixels},
             "problems": project.problems,
         }

@@ -37,8 +37,8 @@ const FETCHED = ["flat", "shading", "residual"];
 const LAYER_SIZE = 1600;
 
 export class FitView {
-  /** `gone(fit)` is called when the server has forgotten the fit. */
-  constructor({ gone }) {
+  /** `gone(fit)` is called when the server has forgotten the fit; `ambient`: of the light that is first tried. */
+  constructor({ gone, ambient }) {
     this._gone = gone;
     this.container = h("div", { class: "fit-viewer", dataset: { testid: "fit-viewer" } });
     this.viewer = new Viewer(this.container, { label: "Picture to fit" });
@@ -56,7 +56,7 @@ export class FitView {
     this._split = false;
     this.divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
-    this.light = new Light(this.viewer);
+    this.light = new Light(this.viewer, ambient);
     this.relighter = new Relighter({
       done: (image, fit) => this._relit(image, fit),
       failed: (error, { fit }) => this._failed("relit", error, fit),

@@ -63,7 +63,10 @@ class FitTab {
     this.fit = null;
     this.lastDropMs = null;
     this._run = 0; // number of the newest run: older answers are dropped
-    this.view = new FitView({ gone: (fit) => this._forgotten(fit) });
+    this.view = new FitView({
+      gone: (fit) => this._forgotten(fit),
+      ambient: this.state.project.default_ambient,
+    });
     this.box = new BoxTool(this.view.viewer, () => this.run());
     this.mean = new MeanTool(this.view.viewer);
     this.iterations = new Iterations((index, last) => this._iterate(index, last));

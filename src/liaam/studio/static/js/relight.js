@@ -5,8 +5,8 @@ import { ballOf, directionAfterKey, directionAt, directionInWords, placeOf } fro
 import { LatestWins } from "./fit-schedule.js";
 import { button, h, icon } from "./ui.js";
 
-/** The light that is first tried: from the upper left, as painters have it. */
-const FIRST = { direction: directionAt([-0.55, -0.5], { x: 0, y: 0, radius: 1 }), ambient: 0.25 };
+/** Where the light that is first tried comes from: the upper left, as painters have it. */
+const FIRST = directionAt([-0.55, -0.5], { x: 0, y: 0, radius: 1 });
 
 const SIZE_WHILE_MOVING = 800;
 const SIZE_AT_REST = 1600;
@@ -18,12 +18,13 @@ export function lightQuery({ direction: [x, y, z], ambient }, size) {
 
 /** Handle over the picture, ball and ambient slider in the bar; says "change" and "rest" as the light moves. */
 export class Light extends EventTarget {
-  constructor(viewer) {
+  /** ambient: share of light from everywhere that is first tried. */
+  constructor(viewer, ambient) {
     super();
     this.viewer = viewer;
     this.ball = null;
-    this.direction = FIRST.direction;
-    this.ambient = FIRST.ambient;
+    this.first = { direction: FIRST, ambient };
+    Object.assign(this, this.first);
     this.handle = h(
       "div",
       {
@@ -128,7 +129,7 @@ export class Light extends EventTarget {
       testid: "light-reset",
       title: "The light as it was at first",
       onclick: () => {
-        Object.assign(this, FIRST);
+        Object.assign(this, this.first);
         this._show();
         this._say("change");
         this._say("rest");
