@@ -11,18 +11,18 @@ import pytest
 
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.studio.folder import STATE
-from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
-from liaam.studio.training import (
+from liaam.studio.model_store import (
     ModelStore,
-    Trainer,
     follow_template,
     forget_studio_model,
     load_given_model,
     load_studio_model,
     model_json,
-    proposal_of,
 )
+from liaam.studio.project import Project
+from liaam.studio.safety import Refusal
+from liaam.studio.training import Trainer
+from liaam.studio.training_process import proposal_of
 
 
 class Told:

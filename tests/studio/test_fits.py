@@ -21,17 +21,9 @@ from liaam.photometry import to_linear
 from liaam.shape import diagonal_of
 from liaam.studio import layers
 from liaam.studio.app import make_app, make_studio
-from liaam.studio.fits import (
-    FILES,
-    Fits,
-    attachment,
-    error_of,
-    example,
-    file_of,
-    numbers,
-    parse_start,
-    truth_of,
-)
+from liaam.studio.fit_files import FILES, attachment, file_of
+from liaam.studio.fit_routes import parse_start, truth_of
+from liaam.studio.fits import Fits, error_of, example, numbers
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal

@@ -25,23 +25,18 @@ from liaam import __version__
 from liaam.errors import LiaamError
 from liaam.photometry import CameraModel
 from liaam.relighting.relighter import AMBIENT
+from liaam.studio import fit_routes
 from liaam.studio.events import Events
-from liaam.studio.fits import Fits, attachment
-from liaam.studio.fits import routes as fit_routes
+from liaam.studio.fit_files import attachment
+from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
 from liaam.studio.locking import FolderLock
+from liaam.studio.model_store import ModelStore, follow_template, load_given_model, load_studio_model, model_json
 from liaam.studio.pictures import Pictures, Source, checked_size, source_of
 from liaam.studio.project import Project
 from liaam.studio.safety import HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.training import (
-    ModelStore,
-    Trainer,
-    follow_template,
-    load_given_model,
-    load_studio_model,
-    model_json,
-)
+from liaam.studio.training import Trainer
 from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
 
 IMAGE_SIZE, CHROMA_SIZE = 2048, 640
@@ -123,7 +118,7 @@ def make_app(studio: Studio) -> Starlette:
     return Starlette(
         routes=[
             *handlers.routes(),
-            *fit_routes(studio.fits),
+            *fit_routes.routes(studio.fits),
             Route("/api/{rest:path}", _nothing),
             Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
         ],

@@ -1,20 +1,16 @@
-"""Fits for the page: made with the model in use, kept for a while with what they can show, and given away as files.
+"""Fits for the page: made with the model in use, and kept for a while with what they can show.
 
-:class:`Fits` does the work and knows nothing of HTTP; :func:`routes` gives its endpoints. Whatever takes time runs in
-threads.
+:class:`Fits` knows nothing of HTTP (:mod:`liaam.studio.fit_routes`), nor of files that are given away
+(:mod:`liaam.studio.fit_files`).
 """
 
 from __future__ import annotations
 
-import json
 import secrets
 import threading
 import time
-from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
-from functools import wraps
 from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
 
 import numpy as np
 
@@ -25,11 +21,8 @@ from liaam.fitting.fitter import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
 from liaam.fitting.search import Candidate
-from liaam.io import Contour, Landmarks, fit_text
-from liaam.io.landmarks import FORMATS
 from liaam.model import AAM
 from liaam.relighting import Relighter
-from liaam.relighting.relighter import AMBIENT
 from liaam.shape import diagonal_of
 from liaam.studio import layers
 from liaam.studio.pictures import (
@@ -37,24 +30,16 @@ from liaam.studio.pictures import (
     Pictures,
     Source,
     averaged,
-    checked_size,
     fitted_size,
-    jpeg_bytes,
     png_bytes,
-    shown,
-    source_of,
 )
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.uploads import Uploads, plain_name, read_json
+from liaam.studio.uploads import Uploads
 
 if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response as Answer
-    from starlette.routing import Route
-
+    from liaam.studio.model_store import ModelInUse, ModelStore
     from liaam.studio.project import Project
-    from liaam.studio.training import ModelInUse, ModelStore
 
 LAYER_SIZE = 1280
 """Longest side of a layer where the page does not say, pixels."""
@@ -70,9 +55,6 @@ LIGHTS_KEPT = 6
 """Fits that are ready to be put under another light at once."""
 
 FITTERS_KEPT = 16
-
-FILES = ("pts", "ljson", "csv", "json", "overlay", "flat", "shading", "relit")
-"""What a fit is given away as."""
 
 SEARCHED_AHEAD = 4_000_000
 """Pixels of a dropped picture that is searched before anybody asks."""
@@ -421,209 +403,3 @@ def error_of(shape: np.ndarray, truth: np.ndarray | None) -> tuple[float, float]
         return None
     error = point_error(shape, truth)
     return error, 100.0 * error / diagonal_of(known)
-
-
-def truth_of(landmarks: Landmarks | None) -> np.ndarray | None:
-    """Landmarks to compare with: NaN where one is missing, or a person could not see it."""
-    if landmarks is None:
-        return None
-    points = np.array(landmarks.points)
-    points[list(landmarks.invisible)] = np.nan
-    return points
-
-
-def parse_start(data: Any) -> Any:
-    """Start of a fit as JSON gives it: nothing, a box, or a shape whose points may be null.
-
-    Raises
-    ------
-    Refusal
-        422 if it is neither.
-    """
-    if data is None:
-        return None
-    if isinstance(data, dict) and len(data) == 1:
-        if isinstance(data.get("box"), list) and len(data["box"]) == 4 and all(map(_is_number, data["box"])):
-            return tuple(float(value) for value in data["box"])
-        points = data.get("shape")
-        if isinstance(points, list) and 0 < len(points) <= 100_000 and all(map(_is_point, points)):
-            return np.array([[np.nan, np.nan] if point is None else point for point in points], np.float64)
-    raise Refusal(422, "the start is unclear: send null, {box: [left, top, right, bottom]} or {shape: [[x, y], ...]}")
-
-
-def _is_number(value: Any) -> bool:
-    # Beyond this is no pixel, and arithmetic may overflow.
-    return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
-
-
-def _is_point(value: Any) -> bool:
-    return value is None or (isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)))
-
-
-# Files --------------------------------------------------------------------------------------------
-
-
-def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, float], float]) -> tuple[str, str, bytes]:
-    """Name, type and content of a file that a fit is given away as.
-
-    Parameters
-    ----------
-    fits : Fits
-    fit : Fit
-    what : str
-        One of :data:`FILES`.
-    light : (direction, ambient)
-        For ``relit``.
-    """
-    stem = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name)
-    contours = tuple(Contour(indices, closed) for indices, closed in fit.model.contours)
-    if what in ("pts", "ljson", "csv", "json"):
-        landmarks = Landmarks(fit.result.shape, contours)
-        if what == "json":
-            return f"{stem}.json", "application/json", fit_text(landmarks, fit.result.facts(fit.source.name)).encode()
-        dump = FORMATS[f".{what}"].dump
-        assert dump is not None
-        kind = "application/json" if what == "ljson" else "text/csv" if what == "csv" else "text/plain"
-        return f"{stem}.{what}", kind, dump(landmarks).encode()
-    if what not in FILES:
-        raise Refusal(422, f"a fit cannot be given away as '{what[:40]}': there are {', '.join(FILES)}")
-    return (
-        f"{stem}_{'fit' if what == 'overlay' else what}.png",
-        "image/png",
-        png_bytes(_picture(fits, fit, what, light)),
-    )
-
-
-def _picture(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, float], float]) -> np.ndarray:
-    """Picture to give away, in full size."""
-    size = fit.source.width, fit.source.height
-    if what == "relit":
-        return fits.whole_light(fit).under(*light)
-    if what == "flat":
-        return fits.whole_light(fit).flat()
-    if what == "shading":
-        return layers.shading_layer(fits.whole_light(fit), size)
-    from liaam.plotting import overlay
-
-    image = shown(fits.pictures.pixels(fit.source), size, fit.source.raw)
-    return overlay(image, fit.result.shape, fit.model, covariances=fit.result.landmark_covariances)
-
-
-def attachment(name: str) -> str:
-    """Content-Disposition of a file to be saved under a name of any letters (RFC 6266)."""
-    plain = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._- ") else "_" for letter in name)
-    return f"attachment; filename=\"{plain}\"; filename*=UTF-8''{quote(name, safe='')}"
-
-
-# Endpoints ----------------------------------------------------------------------------------------
-
-
-def routes(fits: Fits) -> list[Route]:
-    """Endpoints of fits; failures leave them as :class:`Refusal`, with the status to answer."""
-    from starlette.routing import Route
-
-    endpoints = _Endpoints(fits)
-    table: list[tuple[str, str, Callable[[Request], Awaitable[Answer]]]] = [
-        ("POST", "/api/fits", endpoints.fit),
-        ("GET", "/api/fits/{id}/layers/{layer}", endpoints.layer),
-        ("GET", "/api/fits/{id}/relit", endpoints.relit),
-        ("GET", "/api/fits/{id}/export", endpoints.export),
-    ]
-    return [Route(path, _refusing(endpoint), methods=[verb]) for verb, path, endpoint in table]
-
-
-def _refusing(endpoint: Callable[[Request], Awaitable[Answer]]) -> Callable[[Request], Awaitable[Answer]]:
-    """Turn errors about what was asked into refusals with a status."""
-
-    @wraps(endpoint)
-    async def refusing(request: Request) -> Answer:
-        try:
-            return await endpoint(request)
-        except Refusal:
-            raise
-        except LiaamError as fault:
-            raise Refusal(422, str(fault)) from fault
-
-    return refusing
-
-
-class _Endpoints:
-    """Requests to calls of functions, in threads."""
-
-    def __init__(self, fits: Fits) -> None:
-        import anyio
-
-        self.fits = fits
-        # Its own: the thumbnails of a large folder must not keep a fit waiting.
-        self._threads = anyio.CapacityLimiter(4)
-
-    async def fit(self, request: Request) -> Answer:
-        text = await self._work(self._fitted, await read_json(request, self.fits.settings.json_bytes))
-        return _answer(text, "application/json", {"cache-control": "no-store"})
-
-    async def layer(self, request: Request) -> Answer:
-        fit, what = self.fits.get(request.path_params["id"]), request.path_params["layer"]
-        size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        data = await self._work(self.fits.layer, fit, what, size)
-        return _answer(data, "image/png", {"cache-control": "private, max-age=86400, immutable"})
-
-    async def relit(self, request: Request) -> Answer:
-        fit, light = self.fits.get(request.path_params["id"]), _light_of(request.query_params)
-        size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        data = await self._work(lambda: jpeg_bytes(self.fits.relit(fit, *light, size)))
-        return _answer(data, "image/jpeg", {"cache-control": "private, max-age=86400, immutable"})
-
-    async def export(self, request: Request) -> Answer:
-        fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")
-        light = _light_of(request.query_params)
-        name, kind, data = await self._work(file_of, self.fits, fit, what, light)
-        return _answer(data, kind, {"content-disposition": attachment(name), "cache-control": "no-store"})
-
-    def _fitted(self, body: Any) -> bytes:
-        """Fit what the page asks for; JSON."""
-        if not isinstance(body, dict):
-            raise Refusal(422, "send an object with picture or upload, method and start")
-        source, of, truth = self._asked_for(body)
-        method = body.get("method", DEFAULT_METHOD)
-        if not isinstance(method, str):
-            raise Refusal(422, "the method is no text: send its name, such as 'soft-li'")
-        fit = self.fits.fit(source, of, method, parse_start(body.get("start")), truth)
-        return json.dumps(fit.as_json(), allow_nan=False, separators=(",", ":")).encode()
-
-    def _asked_for(self, body: Mapping[str, Any]) -> tuple[Source, tuple[str, str], np.ndarray | None]:
-        """Picture to fit, what to call it, and its landmarks if it has any."""
-        asked = [(kind, body[kind]) for kind in ("picture", "upload") if body.get(kind) is not None]
-        if len(asked) != 1 or not isinstance(asked[0][1], str):
-            raise Refusal(422, "say what to fit: either picture, the name of one, or upload, the id of one")
-        kind, name = asked[0]
-        if kind == "upload":
-            return self.fits.uploads.source(name), (kind, name), None
-        project = self.fits.project
-        project.size_of(name)  # says why a picture cannot be used
-        source = source_of(project.path_of(name), self.fits.settings.pixels)
-        return source, (kind, name), truth_of(project.landmarks(name))
-
-    async def _work(self, call: Callable, *arguments: Any) -> Any:
-        import anyio
-
-        return await anyio.to_thread.run_sync(call, *arguments, limiter=self._threads)
-
-
-def _answer(content: bytes, kind: str, headers: Mapping[str, str]) -> Answer:
-    from starlette.responses import Response as Content
-
-    return Content(content, media_type=kind, headers=dict(headers))
-
-
-def _light_of(query: Mapping[str, str]) -> tuple[tuple[float, float, float], float]:
-    """Direction of a light (x right, y down, z to the viewer) and share of ambient light, as the page gives them."""
-    try:
-        x, y, z, ambient = (
-            float(query.get(key, otherwise)) for key, otherwise in (("x", 0), ("y", 0), ("z", 1), ("ambient", AMBIENT))
-        )
-    except ValueError:
-        x = y = z = ambient = np.nan
-    length = float(np.hypot(np.hypot(x, y), z))
-    if not (np.isfinite(length) and length > 1e-6 and 0.0 <= ambient <= 1.0):
-        raise Refusal(422, "the light is unclear: give its direction x, y, z in numbers, and ambient from 0 to 1")
-    return (x / length, y / length, z / length), ambient

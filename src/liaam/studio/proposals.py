@@ -67,7 +67,7 @@ def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def is_proposal(item: Any) -> bool:
-    """Whether JSON is a proposal as :mod:`liaam.studio.training` makes them."""
+    """Whether JSON is a proposal as :mod:`liaam.studio.training_process` makes them."""
     keys = {"points", "covariances", "quality", "status", "ok", "message", "found", "doubtful", "uncertainty"}
     if set(item) - {"tag"} != keys or not isinstance(item["message"], str):
         return False

@@ -2,7 +2,7 @@
 
 They are ``template.json``, ``change.json`` (:mod:`liaam.studio.template_change`), ``proposals.json``
 (:mod:`liaam.studio.proposals`), ``invisible.json`` and ``kept`` (:mod:`liaam.studio.landmark_files`), the models
-(:mod:`liaam.studio.training`), and ``id``, by which a page tells folders apart.
+(:mod:`liaam.studio.model_store`), and ``id``, by which a page tells folders apart.
 """
 
 from __future__ import annotations

@@ -1,0 +1,73 @@
+"""Files that a fit is given away as: landmarks, tables and pictures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+from liaam.io import Contour, Landmarks, fit_text
+from liaam.io.landmarks import FORMATS
+from liaam.studio import layers
+from liaam.studio.pictures import png_bytes, shown
+from liaam.studio.safety import Refusal
+from liaam.studio.uploads import plain_name
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from liaam.studio.fits import Fit, Fits
+
+FILES = ("pts", "ljson", "csv", "json", "overlay", "flat", "shading", "relit")
+"""What a fit is given away as."""
+
+
+def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, float], float]) -> tuple[str, str, bytes]:
+    """Name, type and content of a file that a fit is given away as.
+
+    Parameters
+    ----------
+    fits : Fits
+    fit : Fit
+    what : str
+        One of :data:`FILES`.
+    light : (direction, ambient)
+        For ``relit``.
+    """
+    stem = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name)
+    contours = tuple(Contour(indices, closed) for indices, closed in fit.model.contours)
+    if what in ("pts", "ljson", "csv", "json"):
+        landmarks = Landmarks(fit.result.shape, contours)
+        if what == "json":
+            return f"{stem}.json", "application/json", fit_text(landmarks, fit.result.facts(fit.source.name)).encode()
+        dump = FORMATS[f".{what}"].dump
+        assert dump is not None
+        kind = "application/json" if what == "ljson" else "text/csv" if what == "csv" else "text/plain"
+        return f"{stem}.{what}", kind, dump(landmarks).encode()
+    if what not in FILES:
+        raise Refusal(422, f"a fit cannot be given away as '{what[:40]}': there are {', '.join(FILES)}")
+    return (
+        f"{stem}_{'fit' if what == 'overlay' else what}.png",
+        "image/png",
+        png_bytes(_picture(fits, fit, what, light)),
+    )
+
+
+def _picture(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, float], float]) -> np.ndarray:
+    """Picture to give away, in full size."""
+    size = fit.source.width, fit.source.height
+    if what == "relit":
+        return fits.whole_light(fit).under(*light)
+    if what == "flat":
+        return fits.whole_light(fit).flat()
+    if what == "shading":
+        return layers.shading_layer(fits.whole_light(fit), size)
+    from liaam.plotting import overlay
+
+    image = shown(fits.pictures.pixels(fit.source), size, fit.source.raw)
+    return overlay(image, fit.result.shape, fit.model, covariances=fit.result.landmark_covariances)
+
+
+def attachment(name: str) -> str:
+    """Content-Disposition of a file to be saved under a name of any letters (RFC 6266)."""
+    plain = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._- ") else "_" for letter in name)
+    return f"attachment; filename=\"{plain}\"; filename*=UTF-8''{quote(name, safe='')}"

@@ -1,0 +1,176 @@
+"""Endpoints of fits: what the page asks for, checked, and the answers. Whatever takes time runs in threads."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Awaitable, Callable, Mapping
+from functools import wraps
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.io import Landmarks
+from liaam.relighting.relighter import AMBIENT
+from liaam.studio.fit_files import attachment, file_of
+from liaam.studio.fits import LAYER_SIZE, Fits
+from liaam.studio.pictures import Source, checked_size, jpeg_bytes, source_of
+from liaam.studio.safety import Refusal
+from liaam.studio.uploads import read_json
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response as Answer
+    from starlette.routing import Route
+
+
+def routes(fits: Fits) -> list[Route]:
+    """Endpoints of fits; failures leave them as :class:`Refusal`, with the status to answer."""
+    from starlette.routing import Route
+
+    endpoints = _Endpoints(fits)
+    table: list[tuple[str, str, Callable[[Request], Awaitable[Answer]]]] = [
+        ("POST", "/api/fits", endpoints.fit),
+        ("GET", "/api/fits/{id}/layers/{layer}", endpoints.layer),
+        ("GET", "/api/fits/{id}/relit", endpoints.relit),
+        ("GET", "/api/fits/{id}/export", endpoints.export),
+    ]
+    return [Route(path, _refusing(endpoint), methods=[verb]) for verb, path, endpoint in table]
+
+
+def _refusing(endpoint: Callable[[Request], Awaitable[Answer]]) -> Callable[[Request], Awaitable[Answer]]:
+    """Turn errors about what was asked into refusals with a status."""
+
+    @wraps(endpoint)
+    async def refusing(request: Request) -> Answer:
+        try:
+            return await endpoint(request)
+        except Refusal:
+            raise
+        except LiaamError as fault:
+            raise Refusal(422, str(fault)) from fault
+
+    return refusing
+
+
+class _Endpoints:
+    """Requests to calls of functions, in threads."""
+
+    def __init__(self, fits: Fits) -> None:
+        import anyio
+
+        self.fits = fits
+        # Its own: the thumbnails of a large folder must not keep a fit waiting.
+        self._threads = anyio.CapacityLimiter(4)
+
+    async def fit(self, request: Request) -> Answer:
+        text = await self._work(self._fitted, await read_json(request, self.fits.settings.json_bytes))
+        return _answer(text, "application/json", {"cache-control": "no-store"})
+
+    async def layer(self, request: Request) -> Answer:
+        fit, what = self.fits.get(request.path_params["id"]), request.path_params["layer"]
+        size = checked_size(request.query_params.get("size"), LAYER_SIZE)
+        data = await self._work(self.fits.layer, fit, what, size)
+        return _answer(data, "image/png", {"cache-control": "private, max-age=86400, immutable"})
+
+    async def relit(self, request: Request) -> Answer:
+        fit, light = self.fits.get(request.path_params["id"]), _light_of(request.query_params)
+        size = checked_size(request.query_params.get("size"), LAYER_SIZE)
+        data = await self._work(lambda: jpeg_bytes(self.fits.relit(fit, *light, size)))
+        return _answer(data, "image/jpeg", {"cache-control": "private, max-age=86400, immutable"})
+
+    async def export(self, request: Request) -> Answer:
+        fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")
+        light = _light_of(request.query_params)
+        name, kind, data = await self._work(file_of, self.fits, fit, what, light)
+        return _answer(data, kind, {"content-disposition": attachment(name), "cache-control": "no-store"})
+
+    def _fitted(self, body: Any) -> bytes:
+        """Fit what the page asks for; JSON."""
+        if not isinstance(body, dict):
+            raise Refusal(422, "send an object with picture or upload, method and start")
+        source, of, truth = self._asked_for(body)
+        method = body.get("method", DEFAULT_METHOD)
+        if not isinstance(method, str):
+            raise Refusal(422, "the method is no text: send its name, such as 'soft-li'")
+        fit = self.fits.fit(source, of, method, parse_start(body.get("start")), truth)
+        return json.dumps(fit.as_json(), allow_nan=False, separators=(",", ":")).encode()
+
+    def _asked_for(self, body: Mapping[str, Any]) -> tuple[Source, tuple[str, str], np.ndarray | None]:
+        """Picture to fit, what to call it, and its landmarks if it has any."""
+        asked = [(kind, body[kind]) for kind in ("picture", "upload") if body.get(kind) is not None]
+        if len(asked) != 1 or not isinstance(asked[0][1], str):
+            raise Refusal(422, "say what to fit: either picture, the name of one, or upload, the id of one")
+        kind, name = asked[0]
+        if kind == "upload":
+            return self.fits.uploads.source(name), (kind, name), None
+        project = self.fits.project
+        project.size_of(name)  # says why a picture cannot be used
+        source = source_of(project.path_of(name), self.fits.settings.pixels)
+        return source, (kind, name), truth_of(project.landmarks(name))
+
+    async def _work(self, call: Callable, *arguments: Any) -> Any:
+        import anyio
+
+        return await anyio.to_thread.run_sync(call, *arguments, limiter=self._threads)
+
+
+def _answer(content: bytes, kind: str, headers: Mapping[str, str]) -> Answer:
+    from starlette.responses import Response as Content
+
+    return Content(content, media_type=kind, headers=dict(headers))
+
+
+# What is asked for --------------------------------------------------------------------------------
+
+
+def parse_start(data: Any) -> Any:
+    """Start of a fit as JSON gives it: nothing, a box, or a shape whose points may be null.
+
+    Raises
+    ------
+    Refusal
+        422 if it is neither.
+    """
+    if data is None:
+        return None
+    if isinstance(data, dict) and len(data) == 1:
+        if isinstance(data.get("box"), list) and len(data["box"]) == 4 and all(map(_is_number, data["box"])):
+            return tuple(float(value) for value in data["box"])
+        points = data.get("shape")
+        if isinstance(points, list) and 0 < len(points) <= 100_000 and all(map(_is_point, points)):
+            return np.array([[np.nan, np.nan] if point is None else point for point in points], np.float64)
+    raise Refusal(422, "the start is unclear: send null, {box: [left, top, right, bottom]} or {shape: [[x, y], ...]}")
+
+
+def _is_number(value: Any) -> bool:
+    # Beyond this is no pixel, and arithmetic may overflow.
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
+
+
+def _is_point(value: Any) -> bool:
+    return value is None or (isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)))
+
+
+def _light_of(query: Mapping[str, str]) -> tuple[tuple[float, float, float], float]:
+    """Direction of a light (x right, y down, z to the viewer) and share of ambient light, as the page gives them."""
+    try:
+        x, y, z, ambient = (
+            float(query.get(key, otherwise)) for key, otherwise in (("x", 0), ("y", 0), ("z", 1), ("ambient", AMBIENT))
+        )
+    except ValueError:
+        x = y = z = ambient = np.nan
+    length = float(np.hypot(np.hypot(x, y), z))
+    if not (np.isfinite(length) and length > 1e-6 and 0.0 <= ambient <= 1.0):
+        raise Refusal(422, "the light is unclear: give its direction x, y, z in numbers, and ambient from 0 to 1")
+    return (x / length, y / length, z / length), ambient
+
+
+def truth_of(landmarks: Landmarks | None) -> np.ndarray | None:
+    """Landmarks to compare with: NaN where one is missing, or a person could not see it."""
+    if landmarks is None:
+        return None
+    points = np.array(landmarks.points)
+    points[list(landmarks.invisible)] = np.nan
+    return points
