@@ -360,6 +360,32 @@ def test_a_page_asks_cheaply_whether_anything_changed(small, serve, head_model):
     assert project["pictures"][0]["state"] == "new"
 
 
+@pytest.mark.parametrize("folder", ["another", None, 7])
+def test_what_was_made_for_another_folder_is_refused(small, serve, head_model, folder):
+    running = serve(small.root)
+    running.studio.models.publish(head_model, {"source": "file", "trained": None, "pictures": {}})
+    client, known = running.client, running.client.get("/api/project").json()
+    requests = [
+        (
+            "PUT",
+            "/api/pictures/p1.png/landmarks",
+            {**client.get("/api/pictures/p1.png/landmarks").json(), "points": MOVED},
+        ),
+        ("POST", "/api/fits", {"picture": "p1.png"}),
+        ("PUT", "/api/template", {**TURNED, "revision": known["template"]["revision"]}),
+    ]
+    before = (small.root / "p1.ljson").read_bytes()
+    for method, address, body in requests:
+        answer = client.request(method, address, json={**body, "folder": folder})
+        assert answer.status_code == 409 and answer.json()["folder"] == known["id"]
+        assert "another folder" in answer.json()["error"]
+    assert (small.root / "p1.ljson").read_bytes() == before
+    assert client.get("/api/project", params={"stamp": known["stamp"]}).json()["unchanged"]
+    for method, address, body in requests:
+        answer = client.request(method, address, json={**body, "folder": known["id"]})
+        assert answer.status_code == 200
+
+
 def test_the_folder_is_listed_once_for_each_time_the_page_asks(small, serve, head_model, monkeypatch):
     running = serve(small.root)
     running.studio.models.publish(head_model, {"source": "studio", "trained": None, "pictures": {}})

@@ -210,9 +210,13 @@ class _Handlers:
 
     async def save_landmarks(self, request: Request) -> Response:
         name, data = request.path_params["name"], await self._json(request)
-        answer = await run_sync(self.studio.project.save_marks, name, data)
+        answer = await run_sync(self._save_marks, name, data)
         self.studio.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
         return JSONResponse(answer)
+
+    def _save_marks(self, name: str, data: Any) -> dict[str, Any]:
+        self.studio.project.check_id(data)
+        return self.studio.project.save_marks(name, data)
 
     async def save_template(self, request: Request) -> Response:
         template = await run_sync(self._save_template, await self._json(request))
@@ -221,6 +225,7 @@ class _Handlers:
 
     def _save_template(self, data: Any) -> dict[str, Any]:
         studio = self.studio
+        studio.project.check_id(data)
         try:
             studio.project.save_template(data)
             return studio.project.template_json() or {}

@@ -90,6 +90,7 @@ class _Endpoints:
         """Fit what the page asks for; JSON."""
         if not isinstance(body, dict):
             raise Refusal(422, "send an object with picture or upload, method and start")
+        self.fits.project.check_id(body)
         source, of, truth = self._asked_for(body)
         method = body.get("method", DEFAULT_METHOD)
         if not isinstance(method, str):

@@ -103,6 +103,19 @@ class Project:
             self._look()
             return self._stamp()
 
+    def check_id(self, data: Any) -> None:
+        """Refuse what a page sends that is another folder's, as it says in ``folder`` of its request.
+
+        Raises
+        ------
+        Refusal
+            409, with this folder's id in ``folder``.
+        """
+        if isinstance(data, dict) and data.get("folder", self.id) != self.id:
+            raise Refusal(
+                409, "the studio shows another folder now than this page was opened on: reload the page", folder=self.id
+            )
+
     def prepare(self) -> None:
         """Give the folder its id, and remove what a killed process left half written; no other may write now."""
         with self._lock, suppress(LiaamError, OSError):

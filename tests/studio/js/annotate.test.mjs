@@ -9,7 +9,7 @@ import { loupePlace } from "./modules/drawing.js";
 import { History } from "./modules/history.js";
 import * as points from "./modules/points.js";
 import { contentOf, Page, Saver, Unsaved } from "./modules/saving.js";
-import { nameIn } from "./modules/state.js";
+import { nameIn, State } from "./modules/state.js";
 import * as template from "./modules/template.js";
 
 const FACE = [
@@ -548,6 +548,27 @@ test("a file that was deleted is said to be", async () => {
   assert.equal(log.sent[1].body.revision, null);
   await answer("ok");
   assert.equal(state(), "saved");
+});
+
+test("what was made for another folder than the server shows is refused, and the page is loaded anew", async (t) => {
+  let reloads = 0;
+  const [before, place] = [globalThis.fetch, globalThis.location];
+  t.after(() => Object.assign(globalThis, { fetch: before, location: place }));
+  globalThis.location = { reload: () => (reloads += 1) };
+  globalThis.fetch = async () => new Response(JSON.stringify({ id: "two", pictures: [] }));
+  const state = new State();
+  state.project = { id: "one", pictures: [] };
+  assert.equal(await state.send(async (folder) => folder), "one");
+  const refused = Object.assign(new Error("another folder"), { status: 409, body: { folder: "two" } });
+  const wrong = Object.assign(new Error("wrong"), { status: 422, body: {} });
+  await assert.rejects(state.send(() => Promise.reject(wrong)), wrong);
+  assert.equal(reloads, 0);
+  // As where nothing was sent: it is kept, since it may be of use once the folder is served again.
+  await assert.rejects(state.send(() => Promise.reject(refused)), { status: 0 });
+  assert.equal(reloads, 1);
+  state.unsure = true;
+  await assert.rejects(state.send(() => assert.fail("asked before it is sure")), { status: 0 });
+  assert.equal(reloads, 2);
 });
 
 test("an address that names no picture is no fault", () => {

@@ -432,7 +432,10 @@ test("points that are not finite become null", () => {
 });
 
 test("a fit is remembered by picture, method and model only", async () => {
-  const state = Object.assign(new EventTarget(), { project: { model: { trained: "now" } } });
+  const state = Object.assign(new EventTarget(), {
+    project: { model: { trained: "now" } },
+    send: (request) => request("here"),
+  });
   const source = { key: "picture a", ready: Promise.resolve(), reference: { picture: "a" } };
   const sent = [];
   globalThis.fetch = async (address, { body }) => {
@@ -441,7 +444,8 @@ test("a fit is remembered by picture, method and model only", async () => {
   };
   const store = new FitStore(state);
   const made = await store.run(source, "soft-li", { box: [0, 0, 9, 9] });
-  assert.deepEqual(sent, [["/api/fits", { picture: "a", method: "soft-li", start: { box: [0, 0, 9, 9] } }]]);
+  const asked = { picture: "a", method: "soft-li", start: { box: [0, 0, 9, 9] }, folder: "here" };
+  assert.deepEqual(sent, [["/api/fits", asked]]);
   assert.equal(store.recall(source, "soft-li"), made);
   assert.equal(store.recall(source, "rgb"), null);
   state.project.model.trained = "later";

@@ -51,8 +51,8 @@ export class MarksSaving {
   put(name, body) {
     const { api } = this.app;
     const options = { keepalive: JSON.stringify(body).length < KEEPALIVE };
-    const send = () => api.put(api.url("pictures", name, "landmarks"), body, options);
-    return this.state.unsure ? this.state.sure().then(send) : send(); // at once, where the page is going away
+    const address = api.url("pictures", name, "landmarks");
+    return this.state.send((folder) => api.put(address, { ...body, folder }, options));
   }
 
   fetchMarks(name) {

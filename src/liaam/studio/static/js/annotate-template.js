@@ -75,7 +75,8 @@ export class TemplateSession {
     const hadFile = before?.source === "file";
     this.saving = true;
     try {
-      const saved = await api.put(api.url("template"), mapping ? { ...template, mapping } : template);
+      const change = mapping ? { ...template, mapping } : template;
+      const saved = await state.send((folder) => api.put(api.url("template"), { ...change, folder }));
       await tab.saving.keepUnsaved(saved, mapping);
       this.key = JSON.stringify(saved);
       tab.opening.clear();

@@ -180,12 +180,13 @@ export async function useAsAnnotation(app, fit) {
     );
     if (!agreed) return false;
   }
-  const saved = await api.put(address, {
+  const marks = {
     points: fit.shape,
     invisible: placed ? known.invisible : [],
     revision: known.revision,
     ...(template?.revision === undefined ? {} : { template: template.revision }),
-  });
+  };
+  const saved = await app.state.send((folder) => api.put(address, { ...marks, folder }));
   app.state.update(saved.picture);
   return true;
 }

@@ -20,7 +20,8 @@ export class FitStore {
   /** Fit a source; start: null, {box} or {shape}. */
   async run(source, method, start = null) {
     await source.ready;
-    const fit = cleaned(await api.post(api.url("fits"), { ...source.reference, method, start }));
+    const asked = { ...source.reference, method, start };
+    const fit = cleaned(await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
     const key = this.#key(source, method);
     this.#kept.delete(key);
     this.#kept.set(key, fit);

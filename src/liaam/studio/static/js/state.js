@@ -100,9 +100,16 @@ export class State extends EventTarget {
     }, LOOK_EVERY);
   }
 
-  /** Wait until it is known that the server is still of this page's folder; rejects where it is not, or is away. */
-  async sure() {
-    if (this.unsure) await this.refresh();
+  /** Send what was made for this page's folder: `request` is given the folder's id, for the server to refuse it where
+   *  another folder is served at this address by now. The page is then loaded anew, and this rejects. */
+  async send(request) {
+    if (this.unsure) await this.refresh(); // else at once: the page may be going away
+    try {
+      return await request(this.project.id);
+    } catch (error) {
+      if (error.body?.folder) await this.refresh();
+      throw error;
+    }
   }
 
   _take(project) {
