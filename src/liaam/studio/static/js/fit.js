@@ -2,35 +2,15 @@
 
 import { mismatch } from "./assist.js";
 import { FitView } from "./fit-view.js";
-import { entries, modelNeeded } from "./fit-draw.js";
 import { ExportMenu, useAsAnnotation } from "./fit-export.js";
 import { Iterations } from "./fit-iterations.js";
-import { factsOf, fitsOf, verdictOf } from "./fit-run.js";
+import { ResultPanel } from "./fit-result.js";
+import { fitsOf } from "./fit-run.js";
 import { afterPaint } from "./fit-schedule.js";
+import { SetupPanel } from "./fit-setup.js";
 import { Intake, sourcesOf } from "./fit-source.js";
 import { BoxTool, meanShape, MeanTool } from "./fit-start.js";
-import { button, h, icon, segmented } from "./ui.js";
-
-const STARTS = [
-  {
-    value: "auto",
-    label: "Automatic",
-    title: "The model searches the picture for its object",
-    hint: "The model searches the whole picture.",
-  },
-  {
-    value: "box",
-    label: "Box",
-    title: "Draw a box around the object",
-    hint: "Draw a box around the object. Keys: arrows move it, comma and full stop resize it, Enter fits.",
-  },
-  {
-    value: "mean",
-    label: "Mean shape",
-    title: "Drag the model's mean shape onto the object",
-    hint: "Drag it onto the object; corners set its size, the knob turns it. Keys: arrows, comma and full stop, brackets. Enter fits.",
-  },
-];
+import { button, h, icon } from "./ui.js";
 
 const SHORTCUTS = [
   { keys: "Enter F", what: "Fit" },
@@ -74,6 +54,16 @@ class FitTab {
       light: () => this.view.light,
       annotate: (fit) => this._annotate(fit),
       complain: (error) => this._complain(error),
+    });
+    this.result = new ResultPanel({ onstart: (value) => this._setStart(value, true) });
+    this.setup = new SetupPanel({
+      app,
+      onback: () => this.sources.backToFolder(),
+      onopen: () => this._file.click(),
+      onstart: (value) => this._setStart(value),
+      onclick: () => this._toPicture(),
+      onmethod: (name) => this._setMethod(name),
+      onrun: () => this.run(),
     });
     this._build(root);
     this._listen();
@@ -174,7 +164,7 @@ class FitTab {
     const tool = this._startTool();
     if (!tool) return null;
     if (tool.start) return tool.start;
-    this._tell(
+    this.result.tell(
       "info",
       this.start === "box"
         ? "Draw a box around the object first."
@@ -268,10 +258,7 @@ class FitTab {
     if (this._methodNames !== names) {
       this._methodNames = names;
       this.method ??= first ?? methods[0]?.name ?? "soft-li";
-      const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
-      this._method.replaceChildren(...sorted.map(({ name }) => h("option", { value: name }, name)));
-      this._method.value = this.method;
-      this._summary();
+      this.setup.offer(methods, first, this.method);
     }
     const trained = model?.trained ?? null;
     const another = this._trained !== undefined && this._trained !== trained;
@@ -313,7 +300,7 @@ class FitTab {
     this._empty = h("div", { class: "empty big fit-empty" });
     const stage = h("div", { class: "fit-stage" }, this.view.container, this._empty);
     this._ofFits = [this._panelDraw(), this._panelIterations()];
-    this._side = h("div", { class: "side fit-side" }, this._panelStart(), this._panelResult(), this._ofFits);
+    this._side = h("div", { class: "side fit-side" }, this.setup.element, this.result.element, this._ofFits);
     this._area = h(
       "div",
       { class: "fit-tab", dataset: { testid: "fit-drop" } },
@@ -323,104 +310,6 @@ class FitTab {
     );
     root.append(this._area);
     this.intake = new Intake(this._area, "Drop the picture to fit it", this.sources, (error) => this._complain(error));
-  }
-
-  _panelStart() {
-    this._label = h("span", { class: "fit-source-name grow" });
-    this._back = button("Back to the folder", {
-      icon: "left",
-      iconOnly: true,
-      small: true,
-      kind: "ghost",
-      hidden: true,
-      onclick: () => this.sources.backToFolder(),
-    });
-    const open = button("Open…", {
-      icon: "image",
-      small: true,
-      title: "Open a picture from elsewhere; it is not put into the folder",
-      onclick: () => this._file.click(),
-    });
-    this._starts = segmented("Where to start", STARTS, this.start, (value) => this._setStart(value));
-    for (const each of this._starts.element.children) each.dataset.testid = `start-${each.dataset.value}`;
-    // Who clicks wants to go on at the picture, and its keys; arrow keys in the row of choices stay there.
-    this._starts.element.addEventListener("click", () => {
-      if (this._startTool()) this.view.viewer.canvas.focus({ preventScroll: true });
-    });
-    this._startHint = h("p", { class: "small muted", hidden: true });
-    this._method = h("select", {
-      class: "text",
-      "aria-describedby": "fit-method-summary",
-      dataset: { testid: "fit-method" },
-      onchange: () => {
-        this.method = this._method.value;
-        this._summary();
-        this._take(null);
-        const source = this.sources.current;
-        const known = source && !this._startTool() && this.store.recall(source, this.method);
-        if (known) this._take(known);
-        else this.run();
-      },
-    });
-    this._methodSummary = h("p", { class: "small muted fit-method-summary", id: "fit-method-summary" });
-    this._runButton = h(
-      "button",
-      {
-        type: "button",
-        class: "button primary",
-        "aria-keyshortcuts": "Enter",
-        dataset: { testid: "fit-run" },
-        onclick: () => this.run(),
-      },
-      icon("target"),
-      "Fit",
-      h("kbd", { class: "kbd" }, "Enter"),
-    );
-    this._mismatch = h("p", { class: "small error-text", hidden: true, dataset: { testid: "fit-mismatch" } });
-    this._needsModel = h("div", { class: "column" }, modelNeeded(this.app, "fit-to-annotate"));
-    this._withModel = h(
-      "div",
-      { class: "column" },
-      h("div", { class: "column tight" }, this._starts.element, this._startHint),
-      h(
-        "div",
-        { class: "row fit-method" },
-        h("label", { class: "field grow" }, "Method", this._method),
-        this._runButton,
-      ),
-      this._methodSummary,
-    );
-    return h(
-      "section",
-      { class: "panel", "aria-label": "Fit" },
-      h("div", { class: "row fit-source" }, this._back, this._label, open),
-      this._needsModel,
-      this._mismatch,
-      this._withModel,
-    );
-  }
-
-  _panelResult() {
-    this._status = h("div", {
-      class: "column tight fit-status",
-      role: "status",
-      "aria-live": "polite",
-      dataset: { testid: "fit-status" },
-    });
-    this._remedies = h(
-      "div",
-      { class: "row tight fit-remedies", hidden: true },
-      button("Draw a box", { icon: "box", small: true, onclick: () => this._setStart("box", true) }),
-      button("Drag the mean", { icon: "target", small: true, onclick: () => this._setStart("mean", true) }),
-    );
-    this._facts = h("dl", { class: "fit-facts" });
-    return h(
-      "section",
-      { class: "panel fit-result", "aria-label": "Result" },
-      this._status,
-      this._remedies,
-      this._facts,
-    );
   }
 
   _panelDraw() {
@@ -435,17 +324,23 @@ class FitTab {
     return h("section", { class: "panel", "aria-label": "Iterations" }, this.iterations.element);
   }
 
-  _summary() {
-    const method = this.state.project?.methods?.find(({ name }) => name === this.method);
-    this._methodSummary.textContent = method ? `${method.summary}${method.needs_colour ? " Needs colour." : ""}` : "";
+  _setMethod(name) {
+    this.method = name;
+    this._take(null);
+    const source = this.sources.current;
+    const known = source && !this._startTool() && this.store.recall(source, name);
+    if (known) this._take(known);
+    else this.run();
+  }
+
+  /** Who clicks wants to go on at the picture, and its keys; arrow keys in the row of choices stay there. */
+  _toPicture() {
+    if (this._startTool()) this.view.viewer.canvas.focus({ preventScroll: true });
   }
 
   _setStart(value, focus = false) {
     this.start = value;
-    this._starts.value = value;
-    const { hint } = STARTS.find((start) => start.value === value);
-    this._startHint.textContent = hint;
-    this._startHint.hidden = value === "auto";
+    this.setup.start = value;
     if (value === "mean") {
       this.mean.settled = false;
       this._useMean();
@@ -472,48 +367,24 @@ class FitTab {
   }
 
   _busy(now) {
-    this._runButton.disabled = now || !this.sources.current;
+    this.setup.canRun = !now && Boolean(this.sources.current);
     this.view.container.classList.toggle("busy", now);
-    if (now && !this.fit) this._tell("info", "Fitting…");
-  }
-
-  /** Say in the result's panel what happened. */
-  _tell(kind, message, title = "") {
-    this._status.replaceChildren(
-      ...[
-        title && h("span", { class: `badge ${kind}` }, title),
-        h("p", { class: kind === "bad" && !title ? "error-text" : "small" }, message),
-      ].filter(Boolean),
-    );
-    this._remedies.hidden = true;
-    this._facts.replaceChildren();
+    if (now && !this.fit) this.result.tell("info", "Fitting…");
   }
 
   _result() {
-    const { fit } = this;
-    if (!fit) {
-      const { model } = this.state.project ?? {};
-      this._tell(
-        "info",
-        !model ? "" : this.sources.current ? "Not fitted yet." : "Open a picture to fit the model to it.",
-      );
+    if (this.fit) {
+      this.result.show(this.fit);
       return;
     }
-    const { kind, title, advice } = verdictOf(fit);
-    this._status.replaceChildren(
-      ...[
-        h("span", { class: `badge ${kind}`, dataset: { status: fit.status } }, title),
-        h("p", { class: "small" }, fit.message),
-        advice && h("p", { class: "small muted" }, advice),
-      ].filter(Boolean),
-    );
-    this._remedies.hidden = !advice;
-    this._facts.replaceChildren(...entries(factsOf(fit)));
+    const { model } = this.state.project ?? {};
+    const what = this.sources.current ? "Not fitted yet." : "Open a picture to fit the model to it.";
+    this.result.tell("info", model ? what : "");
   }
 
   /** Say why nothing came of it; what was there before stays. */
   _refused(error) {
-    this._tell("bad", error.message);
+    this.result.tell("bad", error.message);
   }
 
   _complain(error) {
@@ -523,16 +394,11 @@ class FitTab {
   _emptiness() {
     const source = this.sources.current;
     const { model, pictures = [] } = this.state.project ?? {};
-    this._label.textContent = source?.name ?? "No picture";
-    this._label.title = source?.name ?? "";
-    this._back.hidden = source?.kind !== "upload" || !this.state.current;
-    this._needsModel.hidden = Boolean(model);
-    this._mismatch.textContent = mismatch(this.state.project ?? {});
-    this._mismatch.hidden = !this._mismatch.textContent;
-    this.exports.show(this.fit, Boolean(source?.ofFolder) && this._mismatch.hidden);
-    this._withModel.hidden = !model;
+    const wrong = mismatch(this.state.project ?? {});
+    const canGoBack = source?.kind === "upload" && Boolean(this.state.current);
+    this.setup.show({ source, model, canGoBack, mismatch: wrong });
+    this.exports.show(this.fit, Boolean(source?.ofFolder) && !wrong);
     for (const panel of this._ofFits) panel.hidden = !model;
-    this._runButton.disabled = !source;
     this._empty.hidden = Boolean(source);
     this.view.container.classList.toggle("without", !source);
     if (source) return;

@@ -1,0 +1,51 @@
+// The Fit tab's panel that says what came of a fit, and what may help where it is in doubt.
+
+import { entries } from "./fit-draw.js";
+import { factsOf, verdictOf } from "./fit-run.js";
+import { button, h } from "./ui.js";
+
+export class ResultPanel {
+  /** onstart(value): the person wants to start from a "box" or the "mean" shape. */
+  constructor({ onstart }) {
+    this._status = h("div", {
+      class: "column tight fit-status",
+      role: "status",
+      "aria-live": "polite",
+      dataset: { testid: "fit-status" },
+    });
+    this._remedies = h(
+      "div",
+      { class: "row tight fit-remedies", hidden: true },
+      button("Draw a box", { icon: "box", small: true, onclick: () => onstart("box") }),
+      button("Drag the mean", { icon: "target", small: true, onclick: () => onstart("mean") }),
+    );
+    this._facts = h("dl", { class: "fit-facts" });
+    this.element = h(
+      "section",
+      { class: "panel fit-result", "aria-label": "Result" },
+      this._status,
+      this._remedies,
+      this._facts,
+    );
+  }
+
+  /** Say what happened, where there is no fit; kind: "info" or "bad". */
+  tell(kind, message) {
+    this._status.replaceChildren(h("p", { class: kind === "bad" ? "error-text" : "small" }, message));
+    this._remedies.hidden = true;
+    this._facts.replaceChildren();
+  }
+
+  show(fit) {
+    const { kind, title, advice } = verdictOf(fit);
+    this._status.replaceChildren(
+      ...[
+        h("span", { class: `badge ${kind}`, dataset: { status: fit.status } }, title),
+        h("p", { class: "small" }, fit.message),
+        advice && h("p", { class: "small muted" }, advice),
+      ].filter(Boolean),
+    );
+    this._remedies.hidden = !advice;
+    this._facts.replaceChildren(...entries(factsOf(fit)));
+  }
+}

@@ -1,0 +1,134 @@
+// The Fit tab's panel that says what is fitted, from where and by which method.
+
+import { modelNeeded } from "./fit-draw.js";
+import { button, h, icon, segmented } from "./ui.js";
+
+const STARTS = [
+  {
+    value: "auto",
+    label: "Automatic",
+    title: "The model searches the picture for its object",
+    hint: "The model searches the whole picture.",
+  },
+  {
+    value: "box",
+    label: "Box",
+    title: "Draw a box around the object",
+    hint: "Draw a box around the object. Keys: arrows move it, comma and full stop resize it, Enter fits.",
+  },
+  {
+    value: "mean",
+    label: "Mean shape",
+    title: "Drag the model's mean shape onto the object",
+    hint: "Drag it onto the object; corners set its size, the knob turns it. Keys: arrows, comma and full stop, brackets. Enter fits.",
+  },
+];
+
+export class SetupPanel {
+  /** onback(): to the folder's picture; onopen(): a file is to be opened; onstart(value), onmethod(name): chosen;
+   *  onclick(): the starts were clicked, not reached by keys; onrun(). */
+  constructor({ app, onback, onopen, onstart, onclick, onmethod, onrun }) {
+    this._methods = [];
+    this._label = h("span", { class: "fit-source-name grow" });
+    this._back = button("Back to the folder", {
+      icon: "left",
+      iconOnly: true,
+      small: true,
+      kind: "ghost",
+      hidden: true,
+      onclick: onback,
+    });
+    const open = button("Open…", {
+      icon: "image",
+      small: true,
+      title: "Open a picture from elsewhere; it is not put into the folder",
+      onclick: onopen,
+    });
+    this._starts = segmented("Where to start", STARTS, "auto", onstart);
+    for (const each of this._starts.element.children) each.dataset.testid = `start-${each.dataset.value}`;
+    this._starts.element.addEventListener("click", onclick);
+    this._hint = h("p", { class: "small muted", hidden: true });
+    this._method = h("select", {
+      class: "text",
+      "aria-describedby": "fit-method-summary",
+      dataset: { testid: "fit-method" },
+      onchange: () => {
+        this._summarise();
+        onmethod(this.method);
+      },
+    });
+    this._summary = h("p", { class: "small muted fit-method-summary", id: "fit-method-summary" });
+    this._run = h(
+      "button",
+      {
+        type: "button",
+        class: "button primary",
+        "aria-keyshortcuts": "Enter",
+        dataset: { testid: "fit-run" },
+        onclick: onrun,
+      },
+      icon("target"),
+      "Fit",
+      h("kbd", { class: "kbd" }, "Enter"),
+    );
+    this._mismatch = h("p", { class: "small error-text", hidden: true, dataset: { testid: "fit-mismatch" } });
+    this._needsModel = h("div", { class: "column" }, modelNeeded(app, "fit-to-annotate"));
+    const method = h("label", { class: "field grow" }, "Method", this._method);
+    this._withModel = h(
+      "div",
+      { class: "column" },
+      h("div", { class: "column tight" }, this._starts.element, this._hint),
+      h("div", { class: "row fit-method" }, method, this._run),
+      this._summary,
+    );
+    this.element = h(
+      "section",
+      { class: "panel", "aria-label": "Fit" },
+      h("div", { class: "row fit-source" }, this._back, this._label, open),
+      this._needsModel,
+      this._mismatch,
+      this._withModel,
+    );
+  }
+
+  get method() {
+    return this._method.value;
+  }
+
+  /** Offer methods, the `first` before the others. */
+  offer(methods, first, chosen) {
+    this._methods = methods;
+    const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
+    this._method.replaceChildren(...sorted.map(({ name }) => h("option", { value: name }, name)));
+    this._method.value = chosen;
+    this._summarise();
+  }
+
+  set start(value) {
+    this._starts.value = value;
+    this._hint.textContent = STARTS.find((start) => start.value === value).hint;
+    this._hint.hidden = value === "auto";
+  }
+
+  set canRun(can) {
+    this._run.disabled = !can;
+  }
+
+  /** source: the picture, or null; canGoBack: whether it hides one of the folder; mismatch: why the model does not suit
+   *  the template, or "". */
+  show({ source, model, canGoBack, mismatch }) {
+    this._label.textContent = source?.name ?? "No picture";
+    this._label.title = source?.name ?? "";
+    this._back.hidden = !canGoBack;
+    this._needsModel.hidden = Boolean(model);
+    this._withModel.hidden = !model;
+    this._mismatch.textContent = mismatch;
+    this._mismatch.hidden = !mismatch;
+    this.canRun = Boolean(source);
+  }
+
+  _summarise() {
+    const method = this._methods.find(({ name }) => name === this.method);
+    this._summary.textContent = method ? `${method.summary}${method.needs_colour ? " Needs colour." : ""}` : "";
+  }
+}
