@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
+from small_projects import TRIANGLE
 
 from liaam.datasets.scenes import Head, Scene, make_set
 from liaam.io import Contour, Landmarks, write_image, write_landmarks
 from liaam.studio.app import Studio, make_studio
+from liaam.studio.project import Project
 from liaam.studio.serving import make_server, open_port
 from liaam.studio.settings import Settings
 
@@ -48,6 +51,18 @@ def folder(pictures, tmp_path) -> Callable[..., Path]:
         return made
 
     return make
+
+
+@pytest.fixture
+def small(tmp_path) -> Project:
+    """Give a folder of four small pictures, and a template of three points."""
+    folder = tmp_path / "parent" / "small"
+    folder.mkdir(parents=True)
+    for name in ("p1.png", "p2.png", "p10.png", "q.jpg"):
+        write_image(folder / name, np.full((30, 40, 3), 90, np.uint8))
+    project = Project(folder)
+    project.save_template(TRIANGLE)
+    return project
 
 
 @dataclass(frozen=True)

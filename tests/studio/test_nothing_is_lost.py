@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+from small_projects import POINTS, by_name, proposal, refused
 
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, write_image, write_landmarks
@@ -15,34 +16,15 @@ from liaam.studio.app import make_studio
 from liaam.studio.folder import STATE
 from liaam.studio.listing import Listing
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 
 NAMES = {"names": ["a", "b", "c"]}
 TURNED = {"names": ["c", "a", "b"], "mapping": [2, 0, 1]}
-POINTS = [[1.0, 2.0], [30.5, 2.25], [15.0, 20.0]]
 MOVED = [POINTS[2], POINTS[0], POINTS[1]]
-
-
-def refused(call, *arguments):
-    with pytest.raises(Refusal) as caught:
-        call(*arguments)
-    return caught.value
 
 
 def put(project, name, points, **more):
     return project.save_marks(name, {"points": points, "invisible": [], "revision": None, **more})
-
-
-def by_name(project):
-    return {picture["name"]: picture for picture in project.overview().pictures}
-
-
-def proposal():
-    return {
-        "points": POINTS, "covariances": None, "quality": 0.9, "status": "converged", "ok": True,
-        "message": "The fit settled.", "found": True, "doubtful": False, "uncertainty": 0.01,
-    }  # fmt: skip
 
 
 @pytest.fixture

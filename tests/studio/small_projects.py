@@ -1,0 +1,33 @@
+"""Projects of small pictures, and what is asked of them in many tests."""
+
+import pytest
+
+from liaam.studio.safety import Refusal
+
+TRIANGLE = {"names": ["a", "b", "c"], "contours": [{"indices": [0, 1, 2], "closed": True}], "mirror": [1, 0, 2]}
+POINTS = [[1.0, 2.0], [30.5, 2.25], [15.0, 20.0]]
+
+
+def by_name(project):
+    return {picture["name"]: picture for picture in project.overview().pictures}
+
+
+def states(project):
+    return {name: picture["state"] for name, picture in by_name(project).items()}
+
+
+def refused(call, *arguments):
+    with pytest.raises(Refusal) as caught:
+        call(*arguments)
+    return caught.value
+
+
+def put(project, name, points, revision=None, invisible=()):
+    return project.save_marks(name, {"points": points, "invisible": list(invisible), "revision": revision})
+
+
+def proposal(uncertainty=0.01, *, points=POINTS, ok=True, found=True, message="The fit settled."):
+    return {
+        "points": points, "covariances": [[[1, 0], [0, 1]]] * 3, "quality": 0.9, "status": "converged", "ok": ok,
+        "message": message, "found": found, "doubtful": not (ok and found), "uncertainty": uncertainty,
+    }  # fmt: skip

@@ -1,0 +1,87 @@
+"""Which pictures a project has, and which of them can be used."""
+
+import os
+
+import numpy as np
+import pytest
+from small_projects import POINTS, by_name, put, refused
+
+from liaam.datasets import load_folder
+from liaam.errors import ImageError
+from liaam.io import write_image
+from liaam.studio.project import Project
+from liaam.studio.settings import Settings
+
+
+def test_pictures_come_in_natural_order_without_hidden_files_and_folders(small):
+    (small.root / "sub").mkdir()
+    write_image(small.root / "sub" / "x.png", np.zeros((9, 9, 3), np.uint8))
+    write_image(small.root / ".hidden.png", np.zeros((9, 9, 3), np.uint8))
+    (small.root / "notes.txt").write_text("hello")
+    assert list(by_name(small)) == ["p1.png", "p2.png", "p10.png", "q.jpg"]
+    assert by_name(small)["p1.png"] == {
+        "name": "p1.png", "state": "new", "placed": 0, "error": None, "width": 40, "height": 30,
+        "uncertainty": None, "doubtful": False, "rank": None, "tag": small.marks("p1.png")["tag"],
+    }  # fmt: skip
+
+
+def test_pictures_that_come_and_go_are_noticed(small):
+    write_image(small.root / "new.png", np.zeros((8, 9, 3), np.uint8))
+    (small.root / "p1.png").unlink()
+    assert list(by_name(small)) == ["new.png", "p2.png", "p10.png", "q.jpg"]
+    assert refused(small.marks, "p1.png").status == 404
+    assert small.size_of("new.png") == (9, 8)
+
+
+def test_a_corrupt_picture_is_broken_with_the_reason(small):
+    (small.root / "bad.png").write_bytes(b"\x89PNG\r\n\x1a\n rubbish")
+    (small.root / "text.jpg").write_text("no picture")
+    (small.root / "empty.png").touch()
+    pictures = by_name(small)
+    for name in ("bad.png", "text.jpg", "empty.png"):
+        assert pictures[name]["state"] == "broken"
+        assert pictures[name]["error"].startswith(name)
+        assert str(small.root) not in pictures[name]["error"]
+        assert refused(small.marks, name).status == 409
+        assert refused(put, small, name, POINTS).status == 409
+
+
+def test_of_two_pictures_of_one_stem_the_second_is_broken(small):
+    write_image(small.root / "p1.jpg", np.zeros((9, 9, 3), np.uint8))
+    put(small, "p1.png", POINTS)
+    pictures = by_name(small)
+    assert pictures["p1.png"]["state"] == "done"
+    assert pictures["p1.jpg"]["state"] == "broken"
+    assert "p1.png has the same name" in pictures["p1.jpg"]["error"]
+    assert [sample.image.name for sample in load_folder(small.root)] == ["p1.png"]
+
+
+def test_a_picture_of_too_many_pixels_is_broken(small):
+    project = Project(small.root, Settings(pixels=1000))
+    assert "40 x 30 pixels, more than the 1,000 allowed" in by_name(project)["p1.png"]["error"]
+
+
+def test_sizes_are_upright(small):
+    from PIL import Image
+
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.new("RGB", (50, 20)).save(small.root / "turned.jpg", exif=exif)
+    assert small.size_of("turned.jpg") == (20, 50)
+
+
+def test_folders_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(ImageError, match="does not exist"):
+        Project(tmp_path / "missing")
+    (tmp_path / "file").touch()
+    with pytest.raises(ImageError, match="is a file, not a folder"):
+        Project(tmp_path / "file")
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(ImageError, match="cannot be written to"):
+        Project(tmp_path)
+
+
+def test_an_empty_folder_is_fine(tmp_path):
+    project = Project(tmp_path)
+    assert project.overview().pictures == [] and project.template is None and project.problems == []
+    assert list(tmp_path.iterdir()) == []  # looking leaves nothing behind

@@ -1,0 +1,62 @@
+"""What a model found in pictures, until a person has placed points there."""
+
+from small_projects import POINTS, TRIANGLE, by_name, proposal, put, states
+
+from liaam.studio.project import Project
+from liaam.studio.proposals import teaching_order
+
+
+def test_proposals_are_shown_until_there_are_landmarks(small):
+    small.add_proposals({"p1.png": proposal(0.02), "p2.png": proposal(0.03)})
+    for project in (small, Project(small.root)):
+        assert states(project)["p1.png"] == "proposed"
+        assert {name: picture["rank"] for name, picture in by_name(project).items()} == {
+            "p1.png": 2, "p2.png": 1, "p10.png": None, "q.jpg": None,
+        }  # fmt: skip
+        marks = project.marks("p1.png")
+        assert (marks["source"], marks["points"], marks["revision"]) == ("proposal", POINTS, None)
+        assert marks["quality"] == 0.9
+    put(small, "p1.png", POINTS)  # taken as it is
+    assert small.marks("p1.png")["source"] == "file"
+    assert by_name(small)["p1.png"]["uncertainty"] is None
+    assert by_name(small)["p2.png"]["rank"] == 1
+
+
+def test_a_picture_that_cannot_be_fitted_says_why(small):
+    small.add_proposals({"p1.png": proposal(None, points=None, message="p1.png is grey")})
+    assert by_name(small)["p1.png"]["state"] == "new"
+    assert by_name(small)["p1.png"]["error"] == "p1.png is grey"
+
+
+def test_proposals_of_another_template_are_dropped(small):
+    small.add_proposals({"p1.png": proposal()})
+    small.save_template({**TRIANGLE, "mapping": [1, 0, 2], "revision": small.template_json()["revision"]})
+    assert states(small)["p1.png"] == "new"
+
+
+def test_of_a_large_folder_some_pictures_are_proposed_at_a_time(small):
+    def names(most):
+        return [name for name, _ in small.to_propose(most)]
+
+    assert names(100) == ["p1.png", "p2.png", "p10.png", "q.jpg"]
+    assert names(2) == ["p1.png", "p2.png"]
+    small.add_proposals({"p1.png": proposal(0.02), "p2.png": proposal(0.03), "p10.png": proposal(0.01)})
+    assert names(2) == ["p2.png", "q.jpg"]
+    assert names(100) == ["p2.png", "p1.png", "p10.png", "q.jpg"]
+    put(small, "p2.png", POINTS)
+    assert names(3) == ["p1.png", "p10.png", "q.jpg"]
+    (small.root / "q.jpg").write_bytes(b"rubbish")
+    assert names(3) == ["p1.png", "p10.png"]
+
+
+def test_the_order_in_which_pictures_teach():
+    order = teaching_order(
+        {
+            "sure": proposal(0.01),
+            "unsure": proposal(0.05),
+            "not there": proposal(0.2, found=False, ok=False),
+            "failed": proposal(0.02, ok=False),
+            "diverged": proposal(None, ok=False),
+        }
+    )
+    assert order == ["failed", "diverged", "unsure", "sure", "not there"]
