@@ -37,8 +37,8 @@ def moving_scene(time: float, lights=DIFFUSE) -> Scene:
 def train_on(scenes: list[Scene], **options) -> AAM:
     """Train on scenes with what is true of their camera, and on the shapes as they are: the scenes' span is known."""
     pairs = [(scene.image, scene.landmarks) for scene in scenes]
-    known = {"theta": scenes[0].theta, "response": "linear", "prior": "sample", "leave_out": False}
-    return train(pairs, **{**known, **options})
+    camera = {"theta": scenes[0].theta, "response": "linear"}
+    return train(pairs, **{**camera, "prior": "sample", "soft_prior": "sample", "leave_out": False, **options})
 
 
 def between(a, b):

@@ -198,7 +198,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("experiment", "peer", "--data", "{portraits}", "--out", "o", "--methods", "magic"), "'magic' does not exist"),
         (
             ("experiment", "displacement", "--out", "o", "--solver", "oracle"),
-            "there are liaam, liaam-smooth, liaam-soft-smooth, paper",
+            "there are liaam, liaam-smooth, liaam-sample, paper",
         ),
         (("experiment", "displacement", "--out", "{image}", "--methods", "li"), "is a file"),
         (("experiment", "convergence", "--out", "o", "--data", "{missing}"), "does not exist"),

@@ -15,10 +15,11 @@ from liaam.shape import (
     mirror_order,
     procrustes_mean,
     rotation,
+    scaled_mean,
     similarity_modes,
     train_shape_model,
 )
-from liaam.shape_prior import fit_freedom
+from liaam.shape_prior import SHARES, fit_freedom, smooth_covariance, spread_points
 
 
 def similarity(scale: float, angle: float, x: float, y: float) -> Similarity:
@@ -196,6 +197,30 @@ def test_degrees_of_freedom_are_those_that_shapes_left_out_have(rng):
     assert fit_freedom(left_out_coordinates(rng, np.ones(400)), 20) == np.inf
     assert fit_freedom([], 20) == np.inf
     assert fit_freedom(left_out_coordinates(rng, np.ones(4)), 0) == np.inf
+
+
+def test_some_of_many_landmarks_tell_how_smooth_deformations_are(rng, monkeypatch):
+    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    mean = 40.0 * np.column_stack([np.cos(angles), 1.3 * np.sin(angles)])
+    smooth = np.linalg.cholesky(smooth_covariance(mean, similarity_modes(mean), 0.2) + 1e-9 * np.eye(120))
+    shapes = mean + (30.0 * smooth @ rng.normal(size=(120, 24))).T.reshape(24, 60, 2)
+    recipes = []
+    for count in (60, 25):
+        monkeypatch.setattr("liaam.shape_prior.MOST_POINTS", count)
+        recipes.append(choose_recipe(scaled_mean(shapes, 100.0), shapes, "smooth").smooth)
+    every, some = recipes
+    assert every.share > 0.0 and some.share > 0.0
+    assert every.width == some.width == 0.2
+    assert abs(np.subtract(*[SHARES.index(recipe.share) for recipe in recipes])) <= 1
+
+
+def test_points_that_are_spread_leave_no_gap(rng):
+    points = rng.normal(size=(300, 2))
+    chosen = spread_points(points, 40)
+    assert len(np.unique(chosen)) == 40
+    gaps = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1)
+    own = np.linalg.norm(points[chosen][:, None] - points[chosen], axis=2) + 1e9 * np.eye(40)
+    assert gaps.max() <= own.min() + 1e-9  # else the farthest would have been taken instead
 
 
 def test_many_shapes_need_no_help(rng):

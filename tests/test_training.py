@@ -348,12 +348,18 @@ def test_a_smooth_prior_knows_more_shapes_than_the_pictures_show(pairs):
     assert len(smooth.shape_model.modes) > 5
     assert smooth.shape_model.left_out_bound < sample.shape_model.left_out_bound
     assert sample.soft_shape is None and smooth.soft_shape is None  # one will do
-    both = train(pairs, soft_prior="smooth", **options)
+    both = train(pairs, **options)
     assert both.soft_shape is not None
     np.testing.assert_array_equal(both.shape_model.modes, sample.shape_model.modes)
     np.testing.assert_array_equal(both.soft_shape.modes, smooth.shape_model.modes)
     assert both.shape_of("log") is both.shape_model
     assert both.shape_of("soft") is both.surrounded.shape_model is both.soft_shape
+
+
+@pytest.mark.parametrize("options", [{"variance": 1.0}, {"prior": "shrunk"}, {"soft_prior": "sample"}])
+def test_soft_li_has_no_other_shapes_where_that_is_asked(pairs, options):
+    model = train(pairs, diagonal=40.0, blurs=(0.0,), soft_blurs=(1.0,), leave_out=False, **options)
+    assert model.soft_shape is None
 
 
 def test_a_prior_that_does_not_exist_is_refused(pairs):

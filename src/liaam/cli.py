@@ -89,7 +89,11 @@ def train(
         ),
     ] = "sample",
     soft_prior: Annotated[
-        str | None, typer.Option(help="The same for soft-li alone, the default method; as --prior if left out.")
+        str | None,
+        typer.Option(
+            help="The same for soft-li alone, the default method; if left out smooth, or as --prior where that is not "
+            "sample or all of the variance is kept."
+        ),
     ] = None,
     diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
     camera_file: Annotated[

@@ -1,6 +1,6 @@
 """Statistical shape models: Procrustes alignment, PCA, and the four similarity vectors (paper eq 1-2)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -285,7 +285,8 @@ def choose_recipe(
     folds = some_folds(len(shapes)) if folds is None else folds
     plain = fit_prior(_deviations(mean, shapes), folds)
     # The mean may be turned to one side; then a single shape may still be symmetric.
-    orders = (mirror_order(shape) for shape in (mean, *shapes[:MIRRORED_TRIES]))
+    tries = min(MIRRORED_TRIES, MIRRORED_POINTS // len(mean))
+    orders = (mirror_order(shape) for shape in (mean, *shapes[:tries]))
     order = next((order for order in orders if order is not None), None)
     if order is None:
         return Recipe(prior, plain)
@@ -378,8 +379,8 @@ MIRRORED = 0.02
 may count as symmetric; whether it helps is for the shapes left out to say."""
 
 
-MIRRORED_TRIES = 20
-"""Shapes that are tried where the mean is not symmetric."""
+MIRRORED_TRIES, MIRRORED_POINTS = 20, 2000
+"""Shapes that are tried where the mean is not symmetric: so many at most, and so many points in all."""
 
 
 def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0) -> np.ndarray | None:
@@ -400,16 +401,35 @@ def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0)
     """
     from scipy.optimize import linear_sum_assignment
 
+    def nearest(apart: np.ndarray) -> np.ndarray:
+        return apart.argmin(axis=1)
+
+    def one_to_one(apart: np.ndarray) -> np.ndarray:
+        return linear_sum_assignment(apart)[1]
+
     shape = shape - shape.mean(axis=0)
-    mirrored, best, order = shape * [-1.0, 1.0], np.inf, None
+    mirrored, best, order, limit = shape * [-1.0, 1.0], np.inf, None, limit * diagonal_of(shape)
     turns = np.arange(12)
     for angle in turns[30 * np.minimum(turns, 12 - turns) <= 2 * tilt] * np.pi / 6:
-        moved = mirrored @ rotation(angle).T
-        for _ in range(5):  # alternate counterparts and pose
-            apart = np.square(shape[:, None] - moved[None]).sum(axis=2)
-            found = linear_sum_assignment(apart)[1]
-            moved = align(mirrored[found], shape)(mirrored)
+        moved, found = _closest(shape, mirrored, mirrored @ rotation(angle).T, nearest)
+        # Pairs are further apart than nearest points, and take much longer to find.
+        if np.sqrt(np.square(shape - moved[found]).sum(axis=1).mean()) > limit:
+            continue
+        moved, found = _closest(shape, mirrored, moved, one_to_one)
         error = float(np.square(shape - moved[found]).sum(axis=1).mean())
         if error < best and np.array_equal(found[found], np.arange(len(shape))):
             best, order = error, found
-    return order if np.sqrt(best) < limit * diagonal_of(shape) else None
+    return order if np.sqrt(best) < limit else None
+
+
+def _closest(
+    shape: np.ndarray, other: np.ndarray, moved: np.ndarray, pair: Callable[[np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Alternate pose and counterparts from a first pose: how the other lies then, and its points for this one's."""
+    found = np.empty(0, int)
+    for _ in range(5):
+        last, found = found, pair(np.square(shape[:, None] - moved[None]).sum(axis=2))
+        if np.array_equal(found, last):
+            break
+        moved = align(other[found], shape)(other)
+    return moved, found

@@ -31,8 +31,9 @@ NOISES = (0.01, 0.02, 0.05, 0.1, 0.2)
 FREEDOMS = (3.0, 5.0, 10.0, 20.0, 50.0, np.inf)
 """Degrees of freedom that are tried for the distribution of shapes; the last is a normal one."""
 
-LARGEST = 400
-"""Coordinates (twice the landmarks) up to which all of the above is tried; beyond, every other share."""
+MOST_POINTS = 80
+"""Landmarks by which the mixture is chosen: a Gaussian process on some of its points has the same parameters, and the
+time grows with the third power of their number."""
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,33 @@ class Deviations:
             self.mean, self.rigid, self.own[kept], self.further[kept] if len(self.further) else self.own[:0]
         )
 
+    def thinned(self, count: int) -> "Deviations":
+        """The same at so many landmarks at most, spread over the mean shape."""
+        if len(self.mean) <= count:
+            return self
+        chosen = spread_points(self.mean, count)
+        columns = np.arange(self.own.shape[1]).reshape(-1, 2)[chosen].ravel()
+        rigid = np.linalg.qr(self.rigid[:, columns].T)[0].T  # similarities of the shape are those of its part
+
+        def part(rows: np.ndarray) -> np.ndarray:
+            return rows[:, columns] - rows[:, columns] @ rigid.T @ rigid
+
+        return Deviations(self.mean[chosen], rigid, part(self.own), part(self.further))
+
     def sample_covariance(self) -> np.ndarray:
         """Second moments about the mean of ``own``, (d, d) float64; further examples need not have the same mean."""
         everything = np.concatenate([self.own, self.further]) - self.own.mean(axis=0)
         return everything.T @ everything / max(len(everything) - 1, 1)
+
+
+def spread_points(points: np.ndarray, count: int) -> np.ndarray:
+    """Choose points (n, 2) far from each other, (count,) int, rising: each is the farthest from those before it."""
+    chosen = [int(np.square(points - points.mean(axis=0)).sum(axis=1).argmax())]
+    nearest = np.full(len(points), np.inf)
+    while len(chosen) < count:
+        nearest = np.minimum(nearest, np.square(points - points[chosen[-1]]).sum(axis=1))
+        chosen.append(int(nearest.argmax()))
+    return np.array(sorted(chosen))
 
 
 def smooth_covariance(mean: np.ndarray, rigid: np.ndarray, width: float) -> np.ndarray:
@@ -132,14 +156,15 @@ def modes_of(spread: np.ndarray, rigid: np.ndarray) -> tuple[np.ndarray, np.ndar
 def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrior:
     """Find the mixture under which the shapes of each fold, left out in turn, are most likely.
 
+    Of shapes of many landmarks, :data:`MOST_POINTS` are looked at.
+
     Parameters
     ----------
     deviations : Deviations
     folds : sequence of int arrays
         Shapes to leave out together: those of one object belong into one fold.
     """
-    shares = SHARES if 2 * len(deviations.mean) <= LARGEST else SHARES[::2]
-    mixtures = list(product(shares, WIDTHS))
+    deviations, mixtures = deviations.thinned(MOST_POINTS), list(product(SHARES, WIDTHS))
     total = np.zeros((len(mixtures), len(NOISES)))
     count = 0
     for fold in folds:

@@ -81,8 +81,9 @@ def train(
         learns from the mirrored shapes too, as far as shapes left out are likelier so. ``shrunk`` takes the variances
         of shapes left out for eigenvalues.
     soft_prior : {"sample", "smooth", "shrunk"}, optional
-        The same for ``soft-li``, which then fits with shapes of its own; as ``prior`` if left out. With ``smooth`` for
-        ``soft-li`` alone the other methods, which know less of what their errors weigh, are left as they are.
+        The same for ``soft-li``, which fits with shapes of its own where it differs. If left out: ``smooth`` where
+        ``prior`` is ``sample`` and not all of the variance is kept (which asks for the pictures' shapes and no others),
+        else as ``prior``. The other methods, which know less of what their errors weigh, lose by ``smooth``.
     diagonal : float
         Diagonal of the mean shape in the reference frame, pixels. More is slower and finer.
     theta : float, optional
@@ -121,7 +122,7 @@ def train(
     """
     camera = _camera_of(camera, theta, response)
     _check_options(variance, appearance_variance, diagonal, blurs, soft_blurs)
-    soft_prior = prior if soft_prior is None else soft_prior
+    soft_prior = _soft_prior(prior, variance) if soft_prior is None else soft_prior
     for asked in (prior, soft_prior):
         check_prior(asked)
     entries, contours, edges = _entries(data)
@@ -190,6 +191,12 @@ def _check_options(
     for name, given in (("blurs", blurs), ("soft_blurs", soft_blurs)):
         if not given or list(given) != sorted(given, reverse=True) or not 0 <= given[-1] <= given[0] <= 10:
             raise TrainingError(f"{name} {given}: give 0 to 10 pixels of the reference frame, from coarse to fine")
+
+
+def _soft_prior(prior: str, variance: Variance) -> str:
+    """Prior of soft-li's shapes where nobody asks for one."""
+    whole = isinstance(variance, float) and variance == 1.0
+    return "smooth" if prior == "sample" and not whole else prior
 
 
 def _camera_of(camera: CameraModel | None, theta: float | None, response: Response | None) -> CameraModel:

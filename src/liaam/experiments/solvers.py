@@ -28,8 +28,9 @@ class Solver:
     diagonal : float
         Of the reference frame, pixels.
     prior, soft_prior : str
-        How the shapes' covariance is learnt, of all methods and of ``soft-li`` if otherwise, where not all modes are
-        kept: a model that is to hold its pictures exactly, and nothing else, is learnt from the sample.
+        How the shapes' covariance is learnt, of all methods and of ``soft-li`` (as ``liaam train`` chooses if left
+        out), where not all modes are kept: a model that is to hold its pictures exactly, and nothing else, is learnt
+        from the sample.
     """
 
     summary: str
@@ -64,8 +65,8 @@ LIAAM = Solver(
 SOLVERS = {
     "liaam": LIAAM,
     "liaam-smooth": replace(LIAAM, summary=f"{LIAAM.summary}; all methods with smooth deformations", prior="smooth"),
-    "liaam-soft-smooth": replace(
-        LIAAM, summary=f"{LIAAM.summary}; soft-li with smooth deformations", soft_prior="smooth"
+    "liaam-sample": replace(
+        LIAAM, summary=f"{LIAAM.summary}; soft-li without smooth deformations, too", soft_prior="sample"
     ),
     "paper": PAPER,
     "paper-90": replace(PAPER, summary=f"{PAPER.summary}; modes of 90 % of the variance", variance=0.9),
