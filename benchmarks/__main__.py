@@ -1,8 +1,11 @@
-"""Run every benchmark: ``python -m benchmarks [NAME ...]``."""
+"""Run every benchmark: ``python -m benchmarks [NAME ...] [--save | --compare]``."""
 
+import argparse
 import sys
 
-from benchmarks import batch, batched, fit, iteration, relight, search, studio, track
+from benchmarks import batch, batched, fit, iteration, metrics, relight, search, studio, track
+from benchmarks.metrics import Metrics
+from liaam.errors import LiaamError
 
 BENCHMARKS = {
     "iteration": iteration.main,
@@ -14,16 +17,46 @@ BENCHMARKS = {
     "batched": batched.main,
     "relight": relight.main,
 }
-"""Benchmark by name; each prints its metrics."""
+"""Benchmark by name; each reports its metrics."""
 
 
-def main(names: list[str]) -> int:
-    unknown = [name for name in names if name not in BENCHMARKS]
+def parser() -> argparse.ArgumentParser:
+    """What can be said on the command line."""
+    made = argparse.ArgumentParser(prog="python -m benchmarks", description="Print named metrics.")
+    made.add_argument("names", nargs="*", metavar="NAME", help=f"which: {', '.join(BENCHMARKS)}; all if left out")
+    what = made.add_mutually_exclusive_group()
+    what.add_argument("--save", action="store_true", help=f"write the metrics to benchmarks/{metrics.BASELINE.name}")
+    what.add_argument("--compare", action="store_true", help="print them beside those of that file")
+    return made
+
+
+def run(names: list[str], save: bool = False) -> dict[str, Metrics]:
+    """Run benchmarks; gives what each reported, saved as soon as it is there."""
+    measured: dict[str, Metrics] = {}
+    for name in names:
+        with metrics.recording() as measured[name]:
+            BENCHMARKS[name]()
+        if save:
+            metrics.save_baseline({name: measured[name]}, metrics.BASELINE)
+    return measured
+
+
+def main(arguments: list[str]) -> int:
+    """Run what is asked for; 0 whatever has moved, since times are a machine's."""
+    asked = parser().parse_args(arguments)
+    unknown = [name for name in asked.names if name not in BENCHMARKS]
     if unknown:
         print(f"no benchmark {', '.join(unknown)}; there are {', '.join(BENCHMARKS)}", file=sys.stderr)
         return 2
-    for name in names or BENCHMARKS:
-        BENCHMARKS[name]()
+    try:
+        if asked.save or asked.compare:
+            metrics.read_baseline(metrics.BASELINE)  # complain before minutes are spent
+        measured = run(asked.names or list(BENCHMARKS), asked.save)
+        if asked.compare:
+            print("\n" + "\n".join(metrics.compare(measured, metrics.BASELINE)))
+    except LiaamError as fault:
+        print(fault, file=sys.stderr)
+        return 1
     return 0
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from benchmarks.metrics import report
 from liaam.datasets.scenes import Head, make_set
 from liaam.io import write_image
 from liaam.shape import diagonal_of
@@ -117,12 +118,12 @@ def measure_speed(world: World, n: int) -> None:
         long, short = (world.run(count, f"speed{jobs}_{count}.csv", "--jobs", jobs) for count in (n, few))
         seconds[jobs] = (long.seconds - short.seconds) / (n - few)
         processor[jobs] = (long.processor - short.processor) / (n - few)
-        print(f"batch_rate_{jobs} {1 / seconds[jobs]:.1f} pictures a second, {n - few} of them")
-        print(f"batch_processor_ms_{jobs} {1e3 * processor[jobs]:.1f} for each picture")
+        report(f"batch_rate_{jobs}", 1 / seconds[jobs], f"pictures a second, {n - few} of them", form=".1f")
+        report(f"batch_processor_ms_{jobs}", 1e3 * processor[jobs], "for each picture", form=".1f")
     apart = (side_by_side(world, n) - side_by_side(world, few)) / (2 * (n - few))
-    print(f"batch_rate_apart {1 / apart:.1f} pictures a second by two batches of one process each")
-    print(f"batch_speedup {seconds[1] / seconds[2]:.2f} (bar: at least {SPEEDUP_BAR})")
-    print(f"batch_speedup_apart {seconds[1] / apart:.2f}, of the machine itself")
+    report("batch_rate_apart", 1 / apart, "pictures a second by two batches of one process each", form=".1f")
+    report("batch_speedup", seconds[1] / seconds[2], f"(bar: at least {SPEEDUP_BAR})", form=".2f")
+    report("batch_speedup_apart", seconds[1] / apart, "of the machine itself", form=".2f")
 
 
 def side_by_side(world: World, n: int) -> float:
@@ -137,8 +138,8 @@ def side_by_side(world: World, n: int) -> float:
 def measure_memory(world: World, n: int) -> None:
     """Memory of a tenth of the pictures, and of all."""
     few, many = (world.run(count, f"memory{count}.csv", "--jobs", 2).memory for count in (n // 10, n))
-    print(f"batch_memory_mb {few:.0f} for {n // 10} pictures, {many:.0f} for {n}")
-    print(f"batch_memory_growth_percent {100 * (many / few - 1):.1f} (bar: below {GROWTH_BAR:g})")
+    report("batch_memory_mb", few, f"for {n // 10} pictures, {many:.0f} for {n}", form=".0f")
+    report("batch_memory_growth_percent", 100 * (many / few - 1), f"(bar: below {GROWTH_BAR:g})", form=".1f")
 
 
 def measure_kill(world: World, n: int) -> None:
@@ -159,7 +160,7 @@ def measure_kill(world: World, n: int) -> None:
     if not (world.folder / "killed.csv").exists():
         world.run(n, "killed.csv", "--jobs", 2)
     same = world.rows("killed.csv") == world.rows("whole.csv")
-    print(f"batch_killed_same {same} after {kills} kills, {n} pictures")
+    report("batch_killed_same", same, f"after {kills} kills, {n} pictures")
 
 
 def measure_cluster(world: World, n: int) -> None:
@@ -178,7 +179,8 @@ def measure_cluster(world: World, n: int) -> None:
                 child.terminate()
             process.terminate()
             process.wait()
-    print(f"batch_cluster_same {world.rows('cluster.csv') == world.rows('alone.csv')} with 2 workers, {n} pictures")
+    same = world.rows("cluster.csv") == world.rows("alone.csv")
+    report("batch_cluster_same", same, f"with 2 workers, {n} pictures")
 
 
 MEASURES: tuple[tuple[Callable[[World, int], None], int], ...] = (

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.metrics import report
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, make_set
 from liaam.fitting import Fitter
 from liaam.fitting.batched import BatchFitter
@@ -88,7 +89,7 @@ def compare(fitter: Fitter, method: str, images: list[np.ndarray], starts: list[
     """Print the metrics of one method."""
     fitter.fit(images[0], starts[0])
     loop = per_second(lambda: [fitter.fit(*picture) for picture in zip(images, starts, strict=True)])
-    print(f"  {method + '_loop_per_second':<40}{loop:8.2f}")
+    report(f"{method}_loop_per_second", loop, form=".2f", width=40)
     for backend in BACKENDS:
         device = prepare(backend)
         if device is None:
@@ -99,7 +100,7 @@ def compare(fitter: Fitter, method: str, images: list[np.ndarray], starts: list[
             batched.fit(images[:size], starts[:size], size)
             rate = per_second(partial(batched.fit, images, starts, size))
             name = f"{method}_{backend}_{device}_batch_{size}_per_second"
-            print(f"  {name:<40}{rate:8.2f}   ({rate / loop:.2f} of the loop)", flush=True)
+            report(name, rate, f"({rate / loop:.2f} of the loop)", form=".2f", width=40)
 
 
 if __name__ == "__main__":

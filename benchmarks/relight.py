@@ -5,6 +5,7 @@ from time import perf_counter
 
 import numpy as np
 
+from benchmarks.metrics import report
 from liaam.datasets.scenes import Head
 from liaam.experiments.relit import LitPair, flat_error, lit_pairs, mesh_mask, pixel_error, seam, train_on_flat_light
 from liaam.fitting import FitResult, Fitter
@@ -72,13 +73,14 @@ def main() -> None:
     names = ("model_error", "flat_error", "pixel_error", "flat_seam", "lamp_seam", "untouched_seam")
     for start, found in rows.items():
         for name, values in zip(names, zip(*found, strict=True), strict=True):
-            print(f"relight_{name}_{start} {np.median(values):.3f} mean {np.mean(values):.3f} worst {max(values):.3f}")
-    print(f"relight_pasted_seam {np.median(pasted):.3f}")
+            spread = f"mean {np.mean(values):.3f} worst {max(values):.3f}"
+            report(f"relight_{name}_{start}", float(np.median(values)), spread)
+    report("relight_pasted_seam", float(np.median(pasted)))
     large = next(lit_pairs(Head(PERSONS[-1]), size=(640, 480)))
     before = perf_counter()
     relighter = Relighter.of(fitter, large.lit.image, fitter.fit(large.lit.image))
-    print(f"relight_apart_ms {1e3 * (perf_counter() - before):.0f} fit included")
-    print(f"relight_light_ms {times(relighter):.1f}")
+    report("relight_apart_ms", 1e3 * (perf_counter() - before), "fit included", form=".0f")
+    report("relight_light_ms", times(relighter), form=".1f")
 
 
 if __name__ == "__main__":

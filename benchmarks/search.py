@@ -12,6 +12,7 @@ from time import process_time
 import cv2
 import numpy as np
 
+from benchmarks.metrics import report
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.fitting import Finder
@@ -77,10 +78,10 @@ def main(folder: str | None = None, letters: int = 2) -> None:
     cv2.setNumThreads(1)
     folds = [scenes()] if folder is None else halves(Path(folder), letters)
     errors, seconds, scores = np.concatenate([measure(*fold) for fold in folds], axis=1)
-    print(f"search_found_percent {100 * (errors < LIMIT).mean():.1f} of {len(errors)}")
-    print(f"search_error {np.median(errors):.3f} worst {errors.max():.3f}")
-    print(f"search_seconds {np.median(seconds):.3f} worst {seconds.max():.3f}")
-    print(f"search_score {np.median(scores):.2f} lowest {scores.min():.2f}")
+    report("search_found_percent", 100 * (errors < LIMIT).mean(), f"of {len(errors)}", form=".1f")
+    report("search_error", float(np.median(errors)), f"worst {errors.max():.3f}")
+    report("search_seconds", float(np.median(seconds)), f"worst {seconds.max():.3f}")
+    report("search_score", float(np.median(scores)), f"lowest {scores.min():.2f}", form=".2f")
 
 
 if __name__ == "__main__":

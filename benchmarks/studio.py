@@ -21,6 +21,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from benchmarks.metrics import report
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, make_set, random_expression, random_pose, render
 from liaam.io import write_image
 from liaam.training import train
@@ -189,10 +190,10 @@ def main() -> None:
             for path in pictures:
                 times += drops(page, [path])
                 seconds.append(page.evaluate("() => window.liaamStudio.fit.fit.seconds"))
-            print(f"studio_drop_to_fit_ms {np.median(times):.0f} worst {max(times):.0f}")
+            report("studio_drop_to_fit_ms", float(np.median(times)), f"worst {max(times):.0f}", form=".0f")
             for part in ("search", "fit"):
-                print(f"studio_{part}_ms {1000 * np.median([each[part] for each in seconds]):.0f}")
-            print(f"studio_theta_frames_per_second {theta_rate(page):.0f}")
+                report(f"studio_{part}_ms", 1000 * np.median([each[part] for each in seconds]), form=".0f")
+            report("studio_theta_frames_per_second", theta_rate(page), form=".0f")
 
 
 if __name__ == "__main__":

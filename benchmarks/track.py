@@ -13,6 +13,7 @@ from time import perf_counter, thread_time
 import cv2
 import numpy as np
 
+from benchmarks.metrics import report
 from liaam.datasets import load_folder
 from liaam.experiments.lights import circling_light
 from liaam.fitting import FitResult, Fitter
@@ -153,18 +154,21 @@ def measure(model: AAM, video: Path, n: int) -> None:
         seconds, busy = perf_counter() - before, thread_time() - spent
     raw, smooth = stacked(tracked, "raw"), stacked(tracked, "landmarks")
     lost = sum(not frame.ok for frame in tracked)
-    print(f"track_lost {lost} of {len(tracked)}")
-    print(f"track_quality {np.median([frame.quality for frame in tracked]):.3f}")
-    print(f"track_frames_per_second {len(tracked) / seconds:.1f} of one core {len(tracked) / busy:.1f}")
-    print("track_overhead_ms {:.2f} waiting included {:.2f}".format(*overhead(model, video, results)))
-    print(f"track_trembling_px {trembling(smooth):.3f} unsmoothed {trembling(raw):.3f}")
+    report("track_lost", lost, f"of {len(tracked)}", form=".0f")
+    report("track_quality", float(np.median([frame.quality for frame in tracked])))
+    own_rate = f"of one core {len(tracked) / busy:.1f}"
+    report("track_frames_per_second", len(tracked) / seconds, own_rate, form=".1f")
+    own_part, whole = overhead(model, video, results)
+    report("track_overhead_ms", own_part, f"waiting included {whole:.2f}", form=".2f")
+    report("track_trembling_px", trembling(smooth), f"unsmoothed {trembling(raw):.3f}")
     seen = [i for i, frame in enumerate(tracked) if frame.ok]
     frames, smooth = [frames[i] for i in seen], smooth[seen]
     lit = relit(frames, smooth)
     for method in METHODS:
         found = stacked(run(Tracker(model, method, init=smooth[0]), lit), "landmarks")
         away = differences(found, smooth)
-        print(f"track_relit_{method} {np.median(away):.2f} lost {100 * (away > LOST).mean():.1f} %")
+        beyond = f"lost {100 * (away > LOST).mean():.1f} %"
+        report(f"track_relit_{method}", float(np.median(away)), beyond, form=".2f")
     shading(model, frames[: 2 * PERIOD], lit[: 2 * PERIOD], smooth)
 
 
@@ -179,7 +183,8 @@ def shading(model: AAM, frames: Sequence[VideoFrame], lit: Sequence[VideoFrame],
             yield frame.image if result is None else remover.remove(frame.image, result, tracked.landmarks)
 
     own, before = (flicker(model, (frame.image for frame in video), smooth) for video in (frames, lit))
-    print(f"track_flicker {flicker(model, fresh(), smooth):.2f} with shading {before:.2f} without the lamp {own:.2f}")
+    others = f"with shading {before:.2f} without the lamp {own:.2f}"
+    report("track_flicker", flicker(model, fresh(), smooth), others, form=".2f")
 
 
 def main(n: int = FRAMES) -> None:
