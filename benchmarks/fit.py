@@ -6,11 +6,13 @@ poses that they were trained beside, under light from the side. The object keeps
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
-from time import perf_counter, process_time
+from time import process_time
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks import iteration
+from benchmarks.metrics import in_turn, report
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.evaluation import point_error
 from liaam.fitting import Fitter
@@ -20,6 +22,7 @@ from liaam.training import train
 SIZE, LARGE = (640, 480), (6000, 4000)
 N_TRAINING, N_PICTURES, ROUNDS = 24, 8, 5
 DIAGONALS = {4_000: 95.0, 16_000: 190.0, 64_000: 380.0}
+MODES, MODES_ROUNDS = (25, 50, 100, 200), 40
 BARS = {"soft-li": 4.0, "li": 2.5}
 
 Picture = tuple[np.ndarray, np.ndarray]
@@ -49,17 +52,18 @@ def box_of(shape: np.ndarray) -> np.ndarray:
 
 def milliseconds(calls: Sequence[Callable[[], object]]) -> np.ndarray:
     """Times of calls in turn, (ROUNDS, n); the first round is not counted."""
-    times = np.empty((ROUNDS + 1, len(calls)))
-    for row in times:
-        for i, call in enumerate(calls):
-            begin = perf_counter()
-            call()
-            row[i] = 1e3 * (perf_counter() - begin)
-    return times[1:]
+    return in_turn({"calls": calls}, ROUNDS)["calls"]
 
 
 def fits(fitter: Fitter, pictures: list[Picture]) -> Sequence[Callable[[], object]]:
     return [partial(fitter.fit, image, box_of(shape)) for image, shape in pictures]
+
+
+def median_error(shapes: Sequence[np.ndarray], pictures: list[Picture], diagonal: float) -> float:
+    """Median distance of shapes from the truth, in pixels of a model of this diagonal."""
+    scale = np.linalg.norm(np.ptp(pictures[0][1], axis=0)) / diagonal
+    errors = [point_error(shape, truth) for shape, (_, truth) in zip(shapes, pictures, strict=True)]
+    return float(np.median(errors) / scale)
 
 
 def measure_fits() -> None:
@@ -68,16 +72,11 @@ def measure_fits() -> None:
         fitter = Fitter(model, method)
         median = float(np.median(milliseconds(fits(fitter, pictures))))
         results = [fitter.fit(image, box_of(shape)) for image, shape in pictures]
-        scale = np.linalg.norm(np.ptp(pictures[0][1], axis=0)) / model.diagonal
-        error = (
-            np.median([point_error(r.shape, shape) for r, (_, shape) in zip(results, pictures, strict=True)]) / scale
-        )
+        error = median_error([result.shape for result in results], pictures, model.diagonal)
         steps = np.median([result.n_iterations for result in results])
         name = method.replace("-", "_")
-        print(
-            f"  {f'fit_{name}_ms':<24}{median:8.2f}   "
-            f"(bar: at most {bar:g}; {steps:.0f} iterations, {error:.2f} px off)"
-        )
+        note = f"(bar: at most {bar:g}; {steps:.0f} iterations, {error:.2f} px off)"
+        report(f"fit_{name}_ms", median, note, form=".2f", width=24)
 
 
 def measure_growth() -> None:
@@ -92,7 +91,7 @@ def measure_growth() -> None:
         times.append(float(np.median(milliseconds([iteration_of(fitter, objective, image, shape)]))))
     exponent = np.polyfit(np.log(sizes), np.log(times), 1)[0]
     told = ", ".join(f"{n}: {t:.2f} ms" for n, t in zip(sizes, times, strict=True))
-    print(f"  {'pixels_exponent':<24}{exponent:8.2f}   (bar: at most 1.1; {told})")
+    report("pixels_exponent", exponent, f"(bar: at most 1.1; {told})", form=".2f", width=24)
 
 
 def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray) -> Callable[[], object]:
@@ -106,6 +105,19 @@ def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray
     return lambda: [objective.linearise(problem, state) for _ in range(10)]
 
 
+def measure_modes() -> None:
+    """Exponent of an iteration's time in the number of appearance modes, at a fixed number of pixels."""
+    for method in BARS:
+        whole = {n: iteration.make_iteration(*iteration.make_fit(method, n))[0]["iteration"] for n in MODES}
+        times = in_turn({str(n): [call] for n, call in whole.items()}, MODES_ROUNDS, warm_up=3)
+        medians = [float(np.median(own)) for own in times.values()]
+        exponent = np.polyfit(np.log(MODES), np.log(medians), 1)[0]
+        last = np.log(medians[-1] / medians[-2]) / np.log(MODES[-1] / MODES[-2])
+        told = ", ".join(f"{n}: {t:.2f} ms" for n, t in zip(MODES, medians, strict=True))
+        name = f"modes_exponent_{method.replace('-', '_')}"
+        report(name, exponent, f"(bar: at most 1; {last:.2f} from the last but one on; {told})", form=".2f", width=24)
+
+
 def measure_large_picture() -> None:
     """The same object in a picture of 24 megapixels."""
     fitter, (image, shape) = Fitter(make_model()), make_pictures()[1][0]
@@ -114,7 +126,7 @@ def measure_large_picture() -> None:
     large[at[1] : at[1] + image.shape[0], at[0] : at[0] + image.shape[1]] = image
     calls = [lambda: fitter.fit(image, box_of(shape)), lambda: fitter.fit(large, box_of(shape + at))]
     small, big = np.median(milliseconds(calls), axis=0)
-    print(f"  {'large_picture_ratio':<24}{big / small:8.2f}   (bar: at most 1.3)")
+    report("large_picture_ratio", big / small, "(bar: at most 1.3)", form=".2f", width=24)
 
 
 def main() -> None:
@@ -127,6 +139,7 @@ def main() -> None:
         )
         measure_fits()
         measure_growth()
+        measure_modes()
         measure_large_picture()
     print(f"  ({process_time() - begin:.0f} s of processor time)")
 

@@ -8,13 +8,14 @@ states (step, linearisation there, lambda, merit, observable directions). The ya
 All parts are timed in turn, many times over, so that a busy spell of the machine touches all alike.
 """
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import replace
-from time import perf_counter
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.metrics import in_turn, quartiles, report
 from liaam.appearance import AppearanceModel
 from liaam.fitting import SolverOptions, get_method, solver
 from liaam.fitting.objective import FitProblem, Objective, State, make_objectives
@@ -55,10 +56,17 @@ def make_shapes(rng: np.random.Generator, method: str) -> tuple[ShapeModel, Refe
     triangles = delaunay(points)
     own = make_shape_model(points, rng)
     about = np.sqrt(N_PIXELS / signed_areas(points, triangles).sum()) * (0.93 if method == "soft-li" else 1.0)
-    for scale in about * np.linspace(0.95, 1.05, 4001):
+
+    def at(scale: float) -> tuple[ShapeModel, ReferenceFrame]:
         shape_model = ShapeModel(points * scale, own.modes, own.eigenvalues)
         surrounded = surrounded_warp(shape_model, triangles).frame if method == "soft-li" else None
-        frame = ReferenceFrame(points * scale, triangles) if surrounded is None else surrounded
+        return shape_model, ReferenceFrame(points * scale, triangles) if surrounded is None else surrounded
+
+    scales = about * np.linspace(0.95, 1.05, 4001)
+    near = bisect_left(scales, N_PIXELS, key=lambda scale: at(scale)[1].n_pixels)
+    # Pixels come and go at the border: the first size that has too many is not always next to one that has enough.
+    for i in sorted(range(len(scales)), key=lambda i: abs(i - near)):
+        shape_model, frame = at(scales[i])
         if frame.n_pixels == N_PIXELS:
             return shape_model, frame
     raise RuntimeError(f"no size gives {N_PIXELS} pixels")
@@ -72,29 +80,31 @@ def make_shape_model(mean: np.ndarray, rng: np.random.Generator) -> ShapeModel:
     return ShapeModel(mean, np.ascontiguousarray(modes), np.geomspace(100.0, 1.0, N_SHAPE_MODES))
 
 
-def make_appearance(frame: ReferenceFrame, rng: np.random.Generator, level: float = -1.5) -> AppearanceModel:
+def make_appearance(
+    frame: ReferenceFrame, rng: np.random.Generator, level: float = -1.5, n_modes: int = N_APPEARANCE_MODES
+) -> AppearanceModel:
     """Mean about a level and orthonormal modes that vary smoothly over the frame."""
     width, height = frame.size
     rows, columns = frame.pixels.T
-    pictures = smooth_noise(rng, height, width, 4.0, 3 * (N_APPEARANCE_MODES + 1))
+    pictures = smooth_noise(rng, height, width, 4.0, 3 * (n_modes + 1))
     textures = pictures[:, rows, columns].reshape(-1, 3, frame.n_pixels).transpose(0, 2, 1)
-    flat = textures[1:].reshape(N_APPEARANCE_MODES, -1)
+    flat = textures[1:].reshape(n_modes, -1)
     modes = np.linalg.qr(flat.T)[0].T.reshape(textures[1:].shape)
     return AppearanceModel(
         mean=(0.3 * textures[0] + level).astype(np.float32),
         modes=np.ascontiguousarray(modes, dtype=np.float32),
-        eigenvalues=np.geomspace(300.0, 3.0, N_APPEARANCE_MODES),
+        eigenvalues=np.geomspace(300.0, 3.0, n_modes),
         usable=np.ones(frame.n_pixels, np.float32),
     )
 
 
-def make_model(rng: np.random.Generator, method: str = "li") -> AAM:
+def make_model(rng: np.random.Generator, method: str = "li", n_modes: int = N_APPEARANCE_MODES) -> AAM:
     """A one-level model of exactly the sizes above; nothing is learnt."""
     shape_model, frame = make_shapes(rng, method)
     # Only one is fitted here; "invariant" says that the model is one of colour. Little blur: every pixel counts.
-    own = make_appearance(frame, rng, 0.0 if method == "soft-li" else -1.5)
+    own = make_appearance(frame, rng, 0.0 if method == "soft-li" else -1.5, n_modes)
     if method == "soft-li":
-        plain = make_appearance(ReferenceFrame(shape_model.mean, delaunay(shape_model.mean)), rng)
+        plain = make_appearance(ReferenceFrame(shape_model.mean, delaunay(shape_model.mean)), rng, n_modes=3)
         level = Level(0.5, dict.fromkeys(("value", "log", "invariant"), plain))
         soft = (Level(0.5, {"soft": own}),)
     else:
@@ -186,14 +196,8 @@ def make_yardstick(rng: np.random.Generator, n_columns: int) -> Callable[[], obj
 
 def measure(parts: Parts) -> dict[str, np.ndarray]:
     """Milliseconds of each part, (ROUNDS,) each, timed in turn."""
-    times = {name: np.empty(ROUNDS) for name in parts}
-    for i in range(-WARM_UP, ROUNDS):
-        for name, part in parts.items():
-            begin = perf_counter()
-            part()
-            if i >= 0:
-                times[name][i] = 1e3 * (perf_counter() - begin)
-    return times
+    times = in_turn({name: [part] for name, part in parts.items()}, ROUNDS, WARM_UP)
+    return {name: own[:, 0] for name, own in times.items()}
 
 
 def make_loops(objective: Objective, problem: FitProblem, state: State) -> Parts:
@@ -208,13 +212,20 @@ def make_loops(objective: Objective, problem: FitProblem, state: State) -> Parts
     return {"one": loop(1), "more": loop(1 + SOLVE_STEPS)}
 
 
-def measure_method(method: str) -> tuple[str, dict[str, np.ndarray]]:
-    """What was timed, and the times."""
+def make_fit(method: str, n_modes: int = N_APPEARANCE_MODES) -> tuple[Objective, FitProblem]:
+    """A random model seen through a method, and a picture."""
     rng = np.random.default_rng(20080624)
-    model = make_model(rng, method)
+    model = make_model(rng, method, n_modes)
     problem = make_problem(model, rng, method)
     (objective,) = make_objectives(model, get_method(method))
     assert len(objective.appearance.mean) == N_PIXELS, "every pixel has to count"
+    return objective, problem
+
+
+def measure_method(method: str) -> tuple[str, dict[str, np.ndarray]]:
+    """What was timed, and the times."""
+    objective, problem = make_fit(method)
+    rng = np.random.default_rng(1)
     parts, state = make_iteration(objective, problem)
     loops = make_loops(objective, problem, state) if method == "li" else {}
     times = measure({"yardstick": make_yardstick(rng, objective.warp.n_parameters), **parts, **loops})
@@ -234,12 +245,11 @@ def main() -> None:
         print(told)
         prefix = "" if method == "li" else "soft_"
         for name, values in times.items():
-            low, median, high = np.percentile(values, [25, 50, 75])
-            print(f"  {prefix + name + '_ms':<24}{median:8.3f}   (quartiles {low:.3f} to {high:.3f})")
+            report(f"{prefix}{name}_ms", float(np.median(values)), f"({quartiles(values, '.3f')})", width=24)
         for name in ("iteration", "solve_loop"):
             if name in times:
                 ratio = np.median(times[name]) / np.median(times["yardstick"])
-                print(f"  {prefix + name + '_ratio':<24}{ratio:8.2f}   (bar: at most {bar:g})")
+                report(f"{prefix}{name}_ratio", ratio, f"(bar: at most {bar:g})", form=".2f", width=24)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 from itertools import islice
 
-from benchmarks import batch, batched, iteration, relight, search, track
+import pytest
+from benchmarks import batch, batched, fit, iteration, relight, search, track
 
 from liaam.experiments.relit import lit_pairs
 
@@ -62,3 +63,12 @@ def test_the_benchmark_of_relighting_runs(head_model, capsys, monkeypatch):
     assert "relight_flat_error_found" in out
     assert "relight_flat_seam_true" in out
     assert "relight_light_ms" in out
+
+
+@pytest.mark.parametrize("method", ["li", "soft_li"])
+def test_the_benchmark_of_growth_in_modes_runs(monkeypatch, capsys, method):
+    monkeypatch.setattr(fit, "MODES", (2, 4))
+    monkeypatch.setattr(fit, "MODES_ROUNDS", 1)
+    monkeypatch.setattr(fit, "BARS", {method.replace("_", "-"): 1.0})
+    fit.measure_modes()
+    assert f"modes_exponent_{method}" in capsys.readouterr().out
