@@ -3,13 +3,14 @@
 import argparse
 import sys
 
-from benchmarks import batch, batched, fit, iteration, metrics, relight, search, studio, track
+from benchmarks import batch, batched, fit, iteration, metrics, peers, relight, search, studio, track
 from benchmarks.metrics import Metrics
 from liaam.errors import LiaamError
 
 BENCHMARKS = {
     "iteration": iteration.main,
     "fit": fit.main,
+    "peers": peers.main,
     "search": search.main,
     "track": track.main,
     "studio": studio.main,

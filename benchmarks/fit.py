@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from time import process_time
 
+import cv2
 import numpy as np
 from threadpoolctl import threadpool_limits
 
@@ -131,6 +132,7 @@ def measure_large_picture() -> None:
 
 def main() -> None:
     begin = process_time()
+    cv2.setNumThreads(1)
     with threadpool_limits(1):
         model = make_model()
         print(

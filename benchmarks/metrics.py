@@ -6,7 +6,7 @@ import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,7 @@ def report(name: str, value: float | bool, note: str = "", *, form: str = ".3f",
     print(line.rstrip(), flush=True)
     for recorder in _recorders:
         # JSON has no NaN.
-        recorder[name] = value if np.isfinite(value) else None
+        recorder[name] = value if isinstance(value, bool) else float(f"{value:.6g}") if np.isfinite(value) else None
 
 
 @contextmanager
@@ -69,16 +69,17 @@ def in_turn(
     """Milliseconds of calls, {name: (rounds, n)}.
 
     All are timed in turn, round by round, so that a busy spell of the machine touches all alike. The first rounds,
-    ``warm_up`` of them, are not counted.
+    ``warm_up`` of them, are not counted. What counts is the processor's time, of all threads together: of one thread
+    it is that of the clock, but for what others on the machine take.
     """
     times = {name: np.empty((rounds, len(calls))) for name, calls in blocks.items()}
     for i in range(-warm_up, rounds):
         for name, calls in blocks.items():
             for j, call in enumerate(calls):
-                begin = perf_counter()
+                begin = process_time()
                 call()
                 if i >= 0:
-                    times[name][i, j] = 1e3 * (perf_counter() - begin)
+                    times[name][i, j] = 1e3 * (process_time() - begin)
     return times
 
 
