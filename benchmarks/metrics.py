@@ -132,7 +132,7 @@ def save_baseline(measured: Mapping[str, Metrics], path: Path) -> None:
     """
     here = machine()
     fresh = {name: {"machine": here, "metrics": metrics} for name, metrics in measured.items() if metrics}
-    text = json.dumps({**read_baseline(path), **fresh}, indent=2, sort_keys=True, allow_nan=False)
+    text = json.dumps({**read_baseline(path), **fresh}, indent=2, allow_nan=False)
     write_bytes_atomically(path, f"{text}\n".encode())
 
 

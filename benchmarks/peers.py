@@ -32,6 +32,9 @@ from liaam.tracking import Tracker
 from liaam.training import train
 
 ROUNDS = 7
+REPEATS = 8
+"""How often in a round what is the same for all pictures is timed."""
+
 STEPS = 10
 """Iterations that the difference of two fits has."""
 
@@ -190,12 +193,14 @@ def floor_rows() -> list[Row]:
     n_columns = objective.warp.n_parameters
     rng = np.random.default_rng(1)
     what = f"BLAS products of the dense form alone, {iteration.N_PIXELS} pixels"
-    rows = [Row("peers_floor_blas", what, [iteration.make_yardstick(rng, n_columns)])]
+    rows = [Row("peers_floor_blas", what, [iteration.make_yardstick(rng, n_columns)] * REPEATS)]
     for method in ("soft-li", "li"):
         n_bytes = floor_bytes(*iteration.make_fit(method))
         source = np.zeros(n_bytes // 2, np.uint8)
         what = f"reading and writing the {n_bytes / 1e6:.1f} MB that an iteration of {method} has to move"
-        rows.append(Row(f"peers_floor_move_{_word(method)}", what, [partial(np.copyto, source.copy(), source)]))
+        rows.append(
+            Row(f"peers_floor_move_{_word(method)}", what, [partial(np.copyto, source.copy(), source)] * REPEATS)
+        )
     return rows
 
 
@@ -215,7 +220,9 @@ def liaam_rows() -> list[Row]:
         objective, problem = iteration.make_fit(method)
         parts, _ = iteration.make_iteration(objective, problem)
         what = f"one iteration, {iteration.N_PIXELS} pixels, rows: {objective.method.n_rows}"
-        rows.append(Row(f"peers_liaam_{word}_iteration", what, [parts["iteration"]], beside="peers_floor_blas"))
+        rows.append(
+            Row(f"peers_liaam_{word}_iteration", what, [parts["iteration"]] * REPEATS, beside="peers_floor_blas")
+        )
     return rows
 
 
