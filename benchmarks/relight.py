@@ -11,7 +11,7 @@ from liaam.experiments.relit import LitPair, flat_error, lit_pairs, mesh_mask, p
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.relighting import Relighter, paint
-from liaam.relighting.painting import log_light
+from liaam.relighting.painting import eight_bits, log_light
 from liaam.shape import align
 
 PERSONS = (3, 5, 8, 11)
@@ -28,13 +28,15 @@ def fitted_at(model: AAM, result: FitResult, shape: np.ndarray) -> FitResult:
 
 
 def measured(model: AAM, pair: LitPair, relighter: Relighter) -> tuple[float, ...]:
-    """Errors of log light: of the model alone, of the flat picture, and of its pixels; seams: flat, lamp, untouched."""
+    """Errors of log light (the model alone, the flat picture, its pixels), and seams (flat, lamp, untouched, true)."""
     shape, picture = relighter.shape, pair.lit.image
     made = log_light(picture, relighter.response)
     made[relighter.box] = relighter.log_flat
     alone, _ = paint(picture, shape, model, relighter.appearance.log_rgb)
     errors = flat_error(model, alone, shape, pair.flat), flat_error(model, made, shape, pair.flat)
-    seams = (seam(model, made, shape, pair.flat) for made in (relighter.flat(), relighter.under((1, 0, 0.3)), picture))
+    truth = eight_bits(np.log(np.maximum(pair.flat.linear, 1e-4)), relighter.response)
+    pictures = (relighter.flat(), relighter.under((1, 0, 0.3)), picture, truth)
+    seams = (seam(model, made, shape, pair.flat) for made in pictures)
     return (*errors, pixel_error(model, made, shape, pair.flat), *seams)
 
 
@@ -70,7 +72,7 @@ def main() -> None:
                 values = " ".join(f"{value:.3f}" for value in rows[start][-1])
                 print(f"relight_person_{person}_{pair.light}_{start} {values} {result.status}")
                 pasted.append(pasted_seam(model, pair, relighter))
-    names = ("model_error", "flat_error", "pixel_error", "flat_seam", "lamp_seam", "untouched_seam")
+    names = ("model_error", "flat_error", "pixel_error", "flat_seam", "lamp_seam", "untouched_seam", "true_seam")
     for start, found in rows.items():
         for name, values in zip(names, zip(*found, strict=True), strict=True):
             spread = f"mean {np.mean(values):.3f} worst {max(values):.3f}"

@@ -17,7 +17,7 @@ from liaam.relighting.shading import piecewise_smooth
 
 SIZE = (240, 180)
 
-BAR, SEAM = 0.08, 2.3
+BAR, SEAM = 0.065, 2.0
 """What is reached with a small model of ten pictures; ``python -m benchmarks relight`` measures larger ones."""
 
 

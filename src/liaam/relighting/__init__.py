@@ -1,8 +1,9 @@
 """Relighting: the fitted object under the light of training (paper eq 11), or under a light of one's choice.
 
-``appearance`` rebuilds what the object looks like under the training light; ``painting`` lays values of the reference
-frame over a picture, without a seam; ``shading`` parts a picture into shading and what is under it; ``relief``
-makes a surface up for lights that no picture has; ``relighter`` does all of it for one fitted picture.
+``appearance`` rebuilds what the object looks like under the training light, ``together`` does so with the shading told
+at the same time; ``painting`` lays values of the reference frame over a picture, without a seam (by ``carrying``);
+``shading`` parts a picture into shading and what is under it; ``relief`` makes a surface up for lights that no picture
+has; ``relighter`` does all of it for one fitted picture.
 """
 
 from liaam.relighting.appearance import ShadowFree, shadow_free

@@ -27,11 +27,15 @@ LEAST_SHARE = 1e-3
 BLUR_OWN = 1.0
 """Deviation of the Gaussian that takes the noise from what is compared with the object next to it, pixels."""
 
-NEAREST = 1.0
-"""Finest scale at which values are carried over the mesh's border, pixels."""
+NEAREST, FINEST = 1.0, 0.1
+"""Finest scale at which values are carried over the mesh's border: at least so many pixels, and reaches."""
 
-ENOUGH = 4.0
-"""Deviation of a Gaussian, pixels, from which a wider one is made on fewer pixels."""
+ENOUGH, PLENTY = 4.0, 16.0
+"""Deviation of a Gaussian, pixels, from which a wider one is made on fewer pixels; and of one that keeps to edges."""
+
+FURTHER, STEPS, EDGE = 2.0, 5.0, 0.8
+"""Scales at which values are carried over the mesh's border along what looks alike: the coarsest, in reaches; how many
+times finer the next is; and the change of log light, summed over channels, that is as far as a scale."""
 
 ANOTHER_LIGHT, ANOTHER_COLOUR = 0.6, 0.25
 """How much brighter or darker, and how differently coloured, in logarithms, another thing than the object is."""
@@ -139,7 +143,7 @@ def soft_edge(model: AAM) -> np.ndarray:
 
 
 def around(
-    values: np.ndarray, weights: np.ndarray, own: np.ndarray, reach: float, nearest: float = NEAREST
+    values: np.ndarray, weights: np.ndarray, own: np.ndarray, reach: float, soft: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Carry values on beyond where they have weight, and say how much of them to take there.
 
@@ -153,36 +157,65 @@ def around(
         cheek), and what happens to the object is none of its business.
     reach : float
         How far they are carried: deviation of a Gaussian, pixels.
-    nearest : float
-        Deviation of the finest one, at the border. Where weights go down to 0 softly, a fine one is not needed, and
-        carries noise.
+    soft : bool
+        Weights go down to 0 softly: one blur will do, where else values are carried along what looks alike, so that
+        those of a shadow stay in the shadow, the nearest next to where they are known.
 
     Returns
     -------
     values : (h, w, c) float32
-        Weighted means of the values nearby: of the nearest next to them, of more and more further out.
+        Weighted means of the values nearby.
     share : (h, w, 1) float32
         1 next to where values are known, less and less further out, 0 beyond :data:`FARTHEST` times the reach.
     """
     import cv2
 
-    layers, c = np.concatenate([weights * values, weights * own, weights], axis=2), values.shape[2]
-    means, scale = None, float(reach)
-    while True:
-        sums = _blurred(layers, scale)
-        nearby = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
-        means = nearby if means is None else means + _smoothstep(2.0 * sums[..., -1:]) * (nearby - means)
-        if scale <= nearest:
-            break
-        scale = max(0.5 * scale, nearest)
+    c, seen = values.shape[2], cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
+    layers = np.concatenate([weights * values, weights * own, weights], axis=2)
+    means = _means(_blurred(layers, reach)) if soft else _carried(layers, seen, reach)
     away = cv2.distanceTransform((weights <= 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[..., None]
     fading = _smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
-    unlike = cv2.GaussianBlur(own, (0, 0), BLUR_OWN) - means[..., c:]
+    unlike = seen - means[..., c:]
     brighter = unlike.mean(axis=2, keepdims=True)
     tint = np.square(unlike - brighter).sum(axis=2, keepdims=True)
     apart = np.square(brighter / ANOTHER_LIGHT) + tint / ANOTHER_COLOUR**2
     share = fading * np.exp(-0.5 * np.maximum(apart - 1.0, 0.0))
     return means[..., :c], np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32)
+
+
+def _means(sums: np.ndarray) -> np.ndarray:
+    """Weighted means of sums (h, w, c + 1) whose last layer is the weights'."""
+    return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
+
+
+def _carried(layers: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
+    """Means (h, w, c) of layers (h, w, c + 1) along what looks alike, of the nearest where there are any.
+
+    The averages are those of the domain transform (Gastal and Oliveira, "Domain transform for edge-aware image and
+    video processing", ACM TOG 2011), in which a change of light counts as a distance.
+    """
+    scale, finest = max(FURTHER * reach, NEAREST), max(FINEST * reach, NEAREST)
+    means = _means(_averaged(layers, seen, scale))
+    while scale > finest:
+        scale = max(scale / STEPS, finest)
+        sums = _averaged(layers, seen, scale)
+        means = means + _smoothstep(2.0 * sums[..., -1:]) * (_means(sums) - means)
+    return means
+
+
+def _averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
+    """Averages along what looks alike; wide ones on fewer pixels."""
+    import cv2
+
+    from liaam.relighting.carrying import averaged  # numba: imported when first needed
+
+    step = int(scale / PLENTY)
+    if step < 2:
+        return averaged(layers, seen, scale, EDGE)
+    height, width = layers.shape[:2]
+    size = -(-width // step), -(-height // step)
+    small, looks = (_resized(picture, size, cv2.INTER_AREA) for picture in (layers, seen))
+    return _resized(averaged(small, looks, scale / step, EDGE), (width, height), cv2.INTER_LINEAR)
 
 
 def _blurred(layers: np.ndarray, scale: float) -> np.ndarray:
@@ -234,7 +267,7 @@ def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: f
         return picture
     own = log_light(image[rows, columns], response)
     shading = own - painted[rows, columns, :3]
-    nearby, share = around(shading, weights, own, reach, nearest=reach)
+    nearby, share = around(shading, weights, own, reach, soft=True)
     taken = weights * shading + (1.0 - weights) * share * nearby
     changed = np.abs(taken).max(axis=2) > 0
     picture[rows, columns][changed] = eight_bits(own - taken, response)[changed]

@@ -15,7 +15,8 @@ from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.painting import REACH, around, box_around, eight_bits, log_light, paint
 from liaam.relighting.relief import normals_of
-from liaam.relighting.shading import Shading, find_shading, noise_variance
+from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
+from liaam.relighting.together import appearance_in_light
 from liaam.shape import align, diagonal_of
 
 AMBIENT = 0.25
@@ -104,9 +105,10 @@ class Relighter:
         response = (fitter.camera or model.camera).response
         if not paint(image, result.shape, model, np.ones((model.n_pixels, 1), np.float32))[1].any():
             return _as_it_is(model, image, result.shape, response)
-        appearance = shadow_free(fitter, image, result, prior)
-        shading = find_shading(model, image, result.shape, appearance.log_rgb, response)
-        return _taken_apart(model, image, result.shape, response, appearance, shading)
+        seen = Seen.of(model, image, result.shape, response)
+        appearance, log_rgb = appearance_in_light(model, seen, shadow_free(fitter, image, result, prior), prior)
+        shading = find_shading(model, seen, log_rgb)
+        return _taken_apart(model, image, result.shape, response, appearance, log_rgb, shading)
 
     def flat(self) -> np.ndarray:
         """Picture with the object under the training light, (h, w, 3) uint8."""
@@ -213,10 +215,16 @@ def reach_of(shape: np.ndarray) -> float:
 
 
 def _taken_apart(
-    model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, appearance: ShadowFree, shading: Shading
+    model: AAM,
+    image: np.ndarray,
+    shape: np.ndarray,
+    response: Response,
+    appearance: ShadowFree,
+    log_rgb: np.ndarray,
+    shading: Shading,
 ) -> Relighter:
     """Carry what is known on the reference frame to the picture, and over the mesh's border."""
-    layers = (appearance.log_rgb, shading.log, shading.model_variance, shading.variance, normals_of(model.frame))
+    layers = (log_rgb, shading.log, shading.model_variance, shading.variance, normals_of(model.frame))
     painted, inside = paint(image, shape, model, np.column_stack(layers).astype(np.float32))
     box = box_around(inside, 4 * reach_of(shape))
     painted, inside = painted[box], inside[box]

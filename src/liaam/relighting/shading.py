@@ -22,10 +22,10 @@ from liaam.relighting.painting import soft_edge
 from liaam.shape import align
 from liaam.training import sample_appearance
 
-MISPLACED = 0.8
-"""Deviation of a fitted landmark from the truth, pixels of the reference frame."""
+MISPLACED = 0.4
+"""Deviation from the truth of landmarks that were put right, pixels of the reference frame."""
 
-FINE = 0.06
+FINE = 0.03
 """Deviation of what is finer than the model's appearance, in logarithms."""
 
 UNKNOWN = 0.05
@@ -62,32 +62,51 @@ class Shading:
     model_variance: np.ndarray
 
 
-def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, log_rgb: np.ndarray, response: Response) -> Shading:
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A fitted picture on the pixels of the reference frame, as sharp as the model's sharpest level.
+
+    Attributes
+    ----------
+    log : (n_pixels, 3) float32
+        Logarithm of linear light.
+    usable : (n_pixels,) float32 in {0, 1}
+    noise : (n_pixels, 3) float32
+        Variance of its noise.
+    """
+
+    log: np.ndarray
+    usable: np.ndarray
+    noise: np.ndarray
+
+    @classmethod
+    def of(cls, model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> "Seen":
+        """Carry a picture (h, w, 3) to the reference frame by its fitted landmarks (n, 2)."""
+        log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
+        pixel = max(1.0, align(model.shape_model.mean, shape).scale)
+        return cls(log, usable, noise_variance(log, response, noise_deviation(image) / pixel))
+
+
+def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray) -> Shading:
     """Part a fitted picture into shading and what is under it.
 
     Parameters
     ----------
     model : AAM
-    image : (h, w, 3) uint8, uint16 or float32
-    shape : (n, 2) float
-        Fitted landmarks.
+    seen : Seen
     log_rgb : (n_pixels, 3) float32
-        Appearance under the training light (:class:`liaam.relighting.ShadowFree`).
-    response : Response
-        Of the image's camera.
+        Appearance under the training light, where it lies in the picture
+        (:func:`liaam.relighting.together.appearance_in_light`).
 
     Returns
     -------
     Shading
     """
-    frame, level = model.frame, model.levels[-1]
-    seen, usable = sample_appearance(image, shape, model.warp, "log", response, level.blur)
     model_variance = errors_of_the_model(model, log_rgb)
     at_the_border = np.square(AT_THE_BORDER * (1.0 - soft_edge(model)))
-    pixel = max(1.0, align(model.shape_model.mean, shape).scale)
-    noise = noise_variance(seen, response, noise_deviation(image) / pixel).mean(axis=1)
-    log = piecewise_smooth(frame, seen - log_rgb, usable * UNIT**2 / (model_variance + noise))
-    steepness = np.square(frame.gradient(log)).sum(axis=1).mean(axis=1)
+    weights = seen.usable * UNIT**2 / (model_variance + seen.noise.mean(axis=1))
+    log = piecewise_smooth(model.frame, seen.log - log_rgb, weights)
+    steepness = np.square(model.frame.gradient(log)).sum(axis=1).mean(axis=1)
     return Shading(log, steepness.astype(np.float32), model_variance + at_the_border)
 
 
@@ -115,29 +134,39 @@ def piecewise_smooth(frame: ReferenceFrame, values: np.ndarray, weights: np.ndar
     weights : (n_pixels,) float
         Of each pixel's values; those without weight are filled in from their neighbours.
     """
-    from scipy.sparse import coo_array, diags_array
-    from scipy.sparse.linalg import splu
-
-    a, b = neighbours(frame)
-    n, weights = len(values), np.asarray(weights, np.float64)
+    pairs, weights = neighbours(frame), np.asarray(weights, np.float64)
     right = values * weights[:, None]
-    jump, found = np.full(len(a), 1.0), right
+    jump, found = np.full(len(pairs[0]), 1.0), right
     for _ in range(PASSES + 1):  # the first, with all neighbours alike, only starts the others
-        coupling = COUPLING / (jump + CORNER)
-        links = coo_array((np.tile(-coupling, 2), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
-        own = np.bincount(a, coupling, n) + np.bincount(b, coupling, n) + weights + 1e-9
-        system = (links.tocsc() + diags_array(own)).tocsc()
-        found = splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right)
-        jump = np.linalg.norm(found[a] - found[b], axis=1)
+        found = factorised(pairs, COUPLING / (jump + CORNER), weights).solve(right)
+        jump = np.linalg.norm(found[pairs[0]] - found[pairs[1]], axis=1)
     return found.astype(np.float32)
 
 
-@lru_cache(maxsize=4)
+def factorised(pairs: tuple[np.ndarray, np.ndarray], coupling: np.ndarray, weights: np.ndarray):
+    """System of least squares of pixels (n,) with weights, and with couplings (k,) of pairs: its sparse LU factors."""
+    from scipy.sparse import coo_array, diags_array
+    from scipy.sparse.linalg import splu
+
+    (a, b), n = pairs, len(weights)
+    links = coo_array((np.tile(-coupling, 2), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
+    own = np.bincount(a, coupling, n) + np.bincount(b, coupling, n) + weights + 1e-9
+    system = (links.tocsc() + diags_array(own)).tocsc()
+    return splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+
 def neighbours(frame: ReferenceFrame) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of pixels of a frame that lie side by side or one above the other, by their numbers."""
+    return every_few(frame, 1)[1]
+
+
+@lru_cache(maxsize=8)
+def every_few(frame: ReferenceFrame, step: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Pixels of every so many rows and columns of a frame, and pairs of neighbours by their numbers among these."""
+    kept = np.flatnonzero((frame.pixels % step == 0).all(axis=1))
     width, height = frame.size
-    number = np.full((height, width), -1)
-    number[frame.pixels[:, 0], frame.pixels[:, 1]] = np.arange(frame.n_pixels)
+    number = np.full((-(-height // step), -(-width // step)), -1)
+    number[tuple(frame.pixels[kept].T // step)] = np.arange(len(kept))
     pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:])]
     both = [(a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]) for a, b in pairs]
-    return np.concatenate([pair[0] for pair in both]), np.concatenate([pair[1] for pair in both])
+    return kept, (np.concatenate([pair[0] for pair in both]), np.concatenate([pair[1] for pair in both]))

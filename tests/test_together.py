@@ -1,0 +1,148 @@
+"""Appearance and shading told at once: exact where the picture is as the model says, and never undefined."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.datasets.scenes import Head
+from liaam.experiments.relit import train_on_flat_light
+from liaam.photometry.invariant import CHROMATICITY
+from liaam.relighting.appearance import ShadowFree
+from liaam.relighting.carrying import averaged
+from liaam.relighting.shading import Seen
+from liaam.relighting.together import appearance_in_light, light_curve
+
+AMBIENT, LAMP = np.array([0.10, 0.12, 0.15]), np.array([1.1, 0.9, 0.6])
+NOISE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def faces():
+    return train_on_flat_light(Head(5), 10, (240, 180), leave_out=True, diagonal=110.0)
+
+
+def first_guess(faces) -> ShadowFree:
+    known = faces.levels[-1].appearances["log"]
+    return ShadowFree(known.mean, np.zeros(known.n_modes), np.sqrt(known.eigenvalues))
+
+
+def one_lamp(faces) -> np.ndarray:
+    """Logarithm of what lamp and ambient light send, (n_pixels, 3): from shadow on the left, with a cast shadow."""
+    x, y = (faces.frame.pixels[:, ::-1] / np.array(faces.frame.size)).T
+    share = np.clip(1.4 * x - 0.2, 0, 1) * ~((x > 0.55) & (x < 0.7) & (y > 0.5) & (y < 0.8))
+    return np.log(AMBIENT + share[:, None] * LAMP)
+
+
+def seen_as(faces, log_rgb: np.ndarray, usable: float = 1.0) -> Seen:
+    n = faces.n_pixels
+    return Seen(log_rgb.astype(np.float32), np.full(n, usable, np.float32), np.full((n, 3), NOISE, np.float32))
+
+
+def rms(errors: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def a_face(faces, rng) -> tuple[np.ndarray, np.ndarray]:
+    known = faces.levels[-1].appearances["log"]
+    lam = rng.normal(0, 1, known.n_modes) * np.sqrt(known.eigenvalues)
+    return lam, known.texture(lam)
+
+
+def test_one_lamp_is_taken_off(faces, rng):
+    _, truth = a_face(faces, rng)
+    start = first_guess(faces)
+    found, displaced = appearance_in_light(faces, seen_as(faces, truth + one_lamp(faces)), start)
+    before = rms(start.log_rgb - truth)
+    assert rms(found.log_rgb - truth) < 0.2 * before
+    assert rms(displaced - truth) < 0.2 * before
+
+
+def test_landmarks_that_lie_off_are_put_right(faces, rng):
+    _, truth = a_face(faces, rng)
+    moved = truth + 0.5 * faces.frame.gradient(truth)[:, 0]
+    _, displaced = appearance_in_light(faces, seen_as(faces, moved + one_lamp(faces)), first_guess(faces))
+    assert rms(displaced - moved) < 0.5 * rms(truth - moved)
+
+
+def test_without_a_change_of_light_the_appearance_is_the_picture(faces, rng):
+    _, truth = a_face(faces, rng)
+    found, _ = appearance_in_light(faces, seen_as(faces, truth), first_guess(faces))
+    assert rms(found.log_rgb - truth) < 0.1 * rms(first_guess(faces).log_rgb - truth)
+
+
+def test_the_level_of_light_is_not_taken_for_the_object(faces, rng):
+    _, truth = a_face(faces, rng)
+    found, other = (
+        appearance_in_light(faces, seen_as(faces, truth + level), first_guess(faces))[0] for level in (0.0, -1.2)
+    )
+    np.testing.assert_allclose(other.log_rgb, found.log_rgb, atol=0.02)
+
+
+def test_what_the_picture_does_not_show_stays_as_it_was(faces):
+    start = first_guess(faces)
+    found, displaced = appearance_in_light(faces, seen_as(faces, np.full((faces.n_pixels, 3), -5.0), 0.0), start)
+    assert found is start
+    np.testing.assert_array_equal(displaced, start.log_rgb)
+
+
+@pytest.mark.parametrize("usable", [1, 2, 50])
+def test_a_few_pixels_are_enough_for_an_answer(faces, rng, usable):
+    _, truth = a_face(faces, rng)
+    seen = seen_as(faces, truth + one_lamp(faces), 0.0)
+    seen.usable[rng.permutation(faces.n_pixels)[: usable * 10]] = 1.0
+    found, displaced = appearance_in_light(faces, seen, first_guess(faces))
+    assert np.isfinite(found.log_rgb).all()
+    assert np.isfinite(found.deviations).all()
+    assert np.isfinite(displaced).all()
+
+
+def test_without_a_prior_there_is_an_answer(faces, rng):
+    _, truth = a_face(faces, rng)
+    seen = seen_as(faces, truth + one_lamp(faces), 0.0)
+    seen.usable[rng.permutation(faces.n_pixels)[:20]] = 1.0
+    found, _ = appearance_in_light(faces, seen, first_guess(faces), prior=0.0)
+    assert np.isfinite(found.log_rgb).all()
+
+
+def test_models_without_pictures_left_out_will_do(faces, rng):
+    level = faces.levels[-1]
+    known = replace(level.appearances["log"], unexplained=None)
+    plain = replace(faces, levels=(*faces.levels[:-1], replace(level, appearances={**level.appearances, "log": known})))
+    _, truth = a_face(faces, rng)
+    found, _ = appearance_in_light(plain, seen_as(plain, truth + one_lamp(plain)), first_guess(plain))
+    assert rms(found.log_rgb - truth) < 0.3 * rms(first_guess(plain).log_rgb - truth)
+
+
+def test_the_curve_goes_through_most_pixels_and_no_farther(rng):
+    brightness = rng.uniform(-2, 0, 3000)
+    colours = np.column_stack([0.3 * brightness, 0.1 * brightness**2])
+    shading = brightness[:, None] + colours @ CHROMATICITY + rng.normal(0, 0.02, (3000, 3))
+    shading[:300] += [2.0, 0.0, -2.0]  # lips and eyes
+    curve = light_curve(brightness, shading, np.ones(3000))
+    at = np.linspace(-1.8, -0.2, 9)
+    colour, slope = curve(at)
+    np.testing.assert_allclose(colour @ CHROMATICITY.T, np.column_stack([0.3 * at, 0.1 * at**2]), atol=0.02)
+    near = curve(at + 1e-4)[0]
+    np.testing.assert_allclose((near - colour) / 1e-4, slope, atol=1e-3)
+    beyond, flat = curve(np.array([-9.0, 9.0]))
+    assert not flat.any()
+    np.testing.assert_allclose(beyond, curve(np.array([curve.low, curve.high]))[0], atol=1e-9)
+
+
+def test_a_curve_of_nothing_is_none():
+    colour, slope = light_curve(np.zeros(10), np.ones((10, 3)), np.zeros(10))(np.zeros(4))
+    assert not colour.any()
+    assert not slope.any()
+
+
+def test_averages_stay_on_their_side_of_an_edge(rng):
+    seen = np.zeros((40, 50, 3), np.float32)
+    seen[:, 25:] = -2.0
+    layers = np.where(seen[..., :1] < 0, 5.0, 1.0) + rng.normal(0, 0.3, (40, 50, 1))
+    smooth = averaged(layers, seen, 8.0, 0.8)
+    assert np.abs(smooth[:, :25] - 1.0).max() < 0.3
+    assert np.abs(smooth[:, 25:] - 5.0).max() < 0.3
+    np.testing.assert_allclose(
+        averaged(np.full((9, 12, 2), 3.0), rng.normal(size=(9, 12, 3)), 4.0, 0.8), 3.0, rtol=1e-5
+    )
