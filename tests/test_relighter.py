@@ -227,3 +227,18 @@ def test_values_are_carried_on_as_far_as_things_look_alike():
     assert share[30, 28] > 0.9 > share[30, 22] > 0.05
     assert share[30, 54:].max() < 0.01
     assert share[:, :10].max() == 0.0
+
+
+@pytest.mark.parametrize("size", [1, 6])
+def test_a_shadow_that_goes_on_takes_the_shadows_change(size):
+    values, weights = np.zeros((60 * size, 80 * size, 1), np.float32), np.zeros((60 * size, 80 * size, 1), np.float32)
+    weights[20 * size : 40 * size] = 1.0
+    own = np.zeros((60 * size, 80 * size, 3), np.float32)
+    own[:, 50 * size :] = values[:, 50 * size :] = -1.5  # in the shadow
+    values[weights == 0] = 7.0  # not known there
+    carried, share = around(values, weights, own, 5.0 * size)
+    row = 44 * size
+    np.testing.assert_allclose(carried[row, 45 * size], 0.0, atol=0.2)
+    np.testing.assert_allclose(carried[row, 55 * size], -1.5, atol=0.2)
+    assert share[row, 45 * size] > 0.3
+    np.testing.assert_allclose(share[row, 55 * size], share[row, 45 * size], rtol=0.05)

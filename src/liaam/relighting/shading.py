@@ -35,7 +35,7 @@ AT_THE_BORDER = 0.5
 """Deviation of the model's errors at the mesh's border, where a landmark that lies a pixel off puts something else:
 there the picture's own detail is believed."""
 
-COUPLING, CORNER, PASSES = 0.03, 0.02, 4
+COUPLING, CORNER, PASSES = 0.03, 0.02, 2
 """Weight of a jump of shading between neighbours; jumps below CORNER are smoothed by their square; and how often the
 system is weighed anew."""
 

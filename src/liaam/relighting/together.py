@@ -46,7 +46,7 @@ MADE_UP = 3.0
 FINE_BRIGHTNESS, FINE_COLOUR = 0.03, 0.02
 """Deviations of what neither model nor shading explains, in logarithms."""
 
-PASSES = 3
+PASSES = 2
 """How often all is solved; more change nothing that can be seen."""
 
 NO_PRIOR = 1e-6
