@@ -131,15 +131,11 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
     propose = solver._expected_step if objective.method.soft else solver._own_step
     tried = propose(objective, run, options)
     assert tried is not None
-    # As between two steps under the same weights: the expected curvature is known, the gradient is not.
-    run = replace(run, **{**tried.expected, "gradient": None})
+    run = replace(run, **tried.expected)  # as between two steps under the same weights: the expected curvature is known
     design, metric = objective.design(float(state.angles[0])), objective.method.image_metric(state.angles[1])
     points, mesh = objective.warp.points(state.p, problem.pose), objective.warp.mesh_pixels()
     assert mesh is not None
-    root, gradient = (
-        objective._root_weights(state.angles[1], trust)[0] * last.weights[:, None],
-        tried.expected.get("gradient"),
-    )
+    root = objective._root_weights(state.angles[1], trust)[0] * last.weights[:, None]
     right = np.concatenate([last.look.by_angles, last.residual.reshape(1, -1)])
 
     def fresh() -> solver._Run:
@@ -173,7 +169,7 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
     def solves() -> None:
         known = replace(last)
         known.__dict__["equations"] = replace(last.equations)
-        propose(objective, replace(run, last=known, gradient=gradient), options)
+        propose(objective, replace(run, last=known), options)
 
     parts: Parts = {
         "iteration": whole,

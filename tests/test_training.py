@@ -362,6 +362,11 @@ def test_soft_li_has_no_other_shapes_where_that_is_asked(pairs, options):
     assert model.soft_shape is None
 
 
+def test_many_landmarks_have_no_smooth_deformations_unasked(pairs, monkeypatch):
+    monkeypatch.setattr("liaam.training.MOST_SMOOTH", len(pairs[0][1]) - 1)
+    assert train(pairs, diagonal=40.0, blurs=(0.0,), soft_blurs=(1.0,), leave_out=False).soft_shape is None
+
+
 def test_a_prior_that_does_not_exist_is_refused(pairs):
     for name in ("prior", "soft_prior"):
         refused(pairs, "prior 'flat' does not exist; there are sample, shrunk, smooth", **{name: "flat"})

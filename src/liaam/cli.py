@@ -85,14 +85,14 @@ def train(
         str,
         typer.Option(
             help="What shapes may look like besides those of the pictures: sample (nothing else), smooth (smooth "
-            "deformations too: for soft-li and unknown objects), or shrunk (variances of shapes left out)."
+            "deformations too, with which methods other than soft-li lose), or shrunk (variances of shapes left out)."
         ),
     ] = "sample",
     soft_prior: Annotated[
         str | None,
         typer.Option(
             help="The same for soft-li alone, the default method; if left out smooth, or as --prior where that is not "
-            "sample or all of the variance is kept."
+            "sample, all of the variance is kept, or there are more than 200 landmarks."
         ),
     ] = None,
     diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,

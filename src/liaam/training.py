@@ -82,8 +82,9 @@ def train(
         of shapes left out for eigenvalues.
     soft_prior : {"sample", "smooth", "shrunk"}, optional
         The same for ``soft-li``, which fits with shapes of its own where it differs. If left out: ``smooth`` where
-        ``prior`` is ``sample`` and not all of the variance is kept (which asks for the pictures' shapes and no others),
-        else as ``prior``. The other methods, which know less of what their errors weigh, lose by ``smooth``.
+        ``prior`` is ``sample``, not all of the variance is kept (which asks for the pictures' shapes and no others) and
+        there are at most 200 landmarks (many take minutes), else as ``prior``. The other methods, which know less of
+        what their errors weigh, lose by ``smooth``.
     diagonal : float
         Diagonal of the mean shape in the reference frame, pixels. More is slower and finer.
     theta : float, optional
@@ -122,12 +123,13 @@ def train(
     """
     camera = _camera_of(camera, theta, response)
     _check_options(variance, appearance_variance, diagonal, blurs, soft_blurs)
-    soft_prior = _soft_prior(prior, variance) if soft_prior is None else soft_prior
-    for asked in (prior, soft_prior):
+    soft_prior = prior if soft_prior is None and prior != "sample" else soft_prior
+    for asked in (prior, soft_prior or prior):
         check_prior(asked)
     entries, contours, edges = _entries(data)
     shapes, folds = np.array([entry.points for entry in entries]), _folds([entry.name for entry in entries])
     mean = scaled_mean(shapes, diagonal)
+    soft_prior = _soft_prior(variance, len(mean)) if soft_prior is None else soft_prior
     recipe = choose_recipe(mean, shapes, prior, folds)
     shape_model = shape_model_on(mean, shapes, variance, recipe, folds)
     soft_shape = None
@@ -193,10 +195,15 @@ def _check_options(
             raise TrainingError(f"{name} {given}: give 0 to 10 pixels of the reference frame, from coarse to fine")
 
 
-def _soft_prior(prior: str, variance: Variance) -> str:
-    """Prior of soft-li's shapes where nobody asks for one."""
+MOST_SMOOTH = 200
+"""Landmarks up to which soft-li has smooth deformations unasked: learning them takes seconds at 200, half a minute at
+1000, and grows with the third power."""
+
+
+def _soft_prior(variance: Variance, n_points: int) -> str:
+    """Prior of soft-li's shapes beside the sample, where nobody asks for one."""
     whole = isinstance(variance, float) and variance == 1.0
-    return "smooth" if prior == "sample" and not whole else prior
+    return "sample" if whole or n_points > MOST_SMOOTH else "smooth"
 
 
 def _camera_of(camera: CameraModel | None, theta: float | None, response: Response | None) -> CameraModel:

@@ -12,7 +12,7 @@ from liaam.fitting.batched.objective import BatchObjective, recurring
 from liaam.fitting.batched.solver import BatchSolver
 from liaam.fitting.solver import solve
 from liaam.kernels.backends import BACKENDS, get_backend
-from setups import disturb, finest_objective, make_problem
+from setups import disturb, finest_objective, make_problem, train_on
 
 SUPPORTED = tuple(name for name in METHODS if name != "grey-norm")
 ANGLED = ("li", "li-lit", "li-pc", "li-pcs", "soft-li")
@@ -70,6 +70,25 @@ def test_batched_fits_find_the_scale_of_shapes_that_the_fitter_finds(model, lit_
     assert_same(many, one)
     spread = np.array([result.landmark_covariances for result in one])
     np.testing.assert_allclose(many.landmark_covariances, spread, rtol=0.05, atol=1e-4 * spread.max())
+
+
+def test_batched_fits_are_those_of_the_fitter_with_smooth_shapes(scenes, pictures):
+    model = train_on(scenes, diagonal=80.0, soft_prior="smooth")
+    one = [Fitter(model).fit(image, start) for image, start in zip(*pictures, strict=True)]
+    assert_same(fit_many(model, *pictures), one)
+
+
+def test_a_picture_that_hardly_tells_anything_leaves_the_batch_alone(scenes, pictures):
+    """Without a prior, half an object leaves directions whose curvature is rounding."""
+    model = train_on(scenes, diagonal=80.0, soft_prior="smooth")
+    images, starts = pictures[0][:2], pictures[1][:2]
+    images = [images[0], images[1][: int(starts[1][:, 1].mean())]]
+    fitter = Fitter(model, options=SolverOptions(shape_prior=0.0))
+    one = [fitter.fit(image, start) for image, start in zip(images, starts, strict=True)]
+    many = fit_many(model, images, starts, shape_prior=0.0)
+    assert np.isfinite(many.shapes).all()
+    assert many.statuses == tuple(result.status for result in one)
+    np.testing.assert_allclose(many.shapes[0], one[0].shape, atol=SAME)
 
 
 @pytest.mark.parametrize("backend", ["torch", "jax"])

@@ -54,6 +54,7 @@ PAPER = Solver(
     "pure Gauss-Newton on shape, appearance and angle together, one level",
     SolverOptions(max_iterations=MAX_ITERATIONS, damping=0.0, shape_prior=0.0, elimination="joint", observable=0.0),
     BLURS_DEFAULT[-1:],
+    soft_prior="sample",
 )
 
 LIAAM = Solver(

@@ -271,8 +271,14 @@ class Linearisation:
 
     @classmethod
     def of(cls, equations: NormalEquations, look: Look) -> "Linearisation":
-        """Linearisation whose normal equations are known already."""
-        return cls(equations, look, lambda _look, _sums, _expected: equations)
+        """Linearisation of which the normal equations with the picture's own gradient are known, and no others."""
+
+        def known(other: Look, _sums: Sums, expected: np.ndarray | None) -> NormalEquations:
+            if other is not look or expected is not None:
+                raise ValueError("only the equations with the picture's own gradient are known here")
+            return equations
+
+        return cls(equations, look, known)
 
     @cached_property
     def equations(self) -> NormalEquations:

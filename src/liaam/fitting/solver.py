@@ -6,8 +6,8 @@ eliminations take that step for p and theta; they differ in lambda:
 ``varpro``  variable projection: lambda is solved afresh at every state, the cost compared is the reduced one;
 ``joint``   the paper's form: lambda moves by its own part of the joint step.
 
-Steps are made with the picture's own gradient (:func:`_own_step`) or, by methods that weigh by noise, with the one that
-the model expects (:func:`_expected_step`); the loop is the same (:func:`_iterate`).
+Steps are made with the picture's own gradient (:func:`_own_step`) or, by ``soft-li`` and at the end of methods that
+weigh by noise, with the one that the model expects (:func:`_expected_step`); the loop is the same (:func:`_iterate`).
 """
 
 from collections.abc import Callable
@@ -42,8 +42,8 @@ class SolverOptions:
     elimination : {"varpro", "joint"}
         How lambda is treated.
     damping : float
-        Initial Levenberg damping, relative to the Hessian's diagonal; 0 for pure Gauss-Newton as in the
-        paper (every step is taken).
+        Initial Levenberg damping, relative to the Hessian's diagonal (with the model's own gradient: to the expected
+        Hessian); 0 for pure Gauss-Newton as in the paper (every step is taken).
     shape_prior : float
         Strength of the Gaussian prior on the shape modes: 1 as learnt, 0 none (the paper).
     observable : float
@@ -53,8 +53,8 @@ class SolverOptions:
     angle_start : {"best", "model"}
         Where theta_2 starts: at its closed-form optimum for the start's shape, or at the model's angle.
     scoring : int
-        Steps with the model's own gradient to end the finest level with, at most (see :func:`_expected_step`); methods
-        that weigh by noise take no others.
+        Steps with the model's own gradient to end the finest level with, at most (see :func:`_expected_step`);
+        ``soft-li`` takes no others, and methods with ``+noise`` take some at any rate.
     """
 
     max_iterations: int = 50
@@ -145,6 +145,13 @@ TO_AND_FRO = 0.5
 """Share of the step before it that a step back may have; a longer one says that steps go to and fro about a kink of
 bilinear samples, which noise makes sharp, and doubles the least curvature."""
 
+ROUNDING = 1e-7
+"""Least eigenvalue of an expected Hessian, as a share of its largest: below it single precision says nothing."""
+
+SCORING_STEPS = 5
+"""Steps with the expected gradient that methods with weights by noise end each level with, at most, under the weights
+that they have come to. From the start, as ``soft-li`` takes them, they lose more strangers than Gauss-Newton's."""
+
 REFUSED_DAMPING = 1.0
 """Damping after the first refused step with the expected gradient, relative to the expected curvature."""
 
@@ -160,8 +167,6 @@ class _Run:
     damping : float
     least : float
         Lowest merit under these weights.
-    gradient : (n_pixels, k, 2) float32, optional
-        Expected gradient, by the model.
     curvature : (n_q, n_q) float64, optional
         Expected Hessian, E'E with lambda eliminated, under these weights.
     lift : float
@@ -177,7 +182,6 @@ class _Run:
     damping: float
     path: tuple[tuple[float, State], ...]
     least: float = np.inf
-    gradient: np.ndarray | None = None
     curvature: np.ndarray | None = None
     lift: float = LEAST_CURVATURE
     before: np.ndarray | None = None
@@ -208,21 +212,28 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
     Never raises for a fit that goes wrong and never loops beyond ``max_iterations``, and ``scoring`` more.
     """
     run = _begin(objective, problem, start, options)
-    if run.trust is not None and run.trust.noise is not None:
+    if objective.method.soft:
         return _iterate(objective, problem, run, options, options.max_iterations, _expected_step).solution
     run = _iterate(objective, problem, run, options, options.max_iterations, _own_step)
-    if not options.scoring or run.flat:
+    most = min(options.scoring or (SCORING_STEPS if objective.method.noise_weights else 0), options.max_iterations)
+    if not most or run.flat:
         return run.solution
-    most = min(options.scoring, options.max_iterations)
-    scored = _iterate(objective, problem, replace(run, damping=0.0, before=None), options, most, _expected_step)
+    start_of_scoring = replace(run, damping=0.0, before=None)
+    scored = _iterate(objective, problem, start_of_scoring, options, most, _expected_step, weighs=options.scoring > 0)
     good = scored.last.cost <= EXPECTED_RISE * run.last.cost
     return (replace(scored, settled=run.settled, flat=False) if good else run).solution
 
 
 def _iterate(
-    objective: Objective, problem: FitProblem, run: _Run, options: SolverOptions, most: int, propose: "_Proposes"
+    objective: Objective,
+    problem: FitProblem,
+    run: _Run,
+    options: SolverOptions,
+    most: int,
+    propose: "_Proposes",
+    weighs: bool = True,
 ) -> _Run:
-    """Step on, at most so many times, until steps are too small to matter."""
+    """Step on, at most so many times, until steps are too small to matter; weigh pixels anew on the way, or do not."""
     run = replace(run, least=np.inf, settled=False)
     for _ in range(most):
         tried = propose(objective, run, options)
@@ -239,8 +250,8 @@ def _iterate(
                 return replace(run, settled=True)
             run = replace(run, damping=min(tried.refused, DAMPING_RANGE[1]))
             continue
-        trust, still = run.trust, _moved(objective, tried.step) < STILL
-        if not (_averages(objective) and still):
+        trust = run.trust
+        if weighs and not (_averages(objective) and _moved(objective, tried.step) < STILL):
             new, there, trust = _weigh_anew(objective, problem, new, there, options, trust)
         settled = tried.small and tried.accepted <= TRUSTED_DAMPING  # small of itself, not by damping
         run = replace(
@@ -252,7 +263,6 @@ def _iterate(
             damping=tried.accepted,
             path=(*run.path, (there.cost, new)),
             least=min(merit, least) if trust is run.trust else np.inf,
-            gradient=run.gradient if still else None,
             curvature=run.curvature if trust is run.trust else None,
             before=tried.step,
             settled=settled,
@@ -324,7 +334,7 @@ def _expected_step(objective: Objective, run: _Run, options: SolverOptions) -> _
     (:data:`LEAST_CURVATURE`).
     """
     state = run.state
-    gradient = objective.model_gradient(state) if run.gradient is None else run.gradient
+    gradient = objective.model_gradient(state)
     curvature = run.last.with_gradient(gradient).reduced()[0] if run.curvature is None else run.curvature
     scale, precision = _prior(objective, run, curvature, options)
     equations = run.last.expecting(gradient)
@@ -334,9 +344,9 @@ def _expected_step(objective: Objective, run: _Run, options: SolverOptions) -> _
         return None
     small = _is_small(objective, step, curvature, equations.unit, precision, options)
     accepted = run.damping / 10 if run.damping > TRUSTED_DAMPING else 0.0
-    refused = max(run.damping * 10, REFUSED_DAMPING)
+    refused = max(run.damping * 10, REFUSED_DAMPING) if options.damping > 0 else None
     lift = 2.0 * run.lift if _goes_back(step, run.before, metric) else run.lift
-    expected = {"gradient": gradient, "curvature": curvature, "lift": lift}
+    expected = {"curvature": curvature, "lift": lift}
     lambda_step = equations.lambda_step(step)
     return _Tried(step, lambda_step, precision, scale, small, EXPECTED_RISE, accepted, refused, expected)
 
@@ -501,16 +511,12 @@ def _guarded_step(
     gradient = gradient + precision * np.concatenate([state.p, np.zeros(len(free) - len(state.p))])
     own = np.diag(precision)[np.ix_(free, free)]
     base, hessian = base[np.ix_(free, free)], hessian[np.ix_(free, free)] + own
-    diagonal = on_diagonal(base)  # a view
-    diagonal += 1e-9 * diagonal.max()
-    step, gradient = np.zeros(len(free)), gradient[free]
-    try:
-        whiten = np.linalg.inv(np.linalg.cholesky(base))
-        ratios, axes = np.linalg.eigh(whiten @ hessian @ whiten.T)
-    except np.linalg.LinAlgError:
-        return None
-    axes = whiten.T @ axes
-    step[free] = -axes @ ((axes.T @ gradient) / (np.maximum(ratios, lift) + damping))
+    # Sums of float32 products need not be quite positive.
+    sizes, axes = np.linalg.eigh(base)
+    whiten = axes / np.sqrt(np.maximum(sizes, ROUNDING * sizes[-1]))
+    ratios, axes = np.linalg.eigh(whiten.T @ hessian @ whiten)
+    axes, step = whiten @ axes, np.zeros(len(free))
+    step[free] = -axes @ ((axes.T @ gradient[free]) / (np.maximum(ratios, lift) + damping))
     return step
 
 

@@ -37,6 +37,7 @@ from liaam.fitting.solver import (
     LEAST_CURVATURE,
     OBSERVABLE_APART,
     REFUSED_DAMPING,
+    ROUNDING,
     STILL,
     TO_AND_FRO,
     TRUSTED_DAMPING,
@@ -308,7 +309,7 @@ class BatchSolver:
         going = ~run.done
         flat = run.flat | (going & ~proposed.sees)
         going = going & proposed.sees
-        refused = going & worse if expects or options.damping > 0 else going & ~going
+        refused = going & worse if options.damping > 0 else going & ~going
         stuck = refused & (proposed.small | (run.damping >= DAMPING_RANGE[1]))
         accepted = going & ~refused
         state, last = choose(accepted, there, (run.state, run.last))
@@ -458,12 +459,11 @@ class BatchSolver:
         own = xp.concat([precision, rest], axis=-1)[:, None, :] * unit
         # Directions that are held, and fits with nothing to see, give steps of 0.
         base, hessian = (xp.where(both, matrix + own, xp.zeros_like(matrix)) for matrix in (base, hessian))
-        floor = 1e-9 * xp.max(xp.linalg.diagonal(base), axis=-1)[:, None]
-        base = base + xp.where(moves, floor + 0.0 * gradient, xp.ones_like(gradient))[:, None, :] * unit
         base = xp.where(sees[:, None, None], base, unit + xp.zeros_like(base))
-        whiten = xp.linalg.inv(xp.linalg.cholesky(base))
-        ratios, axes = xp.linalg.eigh(whiten @ hessian @ xp.matrix_transpose(whiten))
-        axes = xp.matrix_transpose(whiten) @ axes
+        sizes, axes = xp.linalg.eigh(base)
+        whiten = axes / xp.sqrt(xp.maximum(sizes, ROUNDING * sizes[:, -1:]))[:, None, :]
+        ratios, axes = xp.linalg.eigh(xp.matrix_transpose(whiten) @ hessian @ whiten)
+        axes = whiten @ axes
         gradient = xp.where(moves, gradient, xp.zeros_like(gradient))
         along = apply(xp.matrix_transpose(axes), gradient)
         return -apply(axes, along / (xp.maximum(ratios, run.lift[:, None]) + damping[:, None])), sees
