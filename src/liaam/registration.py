@@ -88,7 +88,7 @@ class Registration:
     cost : float
         Mean squared residual, in the method's own units.
     n_iterations : int
-        Gauss-Newton steps tried.
+        Steps tried.
     corner_deviation : (4,) float64
         Standard error of where the first picture's corners come to lie, pixels of the second (root of the sum of both
         axes' variances): by the Gauss-Newton covariance of independent residuals, which knows noise only.

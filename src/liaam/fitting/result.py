@@ -111,7 +111,7 @@ class FitResult:
     cost : float
         Mean squared residual in the method's own units.
     n_iterations : int
-        Gauss-Newton steps tried.
+        Steps tried.
     history : tuple of Iteration
         Each level's start and every accepted step; the last is the result.
     residual : (n_pixels, k) float32

@@ -32,7 +32,7 @@ class SolverOptions:
     Attributes
     ----------
     max_iterations : int
-        Gauss-Newton steps to try at most.
+        Steps to try at most.
     tolerance : float
         Stop when a step moves the landmarks by less than this root mean square, model pixels.
     notice : float

@@ -34,7 +34,7 @@ class BatchResult:
     costs : (b,) float64
         Mean squared residual in the method's own units.
     n_iterations : (b,) int64
-        Gauss-Newton steps tried.
+        Steps tried.
     thetas : (b,) float64
         Angle of each image's camera, radians; NaN for methods without angles.
     p : (b, m + 4) float64
