@@ -123,13 +123,12 @@ def train(
     """
     camera = _camera_of(camera, theta, response)
     _check_options(variance, appearance_variance, diagonal, blurs, soft_blurs)
-    soft_prior = prior if soft_prior is None and prior != "sample" else soft_prior
-    for asked in (prior, soft_prior or prior):
+    for asked in (prior, prior if soft_prior is None else soft_prior):
         check_prior(asked)
     entries, contours, edges = _entries(data)
     shapes, folds = np.array([entry.points for entry in entries]), _folds([entry.name for entry in entries])
     mean = scaled_mean(shapes, diagonal)
-    soft_prior = _soft_prior(variance, len(mean)) if soft_prior is None else soft_prior
+    soft_prior = _soft_prior(prior, variance, len(mean)) if soft_prior is None else soft_prior
     recipe = choose_recipe(mean, shapes, prior, folds)
     shape_model = shape_model_on(mean, shapes, variance, recipe, folds)
     soft_shape = None
@@ -200,10 +199,10 @@ MOST_SMOOTH = 200
 1000, and grows with the third power."""
 
 
-def _soft_prior(variance: Variance, n_points: int) -> str:
-    """Prior of soft-li's shapes beside the sample, where nobody asks for one."""
+def _soft_prior(prior: str, variance: Variance, n_points: int) -> str:
+    """Prior of soft-li's shapes where nobody asks for one."""
     whole = isinstance(variance, float) and variance == 1.0
-    return "sample" if whole or n_points > MOST_SMOOTH else "smooth"
+    return prior if prior != "sample" or whole or n_points > MOST_SMOOTH else "smooth"
 
 
 def _camera_of(camera: CameraModel | None, theta: float | None, response: Response | None) -> CameraModel:

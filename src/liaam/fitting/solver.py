@@ -330,7 +330,7 @@ def _expected_step(objective: Objective, run: _Run, options: SolverOptions) -> _
     small dents, since noise sampled between pixels is smoother. With the expected gradient instead the estimate is
     as good as the noise allows (Fisher scoring). The derivative of E'r is E'J with the picture's J: unlike E'E it knows
     how steep the picture is, and unlike J'J it has no noise on average (J is E's instrument, as statisticians say), so
-    that steps converge quadratically. Its symmetric part is used, and where it falls short of E'E it is lifted
+    that steps converge fast. Its symmetric part is used, and where it falls short of E'E it is lifted
     (:data:`LEAST_CURVATURE`).
     """
     state = run.state

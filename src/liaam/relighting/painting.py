@@ -1,5 +1,8 @@
 """From the model's reference frame onto a picture, and over its border without a seam."""
 
+from collections.abc import Callable, Sequence
+from functools import partial
+
 import numpy as np
 
 from liaam.mesh import ReferenceFrame, signed_areas
@@ -204,30 +207,31 @@ def _carried(layers: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
-    """Averages along what looks alike; wide ones on fewer pixels."""
-    import cv2
-
+    """Averages along what looks alike."""
     from liaam.relighting.carrying import averaged  # numba: imported when first needed
 
-    step = int(scale / PLENTY)
-    if step < 2:
-        return averaged(layers, seen, scale, EDGE)
-    height, width = layers.shape[:2]
-    size = -(-width // step), -(-height // step)
-    small, looks = (_resized(picture, size, cv2.INTER_AREA) for picture in (layers, seen))
-    return _resized(averaged(small, looks, scale / step, EDGE), (width, height), cv2.INTER_LINEAR)
+    return _on_fewer_pixels(partial(averaged, edge=EDGE), (layers, seen), scale, PLENTY)
 
 
 def _blurred(layers: np.ndarray, scale: float) -> np.ndarray:
-    """Gaussian blur of (h, w, c) float32; a wide one on fewer pixels, as good, and quicker by the square of a step."""
+    """Gaussian blur of (h, w, c) float32."""
     import cv2
 
-    step = int(scale / ENOUGH)
+    return _on_fewer_pixels(lambda picture, sigma: cv2.GaussianBlur(picture, (0, 0), sigma), (layers,), scale, ENOUGH)
+
+
+def _on_fewer_pixels(
+    smooth: Callable[..., np.ndarray], pictures: Sequence[np.ndarray], scale: float, enough: float
+) -> np.ndarray:
+    """Smooth pictures (h, w, c) at a scale in pixels, a wide one on fewer: as good, and quicker by the step squared."""
+    import cv2
+
+    step = int(scale / enough)
     if step < 2:
-        return cv2.GaussianBlur(layers, (0, 0), scale)
-    height, width = layers.shape[:2]
-    small = _resized(layers, (-(-width // step), -(-height // step)), cv2.INTER_AREA)
-    return _resized(cv2.GaussianBlur(small, (0, 0), scale / step), (width, height), cv2.INTER_LINEAR)
+        return smooth(*pictures, scale)
+    height, width = pictures[0].shape[:2]
+    small = (_resized(picture, (-(-width // step), -(-height // step)), cv2.INTER_AREA) for picture in pictures)
+    return _resized(smooth(*small, scale / step), (width, height), cv2.INTER_LINEAR)
 
 
 def _resized(layers: np.ndarray, size: tuple[int, int], how: int) -> np.ndarray:

@@ -255,7 +255,7 @@ class BatchSolver:
             if not bool(self.xp.all(run.curved | run.done)):
                 curvature = self._functions["curvature"](shared, run.last.look, run.state, run.trust or None)
                 curvature = choose(run.curved, (run.curvature,), (curvature,))[0]
-                run = run._replace(curvature=curvature, curved=run.curved | True)
+                run = run._replace(curvature=curvature, curved=self.xp.ones_like(run.curved))
             equations = self._functions["expected"](shared, run.last.look, run.state, run.trust or None)
             hessian = run.curvature
         if self._rescales:
@@ -270,26 +270,28 @@ class BatchSolver:
         """Where a step with the picture's own gradient leads (``solver._own_step``)."""
         precision = self._precision(shared, run)
         step, lambda_step, sees = self._step(equations, run.state, precision, run.free, damping)
-        return self._proposal(shared, run, step, lambda_step, sees, precision, reduced(equations)[0])
+        small = self._is_small(step, reduced(equations)[0], equations.unit, precision)
+        there = self._update(shared, run.state, step, lambda_step)
+        nowhere_back = self.xp.zeros_like(small)
+        return Proposal(there, small, self._movement(step) < STILL, sees, precision, step, nowhere_back)
 
     def _propose_expected(self, shared: Shared, run: Run, equations: Equations, damping: Array) -> Proposal:
         """Where a step with the expected gradient leads (``solver._expected_step``)."""
         precision = self._precision(shared, run)
-        step, sees = self._guarded_step(equations, run, precision, damping)
+        metric = run.curvature + self._on_diagonal(precision, run.curvature)
+        step, sees = self._guarded_step(equations, metric, run, precision, damping)
+        small = self._is_small(step, run.curvature, run.last.equations.unit, precision)
         lambda_step = apply(equations.inverse, equations.ar + apply(equations.aj, step))
-        return self._proposal(shared, run, step, lambda_step, sees, precision, run.curvature)
-
-    def _proposal(
-        self, shared: Shared, run: Run, step: Array, lambda_step: Array, sees: Array, precision: Array, hessian: Array
-    ) -> Proposal:
-        small = self._is_small(step, hessian, run.last.equations.unit, precision)
         there = self._update(shared, run.state, step, lambda_step)
-        metric = hessian + self.xp.concat([precision, 0.0 * step[:, self.objective.n_p :]], axis=-1)[
-            :, None, :
-        ] * identity(hessian)
         ahead, length = (self.xp.sum(run.before * apply(metric, other), axis=-1) for other in (step, run.before))
         back = ahead < -TO_AND_FRO * length
         return Proposal(there, small, self._movement(step) < STILL, sees, precision, step, back)
+
+    def _on_diagonal(self, precision: Array, like: Array) -> Array:
+        """Precision of the prior on p (b, n_p) as diagonal matrices (b, n_q, n_q); angles have none."""
+        xp = self.xp
+        rest = xp.zeros_like(like[:, 0, self.objective.n_p :])
+        return xp.concat([precision, rest], axis=-1)[:, None, :] * identity(like)
 
     def _is_small(self, step: Array, hessian: Array, unit: Array, precision: Array) -> Array:
         """Which steps are too small to matter, (b,): in pixels, or in standard deviations where they are known."""
@@ -430,7 +432,7 @@ class BatchSolver:
         rest = xp.zeros_like(gradient[:, n_p:])
         gradient = gradient + xp.concat([precision * state.p, rest], axis=-1)
         unit = identity(hessian)
-        hessian = hessian + xp.concat([precision, rest], axis=-1)[:, None, :] * unit
+        hessian = hessian + self._on_diagonal(precision, hessian)
         sees = sees & xp.all(xp.isfinite(hessian), axis=(1, 2))
         # Directions that are held, and fits with nothing to see, give steps of 0.
         moves = free & sees[:, None]
@@ -445,9 +447,11 @@ class BatchSolver:
         lambda_step = apply(equations.inverse, equations.ar + apply(equations.aj, step))
         return step, lambda_step, sees
 
-    def _guarded_step(self, equations: Equations, run: Run, precision: Array, damping: Array) -> tuple[Array, Array]:
+    def _guarded_step(
+        self, equations: Equations, base: Array, run: Run, precision: Array, damping: Array
+    ) -> tuple[Array, Array]:
         """Steps to the zero of a gradient (``solver._guarded_step``), and where there was something to see."""
-        xp, n_p, base = self.xp, self.objective.n_p, run.curvature
+        xp, n_p = self.xp, self.objective.n_p
         hessian, gradient = reduced(equations)
         seen = xp.max(xp.abs(xp.linalg.diagonal(hessian)[:, :n_p]), axis=-1) > 1e-10 * equations.weight
         sees = (equations.weight > 0) & xp.isfinite(equations.rr) & seen
@@ -456,9 +460,9 @@ class BatchSolver:
         gradient = gradient + xp.concat([precision * run.state.p, rest], axis=-1)
         moves, unit = run.free & sees[:, None], identity(hessian)
         both = moves[:, :, None] & moves[:, None, :]
-        own = xp.concat([precision, rest], axis=-1)[:, None, :] * unit
         # Directions that are held, and fits with nothing to see, give steps of 0.
-        base, hessian = (xp.where(both, matrix + own, xp.zeros_like(matrix)) for matrix in (base, hessian))
+        hessian = hessian + self._on_diagonal(precision, hessian)
+        base, hessian = (xp.where(both, matrix, xp.zeros_like(matrix)) for matrix in (base, hessian))
         base = xp.where(sees[:, None, None], base, unit + xp.zeros_like(base))
         sizes, axes = xp.linalg.eigh(base)
         whiten = axes / xp.sqrt(xp.maximum(sizes, ROUNDING * sizes[:, -1:]))[:, None, :]
