@@ -341,7 +341,7 @@ def test_a_training_ends_with_a_server_that_is_killed(folder, command):
 
     process = command(folder(8, 8), "--port", "0")
     address = process.stdout.readline().split()[-1]
-    with httpx.Client(trust_env=False, follow_redirects=True) as browser:
+    with httpx.Client(trust_env=False, follow_redirects=True, timeout=60) as browser:
         browser.get(address)
         site = address.partition("?")[0]
         with browser.stream("GET", site + "api/events") as events:
