@@ -51,10 +51,14 @@ class Reliability:
         Covariance of each landmark beyond what a fit states of itself, square pixels of the reference frame.
     weights : (3,) float64
         Log odds that a fit is right: of 1, of the share of the picture it explains, and of its shape's strangeness.
+    understated : float
+        How many times the variances of a fit's parameters are what it states of itself, at least 1: shapes and
+        appearances that the model lacks move the others, too.
     """
 
     landmarks: np.ndarray
     weights: np.ndarray
+    understated: float = 1.0
 
     def quality(self, evidence: np.ndarray) -> float:
         """Probability, 0 to 1, that a fit of some evidence (2,) is right, where right and wrong are as likely."""
@@ -213,6 +217,7 @@ def _tensors(model: AAM) -> dict[str, np.ndarray]:
     if model.reliability is not None:
         tensors["reliability.landmarks"] = model.reliability.landmarks
         tensors["reliability.weights"] = model.reliability.weights
+        tensors["reliability.understated"] = np.array([model.reliability.understated])
     for prefix, levels in (("level", model.levels), ("soft_level", model.soft_levels)):
         for i, level in enumerate(levels):
             for name, appearance in level.appearances.items():
@@ -351,7 +356,12 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     landmarks = _tensor(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
     if (np.diagonal(landmarks, axis1=1, axis2=2) < 0).any():
         raise ValueError("reliability.landmarks has variances below 0")
-    return Reliability(landmarks, _tensor(tensors, "reliability.weights", np.float64, (3,)))
+    weights, understated = _tensor(tensors, "reliability.weights", np.float64, (3,)), 1.0
+    if "reliability.understated" in tensors:  # not in files of earlier versions
+        understated = float(_tensor(tensors, "reliability.understated", np.float64, (1,))[0])
+        if understated < 1.0:
+            raise ValueError("reliability.understated is below 1")
+    return Reliability(landmarks, weights, understated)
 
 
 def _soft_levels(

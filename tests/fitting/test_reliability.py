@@ -1,10 +1,13 @@
 """Quality of fits: calibrated on pictures left out, it tells right from wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from safetensors import safe_open
 
 from liaam.fitting import FitStatus, Fitter
-from liaam.fitting.reliability import _landmarks, _logistic, _weights
+from liaam.fitting.reliability import MOST_UNDERSTATED, _landmarks, _logistic, _surprise, _understated, _weights
 from liaam.model import load_model
 from liaam.shape import diagonal_of
 from setups import disturb, train_on
@@ -51,6 +54,42 @@ def test_it_is_kept_in_the_model_file(judged, tmp_path):
     assert loaded is not None
     np.testing.assert_array_equal(loaded.landmarks, judged.reliability.landmarks)
     np.testing.assert_array_equal(loaded.weights, judged.reliability.weights)
+    assert loaded.understated == judged.reliability.understated
+
+
+def test_a_file_of_an_earlier_version_takes_fits_at_their_word(judged, tmp_path):
+    from safetensors.numpy import load_file, save_file
+
+    judged.save(tmp_path / "m.liaam")
+    tensors = load_file(tmp_path / "m.liaam")
+    del tensors["reliability.understated"]
+    with safe_open(tmp_path / "m.liaam", "numpy") as file:
+        save_file(tensors, tmp_path / "old.liaam", metadata=file.metadata())
+    assert load_model(tmp_path / "old.liaam").reliability.understated == 1.0
+
+
+def test_variances_grow_by_what_fits_understate(judged, lit_scene):
+    models = (replace(judged, reliability=replace(judged.reliability, understated=k)) for k in (1.0, 2.0))
+    one, two = (Fitter(model).fit(lit_scene.image, disturb(lit_scene.landmarks)) for model in models)
+    np.testing.assert_allclose(two.covariance, 2 * one.covariance)
+    grown = np.linalg.eigvalsh(two.landmark_covariances - one.landmark_covariances)
+    assert (grown > 0).all()
+
+
+def test_surprises_of_what_is_stated_rightly_are_one_on_average(rng):
+    own = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.5, 1.0]])
+    errors = rng.multivariate_normal(np.zeros(3), own, 4000)
+    assert np.mean([_surprise(error, own) for error in errors]) == pytest.approx(1.0, abs=0.05)
+    # What follows p, an angle, does not count.
+    assert _surprise(errors[0][:2], own) == pytest.approx(_surprise(errors[0][:2], own[:2, :2]))
+
+
+def test_understatement_is_learnt_from_many_doubted_from_few_and_bounded():
+    assert _understated(np.full(100, 4.0)) == pytest.approx(4.0, rel=0.1)
+    assert 1.0 < _understated(np.full(3, 4.0)) < 2.0
+    assert _understated(np.full(20, 0.1)) == 1.0  # nothing is ever surer than it says
+    assert _understated(np.full(20, 1e9)) == MOST_UNDERSTATED
+    assert _understated(np.array([np.nan, np.inf])) == 1.0
 
 
 def test_the_covariance_of_landmarks_makes_up_for_what_fits_do_not_state(rng):

@@ -334,9 +334,10 @@ class Fitter:
         history = trace(stages)
         state, last = solution.state, solution.last
         residual, usable = stages[-1].picture()
-        spread = covariance(stages[-1].objective, solution, self.options.shape_prior / solution.scale)
-        seen = evidence(stages[-1])
         known = self.model.reliability if self._method.name == DEFAULT_METHOD else None
+        spread = covariance(stages[-1].objective, solution, self.options.shape_prior / solution.scale)
+        spread = spread if known is None else known.understated * spread
+        seen = evidence(stages[-1])
         quality = np.nan if known is None else known.quality(seen)
         status = self._status(image, history, stages[-1])
         # Without calibration, too, what explains nothing is no fit.
@@ -461,7 +462,7 @@ def landmark_covariances(
     pose : Similarity
         Model pixels to image pixels.
     spread : (n_q, n_q) float64
-        Covariance of p, and of what follows it.
+        Covariance of p, and of what follows it, as results hold it.
     reliability : Reliability, optional
         How far fits to pictures left out erred; what the shape model left of such pictures' landmarks if left out.
     """

@@ -32,6 +32,9 @@ TAIL, STEADY = 12.0, 10.0
 """How much few left-out pictures m widen the spread: by 1 + TAIL / (m + STEADY). What is to come lies further out than
 a moment of few errors says; on generated scenes, 20 left out, the ellipses hold 93 % so, and 91 % with half of it."""
 
+MOST_UNDERSTATED = 10.0
+"""Largest factor on a fit's own variances: pictures without noise may ask for any, and noisy ones would bear it."""
+
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
@@ -56,7 +59,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     Reliability or None
         None where there is nothing to learn from: too few right fits.
     """
-    seen, right, errors, spreads, fitter = [], [], [], [], None
+    seen, right, errors, spreads, surprises, fitter = [], [], [], [], [], None
     for i, picture in enumerate(pictures):
         rng = np.random.default_rng([7, i])
         if fitter is None or fitter.model is not picture.model:
@@ -69,9 +72,10 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
             if not np.isfinite(error) or not np.isfinite(result.evidence).all():
                 continue
             if near and error <= WRONG:  # all that are not lost: those in doubt err, too
-                unposed = result.pose.inverse()
+                unposed, shapes = result.pose.inverse(), picture.model.shape_of("soft")
                 errors.append((picture.points - result.shape) @ unposed.matrix.T)
-                spreads.append(fitted_covariances(picture.model.shape_of("soft"), result.covariance))
+                spreads.append(fitted_covariances(shapes, result.covariance))
+                surprises.append(_surprise(shapes.parameters(unposed(picture.points)) - result.p, result.covariance))
             if not RIGHT < error <= WRONG:
                 seen.append(result.evidence)
                 right.append(error <= RIGHT)
@@ -80,7 +84,9 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     weights = _weights(np.array(seen), np.array(right))
     if not weights[1] > 0:  # what is explained has to speak for a fit
         return None
-    return Reliability(_larger(_landmarks(np.array(errors), np.array(spreads)), _by_shape(model)), weights)
+    understated = _understated(np.array(surprises))
+    landmarks = _landmarks(np.array(errors), understated * np.array(spreads))
+    return Reliability(_larger(landmarks, _by_shape(model)), weights, understated)
 
 
 def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
@@ -100,6 +106,18 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
     angle = np.deg2rad(rng.choice([-1, 1]) * turn * rng.uniform(0.5, 1.0))
     step = shift * diagonal_of(shape) * np.array([np.cos(towards), np.sin(towards)])
     return (shape - centre) @ rotation(angle).T + centre + step
+
+
+def _surprise(error: np.ndarray, spread: np.ndarray) -> float:
+    """Mean square of p's error (n_p,) in units of what a fit states of it, the covariance (n_q, n_q); 1 if it is so."""
+    n_p = len(error)
+    return float(error @ np.linalg.solve(spread[:n_p, :n_p], error)) / n_p
+
+
+def _understated(surprises: np.ndarray) -> float:
+    """Factor on stated variances that the surprises of left-out pictures (m,) ask for on the whole; few are doubted."""
+    logs = np.log(np.maximum(surprises[np.isfinite(surprises)], 1e-6))
+    return float(np.clip(np.exp(logs.sum() / (len(logs) + SHRINK)), 1.0, MOST_UNDERSTATED))
 
 
 def _landmarks(errors: np.ndarray, spreads: np.ndarray) -> np.ndarray:

@@ -121,7 +121,8 @@ class FitResult:
         1 where the image could be used, else 0.
     covariance : (n_q, n_q) float64
         Covariance of (p, free angles), by the picture and the prior. What blur and (for ``soft-li``) the model's errors
-        tie together is counted once.
+        tie together is counted once, and where left-out pictures have told by how much such variances fall short, they
+        are that much larger.
     landmark_covariances : (n, 2, 2) float64
         Covariance of each landmark, image pixels squared: that of p carried to the landmarks, and what fits leave of
         landmarks placed by hand, as learnt by leaving training pictures out.
