@@ -296,7 +296,7 @@ def test_a_stopped_experiment_says_how_to_go_on(run, portraits, tmp_path, monkey
 
 def test_help_and_methods(run):
     helped = ("displacement", "noise", "convergence", "spot", "generic", "peer", "basin", "occlusion", "unchanged")
-    helped += ("assisted",)
+    helped += ("assisted", "uncertainty")
     commands = (("train",), ("fit",), ("track",), *(("experiment", name) for name in helped))
     for arguments in (("--help",), *((*command, "--help") for command in commands)):
         code, out, _ = run(*arguments)

@@ -422,6 +422,24 @@ def assisted(
     print_protocol(module.table(summary), summary, out)
 
 
+@experiments.command()
+def uncertainty(
+    out: Out,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of the spot protocol, fitted beside generated heads if given.")
+    ] = None,
+    heads: Annotated[int, typer.Option(help="Generated heads.", min=1)] = 4,
+    seed: Seed = 0,
+    solver: Solver = "liaam",
+    jobs: Jobs = None,
+) -> None:
+    """Do the ellipses hold the truth, and does the quality tell right fits from wrong ones?"""
+    from liaam.experiments import uncertainty as module
+
+    summary = execute(module.uncertainty_experiment(data, heads, seed, solver), out, jobs)
+    print_protocol(module.table(summary), summary, out)
+
+
 def reproduce(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and a folder for each experiment.")],
     person: Annotated[

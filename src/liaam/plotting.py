@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,6 +67,10 @@ FLOOR = 1e-3
 def base_of(method: str) -> str:
     """Name of a method without its suffixes (``li`` of ``li+noise``)."""
     return method.partition("+")[0]
+
+
+OTHERS = ("#1d4e89", "#e8743b", "#19a979", "#b565a7", "#d4a017", "#5c5c5c")
+"""Colours of curves that are of no method, in turn."""
 
 
 def colour_of(method: str) -> str:
@@ -402,12 +407,14 @@ class Panel:
 
 
 def figure_of_curves(panels: Sequence[Panel]) -> "Figure":
-    """Curves of methods, a panel beside the other, with one legend."""
+    """Curves of methods or of anything else, a panel beside the other, with one legend."""
     figure, axes = subplots(1, len(panels), (5.0 * len(panels) + 1.5, 4.2))
+    strange = list(dict.fromkeys(name for panel in panels for name in panel.curves if base_of(name) not in COLOURS))
+    colours = dict(zip(strange, cycle(OTHERS))) if len(strange) > 1 else {}
     references = list(dict.fromkeys(name for panel in panels for name in panel.references))
     dashes = {name: DASHES[i % len(DASHES)] for i, name in enumerate(references)}
     for axis, panel in zip(axes[0], panels, strict=True):
-        _draw_panel(axis, panel, dashes)
+        _draw_panel(axis, panel, dashes, colours)
     handles: dict[str, Any] = {}
     for axis in axes[0]:
         handles |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
@@ -417,10 +424,13 @@ def figure_of_curves(panels: Sequence[Panel]) -> "Figure":
     return figure
 
 
-def _draw_panel(axis: "Axes", panel: Panel, dashes: Mapping[str, Any]) -> None:
+def _draw_panel(axis: "Axes", panel: Panel, dashes: Mapping[str, Any], colours: Mapping[str, str]) -> None:
     log = panel.log and _spans_a_decade([*panel.curves.values(), *panel.references.values()])
     for method, points in panel.curves.items():
-        axis.plot(*_columns(points, log), label=method, **style_of(method, len(points)))
+        style = style_of(method, len(points))
+        if method in colours:
+            style |= {"color": colours[method], "mfc": colours[method]}
+        axis.plot(*_columns(points, log), label=method, **style)
     for name, points in panel.references.items():
         x, y = _columns(points, log)
         y[log & (y <= FLOOR)] = np.nan  # a bound of 0 (no noise, say) is no reason for a longer axis

@@ -26,6 +26,9 @@ MEASURES = {
     "grey": "grey",
     "rgb": "rgb",
     "log-rgb": Method("log-rgb", "log-RGB, light known", "log", "log", "rgb"),
+    "log-rgb+gains": Method(
+        "log-rgb+gains", "log-RGB, the light's colour and strength unknown", "log", "log", "rgb", bias="rows"
+    ),
     "chroma": "chroma",
     "li": "li",
 }

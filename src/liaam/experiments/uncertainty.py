@@ -1,0 +1,381 @@
+"""Do the ellipses hold the truth, and does the quality tell right fits from wrong ones?
+
+Fits of the default method, from starts near the object and from starts that should be lost: to generated heads at three
+noise levels under the light of training and under a hard light from the side, where the truth is known, and, given a
+folder of persons, to real faces: the spot-lit picture and diffuse pictures left out of a person's model, and persons
+that a model has not seen.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.datasets import Sample
+from liaam.evaluation import finite_or_none, nme, or_dash
+from liaam.experiments.protocol import STARTS, VARIANCE, Header, Request, Table, eight_bit, face_size, select, tell
+from liaam.experiments.runner import Experiment, Row
+from liaam.experiments.solvers import get_solver
+from liaam.experiments.spot import CONVERGED, Person, disturbed_start, facts_of, find_persons, percent
+from liaam.fitting import Fitter
+from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.model import AAM
+from liaam.plotting import Panel, figure_of_curves
+from liaam.shape import rotation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEVELS = (50, 80, 95, 99)
+"""Shares that ellipses are drawn for, per cent."""
+
+TOLD = (80, 95)
+"""Those in the table; the figure has all."""
+
+NOISES = (2.0, 5.0, 10.0)
+"""Standard deviation of the noise of generated pictures, of 255."""
+
+PICTURES = 24
+"""Generated pictures of a head that train, and as many that are fitted."""
+
+LEFT_OUT = (0, 2, 4)
+"""Diffuse pictures of a person that are left out in turn, of five."""
+
+STARTED = ("near", "far")
+
+COLUMNS = {
+    "group": "",
+    "subject": "",
+    "picture": "",
+    "light": "",
+    "noise": "g",
+    "start": "",
+    "nme": ".6f",
+    **{f"held_{level}": ".6f" for level in LEVELS},
+    "deviation": ".6f",
+    "quality": ".6f",
+    "status": "",
+}
+"""Columns of results.csv. ``held_L``: share of the landmarks that lie in their ellipse of L %; ``deviation``: the
+landmarks' stated standard deviation, root mean square, and ``nme``, as shares of the face's size."""
+
+CHOICES = (
+    f"Right is a fit whose error is below {CONVERGED:.0%} of the inter-ocular distance. Ellipses are those of right "
+    "fits from near starts; the quality has to tell right from wrong among all fits; where it is not known it counts "
+    "as 0.",
+    STARTS,
+    "Far starts: the same start turned by 40 to 75°, scaled by 0.5 to 1.6 and moved by N(0, 0.7 IOD) per axis.",
+    f"Generated: heads of {PICTURES} pictures without noise under frontal light to train on and {PICTURES} others to "
+    "fit, every other one under a hard light from the side; far starts are those of the middle noise.",
+    f"Real: pictures {', '.join(str(i + 1) for i in LEFT_OUT)} of a person are left out of that person's model in "
+    "turn; the spot-lit picture is fitted by the model of all five; every other person makes a model of strangers, "
+    "fitted to the others' spot-lit and diffuse pictures.",
+    f"Models keep {VARIANCE:.0%} of the variance of shape and of appearance.",
+)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is fitted in one go: a task.
+
+    Attributes
+    ----------
+    group : str
+        Of :data:`GROUPS`.
+    name : str
+        Number of a head, or name of a person.
+    """
+
+    group: str
+    name: str
+
+    @property
+    def key(self) -> str:
+        """Name for the journal."""
+        return f"{self.group}, {self.name}"
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture that is to be fitted, and where its landmarks are.
+
+    Attributes
+    ----------
+    name : str
+    image : (h, w, 3) uint8 or float32
+    truth : (n, 2) float64
+    light : str
+    noise : float
+        That was added, of 255.
+    starts : tuple of str
+        Of :data:`STARTED`.
+    """
+
+    name: str
+    image: np.ndarray
+    truth: np.ndarray
+    light: str
+    noise: float = 0.0
+    starts: tuple[str, ...] = STARTED
+
+
+def generated(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
+    """Give a head's model and its pictures at all noise levels."""
+    from liaam.datasets.scenes import DIFFUSE, Camera, Head, lateral, make_set, random_expression, random_pose, render
+
+    rng, camera = request.rng("head", name), Camera().noiseless("srgb")
+    head = Head(int(rng.integers(1, 1_000_000)))
+    taken = make_set(PICTURES, head, DIFFUSE, camera, seed=int(rng.integers(1_000_000)))
+    model = trained(request, [(scene.image, scene.landmarks) for scene in taken], f"head {name}")
+    pictures = []
+    for i in range(PICTURES):
+        light, lights = ("training", DIFFUSE) if i % 2 else ("side", lateral("left" if i % 4 else "right"))
+        scene = render(head, random_pose(rng), random_expression(rng), lights, camera)
+        for noise in NOISES:
+            image = np.clip(scene.image + noise / 255 * rng.standard_normal(scene.image.shape), 0, 1).astype(np.float32)
+            starts = STARTED if noise == NOISES[1] else STARTED[:1]
+            pictures.append(Picture(f"{i}", image, scene.landmarks, light, noise, starts))
+    yield model, pictures
+
+
+def spot_lit(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
+    """Give the model of a person's diffuse pictures and the spot-lit one."""
+    person = get_person(request.data, name)
+    yield trained(request, person.training, person.key), [_real(person.spot, "spot")]
+
+
+def left_out(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
+    """Give a person's models of all diffuse pictures but one, and that one."""
+    person = get_person(request.data, name)
+    for out in LEFT_OUT:
+        others = [sample for i, sample in enumerate(person.training) if i != out]
+        yield trained(request, others, person.key), [_real(person.training[out], "training")]
+
+
+def strangers(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
+    """Give the model of every other person, and the pictures of a person who is not among them."""
+    person = get_person(request.data, name)
+    pictures = [_real(person.spot, "spot"), *(_real(sample, "training") for sample in person.training[::2])]
+    yield get_half(request, get_persons(request.data).index(person) % 2), pictures
+
+
+MAKERS: dict[str, Callable[[Request, str], Iterator[tuple[AAM, list[Picture]]]]] = {
+    "generated": generated,
+    "left out": left_out,
+    "spot": spot_lit,
+    "strangers": strangers,
+}
+GROUPS = tuple(MAKERS)
+
+
+def _real(sample: Sample, light: str) -> Picture:
+    return Picture(sample.name, eight_bit(sample), sample.landmarks.points, light)
+
+
+@lru_cache(maxsize=1)
+def get_persons(folder: Path) -> tuple[Person, ...]:
+    """Find a folder's persons; once per process."""
+    return find_persons(folder)[0]
+
+
+def get_person(folder: Path, name: str) -> Person:
+    """Look a person up."""
+    return next(person for person in get_persons(folder) if person.name == name)
+
+
+@lru_cache(maxsize=1)
+def get_half(request: Request, without: int) -> AAM:
+    """Train on every other person; once per process, neighbouring tasks share it."""
+    others = [person for i, person in enumerate(get_persons(request.data)) if i % 2 != without]
+    return trained(request, [sample for person in others for sample in person.training], f"without {without}")
+
+
+def trained(request: Request, data: Sequence, name: str) -> AAM:
+    """Train a model that learns how far its fits can be trusted."""
+    return get_solver(request.solver).train(data, variance=VARIANCE, leave_out=True, name=name)
+
+
+def lost(start: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
+    """Move a start so far that no fit should find back, (n, 2) float64."""
+    centre, turn = start.mean(axis=0), rng.uniform(0.7, 1.3) * rng.choice([-1, 1])
+    return rng.uniform(0.5, 1.6) * (start - centre) @ rotation(turn).T + centre + rng.normal(0.0, 0.7 * unit, 2)
+
+
+def fit_subject(request: Request, subject: Subject) -> list[Row]:
+    """Fit all pictures of a subject from near and far."""
+    rows = []
+    for model, pictures in MAKERS[subject.group](request, subject.name):
+        fitter = Fitter(model, DEFAULT_METHOD, get_solver(request.solver).options)
+        rows += [
+            {"group": subject.group, "subject": subject.name, **row}
+            for picture in pictures
+            for row in fit_picture(request, fitter, picture)
+        ]
+    return rows
+
+
+def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[Row]:
+    """Fit a picture from each of its starts."""
+    unit, rng = face_size(picture.truth), request.rng(fitter.model.name, picture.name, "start")
+    near = disturbed_start(fitter.model.shape_model.mean, picture.truth, unit, rng)
+    for start in picture.starts:
+        result = fitter.fit(picture.image, near if start == "near" else lost(near, unit, rng))
+        distances = squared_distances(picture.truth - result.shape, result.landmark_covariances)
+        yield {
+            "picture": picture.name,
+            "light": picture.light,
+            "noise": picture.noise,
+            "start": start,
+            "nme": nme(result.shape, picture.truth, unit),
+            **{f"held_{level}": float(np.mean(distances < -2.0 * np.log(1.0 - level / 100))) for level in LEVELS},
+            "deviation": float(np.sqrt(np.mean(np.square(result.deviations)))) / unit,
+            "quality": result.quality,
+            "status": str(result.status),
+        }
+
+
+def squared_distances(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Squared errors (n, 2) by their covariances (n, 2, 2), (n,) float64: below -2 log(1 - s) with a chance of s."""
+    return np.einsum("na,nab,nb->n", errors, np.linalg.pinv(covariances, hermitian=True), errors)
+
+
+def uncertainty_experiment(
+    data: Path | None = None, heads: int = 4, seed: int = 0, solver: str = "liaam"
+) -> Experiment:
+    """Make the experiment.
+
+    Parameters
+    ----------
+    data : Path, optional
+        Folder of the spot protocol; generated heads alone if left out.
+    heads : int
+        Generated heads.
+    seed : int
+    solver : str
+        Of :data:`liaam.experiments.solvers.SOLVERS`.
+    """
+    request = Request(data or Path(), (DEFAULT_METHOD,), heads, seed, solver)
+    persons, missing = find_persons(data) if data else ((), ())
+    subjects = [Subject("generated", str(i)) for i in range(heads)]
+    subjects += [Subject(group, person.name) for group in ("left out", "spot") for person in persons]
+    halves = [*persons[0::2], *persons[1::2]] if len(persons) > 2 else []
+    subjects += [Subject("strangers", person.name) for person in halves]
+    facts = facts_of(data, persons) if data else {}
+    return Experiment(
+        name="uncertainty",
+        title="Do the ellipses hold the truth, and does the quality tell right fits from wrong ones?",
+        settings={**facts, "heads": heads, "seed": seed, "solver": request.settings()["solver"]},
+        tasks=tuple(subjects),
+        work=partial(fit_subject, request),
+        columns=COLUMNS,
+        summarise=summarise,
+        draw=draw,
+        report=report,
+        choices=CHOICES,
+        left_out=missing,
+        skips_faults=True,
+    )
+
+
+def summarise(rows: list[Row]) -> dict[str, Any]:
+    """Coverage and area under the ROC curve by group, and of generated heads by noise and by light."""
+    groups = {group: select(rows, group=group) for group in GROUPS}
+    for noise in NOISES:
+        groups[f"generated, noise {noise:g}"] = select(groups["generated"], noise=noise)
+    for light in ("training", "side"):
+        groups[f"generated, {light} light"] = select(groups["generated"], light=light)
+    groups["all"] = rows
+    return {"groups": {name: _cell(own) for name, own in groups.items() if own}}
+
+
+def is_right(row: Row) -> bool:
+    """Whether a fit is right."""
+    return bool(row["nme"] < CONVERGED)
+
+
+def _cell(rows: Sequence[Row]) -> dict[str, Any]:
+    near = [row for row in rows if row["start"] == "near"]
+    right = [row for row in near if is_right(row)]
+
+    def mean(name: str, own: Sequence[Row]) -> float | None:
+        return finite_or_none(float(np.mean([row[name] for row in own]))) if own else None
+
+    return {
+        "fits": len(rows),
+        "near": len(near),
+        "right": sum(map(is_right, rows)),
+        "nme_median": finite_or_none(float(np.median([row["nme"] for row in near]))) if near else None,
+        "deviation": mean("deviation", right),
+        **{f"held_{level}": mean(f"held_{level}", right) for level in LEVELS},
+        "roc_area": finite_or_none(roc_area(*_qualities(rows))),
+    }
+
+
+def _qualities(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
+    """Quality of right and of wrong fits; 0 where it is not known."""
+    known = [(float(np.nan_to_num(row["quality"])), is_right(row)) for row in rows]
+    return tuple(np.array([quality for quality, right in known if right is wanted]) for wanted in (True, False))  # type: ignore[return-value]
+
+
+def roc_area(right: np.ndarray, wrong: np.ndarray) -> float:
+    """Chance that a right fit has a higher quality than a wrong one, ties counted half; NaN without both."""
+    if not len(right) or not len(wrong):
+        return np.nan
+    return float(np.mean(right[:, None] > wrong) + 0.5 * np.mean(right[:, None] == wrong))
+
+
+def table(summary: dict[str, Any]) -> tuple[Header, Table]:
+    """Coverage and ROC by group."""
+    header = ["group", "fits", "right", "error, %", "stated, %", *(f"in {level} %" for level in TOLD), "ROC"]
+    return header, [
+        [
+            name,
+            str(cell["fits"]),
+            str(cell["right"]),
+            percent(cell["nme_median"]),
+            percent(cell["deviation"]),
+            *(percent(cell[f"held_{level}"], 1) for level in TOLD),
+            or_dash(cell["roc_area"], ".3f"),
+        ]
+        for name, cell in summary["groups"].items()
+    ]
+
+
+def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
+    """Share held against share stated, and wrong fits let pass against right ones kept."""
+    own = [group for group in GROUPS if group in summary["groups"]]
+    held = {group: _held(summary["groups"][group]) for group in own}
+    passed = {group: _roc(*_qualities(select(rows, group=group))) for group in own}
+    return figure_of_curves(
+        [
+            Panel("ellipse drawn for, %", "landmarks in it, %", held, {"as stated": [(x, x) for x in LEVELS]}),
+            Panel("wrong fits let pass, %", "right fits kept, %", passed),
+        ]
+    )
+
+
+def _held(cell: dict[str, Any]) -> list[tuple[float, float | None]]:
+    """Shares held by level, per cent."""
+    return [(level, None if cell[f"held_{level}"] is None else 100 * cell[f"held_{level}"]) for level in LEVELS]
+
+
+def _roc(right: np.ndarray, wrong: np.ndarray) -> list[tuple[float, float | None]]:
+    """Shares (wrong, right), per cent, of at least a quality, for each quality from high to low."""
+    if not len(right) or not len(wrong):
+        return []
+    limits = np.unique(np.concatenate([right, wrong, [np.inf]]))[::-1]
+    return [(100 * float(np.mean(wrong >= limit)), 100 * float(np.mean(right >= limit))) for limit in limits]
+
+
+def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+    """What was asked, and what came out."""
+    question = (
+        "Do the ellipses that a fit states of its landmarks hold the true ones, and does its quality tell whether it "
+        "is right? Error: median of the fits from near; stated: the landmarks' standard deviation, root mean square; "
+        "both by inter-ocular distance. Then the share of the landmarks in their ellipses, of right fits from near, "
+        "and the area under the ROC curve of the quality, of all fits."
+    )
+    return tell(question, table(summary))

@@ -1,0 +1,93 @@
+"""Ellipses and quality against the truth, on generated heads and generated persons."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam import cli_experiments
+from liaam.experiments import uncertainty
+from liaam.experiments.runner import run_experiment
+
+
+@pytest.fixture(scope="module")
+def finished(folder, tmp_path_factory):
+    """Run one task of each group on few pictures; gives summary, rows and folder."""
+    out = tmp_path_factory.mktemp("uncertainty")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(uncertainty, "PICTURES", 6)
+        patch.setattr(uncertainty, "LEFT_OUT", (1,))
+        whole = uncertainty.uncertainty_experiment(folder, heads=1, seed=5)
+        first = {task.group: task for task in reversed(whole.tasks)}
+        rows = {task: whole.work(task) for task in first.values()}
+        told = replace(whole, tasks=tuple(rows), work=rows.__getitem__)
+        return run_experiment(told, out, jobs=1), [row for own in rows.values() for row in own], out
+
+
+def test_every_group_is_fitted_from_near_and_far(finished):
+    summary, rows, out = finished
+    assert {row["group"] for row in rows} == set(uncertainty.GROUPS)
+    for group in uncertainty.GROUPS:
+        own = [row for row in rows if row["group"] == group]
+        assert {row["start"] for row in own} == set(uncertainty.STARTED)
+        assert summary["groups"][group]["fits"] == len(own)
+    generated = [row for row in rows if row["group"] == "generated"]
+    assert {row["noise"] for row in generated} == set(uncertainty.NOISES)
+    assert {row["light"] for row in generated} == {"training", "side"}
+    # Each picture once at each noise, and once from far.
+    assert len(generated) == 6 * (len(uncertainty.NOISES) + 1)
+    assert "ROC" in (out / "report.md").read_text(encoding="utf-8")
+
+
+def test_a_persons_left_out_pictures_are_not_those_it_was_trained_on(folder, monkeypatch):
+    seen = []
+    monkeypatch.setattr(uncertainty, "trained", lambda request, data, name: seen.append([s.name for s in data]))
+    request = uncertainty.Request(folder, ("soft-li",), 1, 0, "liaam")
+    tested = [pictures[0].name for _, pictures in uncertainty.left_out(request, "03")]
+    assert len(tested) == len(uncertainty.LEFT_OUT) == len(seen)
+    for name, training in zip(tested, seen, strict=True):
+        assert name not in training
+        assert len(training) == 4
+    uncertainty.get_half.cache_clear()
+    (((_, pictures)),) = uncertainty.strangers(request, "04")
+    uncertainty.get_half.cache_clear()
+    assert all("04-" in picture.name for picture in pictures)
+    assert not any("04-" in name for name in seen[-1])
+
+
+def test_held_shares_rise_with_the_level_and_agree_with_the_rows(finished):
+    summary, rows, _ = finished
+    for row in rows:
+        shares = [row[f"held_{level}"] for level in uncertainty.LEVELS]
+        assert shares == sorted(shares)
+    right = [row for row in rows if row["start"] == "near" and row["nme"] < 0.08]
+    assert summary["groups"]["all"]["held_95"] == pytest.approx(np.mean([row["held_95"] for row in right]))
+
+
+def test_ellipses_of_the_true_covariance_hold_what_they_say(rng):
+    covariance = np.array([[4.0, 1.5], [1.5, 1.0]])
+    errors = rng.multivariate_normal(np.zeros(2), covariance, 20000)
+    distances = uncertainty.squared_distances(errors, np.broadcast_to(covariance, (20000, 2, 2)))
+    for level in uncertainty.LEVELS:
+        assert np.mean(distances < -2 * np.log(1 - level / 100)) == pytest.approx(level / 100, abs=0.01)
+
+
+def test_the_area_under_the_roc_curve_is_the_chance_of_the_right_order():
+    right, wrong = np.array([0.9, 0.8, 0.3]), np.array([0.3, 0.1])
+    assert uncertainty.roc_area(right, wrong) == pytest.approx(5.5 / 6)
+    assert np.isnan(uncertainty.roc_area(right, wrong[:0]))
+
+
+def test_a_lost_start_is_far_from_the_object(rng):
+    shape = rng.normal(100, 20, (30, 2))
+    away = [np.linalg.norm(uncertainty.lost(shape, 50.0, rng) - shape, axis=1).mean() for _ in range(50)]
+    assert min(away) > 10
+
+
+def test_it_runs_from_the_command_line_without_data(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(uncertainty, "PICTURES", 5)
+    cli_experiments.uncertainty(tmp_path / "out", heads=1, jobs=1)
+    said = capsys.readouterr().out
+    assert "generated, noise 5" in said
+    assert "…" not in said  # it fits into a terminal
+    assert (tmp_path / "out" / "figure.png").is_file()
