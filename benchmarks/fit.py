@@ -97,7 +97,7 @@ def measure_growth() -> None:
 
 def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray) -> Callable[[], object]:
     """Ten linearisations at the sharpest level."""
-    from liaam.fitting.objective import FitProblem
+    from liaam.fitting.problem import FitProblem
     from liaam.shape import align
 
     pose = align(objective.warp.rest, shape)

@@ -18,7 +18,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks.metrics import in_turn, quartiles, report
 from liaam.appearance import AppearanceModel
 from liaam.fitting import SolverOptions, get_method, solver
-from liaam.fitting.objective import FitProblem, Objective, State, make_objectives
+from liaam.fitting.objective import Objective, State, make_objectives
+from liaam.fitting.problem import FitProblem
 from liaam.kernels import get_kernel
 from liaam.mesh import ReferenceFrame, delaunay, signed_areas
 from liaam.model import AAM, Level

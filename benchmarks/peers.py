@@ -25,7 +25,8 @@ from benchmarks.track import data_folder
 from liaam.datasets import Dataset, load_folder
 from liaam.experiments.lights import dapples, hard_light
 from liaam.fitting import FitResult, Fitter
-from liaam.fitting.objective import FitProblem, Objective
+from liaam.fitting.objective import Objective
+from liaam.fitting.problem import FitProblem
 from liaam.model import AAM
 from liaam.shape import diagonal_of
 from liaam.tracking import Tracker

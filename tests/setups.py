@@ -18,7 +18,8 @@ from liaam.datasets.scenes import (
     render,
 )
 from liaam.fitting import get_method
-from liaam.fitting.objective import FitProblem, Objective, make_objectives
+from liaam.fitting.objective import Objective, make_objectives
+from liaam.fitting.problem import FitProblem
 from liaam.io import write_image, write_landmarks
 from liaam.model import AAM
 from liaam.shape import align, diagonal_of

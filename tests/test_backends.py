@@ -84,18 +84,19 @@ def test_a_batch_is_pulled_and_weighed_as_its_images_one_by_one(library, rng, dt
     values[:, ::2, 5] = 1.0
     relative, left = rng.uniform(0.01, 0.5, (2, 40)).astype(dtype), rng.uniform(0.1, 0.4, (2, 2)).astype(dtype)
     known = (-6.0, 0.2), 0.1, 0.004, np.array([0.2, 0.7, 0.1]), 1e5, 0.5
-    residual, by_noise = rng.normal(size=(2, 9, 3)).astype(np.float32), rng.random((2, 9, 3)).astype(np.float32)
+    residual, squared = rng.normal(size=(2, 9, 3)).astype(np.float32), np.square(rng.normal(size=(3, 6)))
     usable = rng.random((2, 9)) > 0.3
     with working():
         pulled = fetch(reference.pull_batch(put(slopes), put(inverse), put(owners)))
         noise = fetch(reference.soft_noise_batch(put(values), put(relative), known[0], put(left), *known[1:]))
-        beyond = fetch(reference.beyond_noise_batch(put(residual), put(by_noise), put(usable), 0.7))
+        by_noise = (noise @ squared.T).astype(np.float32)
+        beyond = fetch(reference.beyond_noise_batch(put(residual), put(by_noise), put(usable), 0.5 * known[-2]))
     for i in range(2):
         np.testing.assert_allclose(pulled[i], fast.pull(slopes[i], inverse[i], owners), rtol=1e-4, atol=1e-5)
-        expected = fast.soft_noise(values[i], relative[i].astype(float), known[0], tuple(left[i]), *known[1:])
-        np.testing.assert_allclose(noise[i], expected, rtol=1e-4, atol=1e-6)
-        expected = fast.beyond_noise(residual[i], by_noise[i], usable[i], 0.7)
-        np.testing.assert_allclose(beyond[i], expected, rtol=1e-6)
+        seen = values[i], residual[i], usable[i].astype(np.float32), squared
+        expected = fast.soft_variances(*seen, relative[i], known[0], tuple(left[i]), *known[1:], True)
+        np.testing.assert_allclose(noise[i], expected[0], rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(beyond[i], expected[2], rtol=1e-3, atol=1e-5)
     assert pulled.dtype == noise.dtype == np.float32
 
 

@@ -87,26 +87,35 @@ def test_fast_carries_and_pulls_as_reference_says(seed):
     np.testing.assert_allclose(fast.pull(*arguments), reference.pull(*arguments), rtol=1e-5, atol=1e-5)
 
 
-@given(seed=st.integers(0, 99))
-def test_fast_knows_the_noise_that_reference_says(seed):
+@given(seed=st.integers(0, 99), colours=st.booleans())
+def test_fast_knows_the_noise_that_reference_says(seed, colours):
     rng = np.random.default_rng(seed)
+    weights = np.rint(rng.random(20)).astype(np.float32)
     angle, length = rng.uniform(0, 6.3, 20), rng.uniform(0, 1, 20)
     values = np.column_stack(
         [length * np.cos(angle), length * np.sin(angle), rng.uniform(-8, 1, (20, 3)), rng.random(20)]
     )
     values[::3, 5] = 1.0
+    residual = np.where(weights[:, None] > 0, rng.normal(size=(20, 3)), np.nan).astype(np.float32)
+    squared = np.square(rng.normal(size=(3, 6)))
+    squared[:2, 2:] = 0.0
+    seen = values.astype(np.float32), residual, weights, squared
     settings = (rng.uniform(0.01, 0.5, 40), (-7.0, 0.5), (0.3, 0.1), 0.1, 0.004, np.array([0.2, 0.7, 0.1]), 1e5, 0.5)
-    found, expected = (kernel.soft_noise(values.astype(np.float32), *settings) for kernel in (fast, reference))
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-7)
-    assert found.dtype == expected.dtype == np.float32
+    found, expected = (kernel.soft_variances(*seen, *settings, colours) for kernel in (fast, reference))
+    for ours, theirs in zip(found[:2], expected[:2], strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-7)
+        assert ours.dtype == theirs.dtype == np.float32
+    np.testing.assert_allclose(found[2], expected[2], rtol=1e-4, atol=1e-4)
 
 
-@given(n=st.integers(0, 20), seed=st.integers(0, 99))
-def test_fast_counts_beyond_noise_as_reference_says(n, seed):
+@given(n=st.integers(0, 600), seed=st.integers(0, 99))
+def test_fast_weighs_softly_as_reference_says(n, seed):
     rng = np.random.default_rng(seed)
-    residual, by_noise = rng.normal(size=(n, 3)).astype(np.float32), rng.random((n, 3)).astype(np.float32)
-    arguments = residual, by_noise, rng.random(n) > 0.3, 0.7
-    np.testing.assert_allclose(fast.beyond_noise(*arguments), reference.beyond_noise(*arguments), rtol=1e-9, atol=1e-9)
+    by_noise, own = rng.random((n, 3)).astype(np.float32), rng.random((n, 3)).astype(np.float32)
+    arguments = by_noise, rng.random(3), 4.0, own, np.rint(rng.random(n)).astype(np.float32)
+    (found, unit), (expected, other) = (kernel.soft_roots(*arguments) for kernel in (fast, reference))
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    np.testing.assert_allclose(unit, other, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", KERNELS)

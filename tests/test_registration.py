@@ -9,7 +9,7 @@ from finite_differences import assert_jacobian
 from liaam.datasets.scenes import Camera, narrow_band_camera, photograph, poster, uneven_light
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, get_method
-from liaam.fitting.objective import FitProblem
+from liaam.fitting.problem import FitProblem
 from liaam.io import read_image
 from liaam.photometry import THETA_DEFAULT
 from liaam.registration import OPTIONS, _levels, register

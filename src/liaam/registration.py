@@ -12,8 +12,9 @@ from liaam.appearance import AppearanceModel
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
 from liaam.fitting.fitter import Stage, Target, covariance, is_sane, solve_levels
-from liaam.fitting.objective import Objective, slope_left, tied_together
+from liaam.fitting.objective import Objective
 from liaam.fitting.picture import load_picture
+from liaam.fitting.problem import slope_left, tied_together
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.sampling import make_patch

@@ -7,7 +7,7 @@ import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
 from liaam.fitting.fitter import solve_levels
-from liaam.fitting.objective import SOFT_ROWS
+from liaam.fitting.trust import SOFT_ROWS
 from liaam.photometry import linear_to_srgb, srgb_to_linear
 from liaam.photometry.invariant import LUMINANCE
 from setups import disturb, finest_objective, make_problem, model_pixels, train_on

@@ -6,7 +6,8 @@ import numpy as np
 
 from liaam.fitting.methods import get_method
 from liaam.fitting.normal_equations import gram, regular_inverse
-from liaam.fitting.objective import FitProblem, Objective, State
+from liaam.fitting.objective import Objective, State
+from liaam.fitting.problem import FitProblem
 
 if TYPE_CHECKING:
     from liaam.fitting.result import FitResult

@@ -12,7 +12,8 @@ import numpy as np
 from liaam.errors import MethodError
 from liaam.fitting.methods import Method, get_method
 from liaam.fitting.normal_equations import NormalEquations, Sums, gram
-from liaam.fitting.objective import FitProblem, Objective, make_objectives
+from liaam.fitting.objective import Objective, make_objectives
+from liaam.fitting.problem import FitProblem
 from liaam.kernels import get_kernel
 from liaam.mesh import signed_areas
 from liaam.model import AAM

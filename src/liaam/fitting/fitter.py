@@ -11,8 +11,9 @@ from liaam.errors import ImageError, StartError
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.methods import DEFAULT_METHOD, Method, get_method
 from liaam.fitting.normal_equations import NormalEquations
-from liaam.fitting.objective import MARGIN, NEAR, FitProblem, Objective, State, make_objectives, noise_around
+from liaam.fitting.objective import Objective, State, make_objectives
 from liaam.fitting.picture import load_picture
+from liaam.fitting.problem import MARGIN, NEAR, FitProblem, noise_around
 from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.search import DOUBTFUL, Candidate, Finder
 from liaam.fitting.solver import Solution, SolverOptions, settle_lambda, solve

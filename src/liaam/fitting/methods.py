@@ -147,7 +147,7 @@ class Method:
 
     @property
     def reweighs(self) -> bool:
-        """Whether something is worked out anew between iterations (see :class:`objective.Trust`)."""
+        """Whether something is worked out anew between iterations (see :class:`liaam.fitting.trust.Trust`)."""
         return self.noise_weights or self.soft or self.normalise or self.loss != "squares"
 
     @property

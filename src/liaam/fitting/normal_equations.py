@@ -24,6 +24,10 @@ RIDGE = 1e-8
 """Relative ridge on A'A, far below any mode that can be seen; it keeps unseen modes from exploding."""
 
 
+ROUNDING = 1e-7
+"""Least eigenvalue of an expected Hessian, as a share of its largest: below it single precision says nothing."""
+
+
 def gram(left: np.ndarray, right: np.ndarray, block: int = BLOCK) -> np.ndarray:
     """Products of the rows of two wide float32 matrices, (a, b) float64: BLAS in blocks, summed in float64."""
     total = np.zeros((len(left), len(right)))
@@ -47,6 +51,49 @@ def regular_inverse(matrix: np.ndarray) -> np.ndarray:
     scaled = matrix / outer
     on_diagonal(scaled)[:] += RIDGE
     return np.linalg.inv(scaled) / outer
+
+
+def solve_lifted(
+    base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift: float, damping: float
+) -> np.ndarray:
+    """Solve by a symmetric matrix that is nowhere flatter than a share of another one, and damped by that.
+
+    Parameters
+    ----------
+    base : (n, n) float64
+        Positive, but for rounding.
+    hessian : (n, n) float64
+    right : (n,) float64
+    lift, damping : float
+        With H v = rho B v, rho becomes max(rho, lift) + damping.
+
+    Returns
+    -------
+    (n,) float64
+    """
+    from scipy.linalg import lapack  # heavy: imported when first needed
+
+    factor, failed = lapack.dpotrf(base, lower=1)
+    # Sums of float32 products need not be quite positive.
+    if failed or on_diagonal(factor).min() ** 2 < ROUNDING * np.trace(base):
+        return _solve_lifted_by_axes(base, hessian, right, lift, damping)
+    ratios, axes, failed = lapack.dsyevd(lapack.dsygst(hessian, factor, lower=1)[0], lower=1)
+    if failed:
+        return _solve_lifted_by_axes(base, hessian, right, lift, damping)
+    whitened = lapack.dtrtrs(factor, right, lower=1)[0]
+    whitened = axes @ ((whitened @ axes) / (np.maximum(ratios, lift) + damping))
+    return lapack.dtrtrs(factor, whitened, lower=1, trans=1)[0]
+
+
+def _solve_lifted_by_axes(
+    base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift: float, damping: float
+) -> np.ndarray:
+    """As :func:`solve_lifted`, with the least eigenvalues of the base lifted out of its rounding."""
+    sizes, axes = np.linalg.eigh(base)
+    whiten = axes / np.sqrt(np.maximum(sizes, ROUNDING * sizes[-1]))
+    ratios, axes = np.linalg.eigh(whiten.T @ hessian @ whiten)
+    axes = whiten @ axes
+    return axes @ ((axes.T @ right) / (np.maximum(ratios, lift) + damping))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -17,15 +17,22 @@ import numpy as np
 
 from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
-from liaam.fitting.losses import LOSSES, robust_scale
 from liaam.fitting.methods import Method
-from liaam.fitting.normal_equations import WIDE, NormalEquations, Sums, gram, regular_inverse
+from liaam.fitting.normal_equations import WIDE, NormalEquations, Sums, gram
+from liaam.fitting.problem import FitProblem, Look, tied_together
+from liaam.fitting.trust import (
+    SoftRows,
+    Trust,
+    Weighted,
+    noise_variances,
+    normalisation,
+    robust_weights,
+    soft_trust,
+    weigh,
+)
 from liaam.kernels import get_kernel
 from liaam.model import AAM, Level
-from liaam.photometry import LUMINANCE, NoiseModel, Response, from_linear, log_slope, noise_deviation
-from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS
-from liaam.sampling import Patch, make_patch
-from liaam.shape import ShapeModel, Similarity
+from liaam.shape import ShapeModel
 from liaam.warp import Warp
 
 
@@ -46,209 +53,6 @@ class State:
     p: np.ndarray
     angles: np.ndarray
     lam: np.ndarray
-
-
-MARGIN = 0.4
-"""Surroundings of the start that a fit may visit, as a share of the object's diagonal."""
-
-NEAR = 0.1
-"""The same for levels that start where a coarser one stopped."""
-
-
-@dataclass(frozen=True, eq=False)
-class FitProblem:
-    """One image to be fitted, as a method sees it.
-
-    Attributes
-    ----------
-    patch : Patch
-        Encoded surroundings of the start.
-    pose : Similarity
-        Model pixels to patch pixels.
-    response : Response
-        Of the image's camera.
-    noise : float or NoiseModel
-        Standard deviation of the noise that the patch's averaging leaves, in stored values of [0, 1]; or what is known
-        of the camera's noise, in linear light.
-    noise_left : float
-        Share of it that the blur of the encoded channels leaves.
-    slope_left : float
-        Standard deviation of a gradient per model pixel that noise of unit deviation leaves after the blur.
-    blur : float
-        Model pixels.
-    """
-
-    patch: Patch
-    pose: Similarity
-    response: Response = "srgb"
-    noise: float | NoiseModel = 0.0
-    noise_left: float = 1.0
-    slope_left: float = 1.0
-    blur: float = 0.0
-
-    @cached_property
-    def relative_noise(self) -> np.ndarray:
-        """Standard deviation of the logarithm by noise, at evenly spaced logarithms over :data:`LOGS`."""
-        return _relative_noise(np.exp(np.linspace(*LOGS, 512)), self)
-
-    @classmethod
-    def at(
-        cls,
-        image: np.ndarray,
-        shape: np.ndarray,
-        pose: Similarity,
-        method: Method,
-        response: Response,
-        blur: float,
-        noise: NoiseModel | float | None = None,
-        margin: float | None = None,
-    ) -> "FitProblem":
-        """Cut and encode an image around a shape.
-
-        Parameters
-        ----------
-        image : (h, w, 3) uint8, uint16 or float32
-        shape : (n, 2) float
-            Start, image pixels.
-        pose : Similarity
-            Model pixels to image pixels.
-        method : Method
-        response : Response
-            Of the image's camera.
-        blur : float
-            Model pixels.
-        noise : NoiseModel or float, optional
-            Of the image's camera, or as measured in the image; measured here if left out.
-        margin : float, optional
-            Surroundings that the fit may visit, as a share of the object's diagonal; :data:`MARGIN` if left out.
-        """
-        margin = MARGIN if margin is None else margin
-        patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=margin)
-        to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
-        if not method.weighs_noise:
-            return cls(patch, to_patch, response, blur=blur)
-        left, slope_left = _noise_left(to_patch.scale, blur)
-        return cls(patch, to_patch, response, _noise(image, shape, patch, noise), left, slope_left, blur)
-
-
-def tied_together(blur: float) -> float:
-    """Pixels that a Gaussian blur ties together to one independent value, 4 pi blur^2 or 1.
-
-    It is also what the blur divides white noise's variance by.
-
-    Parameters
-    ----------
-    blur : float
-        Standard deviation, pixels.
-    """
-    return max(1.0, 4.0 * np.pi * blur**2)
-
-
-def slope_left(blur: float) -> float:
-    """Standard deviation of a central difference of white noise of unit deviation under a Gaussian blur, pixels."""
-    return float(np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))) if blur > 0.3 else np.sqrt(0.5)
-
-
-def _noise_left(scale: float, blur: float) -> tuple[float, float]:
-    """What a blur (model pixels; ``scale`` patch pixels each) leaves of noise, and of its gradient per model pixel."""
-    return 1.0 / np.sqrt(tied_together(scale * blur)), scale * slope_left(scale * blur)
-
-
-def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel | float | None) -> float | NoiseModel:
-    """Noise around a shape after a patch's averaging."""
-    reduce = 1.0 / patch.from_image.scale
-    if isinstance(known, NoiseModel):
-        return NoiseModel(known.slope / reduce**2, known.offset / reduce**2)
-    return (noise_around(image, shape) if known is None else known) / reduce
-
-
-def noise_around(image: np.ndarray, shape: np.ndarray) -> float:
-    """Standard deviation of the noise around a shape, in stored values of [0, 1]."""
-    low = np.maximum(shape.min(axis=0).astype(int), 0)
-    high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
-    return noise_deviation(image[low[1] : high[1], low[0] : high[0]])
-
-
-@dataclass(frozen=True, eq=False)
-class _Weighted:
-    """Model side under weights that do not turn with an angle: worked out once for all iterations they are used in.
-
-    Attributes
-    ----------
-    root : (n_pixels, k) float32
-        Root of the weights.
-    aa : (m, m) float64
-        Gram matrix of the weighted modes.
-    inverse : (m, m) float64
-        Its inverse.
-    """
-
-    root: np.ndarray
-    aa: np.ndarray
-    inverse: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Trust:
-    """How far each pixel is trusted: worked out between iterations, frozen within one.
-
-    Attributes
-    ----------
-    weights : (n_pixels,) float32
-        By the robust loss; 1 without one.
-    noise : (n_pixels, c) float, optional
-        Variance of the encoded channels by the image's noise.
-    model : (n_pixels, 1) or (1, k) float, optional
-        Variance of the residual by the model's errors; goes with ``noise``.
-    unit : float
-        Variance that weighs 1: weights are 1 on average, so that a cost is the variance of such a residual.
-    gain, offset : float
-        Normalisation of the image's samples: they are compared as gain * E(I) + offset.
-    unexplained : tuple of float
-        Variance of the model's errors by group of rows, where it is estimated so.
-    weighted : _Weighted, optional
-        The model side under these weights, where they hold for every angle.
-    """
-
-    weights: np.ndarray
-    noise: np.ndarray | None = None
-    model: np.ndarray | None = None
-    unit: float = 1.0
-    gain: float = 1.0
-    offset: float = 0.0
-    unexplained: tuple[float, ...] = ()
-    weighted: _Weighted | None = None
-
-    def variance(self, metric: np.ndarray) -> np.ndarray | None:
-        """Variance of the residual in each row of P, (n_pixels, k); None where it is not modelled."""
-        if self.noise is None or self.model is None:
-            return None
-        return self.noise @ np.square(metric).T.astype(self.noise.dtype) + self.model
-
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """What a picture shows at a state, before it is weighed.
-
-    Attributes
-    ----------
-    values : (n_pixels, c) float32
-        Encoded samples of the image.
-    residual : (n_pixels, k) float32
-        P E(I) - P A.
-    steep : (n_pixels, k, 2) float32
-        Derivative of the residual by the place, x and y in the model's pixels.
-    by_angles : (n_free, n_pixels * k) float32
-        Derivative of the residual by the free angles.
-    weights : (n_pixels,) float32
-        Image weight in {0, 1}.
-    """
-
-    values: np.ndarray
-    residual: np.ndarray
-    steep: np.ndarray
-    by_angles: np.ndarray
-    weights: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,14 +317,14 @@ class Objective:
         )
         return Linearisation(sums, look, partial(self._equations, state.p, design, root, slope))
 
-    def _weighted_of(self, design: _Design, own_root: np.ndarray, trust: Trust | None) -> _Weighted:
+    def _weighted_of(self, design: _Design, own_root: np.ndarray, trust: Trust | None) -> Weighted:
         """Gram matrix of the modes under the model's and the trust's weights, all pixels of the image usable."""
         if trust is not None and trust.weighted is not None:
             return trust.weighted
         return self._fixed_weighted if trust is None and design is self._fixed_design else weigh(design.modes, own_root)
 
     @cached_property
-    def _fixed_weighted(self) -> _Weighted:
+    def _fixed_weighted(self) -> Weighted:
         return weigh(self._fixed_design.modes, self.root_weights)
 
     def _equations(
@@ -613,84 +417,54 @@ class Objective:
             None for methods that weigh all pixels as the model does, and where no pixel counts; ``before`` itself
             where little has changed.
         """
-        method, usable = self.method, seen.weights * self.appearance.usable > 0
-        if not method.reweighs or not usable.any():
+        method = self.method
+        if not method.reweighs:
+            return None
+        if method.soft:
+            return self._soft_trust(problem, state, seen, before)
+        usable = seen.weights * self.appearance.usable > 0
+        if not usable.any():
             return None
         metric = method.image_metric(state.angles[1])
-        gain, offset = self._normalisation(seen.values @ metric.T, usable) if method.normalise else (1.0, 0.0)
-        facts = {"weights": np.ones(len(usable), np.float32), "gain": gain, "offset": offset}
-        if method.noise_weights:
-            facts |= self._variances(problem, state, seen, usable)
-        if method.soft:
-            facts |= self._soft_variances(problem, metric, seen, usable)
-        trust = Trust(**facts)
-        if method.soft and before is not None and method.loss == "squares" and _alike(before, trust):
-            return before
-        if method.loss != "squares":
-            trust = replace(trust, weights=self._robust_weights(seen.residual, trust.variance(metric), usable))
-        # Weights by noise turn with a free angle.
-        turns = trust.noise is not None and method.angle_directions.any()
-        return trust if turns or method.angle_directions[0].any() else replace(trust, weighted=self._weighted(trust))
-
-    def _weighted(self, trust: Trust) -> _Weighted:
-        return weigh(self._fixed_design.modes, self._root_weights(self.theta_model, trust)[0])
-
-    def _normalisation(self, samples: np.ndarray, usable: np.ndarray) -> tuple[float, float]:
-        """Gain and offset that bring samples to the mean and deviation of the model's mean."""
-        own, seen = self._fixed_design.mean[usable], samples[usable]
-        spread = float(seen.std(dtype=np.float64))
-        gain = float(own.std(dtype=np.float64)) / spread if spread > 1e-6 else 1.0
-        return gain, float(own.mean(dtype=np.float64) - gain * seen.mean(dtype=np.float64))
-
-    def _variances(self, problem: FitProblem, state: State, seen: Linearisation, usable: np.ndarray) -> dict:
-        """Variance by noise and by the model's errors, and the one that weighs 1.
-
-        The model's errors are those of leaving one training image out, times a factor that makes the residuals
-        at hand most likely: nought where noise alone explains them.
-        """
-        relative = _relative_noise(np.exp(seen.values.astype(np.float64)), problem)
-        # A blur averages noise away, but not what the logarithm's curvature makes of it: log(rho + n) is low by
-        # up to half its relative variance on average.
-        noise = np.square(problem.noise_left * relative) + np.square(0.5 * np.square(relative))
-        metric = self.method.image_metric(state.angles[1])
-        by_noise = noise @ np.square(metric).mean(axis=0)
+        samples = seen.values @ metric.T
+        gain, offset = normalisation(self._fixed_design.mean, samples, usable) if method.normalise else (1.0, 0.0)
+        trust = Trust(np.ones(len(usable), np.float32), gain=gain, offset=offset)
         by_model = self._unexplained(state.angles[0])
-        squares = np.square(seen.residual, dtype=np.float64).mean(axis=1)[usable]
-        factor = _likeliest_factor(squares, by_noise[usable], by_model[usable])
-        model = factor * by_model
-        unit = float(1.0 / np.mean(1.0 / (by_noise + model)[usable]))
-        return {"noise": noise, "model": model[:, None], "unit": unit}
+        if method.noise_weights:
+            trust = replace(trust, **noise_variances(problem, seen.look, metric, by_model, usable))
+        return self._with_products(self._robust(trust, state, seen.look))
 
-    def _soft_variances(self, problem: FitProblem, metric: np.ndarray, seen: Linearisation, usable: np.ndarray) -> dict:
-        """Variance by noise and by what the model leaves unexplained, both as strong as their correlation makes them.
+    def _soft_trust(self, problem: FitProblem, state: State, seen: Linearisation, before: Trust | None) -> Trust | None:
+        metric, colours = self.method.image_metric(state.angles[1]), self._knows_colours
+        rows = SoftRows(metric, self.tied_in(problem), self.root_weights, colours)
+        robust = self.method.loss != "squares"
+        made = soft_trust(self.kernel, problem, seen.look, rows, None if robust else before)
+        if made is None:
+            return before
+        if robust or self.method.angle_directions.any():
+            return self._with_products(self._robust(made[0], state, seen.look))
+        return replace(made[0], weighted=weigh(self._fixed_design.modes, made[1]))
 
-        What is unexplained is alike within the gradient's rows and within the invariant's, and is what the residual at
-        hand has beyond noise: where the light is as in training the invariant is precise, where it is not, or where
-        colours carry JPEG's errors, it steps back behind the gradient, and the other way round in noise.
-        """
-        tied = self.tied_in(problem)
-        noise = get_kernel(self.kernel).soft_noise(
-            seen.values,
-            problem.relative_noise,
-            LOGS,
-            (problem.noise_left, problem.slope_left),
-            SOFTNESS,
-            LOG_FLOOR,
-            LUMINANCE[0],
-            UNKNOWN,
-            MOST_DIRECTION_NOISE,
-        )
-        if not self.appearance.mean[:, 2].any():  # learnt from grey pictures
-            noise[:, 2:5] = UNKNOWN
-        by_noise = noise @ np.square(metric).T.astype(np.float32)
-        sums = get_kernel(self.kernel).beyond_noise(seen.residual, by_noise, usable, 0.5 * UNKNOWN)
-        model, found = np.empty((1, len(metric)), np.float32), []
-        for rows, correlated in SOFT_ROWS:
-            count, squares, beyond = sums[rows].sum(axis=0) / max(sums[rows, 0].sum(), 1.0)
-            found.append(max(beyond, LEAST_UNEXPLAINED * squares + 1e-9) if count else 1e-9)
-            model[:, rows] = correlated * tied * found[-1]
-        unit = 1.0 / float(np.reciprocal(tied * by_noise + model)[usable].mean(dtype=np.float64))
-        return {"noise": tied * noise, "model": model, "unit": unit, "unexplained": tuple(found)}
+    @cached_property
+    def _knows_colours(self) -> bool:
+        """Whether a soft appearance was learnt from colour pictures."""
+        return bool(self.appearance.mean[:, 2].any())
+
+    def _robust(self, trust: Trust, state: State, look: Look) -> Trust:
+        """Trust with weights by the method's loss."""
+        if self.method.loss == "squares":
+            return trust
+        variance = trust.variance(self.method.image_metric(state.angles[1]))
+        usable, by_model = look.weights * self.appearance.usable > 0, self._unexplained(self.theta_model)
+        return replace(trust, weights=robust_weights(self.method.loss, look.residual, variance, by_model, usable))
+
+    def _with_products(self, trust: Trust) -> Trust:
+        """Trust with the model side under it, where it does not turn with a free angle, as weights by noise do."""
+        turns = trust.noise is not None and self.method.angle_directions.any()
+        if turns or self.method.angle_directions[0].any():
+            return trust
+        root = self._root_weights(self.theta_model, trust)[0]
+        return replace(trust, weighted=weigh(self._fixed_design.modes, root))
 
     def tied_in(self, problem: FitProblem) -> float:
         """Pixels looked at that stand for one independent residual of a soft method."""
@@ -704,20 +478,6 @@ class Objective:
             return np.zeros(len(self.appearance.mean))
         metric = self.method.model_metric(theta)
         return np.einsum("kc,ncd,kd->n", metric, unexplained, metric, optimize=True) / len(metric)
-
-    def _robust_weights(self, residual: np.ndarray, variance: np.ndarray | None, usable: np.ndarray) -> np.ndarray:
-        """Weights by the method's loss, (n_pixels,) float32."""
-        loss = LOSSES[self.method.loss]
-        squares = np.square(residual, dtype=np.float64)
-        sizes = np.sqrt(squares.mean(axis=1))
-        if self.method.loss == "learnt":
-            # A picture under another light leaves more everywhere: the median pixel still counts.
-            deviation = np.sqrt(self._unexplained(self.theta_model) + 1e-12)
-            u = sizes / deviation
-            weights = loss(u / max(robust_scale(u[usable], residual.shape[1]), 1.0)) / deviation
-            return (weights / max(weights[usable].mean(), 1e-300)).astype(np.float32)
-        u = sizes if variance is None else np.sqrt((squares / variance).mean(axis=1))
-        return loss(u / max(robust_scale(u[usable], residual.shape[1]), 1e-9)).astype(np.float32)
 
     def _by_angles(self, state: State, values: np.ndarray) -> np.ndarray:
         """dr/d(free angles), (n_free, n_pixels * k): the angle terms of paper eq 10."""
@@ -733,69 +493,10 @@ class Objective:
         return columns
 
 
-def weigh(modes: np.ndarray, root: np.ndarray) -> _Weighted:
-    """Gram matrix of modes (m, n * k) under weights (n, k), and its inverse."""
-    weighted = modes * root.reshape(-1)
-    aa = gram(weighted, weighted)
-    return _Weighted(root, aa, regular_inverse(aa))
-
-
 def _rows_of(steep: np.ndarray, root: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
     """Rows root * steep . dW/dp of J', (n_p, n * k) float32."""
     columns = np.einsum("nka,naj->jnk", root[:, :, None] * steep, jacobian, optimize=True)
     return columns.reshape(jacobian.shape[2], -1)
-
-
-def _relative_noise(linear: np.ndarray, problem: FitProblem) -> np.ndarray:
-    """Standard deviation of the logarithm of linear light (any shape) by the image's noise."""
-    if isinstance(problem.noise, NoiseModel):
-        return np.sqrt(problem.noise.variance(linear)) / np.maximum(linear, 1e-6)
-    stored = np.maximum(from_linear(linear, problem.response), 1e-3)
-    return problem.noise * log_slope(stored, problem.response)
-
-
-LOGS = (-7.0, 0.5)
-"""Logarithms of linear light between which its noise is worked out: from black to highlights."""
-
-SOFT_ROWS = ((slice(0, 2), 8.0), (slice(2, 3), 30.0))
-"""Rows of the metric ``soft`` whose unexplained part is alike, and by how much more it is correlated than the blur
-makes noise: model errors are patches, not grains, and those of colour are the widest."""
-
-UNKNOWN = 1e5
-"""Variance that stands for a pixel whose logarithm says nothing."""
-
-LEAST_UNEXPLAINED = 0.02
-"""Share of the residual's variance that is never put down to noise."""
-
-MOST_DIRECTION_NOISE = 0.5
-"""Variance of each component of a direction that says nothing."""
-
-
-ALIKE = 0.1
-"""Relative change of a variance below which pixels are not weighed anew."""
-
-
-MOVED = 0.02
-"""Share of the pixels that may have come to say something, or ceased to, before they are weighed anew."""
-
-
-def _alike(before: Trust, now: Trust) -> bool:
-    """Tell whether soft weights have hardly changed: what is unexplained, and which pixels' logarithm says nothing."""
-    if before.noise is None or now.noise is None or len(before.unexplained) != len(now.unexplained):
-        return False
-    changed = (before.noise[:, 2] >= UNKNOWN) != (now.noise[:, 2] >= UNKNOWN)
-    growth = np.log(np.array(now.unexplained) / np.array(before.unexplained))
-    return bool((np.abs(growth) < ALIKE).all()) and float(changed.mean()) < MOVED
-
-
-FACTORS = np.concatenate([[0.0], np.geomspace(1e-3, 30.0, 19)])
-
-
-def _likeliest_factor(squares: np.ndarray, by_noise: np.ndarray, by_model: np.ndarray) -> float:
-    """Factor f for which squared residuals are most likely under variances by_noise + f * by_model."""
-    variances = by_noise + FACTORS[:, None] * by_model + 1e-300
-    cost = (np.log(variances) + squares / variances).mean(axis=1)
-    return float(FACTORS[cost.argmin()])
 
 
 THINNING = 1.5

@@ -14,8 +14,9 @@ import numpy as np
 from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
 from liaam.fitting.methods import get_method
-from liaam.fitting.objective import THINNING, FitProblem, Objective, make_objectives
+from liaam.fitting.objective import THINNING, Objective, make_objectives
 from liaam.fitting.picture import load_picture
+from liaam.fitting.problem import FitProblem
 from liaam.fitting.solver import Solution, SolverOptions, solve
 from liaam.kernels import get_kernel
 from liaam.mesh import ReferenceFrame, signed_areas

@@ -17,9 +17,11 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.fitting.normal_equations import NormalEquations, Sums, on_diagonal
-from liaam.fitting.objective import FitProblem, Linearisation, Objective, State, Trust
+from liaam.fitting.normal_equations import NormalEquations, Sums, on_diagonal, solve_lifted
+from liaam.fitting.objective import Linearisation, Objective, State
 from liaam.fitting.prior import next_scale
+from liaam.fitting.problem import FitProblem
+from liaam.fitting.trust import Trust
 
 ELIMINATIONS = ("varpro", "joint")
 ANGLE_STARTS = ("best", "model")
@@ -144,9 +146,6 @@ beyond 8 % without; 1 would be Fisher scoring, which takes twice as many steps."
 TO_AND_FRO = 0.5
 """Share of the step before it that a step back may have; a longer one says that steps go to and fro about a kink of
 bilinear samples, which noise makes sharp, and doubles the least curvature."""
-
-ROUNDING = 1e-7
-"""Least eigenvalue of an expected Hessian, as a share of its largest: below it single precision says nothing."""
 
 SCORING_STEPS = 5
 """Steps with the expected gradient that methods with weights by noise end each level with, at most, under the weights
@@ -338,7 +337,8 @@ def _expected_step(objective: Objective, run: _Run, options: SolverOptions) -> _
     curvature = run.last.with_gradient(gradient).reduced()[0] if run.curvature is None else run.curvature
     scale, precision = _prior(objective, run, curvature, options)
     equations = run.last.expecting(gradient)
-    metric = curvature + np.diag(precision)
+    metric = curvature.copy()
+    on_diagonal(metric)[:] += precision
     step = _guarded_step(equations, metric, state, precision, run.free, run.lift, run.damping)
     if step is None:
         return None
@@ -503,20 +503,19 @@ def _guarded_step(
     if not equations.weight > 0 or not np.isfinite(equations.rr):
         return None
     hessian, gradient = equations.reduced()
-    if not (np.isfinite(hessian).all() and np.isfinite(base).all()):
+    if not np.isfinite(hessian.sum() + base.sum()):
         return None
     # A picture that is flat under the model has no gradient of its own, whatever is expected.
     if not np.abs(hessian.diagonal()[: len(state.p)]).max() > 1e-10 * equations.weight:
         return None
-    gradient = gradient + precision * np.concatenate([state.p, np.zeros(len(free) - len(state.p))])
-    own = np.diag(precision)[np.ix_(free, free)]
-    base, hessian = base[np.ix_(free, free)], hessian[np.ix_(free, free)] + own
-    # Sums of float32 products need not be quite positive.
-    sizes, axes = np.linalg.eigh(base)
-    whiten = axes / np.sqrt(np.maximum(sizes, ROUNDING * sizes[-1]))
-    ratios, axes = np.linalg.eigh(whiten.T @ hessian @ whiten)
-    axes, step = whiten @ axes, np.zeros(len(free))
-    step[free] = -axes @ ((axes.T @ gradient[free]) / (np.maximum(ratios, lift) + damping))
+    gradient, hessian = gradient.copy(), hessian.copy()  # the equations keep theirs
+    gradient[: len(state.p)] += precision[: len(state.p)] * state.p
+    diagonal = on_diagonal(hessian)  # a view
+    diagonal += precision
+    if free.all():
+        return -solve_lifted(base, hessian, gradient, lift, damping)
+    step, own = np.zeros(len(free)), np.ix_(free, free)
+    step[free] = -solve_lifted(base[own], hessian[own], gradient[free], lift, damping)
     return step
 
 

@@ -332,7 +332,7 @@ def soft_noise_batch(
     span : (lowest, highest)
     left : (b, 2) of the type of ``relative``
     softness, floor, luminance, unknown, most
-        As for :func:`soft_noise`.
+        As for :func:`soft_variances`.
 
     Returns
     -------
@@ -367,46 +367,6 @@ def _interpolate(at: Array, table: Array, span: tuple[float, float]) -> Array:
     return low + (place - whole) * (high - low)
 
 
-def soft_noise(
-    values: np.ndarray,
-    relative: np.ndarray,
-    span: tuple[float, float],
-    left: tuple[float, float],
-    softness: float,
-    floor: float,
-    luminance: np.ndarray,
-    unknown: float,
-    most: float,
-) -> np.ndarray:
-    """Variance of the six channels of ``soft`` by the image's noise, to first order: :func:`soft_noise_batch` of one.
-
-    Parameters
-    ----------
-    values : (n, 6) float32
-        Samples: o, log R, G and B, and how far those are known.
-    relative : (s,) float64
-        Standard deviation of the logarithm by noise, at evenly spaced logarithms.
-    span : (lowest, highest)
-        Of these logarithms; beyond them the nearest counts.
-    left : (values, slopes)
-        Share of the noise's deviation that the blur leaves, and deviation of a slope by noise of unit deviation.
-    softness, floor : float
-        Those of the encoding.
-    luminance : (3,) float64
-        Weights of R, G and B.
-    unknown : float
-        Variance of a logarithm that is not known.
-    most : float
-        Largest variance of a component of o.
-
-    Returns
-    -------
-    (n, 6) float32
-    """
-    settings = softness, floor, luminance, unknown, most
-    return soft_noise_batch(values[None], np.asarray(relative, np.float64)[None], span, np.array([left]), *settings)[0]
-
-
 def beyond_noise_batch(residual: Array, by_noise: Array, usable: Array, limit: float) -> Array:
     """Squares of residuals, and what they have beyond noise, summed over the pixels where noise says something.
 
@@ -415,7 +375,7 @@ def beyond_noise_batch(residual: Array, by_noise: Array, usable: Array, limit: f
     residual, by_noise : (b, n, k) float32
     usable : (b, n) bool
     limit : float
-        As for :func:`beyond_noise`.
+        Variance from which on a residual says nothing.
 
     Returns
     -------
@@ -429,23 +389,96 @@ def beyond_noise_batch(residual: Array, by_noise: Array, usable: Array, limit: f
     return xp.stack([xp.sum(xp.where(known, column, nothing), axis=1) for column in columns], axis=-1)
 
 
-def beyond_noise(residual: np.ndarray, by_noise: np.ndarray, usable: np.ndarray, limit: float) -> np.ndarray:
-    """Squares of residuals, and what they have beyond noise, summed where noise says something: a batch of one.
+def soft_variances(
+    values: np.ndarray,
+    residual: np.ndarray,
+    weights: np.ndarray,
+    squared: np.ndarray,
+    relative: np.ndarray,
+    span: tuple[float, float],
+    left: tuple[float, float],
+    softness: float,
+    floor: float,
+    luminance: np.ndarray,
+    unknown: float,
+    most: float,
+    colours: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Variance of ``soft`` by the image's noise, and squares of residuals summed where that says something.
+
+    :func:`soft_noise_batch` and :func:`beyond_noise_batch` of one.
 
     Parameters
     ----------
-    residual, by_noise : (n, k) float32
-        Residuals, and their variance by noise.
-    usable : (n,) bool
-    limit : float
-        Variance from which on a residual says nothing.
+    values : (n, 6) float32
+        Samples: o, log R, G and B, and how far those are known.
+    residual : (n, k) float32
+    weights : (n,) float32
+        Positive for pixels that count.
+    squared : (k, 6) float
+        Squares of the metric's entries; the sixth channel has no noise.
+    relative : (s,) float64
+        Standard deviation of the logarithm by noise, at evenly spaced logarithms.
+    span : (lowest, highest)
+        Of these logarithms; beyond them the nearest counts.
+    left : (values, slopes)
+        Share of the noise's deviation that the blur leaves, and deviation of a slope by noise of unit deviation.
+    softness, floor : float
+        Those of the encoding.
+    luminance : (3,) float64
+        Weights of R, G and B.
+    unknown : float
+        Variance of a logarithm that is not known; rows from half of it on do not count.
+    most : float
+        Largest variance of a component of o.
+    colours : bool
+        Whether logarithms say anything at all.
 
     Returns
     -------
-    (k, 3) float64
-        Of each row: how many count, their squares, and these less the variance by noise.
+    noise : (n, 6) float32
+        Variance of the channels.
+    by_noise : (n, k) float32
+        Of the rows.
+    sums : (k, 3) float64
+        Of each row: how many pixels count, their squared residuals, and these less the variance by noise.
     """
-    return beyond_noise_batch(residual[None], by_noise[None], usable[None], limit)[0]
+    settings = softness, floor, luminance, unknown, most
+    noise = soft_noise_batch(values[None], np.asarray(relative, np.float64)[None], span, np.array([left]), *settings)[0]
+    if not colours:
+        noise[:, 2:5] = unknown
+    by_noise = (noise @ squared.T).astype(np.float32)
+    return noise, by_noise, beyond_noise_batch(residual[None], by_noise[None], weights[None] > 0, 0.5 * unknown)[0]
+
+
+def soft_roots(
+    by_noise: np.ndarray, model: np.ndarray, tied: float, own: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Roots of soft weights: those of the variance's inverse, brought to a mean weight of 1 over pixels that count.
+
+    Parameters
+    ----------
+    by_noise : (n, k) float32
+        Variance of each pixel's rows by noise.
+    model : (k,) float
+        Variance of each row by the model's errors.
+    tied : float
+        Pixels that the blur ties to one.
+    own : (n, k) float32
+        Root of the model's own weights.
+    weights : (n,) float32
+        The image's weights in {0, 1}.
+
+    Returns
+    -------
+    roots : (n, k) float32
+    unit : float
+        Variance that weighs 1; NaN where no pixel counts.
+    """
+    precision = 1.0 / (tied * by_noise.astype(np.float64) + np.asarray(model, np.float64))
+    usable = weights * own[:, 0] > 0
+    unit = 1.0 / precision[usable].mean() if usable.any() else np.nan
+    return (own * np.sqrt(unit * precision)).astype(np.float32), float(unit)
 
 
 def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarray:

@@ -21,7 +21,8 @@ from liaam.errors import MethodError
 from liaam.fitting.batched.equations import Array, Equations, apply, gram, regular_inverse
 from liaam.fitting.methods import Method
 from liaam.fitting.normal_equations import BLOCK
-from liaam.fitting.objective import FitProblem, Objective, State
+from liaam.fitting.objective import Objective, State
+from liaam.fitting.problem import FitProblem
 from liaam.kernels.backends import Backend
 from liaam.kernels.reference import carry_batch, pull_batch, steepest_batch
 from liaam.warp import PiecewiseAffineWarp
@@ -64,7 +65,7 @@ class States(NamedTuple):
 
 
 class Trusts(NamedTuple):
-    """How far each pixel is trusted (see :class:`liaam.fitting.objective.Trust`).
+    """How far each pixel is trusted (see :class:`liaam.fitting.trust.Trust`).
 
     Attributes
     ----------
@@ -84,7 +85,7 @@ class Trusts(NamedTuple):
 
 
 class Look(NamedTuple):
-    """What the pictures show, as for one picture (see :class:`liaam.fitting.objective.Look`), float32.
+    """What the pictures show, as for one picture (see :class:`liaam.fitting.problem.Look`), float32.
 
     Attributes
     ----------

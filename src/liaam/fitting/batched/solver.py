@@ -28,9 +28,10 @@ from liaam.fitting.batched.equations import (
 from liaam.fitting.batched.objective import BatchObjective, Look, Pictures, Seen, Shared, States, Trusts, recurring
 from liaam.fitting.batched.trust import alike, soft_trust
 from liaam.fitting.normal_equations import NormalEquations
-from liaam.fitting.objective import FitProblem, Linearisation, State
-from liaam.fitting.objective import Look as OneLook
+from liaam.fitting.objective import Linearisation, State
 from liaam.fitting.prior import next_scale
+from liaam.fitting.problem import FitProblem
+from liaam.fitting.problem import Look as OneLook
 from liaam.fitting.solver import (
     DAMPING_RANGE,
     EXPECTED_RISE,

@@ -4,14 +4,15 @@ from array_api_compat import array_namespace
 
 from liaam.fitting.batched.equations import Array
 from liaam.fitting.batched.objective import BatchObjective, Look, Pictures, Shared, States, Trusts
-from liaam.fitting.objective import ALIKE, LEAST_UNEXPLAINED, LOGS, MOST_DIRECTION_NOISE, MOVED, SOFT_ROWS, UNKNOWN
+from liaam.fitting.problem import LOGS
+from liaam.fitting.trust import ALIKE, LEAST_UNEXPLAINED, MOST_DIRECTION_NOISE, MOVED, SOFT_ROWS, UNKNOWN
 from liaam.kernels.reference import beyond_noise_batch, soft_noise_batch
 from liaam.photometry import LUMINANCE
 from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS
 
 
 def soft_trust(objective: BatchObjective, shared: Shared, pictures: Pictures, state: States, look: Look) -> Trusts:
-    """What noise and the model's errors make of each pixel's weight: ``Objective._soft_variances``."""
+    """What noise and the model's errors make of each pixel's weight: ``trust.soft_trust``."""
     xp = objective.xp
     usable = look.weights * shared.root[:, 0] > 0  # (b, n)
     tied = xp.astype(pictures.tied, xp.float32)[:, None, None]
@@ -44,7 +45,7 @@ def soft_trust(objective: BatchObjective, shared: Shared, pictures: Pictures, st
 
 
 def _unexplained(sums: Array) -> Array:
-    """Variance of the model's errors in each group of rows, (b, groups), by the sums of ``beyond_noise``."""
+    """Variance of the model's errors in each group of rows, (b, groups), by the sums of ``soft_variances``."""
     xp, found = array_namespace(sums), []
     for rows, _ in SOFT_ROWS:
         total = xp.sum(sums[:, rows, :], axis=1)
@@ -64,7 +65,7 @@ def _by_row(unexplained: Array, like: Array) -> Array:
 
 
 def alike(before: Trusts, now: Trusts) -> Array:
-    """Tell whether weights have hardly changed, (b,) bool: ``objective._alike``."""
+    """Tell whether weights have hardly changed, (b,) bool: ``trust._alike``."""
     xp = array_namespace(now.unit)
     known = ~xp.isnan(before.unit) & ~xp.isnan(now.unit)
     changed = xp.astype(before.silent != now.silent, xp.float32)
