@@ -76,6 +76,19 @@ def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, expect
         assert ours.dtype == np.float64
 
 
+@given(n=st.integers(0, 700), rows=st.integers(1, 3), n_modes=st.integers(0, 5), seed=st.integers(0, 999))
+def test_fast_weighs_as_reference_says(n, rows, n_modes, seed):
+    rng = np.random.default_rng(seed)
+    modes = rng.normal(size=(n_modes, n * rows)).astype(np.float32)
+    residual, own = rng.normal(size=(2, n, rows)).astype(np.float32)
+    found, expected = (kernel.weighted_gram(modes, own) for kernel in (fast, reference))
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-3)
+    assert found.dtype == np.float64
+    arguments = residual, modes, own, np.rint(rng.random(n)).astype(np.float32)
+    for ours, theirs in zip(fast.residual_sums(*arguments), reference.residual_sums(*arguments), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-3)
+
+
 @given(seed=st.integers(0, 99))
 def test_fast_carries_and_pulls_as_reference_says(seed):
     rng = np.random.default_rng(seed)
@@ -85,6 +98,11 @@ def test_fast_carries_and_pulls_as_reference_says(seed):
     slopes = rng.normal(size=(9, 2, 3)).astype(np.float32)
     arguments = slopes, rng.normal(size=(4, 2, 2)), rng.integers(0, 4, 9, dtype=np.int32)
     np.testing.assert_allclose(fast.pull(*arguments), reference.pull(*arguments), rtol=1e-5, atol=1e-5)
+    points, shape = rng.normal(size=(2, 6, 2))
+    shape[1] = shape[0] + 1e-3 * rng.normal(size=2)  # triangles with both are flat
+    arguments = points, shape, np.array([rng.permutation(6)[:3] for _ in range(20)])
+    found, expected = (kernel.inverse_affinities(*arguments) for kernel in (fast, reference))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 @given(seed=st.integers(0, 99), colours=st.booleans())

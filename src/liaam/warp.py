@@ -224,7 +224,7 @@ class PiecewiseAffineWarp:
         from liaam.kernels import fast  # numba: imported when first needed
 
         vertices = self._vertices(self.shape_model.shape(p))
-        inverse = _inverse_affinities(self.frame.points, vertices, self.frame.triangles)
+        inverse = fast.inverse_affinities(self.frame.points, vertices, self.frame.triangles)
         return fast.pull(np.asarray(slopes, np.float32), inverse, self._owners)
 
 
@@ -233,28 +233,6 @@ def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> Piecewise
     around = surroundings(shape_model.mean, triangles)
     frame = ReferenceFrame(around.extension @ shape_model.mean, around.triangles)
     return PiecewiseAffineWarp(frame, shape_model, around.extension)
-
-
-def _inverse_affinities(points: np.ndarray, shape: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Linear parts (t, 2, 2) of the maps from each triangle on a shape back to the one on the points."""
-
-    def edges(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        a, b, c = (vertices[triangles[:, i]] for i in range(3))
-        return b - a, c - a
-
-    def area(along: np.ndarray, across: np.ndarray) -> np.ndarray:
-        return along[:, 0] * across[:, 1] - across[:, 0] * along[:, 1]
-
-    (along, across), here = edges(shape), edges(points)
-    twice = area(along, across)
-    flat = np.abs(twice) < 0.05 * np.abs(area(*here))
-    factor = np.divide(1.0, twice, out=np.zeros_like(twice), where=~flat)[:, None]
-    # The inverse of the matrix whose columns are the edges there, by its rows.
-    rows = (
-        np.stack([across[:, 1], -across[:, 0]], axis=1) * factor,
-        np.stack([-along[:, 1], along[:, 0]], axis=1) * factor,
-    )
-    return here[0][:, :, None] * rows[0][:, None, :] + here[1][:, :, None] * rows[1][:, None, :]
 
 
 GENERATORS: dict[str, tuple[tuple[tuple[int, int, float], ...], ...]] = {

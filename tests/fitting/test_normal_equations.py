@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from liaam.fitting.normal_equations import BLOCK, NormalEquations, Sums, gram
+from liaam.fitting.normal_equations import BLOCK, NormalEquations, Sums, gram, solve_lifted
 
 
 @given(rows=st.sampled_from([1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 5]), seed=st.integers(0, 9))
@@ -100,3 +100,17 @@ def test_two_equal_modes_do_not_explode(rng):
 
 def test_without_pixels_the_cost_is_infinite():
     assert Sums(aa=np.zeros((2, 2)), ar=np.zeros(2), rr=0.0, weight=0.0).cost == np.inf
+
+
+@pytest.mark.parametrize("rank", [6, 4])
+def test_a_lifted_solution_is_nowhere_flatter_than_the_base(rng, rank):
+    """Curvature below the lift is lifted to it, more is kept, and a base that is flat somewhere is no fault."""
+    n, lift, damping = 6, 0.5, 0.1
+    base = np.diag(np.where(np.arange(n) < rank, np.arange(1.0, n + 1), 0.0))
+    ratios = np.array([2.0, 0.1, 1.0, -3.0, 0.6, 0.2])
+    turn = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    right = turn @ np.where(np.arange(n) < rank, 1.0, 0.0)
+    found = solve_lifted(turn @ base @ turn.T, turn @ (ratios * base) @ turn.T, right, lift, damping)
+    expected = 1.0 / ((np.maximum(ratios, lift) + damping) * np.arange(1.0, n + 1))
+    np.testing.assert_allclose((turn.T @ found)[:rank], expected[:rank], rtol=1e-8)
+    assert np.isfinite(found).all()

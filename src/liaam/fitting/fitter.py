@@ -447,9 +447,10 @@ def evidence(stage: Stage) -> np.ndarray:
 
 def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
     """Covariance of each landmark by that of p (first in ``spread``), (n, 2, 2) float64, model pixels squared."""
-    basis = shapes.basis.reshape(-1, shapes.n_points, 2)
-    n_p = len(basis)
-    return np.einsum("ina,ij,jnb->nab", basis, spread[:n_p, :n_p], basis, optimize=True)
+    n_p = len(shapes.basis)
+    basis = shapes.basis.reshape(n_p, -1, 2)
+    carried = (spread[:n_p, :n_p] @ shapes.basis).reshape(n_p, -1, 2)
+    return np.einsum("ina,inb->nab", basis, carried)
 
 
 def landmark_covariances(

@@ -180,9 +180,12 @@ class Method:
 
     def model_metric(self, theta: float) -> np.ndarray:
         """Rows of P for the model (angle theta_1), (k, channels of the appearance)."""
-        # These two were projected before they were learnt.
-        projected = self.appearance in ("invariant", "orientation", "soft")
-        return np.eye(self.n_rows) if projected else self.image_metric(theta)
+        return self.image_metric(theta) if self.projects_appearance else np.eye(self.n_rows)
+
+    @property
+    def projects_appearance(self) -> bool:
+        """Whether the model's appearance is yet to be projected; these were before they were learnt."""
+        return self.appearance not in ("invariant", "orientation", "soft")
 
     def image_metric_derivative(self, theta: float) -> np.ndarray:
         """dP/dtheta for the image, (k, channels of the encoding)."""

@@ -8,8 +8,9 @@ All that a step needs are Gram matrices of the columns [J | r] and A. QJ, with Q
 complement of A, is never formed: J'QJ = J'J - (A'J)' (A'A)^-1 (A'J).
 """
 
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Self
 
 import numpy as np
@@ -53,9 +54,7 @@ def regular_inverse(matrix: np.ndarray) -> np.ndarray:
     return np.linalg.inv(scaled) / outer
 
 
-def solve_lifted(
-    base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift: float, damping: float
-) -> np.ndarray:
+def solve_lifted(base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift: float, damping: float) -> np.ndarray:
     """Solve by a symmetric matrix that is nowhere flatter than a share of another one, and damped by that.
 
     Parameters
@@ -71,18 +70,25 @@ def solve_lifted(
     -------
     (n,) float64
     """
-    from scipy.linalg import lapack  # heavy: imported when first needed
-
-    factor, failed = lapack.dpotrf(base, lower=1)
+    potrf, sygst, syevd, trtrs = _lapack()
+    factor, failed = potrf(base, lower=1)
     # Sums of float32 products need not be quite positive.
     if failed or on_diagonal(factor).min() ** 2 < ROUNDING * np.trace(base):
         return _solve_lifted_by_axes(base, hessian, right, lift, damping)
-    ratios, axes, failed = lapack.dsyevd(lapack.dsygst(hessian, factor, lower=1)[0], lower=1)
+    ratios, axes, failed = syevd(sygst(hessian, factor, lower=1)[0], lower=1)
     if failed:
         return _solve_lifted_by_axes(base, hessian, right, lift, damping)
-    whitened = lapack.dtrtrs(factor, right, lower=1)[0]
+    whitened = trtrs(factor, right, lower=1)[0]
     whitened = axes @ ((whitened @ axes) / (np.maximum(ratios, lift) + damping))
-    return lapack.dtrtrs(factor, whitened, lower=1, trans=1)[0]
+    return trtrs(factor, whitened, lower=1, trans=1)[0]
+
+
+@lru_cache(maxsize=1)
+def _lapack() -> tuple[Callable, ...]:
+    """LAPACK itself: of systems this small, checking takes as long as solving."""
+    from scipy.linalg.lapack import get_lapack_funcs  # heavy: imported when first needed
+
+    return tuple(get_lapack_funcs(("potrf", "sygst", "syevd", "trtrs"), dtype=np.float64))
 
 
 def _solve_lifted_by_axes(
@@ -164,8 +170,17 @@ class NormalEquations(Sums):
     @classmethod
     def of(cls, sums: Sums, jj: np.ndarray, jr: np.ndarray, aj: np.ndarray) -> Self:
         """Add the products of the derivatives to what is known without them."""
-        own = {field.name: getattr(sums, field.name) for field in fields(Sums)}
-        return cls(jj=jj, jr=jr, aj=aj, **own)
+        return cls(
+            aa=sums.aa,
+            ar=sums.ar,
+            rr=sums.rr,
+            weight=sums.weight,
+            inverse=sums.inverse,
+            unit=sums.unit,
+            jj=jj,
+            jr=jr,
+            aj=aj,
+        )
 
     @cached_property
     def _reduced(self) -> tuple[np.ndarray, np.ndarray]:

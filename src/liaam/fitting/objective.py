@@ -243,7 +243,8 @@ class Objective:
         scale = 1.0 + (state.lam[n_own] if self.method.gain else 0.0)  # a gain's mode is the mean
         coordinates = np.concatenate([[scale], state.lam[:n_own]]).astype(np.float32)
         slopes = (coordinates @ self._slopes).reshape(-1, self.appearance.mean.shape[1])
-        slopes = slopes @ self.method.model_metric(state.angles[0]).T.astype(np.float32)
+        if self.method.projects_appearance:
+            slopes = slopes @ self.method.model_metric(state.angles[0]).T.astype(np.float32)
         return self.warp.pulled(slopes.reshape(len(self.appearance.mean), 2, -1), state.p)
 
     def start(self, p: np.ndarray) -> State:
@@ -298,34 +299,33 @@ class Objective:
     def weighed(self, look: Look, state: State, trust: Trust | None = None) -> Linearisation:
         """Weigh what is seen at a state, under weights worked out at this or an earlier one."""
         own_root, slope = self._root_weights(state.angles[1], trust)
-        root, design = own_root * look.weights[:, None], self.design(state.angles[0])
-        squares, residual = np.square(root), look.residual.reshape(1, -1)
-        weighted = residual * squares.reshape(-1)
+        design = self.design(state.angles[0])
         known = self._weighted_of(design, own_root, trust)
+        root, ar, rr, weight = get_kernel(self.kernel).residual_sums(
+            look.residual, design.modes, own_root, look.weights
+        )
         aa, inverse = known.aa, known.inverse
         blind = look.weights == 0
         if blind.any():
             unseen = known.root[blind].reshape(-1) * design.modes[:, np.repeat(blind, root.shape[1])]
             aa, inverse = aa - gram(unseen, unseen), None
-        sums = Sums(
-            aa=aa,
-            ar=gram(design.modes, weighted, WIDE)[:, 0],
-            rr=float(gram(residual, weighted, WIDE)[0, 0]),
-            weight=float(squares.sum(dtype=np.float64)),
-            inverse=inverse,
-            unit=trust.unit if trust is not None and self.method.soft else np.nan,
-        )
+        unit = trust.unit if trust is not None and self.method.soft else np.nan
+        sums = Sums(aa=aa, ar=ar, rr=rr, weight=weight, inverse=inverse, unit=unit)
         return Linearisation(sums, look, partial(self._equations, state.p, design, root, slope))
 
     def _weighted_of(self, design: _Design, own_root: np.ndarray, trust: Trust | None) -> Weighted:
         """Gram matrix of the modes under the model's and the trust's weights, all pixels of the image usable."""
         if trust is not None and trust.weighted is not None:
             return trust.weighted
-        return self._fixed_weighted if trust is None and design is self._fixed_design else weigh(design.modes, own_root)
+        return (
+            self._fixed_weighted
+            if trust is None and design is self._fixed_design
+            else weigh(self.kernel, design.modes, own_root)
+        )
 
     @cached_property
     def _fixed_weighted(self) -> Weighted:
-        return weigh(self._fixed_design.modes, self.root_weights)
+        return weigh(self.kernel, self._fixed_design.modes, self.root_weights)
 
     def _equations(
         self,
@@ -443,7 +443,7 @@ class Objective:
             return before
         if robust or self.method.angle_directions.any():
             return self._with_products(self._robust(made[0], state, seen.look))
-        return replace(made[0], weighted=weigh(self._fixed_design.modes, made[1]))
+        return replace(made[0], weighted=weigh(self.kernel, self._fixed_design.modes, made[1]))
 
     @cached_property
     def _knows_colours(self) -> bool:
@@ -464,7 +464,7 @@ class Objective:
         if turns or self.method.angle_directions[0].any():
             return trust
         root = self._root_weights(self.theta_model, trust)[0]
-        return replace(trust, weighted=weigh(self._fixed_design.modes, root))
+        return replace(trust, weighted=weigh(self.kernel, self._fixed_design.modes, root))
 
     def tied_in(self, problem: FitProblem) -> float:
         """Pixels looked at that stand for one independent residual of a soft method."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.fitting.losses import LOSSES, robust_scale
-from liaam.fitting.normal_equations import BLOCK, regular_inverse
+from liaam.fitting.normal_equations import regular_inverse
 from liaam.fitting.problem import LOGS, FitProblem, Look
 from liaam.kernels import get_kernel
 from liaam.photometry import LUMINANCE
@@ -99,13 +99,9 @@ MOVED = 0.02
 FACTORS = np.concatenate([[0.0], np.geomspace(1e-3, 30.0, 19)])
 
 
-def weigh(modes: np.ndarray, root: np.ndarray) -> Weighted:
+def weigh(kernel: str, modes: np.ndarray, root: np.ndarray) -> Weighted:
     """Gram matrix of modes (m, n * k) under weights (n, k), and its inverse."""
-    squares, aa = np.square(root).reshape(-1), np.zeros((len(modes), len(modes)))
-    for i in range(0, modes.shape[1], BLOCK):  # a block's weighted copy is still at hand when it is multiplied
-        part = modes[:, i : i + BLOCK]
-        aa += (part * squares[i : i + BLOCK]) @ part.T
-    aa = 0.5 * (aa + aa.T)
+    aa = get_kernel(kernel).weighted_gram(modes, root)
     return Weighted(root, aa, regular_inverse(aa))
 
 

@@ -3,6 +3,8 @@
 import numba
 import numpy as np
 
+from liaam.kernels.reference import FLAT
+
 # fastmath without "no NaNs": images are finite by contract, but points of a diverging fit need not be.
 _jit = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 _F = np.float32
@@ -21,6 +23,28 @@ def carry(positions: np.ndarray, corners: np.ndarray, beta: np.ndarray) -> np.nd
     points = np.empty((len(corners), 2))
     _carry(np.ascontiguousarray(positions, dtype=np.float64), corners, beta, points)
     return points
+
+
+@_jit
+def _inverse_affinities(points, shape, triangles, inverse):
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        # Edges, there and at rest.
+        x0, y0 = shape[b, 0] - shape[a, 0], shape[b, 1] - shape[a, 1]
+        x1, y1 = shape[c, 0] - shape[a, 0], shape[c, 1] - shape[a, 1]
+        u0, v0 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        u1, v1 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        twice = x0 * y1 - x1 * y0
+        factor = 0.0 if abs(twice) <= FLAT * abs(u0 * v1 - u1 * v0) else 1.0 / twice
+        inverse[t, 0, 0], inverse[t, 0, 1] = (u0 * y1 - u1 * y0) * factor, (u1 * x0 - u0 * x1) * factor
+        inverse[t, 1, 0], inverse[t, 1, 1] = (v0 * y1 - v1 * y0) * factor, (v1 * x0 - v0 * x1) * factor
+
+
+def inverse_affinities(points: np.ndarray, shape: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """See :func:`liaam.kernels.reference.inverse_affinities`."""
+    inverse = np.empty((len(triangles), 2, 2))
+    _inverse_affinities(np.ascontiguousarray(points), np.ascontiguousarray(shape), triangles, inverse)
+    return inverse
 
 
 @_jit
@@ -97,79 +121,199 @@ def steepest(
     return values, projected, steep, weights
 
 
+BLOCK = 512
+"""Residuals whose products are summed in float32 before they are added up in float64."""
+
+
 @_jit
-def _mesh_products(steep, expected, same, root, modes, right, beta, starts, triangles, jj, aj, rj):
-    k = root.shape[1]
-    longest = 0
+def _weighted_gram(modes, roots, total):
+    m, n = modes.shape
+    block = np.empty((m, BLOCK), np.float32)
+    for start in range(0, n, BLOCK):
+        size = min(BLOCK, n - start)
+        root = roots[start : start + size]
+        for j in range(m):
+            mode, own = modes[j, start : start + size], block[j]
+            for e in range(size):
+                own[e] = mode[e] * root[e]
+        for i in range(0, m, 2):  # two by two: each number that is fetched is used twice
+            a, b = block[i, :size], block[min(i + 1, m - 1), :size]
+            for j in range(0, i + 1, 2):
+                c, d = block[j, :size], block[min(j + 1, m - 1), :size]
+                ac = ad = bc = bd = _F(0.0)
+                for e in range(size):
+                    ac += a[e] * c[e]
+                    ad += a[e] * d[e]
+                    bc += b[e] * c[e]
+                    bd += b[e] * d[e]
+                total[i, j] += ac
+                if j < i:
+                    total[i, j + 1] += ad
+                if i + 1 < m:
+                    total[i + 1, j] += bc
+                    total[i + 1, j + 1] += bd
+    for i in range(m):
+        for j in range(i):
+            total[j, i] = total[i, j]
+
+
+def weighted_gram(modes: np.ndarray, roots: np.ndarray) -> np.ndarray:
+    """See :func:`liaam.kernels.reference.weighted_gram`."""
+    total = np.zeros((len(modes), len(modes)))
+    _weighted_gram(modes, roots.reshape(-1), total)
+    return total
+
+
+@_jit
+def _residual_sums(residual, modes, own, weights, roots, ar):
+    n, k = residual.shape
+    step = max(BLOCK // k, 1)
+    line = np.empty(step * k, np.float32)
+    rr = weight = 0.0
+    for first in range(0, n, step):
+        last = min(first + step, n)
+        begin, e = first * k, 0
+        squares = total = _F(0.0)
+        for i in range(first, last):
+            for r in range(k):
+                root = own[i, r] * weights[i]
+                roots[i, r] = root
+                line[e] = root * root * residual[i, r]
+                squares += line[e] * residual[i, r]
+                total += root * root
+                e += 1
+        rr += squares
+        weight += total
+        for j in range(len(modes)):
+            mode = modes[j, begin : begin + e]
+            product = _F(0.0)
+            for i in range(e):
+                product += mode[i] * line[i]
+            ar[j] += product
+    return rr, weight
+
+
+def residual_sums(
+    residual: np.ndarray, modes: np.ndarray, own: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """See :func:`liaam.kernels.reference.residual_sums`."""
+    roots, ar = np.empty_like(own), np.zeros(len(modes))
+    rr, weight = _residual_sums(residual, modes, own, weights, roots, ar)
+    return roots, ar, float(rr), float(weight)
+
+
+@_jit
+def _spread(beta, roots, slopes, theirs, first, last, k, barycentric, squares, own, weighted):
+    """Lay out what a triangle's entries (pixels times rows) are multiplied of, each in a line of its own."""
+    e, n = 0, (last - first) * k
+    for i in range(first, last):
+        for _ in range(k):
+            barycentric[0, e], barycentric[1, e], barycentric[2, e] = beta[i, 0], beta[i, 1], beta[i, 2]
+            e += 1
+    # Slices rather than indices in the inner loops: only then does the compiler see that they never wrap around.
+    w, x, y = roots[first * k : last * k], slopes[2 * first * k : 2 * last * k], theirs[2 * first * k : 2 * last * k]
+    ex, ey, jx, jy = own[0], own[1], weighted[0], weighted[1]
+    for e in range(n):
+        squares[e] = w[e] * w[e]
+        ex[e], ey[e] = x[2 * e], x[2 * e + 1]
+        jx[e], jy[e] = squares[e] * y[2 * e], squares[e] * y[2 * e + 1]
+
+
+@_jit
+def _add_squares(barycentric, own, weighted, work, n, at, jj):
+    """Add E'J of one triangle: nine products of two by two, six of them different."""
+    ex, ey, jx, jy = own[0], own[1], weighted[0], weighted[1]
+    xx, xy, yx, yy = work[0], work[1], work[2], work[3]
+    for e in range(n):
+        xx[e], xy[e], yx[e], yy[e] = ex[e] * jx[e], ex[e] * jy[e], ey[e] * jx[e], ey[e] * jy[e]
+    for a in range(3):
+        left = barycentric[a]
+        for b in range(a, 3):
+            right = barycentric[b]
+            s0 = s1 = s2 = s3 = _F(0.0)
+            for e in range(n):
+                both = left[e] * right[e]
+                s0 += both * xx[e]
+                s1 += both * xy[e]
+                s2 += both * yx[e]
+                s3 += both * yy[e]
+            for i, j in ((at[a], at[b]), (at[b], at[a])):
+                jj[i, j] += s0
+                jj[i, j + 1] += s1
+                jj[i + 1, j] += s2
+                jj[i + 1, j + 1] += s3
+                if a == b:
+                    break
+
+
+@_jit
+def _add_right(barycentric, own, squares, column, line, n, at, rj):
+    """Add a column's products with E of one triangle."""
+    ex, ey = own[0], own[1]
+    for e in range(n):
+        line[e] = squares[e] * column[e]
+    for a in range(3):
+        left = barycentric[a]
+        s0 = s1 = _F(0.0)
+        for e in range(n):
+            both = left[e] * line[e]
+            s0 += both * ex[e]
+            s1 += both * ey[e]
+        rj[at[a]] += s0
+        rj[at[a] + 1] += s1
+
+
+@_jit
+def _add_modes(barycentric, weighted, modes, begin, work, n, at, aj):
+    """Add A'J of one triangle."""
+    jx, jy = weighted[0], weighted[1]
+    b0, b1, b2 = barycentric[0], barycentric[1], barycentric[2]
+    p0, p1, p2, p3, p4, p5 = work[0], work[1], work[2], work[3], work[4], work[5]
+    for e in range(n):
+        p0[e], p1[e] = b0[e] * jx[e], b0[e] * jy[e]
+        p2[e], p3[e] = b1[e] * jx[e], b1[e] * jy[e]
+        p4[e], p5[e] = b2[e] * jx[e], b2[e] * jy[e]
+    for j in range(len(modes)):
+        mode = modes[j, begin : begin + n]
+        s0 = s1 = s2 = s3 = s4 = s5 = _F(0.0)
+        for e in range(n):
+            m = mode[e]
+            s0 += p0[e] * m
+            s1 += p1[e] * m
+            s2 += p2[e] * m
+            s3 += p3[e] * m
+            s4 += p4[e] * m
+            s5 += p5[e] * m
+        aj[j, at[0]] += s0
+        aj[j, at[0] + 1] += s1
+        aj[j, at[1]] += s2
+        aj[j, at[1] + 1] += s3
+        aj[j, at[2]] += s4
+        aj[j, at[2] + 1] += s5
+
+
+@_jit
+def _mesh_products(steep, expected, root, modes, right, beta, starts, triangles, jj, aj, rj):
+    k, longest = root.shape[1], 0
     for t in range(len(triangles)):
         longest = max(longest, starts[t + 1] - starts[t])
-    # Slices rather than indices in the inner loops: only then does the compiler see that they never wrap around.
-    rows, lefts = np.empty((6, longest * k), np.float32), np.empty((6, longest * k), np.float32)
-    weight = np.empty(longest * k, np.float32)
-    p0, p1, p2, p3, p4, p5 = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
-    at = np.empty(6, np.int64)
+    longest *= k
+    slopes, theirs, roots = expected.reshape(-1), steep.reshape(-1), root.reshape(-1)
+    barycentric, squares = np.empty((3, longest), np.float32), np.empty(longest, np.float32)
+    own, weighted = np.empty((2, longest), np.float32), np.empty((2, longest), np.float32)
+    work, at = np.empty((6, longest), np.float32), np.empty(3, np.int64)
     for t in range(len(triangles)):
         first, last = starts[t], starts[t + 1]
-        size, e = (last - first) * k, 0
-        for i in range(first, last):
-            b0, b1, b2 = beta[i, 0], beta[i, 1], beta[i, 2]
-            for r in range(k):
-                w = root[i, r]
-                sx, sy = w * steep[i, r, 0], w * steep[i, r, 1]
-                p0[e], p1[e], p2[e] = b0 * sx, b0 * sy, b1 * sx
-                p3[e], p4[e], p5[e] = b1 * sy, b2 * sx, b2 * sy
-                weight[e] = w
-                if not same:
-                    sx, sy = w * expected[i, r, 0], w * expected[i, r, 1]
-                    lefts[0, e], lefts[1, e], lefts[2, e] = b0 * sx, b0 * sy, b1 * sx
-                    lefts[3, e], lefts[4, e], lefts[5, e] = b1 * sy, b2 * sx, b2 * sy
-                e += 1
+        n = (last - first) * k
+        if n == 0:
+            continue
         for a in range(3):
-            at[2 * a], at[2 * a + 1] = 2 * triangles[t, a], 2 * triangles[t, a] + 1
-        left = rows if same else lefts
-        for a in range(6):
-            own = left[a]
-            for b in range(a if same else 0, 6):
-                other = rows[b]
-                total = _F(0.0)
-                for e in range(size):
-                    total += own[e] * other[e]
-                jj[at[a], at[b]] += total
-                if same and b > a:
-                    jj[at[b], at[a]] += total
-        for a in range(6):
-            own = rows[a]
-            for e in range(size):
-                own[e] *= weight[e]
-            if not same:
-                own = lefts[a]
-                for e in range(size):
-                    own[e] *= weight[e]
+            at[a] = 2 * triangles[t, a]
+        _spread(beta, roots, slopes, theirs, first, last, k, barycentric, squares, own, weighted)
+        _add_squares(barycentric, own, weighted, work, n, at, jj)
         for j in range(len(right)):
-            column = right[j, first * k : last * k]
-            for a in range(6):
-                own = left[a]
-                total = _F(0.0)
-                for e in range(size):
-                    total += own[e] * column[e]
-                rj[j, at[a]] += total
-        for j in range(len(modes)):
-            mode = modes[j, first * k : last * k]
-            s0 = s1 = s2 = s3 = s4 = s5 = _F(0.0)
-            for e in range(size):
-                m = mode[e]
-                s0 += p0[e] * m
-                s1 += p1[e] * m
-                s2 += p2[e] * m
-                s3 += p3[e] * m
-                s4 += p4[e] * m
-                s5 += p5[e] * m
-            aj[j, at[0]] += s0
-            aj[j, at[1]] += s1
-            aj[j, at[2]] += s2
-            aj[j, at[3]] += s3
-            aj[j, at[4]] += s4
-            aj[j, at[5]] += s5
+            _add_right(barycentric, own, squares, right[j, first * k : last * k], work[0], n, at, rj[j])
+        _add_modes(barycentric, weighted, modes, first * k, work, n, at, aj)
 
 
 def mesh_products(
@@ -186,9 +330,8 @@ def mesh_products(
     """See :func:`liaam.kernels.reference.mesh_products`."""
     jj = np.zeros((2 * n_vertices, 2 * n_vertices))
     aj, rj = np.zeros((len(modes), 2 * n_vertices)), np.zeros((len(right), 2 * n_vertices))
-    same = expected is None
     own = steep if expected is None else expected
-    _mesh_products(steep, own, same, root, modes, right, beta, starts, triangles, jj, aj, rj)
+    _mesh_products(steep, own, root, modes, right, beta, starts, triangles, jj, aj, rj)
     return jj, aj, rj
 
 

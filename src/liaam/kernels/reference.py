@@ -173,6 +173,36 @@ def pull(slopes: np.ndarray, inverse: np.ndarray, owners: np.ndarray) -> np.ndar
     return pull_batch(slopes[None], np.asarray(inverse, np.float64)[None], owners)[0]
 
 
+FLAT = 0.05
+"""Share of its area at rest below which a triangle counts as flat."""
+
+
+def inverse_affinities(points: np.ndarray, shape: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Linear parts of the maps from each triangle on a shape back to the one at rest; 0 for triangles that are flat.
+
+    Parameters
+    ----------
+    points : (n_vertices, 2) float64
+        Vertices at rest.
+    shape : (n_vertices, 2) float64
+    triangles : (t, 3) int
+
+    Returns
+    -------
+    (t, 2, 2) float64
+    """
+
+    def edges(vertices: np.ndarray) -> np.ndarray:
+        a, b, c = (vertices[triangles[:, i]] for i in range(3))
+        return np.stack([b - a, c - a], axis=-1)
+
+    here, there = edges(points), edges(shape)
+    flat = np.abs(np.linalg.det(there)) <= FLAT * np.abs(np.linalg.det(here))
+    there[flat] = np.eye(2)
+    here[flat] = 0.0
+    return here @ np.linalg.inv(there)
+
+
 def steepest_batch(
     channels: Array, points: Array, turn: Array, metric: Array, sizes: Array | None = None
 ) -> tuple[Array, Array, Array, Array]:
@@ -247,6 +277,57 @@ def steepest(
     with np.errstate(invalid="ignore"):  # points of a diverging fit need not be numbers
         values, projected, steep, weights = steepest_batch(*arguments)
     return values[0], projected[0], steep[0], weights[0]
+
+
+def weighted_gram(modes: np.ndarray, roots: np.ndarray) -> np.ndarray:
+    """Gram matrix of weighted modes.
+
+    Parameters
+    ----------
+    modes : (m, n * k) float32
+        A, unweighted.
+    roots : (n, k) float32
+        Roots of the weights.
+
+    Returns
+    -------
+    (m, m) float64
+    """
+    weighted = modes.astype(np.float64) * roots.reshape(-1)
+    return weighted @ weighted.T
+
+
+def residual_sums(
+    residual: np.ndarray, modes: np.ndarray, own: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """What a weighted residual sums up to.
+
+    Parameters
+    ----------
+    residual : (n, k) float32
+        r, unweighted.
+    modes : (m, n * k) float32
+        A, unweighted.
+    own : (n, k) float32
+        Roots of the weights.
+    weights : (n,) float32
+        The image's weights in {0, 1}.
+
+    Returns
+    -------
+    roots : (n, k) float32
+        Roots of the weights, the image's included.
+    ar : (m,) float64
+        A'r.
+    rr : float
+        r'r.
+    weight : float
+        Sum of all weights.
+    """
+    roots = own * weights[:, None]
+    squares = np.square(roots.astype(np.float64))
+    weighted = (squares * residual).reshape(-1)
+    return roots, modes @ weighted, float(weighted @ residual.reshape(-1)), float(squares.sum())
 
 
 def mesh_products(

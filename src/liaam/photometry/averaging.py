@@ -34,43 +34,75 @@ def _add_row(row, means, y, weight):
 
 @_jit
 def _stored_means(image, table, low, high, start_x, start_y, size, means):
+    # Rows of pixels are brought to light and added up as they are, which the compiler does many at a time; only what
+    # they add up to, a row of blocks, is cut into blocks.
     height, width = image.shape[:2]
-    rows, columns = means.shape[:2]
-    first_x, share_x = _shares(width, columns, start_x, size)
-    first_y, share_y = _shares(height, rows, start_y, size)
-    rest = _F(1.0 / size)
-    row = np.empty((columns + 2, 4), np.float32)  # one block more on each side: no test in the loop
+    first_x, share_x = _shares(width, means.shape[1], start_x, size)
+    first_y, share_y = _shares(height, means.shape[0], start_y, size)
+    rest, at, left = _F(1.0 / size), -2, _F(0.0)
+    light, usable = np.zeros(3 * width, np.float32), np.zeros(width, np.float32)
+    sums, known = np.zeros(3 * width, np.float32), np.zeros(width, np.float32)
+    blocks = np.empty((means.shape[1] + 2, 4), np.float32)  # one more on each side: no test in the loop
     for y in range(height):
-        block_y = first_y[y]
-        if block_y < -1:
+        block, share = first_y[y], share_y[y]
+        if block < -1:
             continue
-        row[:] = _F(0.0)
-        line, at = image[y], -2
-        red = green = blue = known = _F(0.0)  # of the block at hand, added to the row when the next one begins
+        at = block if at < -1 else at
+        while at < block:
+            _cut(sums, known, first_x, share_x, rest, at, blocks, means)
+            _set(sums, left, light)  # the last row's share in the next block
+            _set(known, left, usable)
+            at, left = at + 1, _F(0.0)
+        pixels, left = image[y].reshape(-1), rest - share
+        for i in range(3 * width):
+            light[i] = table[pixels[i]]
         for x in range(width):
-            block, w = first_x[x], share_x[x]
-            if block < -1:
-                continue
-            if block != at:
-                if at >= -1:
-                    _add_to(row[at + 1], red, green, blue, known)
-                at = block
-                red = green = blue = known = _F(0.0)
-            r, g, b = line[x, 0], line[x, 1], line[x, 2]
-            usable = _F(low <= min(r, min(g, b)) and max(r, max(g, b)) <= high)
-            own_red, own_green, own_blue = table[r], table[g], table[b]
-            red += w * own_red
-            green += w * own_green
-            blue += w * own_blue
-            known += w * usable
-            if w < rest:  # the last pixel of its block has a share in the next
-                w = rest - w
-                _add_to(row[block + 2], w * own_red, w * own_green, w * own_blue, w * usable)
-        if at >= -1:
-            _add_to(row[at + 1], red, green, blue, known)
-        _add_row(row, means, block_y, share_y[y])
-        if share_y[y] < rest:
-            _add_row(row, means, block_y + 1, rest - share_y[y])
+            r, g, b = pixels[3 * x], pixels[3 * x + 1], pixels[3 * x + 2]
+            usable[x] = _F((low <= min(r, min(g, b))) & (max(r, max(g, b)) <= high))
+        for i in range(3 * width):
+            sums[i] += share * light[i]
+        for x in range(width):
+            known[x] += share * usable[x]
+    _cut(sums, known, first_x, share_x, rest, at, blocks, means)
+    _set(sums, left, light)
+    _set(known, left, usable)
+    _cut(sums, known, first_x, share_x, rest, at + 1, blocks, means)
+
+
+@_jit
+def _set(total, share, row):
+    for i in range(len(total)):
+        total[i] = share * row[i]
+
+
+@_jit
+def _cut(sums, known, first_x, share_x, rest, row, blocks, means):
+    """Cut sums of rows of pixels into a row of blocks, if there is one."""
+    if not 0 <= row < len(means):
+        return
+    blocks[:] = _F(0.0)
+    at = -2
+    red = green = blue = usable = _F(0.0)  # of the block at hand, added when the next one begins
+    for x in range(len(known)):
+        block, w = first_x[x], share_x[x]
+        if block < -1:
+            continue
+        if block != at:
+            if at >= -1:
+                _add_to(blocks[at + 1], red, green, blue, usable)
+            at = block
+            red = green = blue = usable = _F(0.0)
+        own_red, own_green, own_blue, own_usable = sums[3 * x], sums[3 * x + 1], sums[3 * x + 2], known[x]
+        red += w * own_red
+        green += w * own_green
+        blue += w * own_blue
+        usable += w * own_usable
+        if w < rest:  # the last pixel of its block has a share in the next
+            w = rest - w
+            _add_to(blocks[block + 2], w * own_red, w * own_green, w * own_blue, w * own_usable)
+    if at >= -1:
+        _add_to(blocks[at + 1], red, green, blue, usable)
+    means[row] = blocks[1:-1]
 
 
 @_jit
@@ -111,7 +143,8 @@ def stored_means(
         Mean R, G, B, and the share of usable pixels.
     """
     means = np.zeros((*shape, 4), np.float32)
-    _stored_means(image, table, *usable, float(start[0]), float(start[1]), float(size), means)
+    low, high = (image.dtype.type(value) for value in usable)
+    _stored_means(image, table, low, high, float(start[0]), float(start[1]), float(size), means)
     return means
 
 

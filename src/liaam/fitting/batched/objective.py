@@ -317,7 +317,7 @@ class BatchObjective:
         return pull_batch(xp.reshape(slopes, (-1, n, 2, metric.shape[-2])), inverse, shared.owners)
 
     def _inverse_affinities(self, shared: Shared, p: Array) -> Array:
-        """Linear parts (b, t, 2, 2) of the maps back from each triangle: ``warp._inverse_affinities``."""
+        """Linear parts (b, t, 2, 2) of the maps back from each triangle: ``reference.inverse_affinities``."""
         xp, own = self.xp, shared.frame
         there = _edges(xp, self._vertices(shared, p), shared.triangles)
         a, b, c, d = (there[..., i, j] for i in (0, 1) for j in (0, 1))

@@ -27,7 +27,7 @@ from liaam.fitting.batched.equations import (
 )
 from liaam.fitting.batched.objective import BatchObjective, Look, Pictures, Seen, Shared, States, Trusts, recurring
 from liaam.fitting.batched.trust import alike, soft_trust
-from liaam.fitting.normal_equations import NormalEquations
+from liaam.fitting.normal_equations import ROUNDING, NormalEquations
 from liaam.fitting.objective import Linearisation, State
 from liaam.fitting.prior import next_scale
 from liaam.fitting.problem import FitProblem
@@ -38,7 +38,6 @@ from liaam.fitting.solver import (
     LEAST_CURVATURE,
     OBSERVABLE_APART,
     REFUSED_DAMPING,
-    ROUNDING,
     STILL,
     TO_AND_FRO,
     TRUSTED_DAMPING,
