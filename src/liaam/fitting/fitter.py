@@ -30,7 +30,7 @@ SCALE_LIMITS = (1 / 3, 3.0)
 FOLD_LIMIT = 0.3
 """Share of the mesh turned over beyond which a fit has diverged."""
 
-COARSE, COARSE_NOTICE = 10.0, 5.0
+COARSE, COARSE_NOTICE = 10.0, 10.0
 """How much sooner than the finest level the coarser ones may stop: in pixels, and in standard deviations."""
 
 SHAPE_LIMIT = 5.0

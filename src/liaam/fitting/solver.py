@@ -361,9 +361,9 @@ def settle_lambda(
 
 def _begin(objective: Objective, problem: FitProblem, start: State, options: SolverOptions) -> _Run:
     state, last = _solve_lambda(objective, start, objective.linearise(problem, start))
-    # Twice: what the weights are worked out from depends on the weights.
     state, last, trust = _weigh_anew(objective, problem, state, last, options, None)
-    state, last, trust = _weigh_anew(objective, problem, state, last, options, trust)
+    if not _averages(objective):  # again: what the weights are worked out from depends on the weights
+        state, last, trust = _weigh_anew(objective, problem, state, last, options, trust)
     free = _free_directions(objective, state, last, options.observable)
     return _Run(state, last, trust, free, options.damping, ((last.cost, state),))
 
@@ -407,7 +407,7 @@ def _solve_lambda(objective: Objective, state: State, seen: Linearisation) -> tu
     return State(state.p, state.angles, state.lam + step), objective.moved(seen, state, step)
 
 
-STILL = 0.1
+STILL = 0.2
 """Step, in model pixels, after which soft weights are kept: what they are averaged from has hardly changed."""
 
 

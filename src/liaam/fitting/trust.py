@@ -89,7 +89,7 @@ MOST_DIRECTION_NOISE = 0.5
 """Variance of each component of a direction that says nothing."""
 
 
-ALIKE = 0.1
+ALIKE = 0.2
 """Relative change of a variance below which pixels are not weighed anew."""
 
 

@@ -230,8 +230,6 @@ class BatchSolver:
         lift = zeros + LEAST_CURVATURE
         facts = damping, every, no, no, no, 0 * item, zeros + 1.0, least, unknown, no, lift, nowhere
         run = Run(item, state, last, trust, *facts)
-        # Again: what the weights are worked out from depends on the weights.
-        run = self._weigh_anew(shared, pictures, run, ~no)
         return run._replace(free=self._functions["free"](shared, run.state, run.last.equations))
 
     def _turn(
