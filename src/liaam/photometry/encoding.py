@@ -245,17 +245,18 @@ def _encode_soft(
     light, masks, every = averaging.soft_light(means, *settings)
     logs = cv2.log(light, light)
     if blur > 0.0:
-        logs = _smooth(logs, blur) if every else _blurred_by_masks(logs, masks, blur)
+        finite = means.shape[2] < 5  # stored integers are
+        logs = _smooth(logs, blur) if every else _blurred_by_masks(logs, masks, blur, finite)
     return averaging.soft_channels(logs, masks, np.eye(2) if turn is None else turn, SOFTNESS * pixel)
 
 
-def _blurred_by_masks(logs: np.ndarray, masks: np.ndarray, blur: float) -> np.ndarray:
+def _blurred_by_masks(logs: np.ndarray, masks: np.ndarray, blur: float, finite: bool) -> np.ndarray:
     """Blur log luminance by where it is finite, and log RGB by where it is known; the logarithms given are lost."""
     from liaam.photometry import averaging
 
-    weights = averaging.weigh(logs, masks, float(UNUSABLE))
+    weights = averaging.weigh(logs, masks, float(UNUSABLE), finite)
     blurred = _smooth(logs, blur)
-    averaging.divide(blurred, _smooth(weights, blur))
+    averaging.divide(blurred, _smooth(weights, blur).reshape(weights.shape))
     return blurred
 
 
