@@ -68,7 +68,7 @@ def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, expect
         (beta / beta.sum(axis=1, keepdims=True)).astype(np.float32),
         np.concatenate([[0], np.cumsum(sizes)]),
         np.array([rng.permutation(n_vertices)[:3] for _ in sizes]),
-        n_vertices,
+        rng.normal(size=(2 * n_vertices, 4)),
         rng.normal(size=(n, rows, 2)).astype(np.float32) if expects else None,
     )
     for ours, theirs in zip(fast.mesh_products(*arguments), reference.mesh_products(*arguments), strict=True):

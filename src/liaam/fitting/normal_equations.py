@@ -41,17 +41,22 @@ def gram(left: np.ndarray, right: np.ndarray, block: int = BLOCK) -> np.ndarray:
 
 def on_diagonal(matrix: np.ndarray) -> np.ndarray:
     """Diagonal of a matrix, (n,): a view that may be written to, for a tenth of what index arrays take."""
-    return np.einsum("ii->i", matrix)
+    contiguous = matrix.flags.c_contiguous
+    return matrix.reshape(-1)[:: len(matrix) + 1] if contiguous else np.einsum("ii->i", matrix)
 
 
 def regular_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a positive semi-definite matrix after scaling to a unit diagonal, with a tiny ridge."""
-    diagonal = np.diag(matrix)
+    diagonal = matrix.diagonal()
     root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    outer = np.outer(root, root)
+    outer = root[:, None] * root
     scaled = matrix / outer
-    on_diagonal(scaled)[:] += RIDGE
-    return np.linalg.inv(scaled) / outer
+    ridged = on_diagonal(scaled)  # a view
+    ridged += RIDGE
+    if not len(matrix):
+        return scaled
+    inverse, failed = _lapack("posv")(scaled, np.eye(len(matrix)), lower=1)[1:]
+    return (np.linalg.inv(scaled) if failed else inverse) / outer
 
 
 def solve_lifted(base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift: float, damping: float) -> np.ndarray:
@@ -70,7 +75,7 @@ def solve_lifted(base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift:
     -------
     (n,) float64
     """
-    potrf, sygst, syevd, trtrs = _lapack()
+    potrf, sygst, syevd, trtrs = (_lapack(name) for name in ("potrf", "sygst", "syevd", "trtrs"))
     factor, failed = potrf(base, lower=1)
     # Sums of float32 products need not be quite positive.
     if failed or on_diagonal(factor).min() ** 2 < ROUNDING * np.trace(base):
@@ -83,12 +88,12 @@ def solve_lifted(base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift:
     return trtrs(factor, whitened, lower=1, trans=1)[0]
 
 
-@lru_cache(maxsize=1)
-def _lapack() -> tuple[Callable, ...]:
+@lru_cache(maxsize=8)
+def _lapack(name: str) -> Callable:
     """LAPACK itself: of systems this small, checking takes as long as solving."""
     from scipy.linalg.lapack import get_lapack_funcs  # heavy: imported when first needed
 
-    return tuple(get_lapack_funcs(("potrf", "sygst", "syevd", "trtrs"), dtype=np.float64))
+    return get_lapack_funcs((name,), dtype=np.float64)[0]
 
 
 def _solve_lifted_by_axes(

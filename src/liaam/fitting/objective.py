@@ -200,9 +200,14 @@ class Objective:
 
     def design(self, theta: float) -> _Design:
         """Model side at an angle theta_1; made once where the method keeps it fixed."""
-        if not self.method.angle_directions[0].any() and theta == self.theta_model:
+        if theta == self.theta_model and not self._turns:
             return self._fixed_design
         return self._make_design(theta)
+
+    @cached_property
+    def _turns(self) -> bool:
+        """Whether the model side turns with a free angle."""
+        return bool(self.method.angle_directions[0].any())
 
     @cached_property
     def _fixed_design(self) -> _Design:
@@ -372,9 +377,7 @@ class Objective:
             own = columns if expected is None else _rows_of(expected, root, self.warp.jacobian(p))
             return gram(own, columns), gram(modes * by_root, columns), gram(right * by_root, own)
         products = get_kernel(self.kernel).mesh_products
-        where = mesh.beta, mesh.starts, mesh.triangles, mesh.n_vertices
-        jj, aj, rj = products(steep, root, modes, right, *where, expected)
-        return mesh.modes.T @ (jj @ mesh.modes), aj @ mesh.modes, rj @ mesh.modes
+        return products(steep, root, modes, right, mesh.beta, mesh.starts, mesh.triangles, mesh.modes, expected)
 
     def columns(self, problem: FitProblem, state: State, trust: Trust | None = None) -> np.ndarray:
         """Weighted columns [J | r] in full, (n_pixels * k, n_q + 1) float32: what the products are made of."""
@@ -481,9 +484,9 @@ class Objective:
 
     def _by_angles(self, state: State, values: np.ndarray) -> np.ndarray:
         """dr/d(free angles), (n_free, n_pixels * k): the angle terms of paper eq 10."""
-        directions = self.method.angle_directions.astype(np.float32)
-        if not directions.size:
+        if not self.method.angle_directions.size:
             return np.empty((0, len(values) * self.method.n_rows), np.float32)
+        directions = self.method.angle_directions.astype(np.float32)
         by_image = values @ self.method.image_metric_derivative(state.angles[1]).T.astype(np.float32)
         columns = directions[1][:, None] * by_image.reshape(1, -1)
         if directions[0].any():

@@ -220,8 +220,8 @@ def _spread(beta, roots, slopes, theirs, first, last, k, barycentric, squares, o
 
 
 @_jit
-def _add_squares(barycentric, own, weighted, work, n, at, jj):
-    """Add E'J of one triangle: nine products of two by two, six of them different."""
+def _add_squares(barycentric, own, weighted, work, n, at, basis, half):
+    """Add E'J of one triangle times the basis: nine products of two by two, six of them different."""
     ex, ey, jx, jy = own[0], own[1], weighted[0], weighted[1]
     xx, xy, yx, yy = work[0], work[1], work[2], work[3]
     for e in range(n):
@@ -237,13 +237,17 @@ def _add_squares(barycentric, own, weighted, work, n, at, jj):
                 s1 += both * xy[e]
                 s2 += both * yx[e]
                 s3 += both * yy[e]
-            for i, j in ((at[a], at[b]), (at[b], at[a])):
-                jj[i, j] += s0
-                jj[i, j + 1] += s1
-                jj[i + 1, j] += s2
-                jj[i + 1, j + 1] += s3
-                if a == b:
-                    break
+            _add_block(s0, s1, s2, s3, at[a], at[b], basis, half)
+            if b > a:
+                _add_block(s0, s1, s2, s3, at[b], at[a], basis, half)
+
+
+@_jit
+def _add_block(xx, xy, yx, yy, i, j, basis, half):
+    x, y, above, below = basis[j], basis[j + 1], half[i], half[i + 1]
+    for p in range(basis.shape[1]):
+        above[p] += xx * x[p] + xy * y[p]
+        below[p] += yx * x[p] + yy * y[p]
 
 
 @_jit
@@ -293,7 +297,7 @@ def _add_modes(barycentric, weighted, modes, begin, work, n, at, aj):
 
 
 @_jit
-def _mesh_products(steep, expected, root, modes, right, beta, starts, triangles, jj, aj, rj):
+def _mesh_products(steep, expected, root, modes, right, beta, starts, triangles, basis, half, aj, rj):
     k, longest = root.shape[1], 0
     for t in range(len(triangles)):
         longest = max(longest, starts[t + 1] - starts[t])
@@ -310,7 +314,7 @@ def _mesh_products(steep, expected, root, modes, right, beta, starts, triangles,
         for a in range(3):
             at[a] = 2 * triangles[t, a]
         _spread(beta, roots, slopes, theirs, first, last, k, barycentric, squares, own, weighted)
-        _add_squares(barycentric, own, weighted, work, n, at, jj)
+        _add_squares(barycentric, own, weighted, work, n, at, basis, half)
         for j in range(len(right)):
             _add_right(barycentric, own, squares, right[j, first * k : last * k], work[0], n, at, rj[j])
         _add_modes(barycentric, weighted, modes, first * k, work, n, at, aj)
@@ -324,15 +328,17 @@ def mesh_products(
     beta: np.ndarray,
     starts: np.ndarray,
     triangles: np.ndarray,
-    n_vertices: int,
+    basis: np.ndarray,
     expected: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """See :func:`liaam.kernels.reference.mesh_products`."""
-    jj = np.zeros((2 * n_vertices, 2 * n_vertices))
-    aj, rj = np.zeros((len(modes), 2 * n_vertices)), np.zeros((len(right), 2 * n_vertices))
+    half, (n, n_right) = np.zeros_like(basis), (len(basis), len(right))
+    by_vertices = np.zeros((n_right + len(modes), n))  # of further columns and of the modes, one below the other
     own = steep if expected is None else expected
-    _mesh_products(steep, own, root, modes, right, beta, starts, triangles, jj, aj, rj)
-    return jj, aj, rj
+    arguments = own, root, modes, right, beta, starts, triangles, basis
+    _mesh_products(steep, *arguments, half, by_vertices[n_right:], by_vertices[:n_right])
+    carried = by_vertices @ basis
+    return basis.T @ half, carried[n_right:], carried[:n_right]
 
 
 @_jit

@@ -338,7 +338,7 @@ def mesh_products(
     beta: np.ndarray,
     starts: np.ndarray,
     triangles: np.ndarray,
-    n_vertices: int,
+    basis: np.ndarray,
     expected: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted products of the derivatives by a mesh's vertices with themselves and with other columns.
@@ -347,8 +347,8 @@ def mesh_products(
 
         dr(x) / d(vertex v) = beta_v(x) steep(x),
 
-    all but six entries are zero: this is the sparse form of J'J and A'J, before the vertices are made to follow
-    the shape modes.
+    all but six entries are zero: this is the sparse form of J'J and A'J. What they sum up to is carried on to the
+    warp's parameters, which the vertices follow.
 
     Parameters
     ----------
@@ -365,25 +365,25 @@ def mesh_products(
     starts : (t + 1,) int64
         First pixel of each triangle, and the end.
     triangles : (t, 3) int64
-    n_vertices : int
+    basis : (2 n_vertices, n_p) float64
+        Derivative of the vertices' coordinates, x and y in turn, by the warp's parameters.
     expected : (n, k, 2) float32, optional
-        What the derivatives are expected to be, E by the vertices; J'J and right'J become E'J and right'E.
+        What the derivatives are expected to be, E; J'J and right'J become E'J and right'E.
 
     Returns
     -------
-    jj : (2 n_vertices, 2 n_vertices) float64
-        Vertices' coordinates x and y in turn.
-    aj : (m, 2 n_vertices) float64
-    rj : (b, 2 n_vertices) float64
+    jj : (n_p, n_p) float64
+    aj : (m, n_p) float64
+    rj : (b, n_p) float64
     """
     owners = np.repeat(np.arange(len(triangles)), np.diff(starts))
 
     def columns_of(slopes: np.ndarray) -> np.ndarray:
-        columns = np.zeros((*root.shape, n_vertices, 2))
+        columns = np.zeros((*root.shape, len(basis) // 2, 2))
         for corner in range(3):
             at = triangles[owners, corner]
             columns[np.arange(len(root)), :, at] = (beta[:, corner, None] * root)[..., None] * slopes
-        return columns.reshape(root.size, 2 * n_vertices)
+        return columns.reshape(root.size, len(basis)) @ basis
 
     by_root, columns = root.reshape(-1, 1), columns_of(steep)
     left = columns if expected is None else columns_of(expected)
