@@ -29,17 +29,18 @@ def channels_of(rng: np.random.Generator, n: int = 3) -> np.ndarray:
 @settings(max_examples=200)
 @given(
     points=st.lists(st.tuples(coordinates, coordinates), min_size=1, max_size=12),
-    n_channels=st.integers(1, 6),
-    rows=st.integers(1, 3),
+    metric=st.one_of(
+        st.tuples(st.integers(1, 3), st.integers(1, 6)).map(np.ones), st.sampled_from([np.ones((1, 3)), fast.SOFT])
+    ),
     seed=st.integers(0, 999),
 )
-def test_fast_samples_as_reference_says(points, n_channels, rows, seed):
+def test_fast_samples_as_reference_says(points, metric, seed):
     rng = np.random.default_rng(seed)
     arguments = (
-        channels_of(rng, n_channels),
+        channels_of(rng, metric.shape[1]),
         np.array(points),
         rng.normal(size=(2, 2)),
-        rng.normal(size=(rows, n_channels)),
+        metric * rng.normal(size=metric.shape),
     )
     expected, found = reference.steepest(*arguments), fast.steepest(*arguments)
     for ours, theirs in zip(found[:3], expected[:3], strict=True):

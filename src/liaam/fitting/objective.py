@@ -306,14 +306,14 @@ class Objective:
         own_root, slope = self._root_weights(state.angles[1], trust)
         design = self.design(state.angles[0])
         known = self._weighted_of(design, own_root, trust)
-        root, ar, rr, weight = get_kernel(self.kernel).residual_sums(
-            look.residual, design.modes, own_root, look.weights
-        )
+        kernel = get_kernel(self.kernel)
+        root, ar, rr, weight = kernel.residual_sums(look.residual, design.modes, own_root, look.weights)
         aa, inverse = known.aa, known.inverse
-        blind = look.weights == 0
-        if blind.any():
-            unseen = known.root[blind].reshape(-1) * design.modes[:, np.repeat(blind, root.shape[1])]
-            aa, inverse = aa - gram(unseen, unseen), None
+        blind = np.flatnonzero(look.weights == 0)
+        if len(blind):
+            entries = (blind[:, None] * root.shape[1] + np.arange(root.shape[1])).ravel()
+            unseen = kernel.weighted_gram(design.modes.take(entries, axis=1), known.root[blind])
+            aa, inverse = aa - unseen, None
         unit = trust.unit if trust is not None and self.method.soft else np.nan
         sums = Sums(aa=aa, ar=ar, rr=rr, weight=weight, inverse=inverse, unit=unit)
         return Linearisation(sums, look, partial(self._equations, state.p, design, root, slope))

@@ -1,5 +1,7 @@
 """Fast kernels: numba, one pass over the model's pixels, no large temporaries (contract: ``reference``)."""
 
+from collections.abc import Callable
+
 import numba
 import numpy as np
 
@@ -108,6 +110,96 @@ def _steepest(channels, points, turn, metric, values, projected, steep, weights)
             steep[i, r, 1] = gx * turn[0, 1] + gy * turn[1, 1]
 
 
+_U = np.uint64  # of indices that never wrap around
+
+
+@_jit
+def _place(points, i, height, width, n):
+    """Where a point's four pixels begin in a flat picture of n channels, where it lies between, and if it is inside."""
+    px, py = points[i, 0], points[i, 1]
+    if not (px >= 0.0 and py >= 0.0 and px <= width - 1 and py <= height - 1):
+        return _U(0), _F(0.0), _F(0.0), False
+    x, y = min(int(px), width - 2), min(int(py), height - 2)
+    return _U((y * width + x) * n), _F(px - x), _F(py - y), True
+
+
+@_jit
+def _bilinear(flat, at, right, below, u, v):
+    """Sample of a channel, and its derivatives along x and y."""
+    c00, c01 = flat[at], flat[at + below]
+    upper, lower = flat[at + right] - c00, flat[at + right + below] - c01
+    top = c00 + u * upper
+    down = c01 + u * lower - top
+    return top + v * down, upper + v * (lower - upper), down
+
+
+@_jit
+def _least(flat, at, right, below):
+    return min(min(flat[at], flat[at + right]), min(flat[at + below], flat[at + right + below]))
+
+
+@_jit
+def _set_steep(row, gx, gy, turn):
+    row[0] = gx * turn[0, 0] + gy * turn[1, 0]
+    row[1] = gx * turn[0, 1] + gy * turn[1, 1]
+
+
+@_jit
+def _steepest_one(channels, points, turn, metric, values, projected, steep, weights):
+    """One row over three channels."""
+    height, width = channels.shape[0], channels.shape[1]
+    flat, right, below = channels.reshape(-1), _U(4), _U(4 * width)
+    m0, m1, m2 = metric[0, 0], metric[0, 1], metric[0, 2]
+    for i in range(len(points)):
+        at, u, v, inside = _place(points, i, height, width, 4)
+        v0, x0, y0 = _bilinear(flat, at, right, below, u, v)
+        v1, x1, y1 = _bilinear(flat, at + _U(1), right, below, u, v)
+        v2, x2, y2 = _bilinear(flat, at + _U(2), right, below, u, v)
+        keep = _F(1.0) if inside else _F(0.0)
+        values[i, 0], values[i, 1], values[i, 2] = keep * v0, keep * v1, keep * v2
+        projected[i, 0] = keep * (m0 * v0 + m1 * v1 + m2 * v2)
+        _set_steep(steep[i, 0], keep * (m0 * x0 + m1 * x1 + m2 * x2), keep * (m0 * y0 + m1 * y1 + m2 * y2), turn)
+        weights[i] = keep * _least(flat, at + _U(3), right, below)
+
+
+@_jit
+def _steepest_soft(channels, points, turn, metric, values, projected, steep, weights):
+    """Two rows of a channel each, and one over the three that follow them, of six."""
+    height, width = channels.shape[0], channels.shape[1]
+    flat, right, below = channels.reshape(-1), _U(7), _U(7 * width)
+    m0, m1, m2, m3, m4 = metric[0, 0], metric[1, 1], metric[2, 2], metric[2, 3], metric[2, 4]
+    for i in range(len(points)):
+        at, u, v, inside = _place(points, i, height, width, 7)
+        v0, x0, y0 = _bilinear(flat, at, right, below, u, v)
+        v1, x1, y1 = _bilinear(flat, at + _U(1), right, below, u, v)
+        v2, x2, y2 = _bilinear(flat, at + _U(2), right, below, u, v)
+        v3, x3, y3 = _bilinear(flat, at + _U(3), right, below, u, v)
+        v4, x4, y4 = _bilinear(flat, at + _U(4), right, below, u, v)
+        v5 = _bilinear(flat, at + _U(5), right, below, u, v)[0]
+        keep = _F(1.0) if inside else _F(0.0)
+        values[i, 0], values[i, 1], values[i, 2] = keep * v0, keep * v1, keep * v2
+        values[i, 3], values[i, 4], values[i, 5] = keep * v3, keep * v4, keep * v5
+        projected[i, 0], projected[i, 1] = keep * m0 * v0, keep * m1 * v1
+        projected[i, 2] = keep * (m2 * v2 + m3 * v3 + m4 * v4)
+        _set_steep(steep[i, 0], keep * m0 * x0, keep * m0 * y0, turn)
+        _set_steep(steep[i, 1], keep * m1 * x1, keep * m1 * y1, turn)
+        _set_steep(steep[i, 2], keep * (m2 * x2 + m3 * x3 + m4 * x4), keep * (m2 * y2 + m3 * y3 + m4 * y4), turn)
+        weights[i] = keep * _least(flat, at + _U(6), right, below)
+
+
+SOFT = np.array([[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 1, 1, 0]], bool)
+"""Entries of the metric ``soft`` that are not zero."""
+
+
+def _steepest_for(metric: np.ndarray) -> Callable:
+    """Loop for a metric: without inner loops for those of the methods most used, which takes little more than half."""
+    if metric.shape == (1, 3):
+        return _steepest_one
+    if metric.shape == SOFT.shape and not metric[~SOFT].any():
+        return _steepest_soft
+    return _steepest
+
+
 def steepest(
     channels: np.ndarray, points: np.ndarray, turn: np.ndarray, metric: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -117,7 +209,7 @@ def steepest(
     steep, weights = np.empty((n, k, 2), np.float32), np.empty(n, np.float32)
     points = np.ascontiguousarray(points, dtype=np.float64)
     turn, metric = (np.ascontiguousarray(a, dtype=np.float32) for a in (turn, metric))
-    _steepest(channels, points, turn, metric, values, projected, steep, weights)
+    _steepest_for(metric)(channels, points, turn, metric, values, projected, steep, weights)
     return values, projected, steep, weights
 
 
@@ -167,28 +259,28 @@ def weighted_gram(modes: np.ndarray, roots: np.ndarray) -> np.ndarray:
 @_jit
 def _residual_sums(residual, modes, own, weights, roots, ar):
     n, k = residual.shape
-    step = max(BLOCK // k, 1)
-    line = np.empty(step * k, np.float32)
+    for i in range(n):
+        for r in range(k):
+            roots[i, r] = own[i, r] * weights[i]
+    line, by_root, flat = np.empty(BLOCK, np.float32), roots.reshape(-1), residual.reshape(-1)
     rr = weight = 0.0
-    for first in range(0, n, step):
-        last = min(first + step, n)
-        begin, e = first * k, 0
+    for begin in range(0, n * k, BLOCK):
+        end = min(begin + BLOCK, n * k)
+        # Slices rather than indices in the inner loops: only then does the compiler see that they never wrap around.
+        root, part = by_root[begin:end], flat[begin:end]
         squares = total = _F(0.0)
-        for i in range(first, last):
-            for r in range(k):
-                root = own[i, r] * weights[i]
-                roots[i, r] = root
-                line[e] = root * root * residual[i, r]
-                squares += line[e] * residual[i, r]
-                total += root * root
-                e += 1
+        for e in range(end - begin):
+            square = root[e] * root[e]
+            line[e] = square * part[e]
+            squares += line[e] * part[e]
+            total += square
         rr += squares
         weight += total
         for j in range(len(modes)):
-            mode = modes[j, begin : begin + e]
+            mode = modes[j, begin:end]
             product = _F(0.0)
-            for i in range(e):
-                product += mode[i] * line[i]
+            for e in range(end - begin):
+                product += mode[e] * line[e]
             ar[j] += product
     return rr, weight
 
