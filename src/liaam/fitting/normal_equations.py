@@ -9,7 +9,7 @@ complement of A, is never formed: J'QJ = J'J - (A'J)' (A'A)^-1 (A'J).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Self
 
@@ -147,11 +147,12 @@ class Sums:
         """Change of lambda that minimises the residual at fixed q, (m,) float64."""
         return self._inverse @ self.ar
 
-    def after_lambda_step(self, step: np.ndarray) -> Self:
+    def after_lambda_step(self, step: np.ndarray) -> "Sums":
         """Sums after lambda moved by a step, from Gram matrices alone."""
         explained = self.aa @ step
         rr = float(self.rr - 2.0 * step @ self.ar + step @ explained)
-        return replace(self, ar=self.ar - explained, rr=rr, inverse=self._inverse)
+        ar, inverse = self.ar - explained, self._inverse
+        return Sums(aa=self.aa, ar=ar, rr=rr, weight=self.weight, inverse=inverse, unit=self.unit)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -193,9 +194,9 @@ class NormalEquations(Sums):
         hessian = self.jj - carried @ self.aj
         return 0.5 * (hessian + hessian.T), self.jr - carried @ self.ar
 
-    def after_lambda_step(self, step: np.ndarray) -> Self:
+    def after_lambda_step(self, step: np.ndarray) -> "NormalEquations":
         """Equations after lambda moved by a step, from Gram matrices alone."""
-        return replace(super().after_lambda_step(step), jr=self.jr - self.aj.T @ step)
+        return self.of(super().after_lambda_step(step), self.jj, self.jr - self.aj.T @ step, self.aj)
 
     def reduced(self) -> tuple[np.ndarray, np.ndarray]:
         """Hessian J'QJ (n_q, n_q) and gradient J'Qr (n_q,) with lambda eliminated."""
