@@ -418,7 +418,7 @@ class Objective:
         -------
         Trust or None
             None for methods that weigh all pixels as the model does, and where no pixel counts; ``before`` itself
-            where little has changed.
+            where little has changed, or a soft method sees no pixel that counts.
         """
         method = self.method
         if not method.reweighs:
@@ -428,12 +428,12 @@ class Objective:
         usable = seen.weights * self.appearance.usable > 0
         if not usable.any():
             return None
-        metric = method.image_metric(state.angles[1])
-        samples = seen.values @ metric.T
-        gain, offset = normalisation(self._fixed_design.mean, samples, usable) if method.normalise else (1.0, 0.0)
-        trust = Trust(np.ones(len(usable), np.float32), gain=gain, offset=offset)
-        by_model = self._unexplained(state.angles[0])
+        metric, trust = method.image_metric(state.angles[1]), Trust(np.ones(len(usable), np.float32))
+        if method.normalise:
+            gain, offset = normalisation(self._fixed_design.mean, seen.values @ metric.T, usable)
+            trust = replace(trust, gain=gain, offset=offset)
         if method.noise_weights:
+            by_model = self._unexplained(state.angles[0])
             trust = replace(trust, **noise_variances(problem, seen.look, metric, by_model, usable))
         return self._with_products(self._robust(trust, state, seen.look))
 
@@ -458,7 +458,8 @@ class Objective:
         if self.method.loss == "squares":
             return trust
         variance = trust.variance(self.method.image_metric(state.angles[1]))
-        usable, by_model = look.weights * self.appearance.usable > 0, self._unexplained(self.theta_model)
+        usable = look.weights * self.appearance.usable > 0
+        by_model = self._unexplained(self.theta_model) if self.method.loss == "learnt" else np.zeros(len(usable))
         return replace(trust, weights=robust_weights(self.method.loss, look.residual, variance, by_model, usable))
 
     def _with_products(self, trust: Trust) -> Trust:
