@@ -42,6 +42,13 @@ def test_a_settled_fit_of_low_quality_is_doubtful(judged, rng):
     assert result.quality < 0.5
 
 
+@pytest.mark.parametrize("value", [0, 255])
+def test_what_is_lost_by_its_status_has_no_chance_to_be_right(judged, value):
+    result = Fitter(judged).fit(np.full((180, 240, 3), value, np.uint8), (60, 40, 180, 150))
+    assert result.status.lost
+    assert result.quality == 0.0
+
+
 def test_other_methods_have_no_quality(judged, lit_scene):
     result = Fitter(judged, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert np.isnan(result.quality)

@@ -9,6 +9,7 @@ from liaam.fitting import FitStatus, Fitter, SolverOptions
 from liaam.fitting.fitter import solve_levels
 from liaam.fitting.trust import SOFT_ROWS
 from liaam.photometry import linear_to_srgb, srgb_to_linear
+from liaam.photometry.encoding import BRIGHTNESS
 from liaam.photometry.invariant import LUMINANCE
 from setups import disturb, finest_objective, make_problem, model_pixels, train_on
 
@@ -92,7 +93,7 @@ def trust_in(model, image: np.ndarray, shape: np.ndarray):
 
 def test_noise_costs_trust(fine_model, same_light_scene, rng):
     shape, image = same_light_scene.landmarks, same_light_scene.image
-    noise = 0.06 * rng.standard_normal(image.shape)
+    noise = 0.1 * rng.standard_normal(image.shape)
     stored = np.clip(linear_to_srgb(image.astype(np.float64)) + noise, 0, 1)
     noisy = srgb_to_linear(stored).astype(np.float32)
     gradient, invariant = trust_in(fine_model, image, shape)
@@ -106,7 +107,7 @@ def test_colours_out_of_place_cost_the_invariant_its_trust(fine_model, same_ligh
 
     shape, image = same_light_scene.landmarks, same_light_scene.image
     tint = cv2.GaussianBlur(rng.standard_normal(image.shape).astype(np.float32), (0, 0), 12.0)
-    tint -= tint @ LUMINANCE[0].astype(np.float32)[:, None]
+    tint -= tint @ BRIGHTNESS.astype(np.float32)[:, None]
     tinted = np.clip(image * np.exp(0.3 * tint / tint.std()), 0, 1).astype(np.float32)
     plain, changed = trust_in(fine_model, image, shape), trust_in(fine_model, tinted, shape)
     assert changed[1] / plain[1] < 0.5 * changed[0] / plain[0]

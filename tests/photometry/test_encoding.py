@@ -66,7 +66,7 @@ def test_strange_floats_stay_finite(bad, encoding, blur):
     assert encoded[..., -1].sum() >= 255
 
 
-def test_soft_gradients_are_those_of_log_luminance_normalised_softly(rng):
+def test_soft_gradients_are_those_of_log_brightness_normalised_softly(rng):
     y, x = np.mgrid[:20, :24]
     slope = rng.uniform(-0.2, 0.2, 2)
     image = np.repeat(np.exp(slope[0] * (x - 12) + slope[1] * (y - 10) - 1.5)[..., None], 3, axis=2)
@@ -294,3 +294,19 @@ def test_a_turned_picture_has_the_same_orientations_on_the_object(fine_model, sc
     assert np.array_equal(turned[1], upright[1])
     # The axes of the picture did turn.
     assert np.abs(upright[0][:, 0]).mean() > 0.2
+
+
+def test_soft_gradients_are_as_sure_as_all_three_channels_make_them(rng):
+    y, x = np.mgrid[:40, :40]
+    clean = np.repeat((0.3 + 0.004 * x + 0.002 * y)[..., None], 3, axis=2)
+    true = encode(clean.astype(np.float32), "soft", "linear")[2:-2, 2:-2, :2]
+    errors = []
+    for channels in (slice(0, 1), slice(0, 3)):
+        noisy = clean.copy()
+        noise = 0.002 * rng.standard_normal(clean[..., channels].shape)
+        noisy[..., channels] += noise
+        noisy[...] = noisy[..., channels].mean(axis=2, keepdims=True) if channels.stop == 1 else noisy
+        errors.append(encode(noisy.astype(np.float32), "soft", "linear")[2:-2, 2:-2, :2] - true)
+    alone, together = (np.sqrt(np.square(error).mean()) for error in errors)
+    # Independent noise of three channels averages out; a channel that counts for most would leave 0.75 of it.
+    assert together == pytest.approx(alone / np.sqrt(3), rel=0.1)

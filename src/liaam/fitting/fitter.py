@@ -339,8 +339,8 @@ class Fitter:
         spread = covariance(stages[-1].objective, solution, self.options.shape_prior / solution.scale)
         spread = spread if known is None else known.understated * spread
         seen = evidence(stages[-1])
-        quality = np.nan if known is None else known.quality(seen)
         status = self._status(image, history, stages[-1])
+        quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
         # Without calibration, too, what explains nothing is no fit.
         doubtful = quality < LEAST_QUALITY or (self._method.soft and seen[0] <= 0.0)
         if status.ok and doubtful:

@@ -208,7 +208,7 @@ METHODS: dict[str, Method] = {
     for method in (
         Method(
             "soft-li",
-            "gradients of log luminance and the invariant, each as far as it can be trusted; under any light",
+            "gradients of log brightness and the invariant, each as far as it can be trusted; under any light",
             "soft",
             "soft",
             "soft",

@@ -13,7 +13,6 @@ import numpy as np
 from liaam.evaluation import point_error
 from liaam.fitting.fitter import Fitter, fitted_covariances
 from liaam.fitting.methods import DEFAULT_METHOD
-from liaam.fitting.result import FitStatus
 from liaam.fitting.solver import SolverOptions
 from liaam.model import AAM, Reliability
 from liaam.shape import align, diagonal_of, rotation
@@ -66,7 +65,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
             fitter = Fitter(picture.model, DEFAULT_METHOD, OPTIONS)
         for near, start in ((True, _near(picture, rng)), (False, _far(picture, rng))):
             result = fitter.fit(picture.image, start)
-            if not (result.status.ok or result.status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
+            if result.status.lost:
                 continue  # its status says it all
             error = point_error(result.shape, picture.points) / diagonal_of(picture.points)
             if not np.isfinite(error) or not np.isfinite(result.evidence).all():

@@ -28,6 +28,11 @@ class FitStatus(StrEnum):
         return self in (FitStatus.CONVERGED, FitStatus.LIGHT_UNOBSERVABLE)
 
     @property
+    def lost(self) -> bool:
+        """Whether the fit has failed, whatever its quality."""
+        return not self.ok and self not in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)
+
+    @property
     def message(self) -> str:
         """What happened, and what to do about it."""
         return _MESSAGES[self]
@@ -129,8 +134,8 @@ class FitResult:
     evidence : (2,) float64
         Share of the picture's contrast under the model that the fit explains, and strangeness of its shape.
     quality : float
-        Probability, 0 to 1, that the fit is right, calibrated on pictures left out of training; NaN for other methods
-        than ``soft-li`` and for models trained without leaving out.
+        Probability, 0 to 1, that the fit is right, calibrated on pictures left out of training; 0 where the status says
+        that the object is lost. NaN for other methods than ``soft-li`` and for models trained without leaving out.
     method : str
     found : Candidate, optional
         What the search gave the fit to start from; None where the start was given.

@@ -11,8 +11,7 @@ from liaam.fitting.losses import LOSSES, robust_scale
 from liaam.fitting.normal_equations import regular_inverse
 from liaam.fitting.problem import LOGS, FitProblem, Look
 from liaam.kernels import get_kernel
-from liaam.photometry import LUMINANCE
-from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS
+from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +151,7 @@ def soft_trust(
         (problem.noise_left, problem.slope_left),
         SOFTNESS,
         LOG_FLOOR,
-        LUMINANCE[0],
+        BRIGHTNESS,
         UNKNOWN,
         MOST_DIRECTION_NOISE,
         rows.colours,

@@ -445,7 +445,7 @@ def _exp(x):
 
 
 @_jit
-def _soft_noise(values, relative, first, steps, left, floor, luminance, unknown, most, colours, noise):
+def _soft_noise(values, relative, first, steps, left, floor, brightness, unknown, most, colours, noise):
     top = len(relative) - 2
     for i in range(len(values)):
         known, spread, total = colours and values[i, 5] >= _F(0.99), _F(0.0), floor
@@ -454,7 +454,7 @@ def _soft_noise(values, relative, first, steps, left, floor, luminance, unknown,
             at = min(max((value - first) * steps, _F(0.0)), _F(top + 1))
             below = min(int(at), top)
             deviation = relative[below] + (at - _F(below)) * (relative[below + 1] - relative[below])
-            linear = luminance[c] * _exp(value)
+            linear = brightness[c] * _exp(value)
             total += linear
             spread += (deviation * linear) * (deviation * linear)
             square = deviation * deviation
@@ -497,7 +497,7 @@ def soft_variances(
     left: tuple[float, float],
     softness: float,
     floor: float,
-    luminance: np.ndarray,
+    brightness: np.ndarray,
     unknown: float,
     most: float,
     colours: bool,
@@ -506,8 +506,8 @@ def soft_variances(
     noise, by_noise, sums = np.empty_like(values), np.empty_like(residual), np.zeros((residual.shape[1], 3))
     steps = (len(relative) - 1) / (span[1] - span[0])
     shares = np.array([left[0] ** 2, (left[1] / softness) ** 2], np.float32)
-    table, luminance = relative.astype(np.float32), luminance.astype(np.float32)
-    numbers = _F(floor), luminance, _F(unknown), _F(most), colours
+    table, brightness = relative.astype(np.float32), brightness.astype(np.float32)
+    numbers = _F(floor), brightness, _F(unknown), _F(most), colours
     _soft_noise(values, table, _F(span[0]), _F(steps), shares, *numbers, noise)
     _beyond_noise(noise, squared.astype(np.float32), residual, weights, _F(0.5 * unknown), by_noise, sums)
     return noise, by_noise, sums

@@ -397,7 +397,7 @@ def soft_noise_batch(
     left: Array,
     softness: float,
     floor: float,
-    luminance: np.ndarray,
+    brightness: np.ndarray,
     unknown: float,
     most: float,
 ) -> Array:
@@ -412,7 +412,7 @@ def soft_noise_batch(
     relative : (b, s) float
     span : (lowest, highest)
     left : (b, 2) of the type of ``relative``
-    softness, floor, luminance, unknown, most
+    softness, floor, brightness, unknown, most
         As for :func:`soft_variances`.
 
     Returns
@@ -423,7 +423,7 @@ def soft_noise_batch(
     values = xp.astype(values, relative.dtype)
     direction, logs, known = values[..., :2], values[..., 2:5], values[..., 5:]
     linear, deviation = xp.exp(logs), _interpolate(logs, relative, span)
-    share, left = [float(weight) for weight in luminance], left[:, None, None, :]
+    share, left = [float(weight) for weight in brightness], left[:, None, None, :]
     total = sum(linear[..., i : i + 1] * share[i] for i in range(3)) + floor
     squares = xp.square(left[..., 1] * deviation * linear)
     slope = sum(squares[..., i : i + 1] * share[i] ** 2 for i in range(3)) / xp.square(total)
@@ -480,7 +480,7 @@ def soft_variances(
     left: tuple[float, float],
     softness: float,
     floor: float,
-    luminance: np.ndarray,
+    brightness: np.ndarray,
     unknown: float,
     most: float,
     colours: bool,
@@ -506,7 +506,7 @@ def soft_variances(
         Share of the noise's deviation that the blur leaves, and deviation of a slope by noise of unit deviation.
     softness, floor : float
         Those of the encoding.
-    luminance : (3,) float64
+    brightness : (3,) float64
         Weights of R, G and B.
     unknown : float
         Variance of a logarithm that is not known; rows from half of it on do not count.
@@ -524,7 +524,7 @@ def soft_variances(
     sums : (k, 3) float64
         Of each row: how many pixels count, their squared residuals, and these less the variance by noise.
     """
-    settings = softness, floor, luminance, unknown, most
+    settings = softness, floor, brightness, unknown, most
     noise = soft_noise_batch(values[None], np.asarray(relative, np.float64)[None], span, np.array([left]), *settings)[0]
     if not colours:
         noise[:, 2:5] = unknown

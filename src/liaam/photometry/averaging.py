@@ -314,12 +314,12 @@ def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> n
 
 
 @_jit
-def _soft_light(means, all_, grey, luminance, dark, floor, light, masks):
+def _soft_light(means, all_, grey, weights, dark, floor, light, masks):
     every = True
     for y in range(means.shape[0]):
         for x in range(means.shape[1]):
             red, green, blue = means[y, x, 0], means[y, x, 1], means[y, x, 2]
-            light[y, x, 0] = luminance[0] * red + luminance[1] * green + luminance[2] * blue + dark
+            light[y, x, 0] = weights[0] * red + weights[1] * green + weights[2] * blue + dark
             light[y, x, 1], light[y, x, 2], light[y, x, 3] = max(red, floor), max(green, floor), max(blue, floor)
             known = means[y, x, 3] > all_ and not grey
             finite = means.shape[2] < 5 or means[y, x, 4] > all_
@@ -329,7 +329,7 @@ def _soft_light(means, all_, grey, luminance, dark, floor, light, masks):
 
 
 def soft_light(
-    means: np.ndarray, least: float, grey: bool, luminance: np.ndarray, dark: float, floor: float
+    means: np.ndarray, least: float, grey: bool, weights: np.ndarray, dark: float, floor: float
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Light whose logarithms ``soft`` takes, and where they may be used.
 
@@ -342,24 +342,24 @@ def soft_light(
         Share above which all are meant.
     grey : bool
         Whether colours say nothing.
-    luminance : (3,) float
-        Weights of R, G and B.
+    weights : (3,) float
+        Of R, G and B in brightness.
     dark : float
-        Added to luminance.
+        Added to brightness.
     floor : float
         Least R, G and B.
 
     Returns
     -------
     light : (h, w, 4) float32
-        Luminance, R, G, B.
+        Brightness, R, G, B.
     masks : (h, w, 2) float32
-        Where colour, and luminance, may be used: 1, else 0.
+        Where colour, and brightness, may be used: 1, else 0.
     every : bool
         Whether both may be used everywhere.
     """
     light, masks = np.empty((*means.shape[:2], 4), np.float32), np.empty((*means.shape[:2], 2), np.float32)
-    numbers = np.float32(least), bool(grey), np.asarray(luminance, np.float32), np.float32(dark), np.float32(floor)
+    numbers = np.float32(least), bool(grey), np.asarray(weights, np.float32), np.float32(dark), np.float32(floor)
     return light, masks, bool(_soft_light(means, *numbers, light, masks))
 
 
@@ -378,22 +378,22 @@ def _weigh(logs, masks, least, weights):
 
 
 def weigh(logs: np.ndarray, masks: np.ndarray, least: float, finite: bool = False) -> np.ndarray:
-    """Multiply log luminance and log RGB, in place, by weights of their masks.
+    """Multiply log brightness and log RGB, in place, by weights of their masks.
 
     Parameters
     ----------
     logs : (h, w, 4) float32
     masks : (h, w, 2) float32
-        Of RGB and of luminance.
+        Of RGB and of brightness.
     least : float
         Weight of what is masked, beside 1.
     finite : bool
-        Whether luminance is masked nowhere, and left as it is.
+        Whether brightness is masked nowhere, and left as it is.
 
     Returns
     -------
     (h, w, 1 or 2) float32
-        Weights of RGB, and of luminance if it has any.
+        Weights of RGB, and of brightness if it has any.
     """
     weights = np.empty((*masks.shape[:2], 1 if finite else 2), np.float32)
     _weigh(logs, masks, np.float32(least), weights)
@@ -413,7 +413,7 @@ def _divide(logs, shares):
 
 
 def divide(logs: np.ndarray, shares: np.ndarray) -> None:
-    """Divide log luminance and log RGB (h, w, 4), in place, by the shares (h, w, 1 or 2) of what :func:`weigh` gave."""
+    """Divide log brightness and log RGB (h, w, 4), in place, by the shares (h, w, 1 or 2) that :func:`weigh` gave."""
     _divide(logs, shares)
 
 

@@ -17,15 +17,20 @@ from liaam.photometry.response import Response, linear_to_srgb, to_linear
 ENCODINGS = ("value", "log", "orientation", "soft")
 """``value``: sRGB-encoded values in [0, 1]; ``log``: natural logarithm of linear light; ``orientation``: cosine
 and sine of the direction of luminance's gradient, third channel zero (Tzimiropoulos, Zafeiriou and Pantic,
-"Subspace learning from image gradient orientations", PAMI 2012); ``soft``: the gradient of log luminance, softly
+"Subspace learning from image gradient orientations", PAMI 2012); ``soft``: the gradient of log brightness, softly
 normalised, log of linear light, and whether that log says anything (six channels, see :func:`encode`)."""
 
+BRIGHTNESS = np.full(3, 1.0 / 3.0)
+"""Weights of linear R, G and B in the brightness that ``soft`` takes gradients of. The eye's luminance leans on green
+and throws red and blue away: with equal weights errors by noise are a sixth smaller (generated scenes, efficiency 0.80
+instead of 0.67), and on photographs as large."""
+
 SOFTNESS = 0.1
-"""Gradient of log luminance, per pixel of the object's own frame, at which its length is half normalised away. Measured
-on real faces: 0.025 to 0.1 alike, the larger a little ahead with persons that a model has not seen."""
+"""Gradient of log brightness, per pixel of the object's own frame, at which its length is half normalised away.
+Measured on real faces: 0.025 to 0.1 alike, the larger a little ahead with persons that a model has not seen."""
 
 LOG_FLOOR = 0.004
-"""Added to linear luminance before its logarithm, so that the noise of black makes no strong gradients."""
+"""Added to linear brightness before its logarithm, so that the noise of black makes no strong gradients."""
 
 FLAT = 1e-4
 """Gradient of luminance per pixel, in values of [0, 1], below which its direction fades to nothing: a fortieth
@@ -234,14 +239,14 @@ def _block_means(image: np.ndarray, encoding: str, response: Response, blocks: _
 def _encode_soft(
     image: np.ndarray, response: Response, blur: float, blocks: _Blocks, turn: np.ndarray | None, pixel: float
 ) -> np.ndarray:
-    """Encode for ``soft``: gradients of log luminance, softly normalised, and log RGB with its own weight."""
+    """Encode for ``soft``: gradients of log brightness, softly normalised, and log RGB with its own weight."""
     import cv2  # heavy: imported when first needed
 
     from liaam.photometry import averaging
 
     means = _block_means(image, "log", response, blocks)
     # Of a grey picture there is no invariant to know.
-    settings = ALL, is_grey(image), LUMINANCE[0], LOG_FLOOR, float(_floor(response))
+    settings = ALL, is_grey(image), BRIGHTNESS, LOG_FLOOR, float(_floor(response))
     light, masks, every = averaging.soft_light(means, *settings)
     logs = cv2.log(light, light)
     if blur > 0.0:
@@ -251,7 +256,7 @@ def _encode_soft(
 
 
 def _blurred_by_masks(logs: np.ndarray, masks: np.ndarray, blur: float, finite: bool) -> np.ndarray:
-    """Blur log luminance by where it is finite, and log RGB by where it is known; the logarithms given are lost."""
+    """Blur log brightness by where it is finite, and log RGB by where it is known; the logarithms given are lost."""
     from liaam.photometry import averaging
 
     weights = averaging.weigh(logs, masks, float(UNUSABLE), finite)

@@ -7,8 +7,7 @@ from liaam.fitting.batched.objective import BatchObjective, Look, Pictures, Shar
 from liaam.fitting.problem import LOGS
 from liaam.fitting.trust import ALIKE, LEAST_UNEXPLAINED, MOST_DIRECTION_NOISE, MOVED, SOFT_ROWS, UNKNOWN
 from liaam.kernels.reference import beyond_noise_batch, soft_noise_batch
-from liaam.photometry import LUMINANCE
-from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS
+from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
 
 def soft_trust(objective: BatchObjective, shared: Shared, pictures: Pictures, state: States, look: Look) -> Trusts:
@@ -23,7 +22,7 @@ def soft_trust(objective: BatchObjective, shared: Shared, pictures: Pictures, st
         pictures.left,
         SOFTNESS,
         LOG_FLOOR,
-        LUMINANCE[0],
+        BRIGHTNESS,
         UNKNOWN,
         MOST_DIRECTION_NOISE,
     )
