@@ -132,10 +132,14 @@ def noise_deviation(image: np.ndarray) -> float:
     # So do some of its rows.
     step = max(1, image.shape[0] * image.shape[1] // SPARSE) | 1  # odd: rows of all phases of JPEG's blocks
     rows = np.arange(1, image.shape[0] - 1, step)
-    above, own, below = (stored_values(image[rows + shift]) for shift in (-1, 0, 1))
+    whole = image.dtype.kind == "u"  # differences of integers are exact
+    top = np.iinfo(image.dtype).max if whole else 1.0
+    above, own, below = (
+        image[rows + shift].astype(np.int32) if whole else stored_values(image[rows + shift]) for shift in (-1, 0, 1)
+    )
     bent = above - 2 * own + below
     bent = bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]
-    return max(float(1.4826 * np.median(np.abs(bent)) / 6.0), least)
+    return max(float(1.4826 * np.median(np.abs(bent)) / (6.0 * top)), least)
 
 
 def noise_from_flat(
