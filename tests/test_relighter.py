@@ -11,7 +11,8 @@ from liaam.experiments.relit import LIGHTS, flat_error, lit_pairs, mesh_mask, se
 from liaam.fitting import Fitter
 from liaam.mesh import ReferenceFrame, delaunay
 from liaam.relighting import Relighter
-from liaam.relighting.painting import around, eight_bits, log_light
+from liaam.relighting.beyond import around
+from liaam.relighting.painting import eight_bits, log_light
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import piecewise_smooth
 

@@ -13,7 +13,8 @@ from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour, refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
-from liaam.relighting.painting import REACH, around, box_around, eight_bits, log_light, paint
+from liaam.relighting.beyond import around, continued
+from liaam.relighting.painting import REACH, box_around, eight_bits, log_light, paint
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
 from liaam.relighting.together import appearance_in_light
@@ -234,10 +235,11 @@ def _taken_apart(
     doubt = noise_variance(own, response, noise_deviation(image)) + painted[..., 7:8]
     detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + doubt, 1e-12)
     weights = inside[..., None].astype(np.float32)
-    nearby, share = around(np.concatenate([log_smooth, normals], axis=2), weights, own, reach_of(shape))
-    taken = np.where(inside[..., None], own - log_model - detail, share * nearby[..., :3])
+    nearby, share = around(normals, weights, own, reach_of(shape))
+    beyond = share * continued(log_smooth, inside, own, reach_of(shape))
+    taken = np.where(inside[..., None], own - log_model - detail, beyond)
     turned = align(model.shape_model.mean, shape)
-    normals = np.where(inside[..., None], normals, nearby[..., 3:])
+    normals = np.where(inside[..., None], normals, nearby)
     normals[..., :2] = normals[..., :2] @ (turned.matrix / turned.scale).T.astype(np.float32)
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6)
     return Relighter(
