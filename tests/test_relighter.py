@@ -11,7 +11,7 @@ from liaam.experiments.relit import LIGHTS, flat_error, lit_pairs, mesh_mask, se
 from liaam.fitting import Fitter
 from liaam.mesh import ReferenceFrame, delaunay
 from liaam.relighting import Relighter
-from liaam.relighting.beyond import around
+from liaam.relighting.beyond import around, continued
 from liaam.relighting.painting import eight_bits, log_light
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import piecewise_smooth
@@ -58,6 +58,18 @@ def test_detail_is_kept(head, taken_apart):
     made[taken_apart.box] = taken_apart.log_flat
     errors = [flat_error(model, log, taken_apart.shape, pair.flat) for log in (log_model, made)]
     assert errors[1] < 0.95 * errors[0]
+
+
+def test_what_is_dark_in_two_channels_keeps_its_colour(head, taken_apart):
+    """In a nostril only red is left; red detail without green and blue would make it cyan."""
+    model, pair = head
+    image, (x, y) = pair.lit.image.copy(), taken_apart.shape.mean(axis=0).astype(int)
+    image[y - 3 : y + 4, x - 3 : x + 4] = [20, 0, 2]
+    fitter = Fitter(model)
+    relighter = Relighter.of(fitter, image, fitter.fit(pair.lit.image))
+    red, green, blue = np.moveaxis(relighter.flat()[y - 2 : y + 3, x - 2 : x + 3].astype(int), 2, 0)
+    assert (red >= green).all()
+    assert (red >= blue).all()
 
 
 def model_alone(relighter):
@@ -243,3 +255,63 @@ def test_a_shadow_that_goes_on_takes_the_shadows_change(size):
     np.testing.assert_allclose(carried[row, 55 * size], -1.5, atol=0.2)
     assert share[row, 45 * size] > 0.3
     np.testing.assert_allclose(share[row, 55 * size], share[row, 45 * size], rtol=0.05)
+
+
+def test_a_wall_that_edges_cut_off_gets_no_halo():
+    """Behind a cheek in shadow, a wall somewhere looks like the cheek: a new light on it would be a halo."""
+    values, weights = np.ones((80, 160, 1), np.float32), np.zeros((80, 160, 1), np.float32)
+    weights[20:60, 20:60] = 1.0
+    own = np.full((80, 160, 3), -2.0, np.float32)
+    own[:, 66:72] = [0.0, 0.5, 1.0]  # its bright rim
+    _, share = around(values, weights, own, 8.0)
+    assert share[40, 62] > 0.9
+    assert share[40, 73:].max() < 0.1
+    own[:, 66:72] = -2.0
+    assert around(values, weights, own, 8.0)[1][40, 74] > 0.5
+
+
+def ridge(rng, noise=0.0):
+    """Log light of hair and skin, whose border the mesh follows, and the shadow that lies along it; the mesh."""
+    height, width = 80, 120
+    down, right = np.mgrid[:height, :width].astype(np.float32)
+    edge = 38.0 + 5.0 * np.sin(right / 7.0)
+    shadow = -0.9 / (1.0 + np.exp((edge - down) / 1.5))[..., None] * [0.8, 1.0, 1.2]
+    hair = ((down % 24 < 9) & (right % 40 < 25))[..., None]
+    paint = np.where(hair, [-2.2, -2.3, -2.2], [-0.8, -1.3, -1.6])
+    own = paint + shadow + rng.normal(0, noise, paint.shape)
+    return own.astype(np.float32), shadow.astype(np.float32), down > 38
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_shadows_edge_along_the_border_is_told_from_paint(rng, noise):
+    own, shadow, inside = ridge(rng, noise)
+    change = np.where(inside[..., None], shadow, 7.0).astype(np.float32)  # not known outside
+    found = continued(change, inside, own, 8.0)
+    next_to_it = np.zeros_like(inside)
+    next_to_it[31:39] = True
+    off = np.abs(found - shadow)[next_to_it]
+    carried, _ = around(change, inside[..., None].astype(np.float32), own, 8.0)
+    before = np.abs(carried - shadow)[next_to_it]
+    assert before.mean() > 0.2
+    assert off.mean() < 0.5 * before.mean()
+    np.testing.assert_array_equal(found <= shadow[inside].max(axis=0) + 1e-6, True)
+
+
+@pytest.mark.parametrize("reach", [1.0, 3.0, 40.0])
+def test_a_change_that_is_the_same_everywhere_goes_on_as_it_is(rng, reach):
+    inside = np.zeros((90, 70), bool)
+    inside[30:60, 20:50] = True
+    own = rng.normal(-1, 0.5, (90, 70, 3)).astype(np.float32)
+    change = np.where(inside[..., None], np.float32([0.3, -0.2, 0.1]), np.float32(9))
+    near = np.zeros_like(inside)
+    near[29:61, 19:51] = True
+    found = continued(change, inside, own, reach)
+    np.testing.assert_allclose(found[near], np.broadcast_to([0.3, -0.2, 0.1], found[near].shape), atol=1e-5)
+
+
+def test_nothing_inside_changes_nothing():
+    none = np.zeros((9, 8), bool)
+    assert not continued(np.ones((9, 8, 3), np.float32), none, np.ones((9, 8, 3), np.float32), 2.0).any()
+    own = np.full((9, 8, 3), -5.0, np.float32)  # one colour: nothing to tell by
+    change = np.full((9, 8, 3), 0.4, np.float32)
+    np.testing.assert_allclose(continued(change, ~none, own, 2.0), 0.4, atol=1e-5)

@@ -37,8 +37,9 @@ a dark thing that is none of the object's does less harm than a halo on a bright
 CUT_OFF = 0.05
 """Share of what would come from the mesh, were there no edges, below which a place is cut off from it by them."""
 
-WINDOWS = (2.0, 0.7, 0.25)
-"""Deviations of the Gaussian windows within which colours tell light, in reaches."""
+WINDOWS, SMOOTH = (2.0, 0.7, 0.25), 1.2
+"""Deviations of the Gaussian windows within which colours tell light, in reaches; and of one, pixels, that is wide
+enough for functions that are put between pixels again."""
 
 UNTOLD = 0.1
 """Change of log light within a window that is too small to tell light from."""
@@ -115,40 +116,48 @@ def continued(change: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: fl
 
     if not inside.any():
         return np.zeros_like(change)
-    seen, weights = cv2.GaussianBlur(own, (0, 0), BLUR_OWN), inside[..., None].astype(np.float32)
-    found = np.zeros_like(change)
-    for i, window in enumerate(WINDOWS):
-        told, known = _told_by_colours(change, weights, seen, max(window * reach, NEAREST))
-        found += (_smoothstep(2.0 * known) if i else 1.0) * (told - found)
-    return np.clip(found, change[inside].min(axis=0), change[inside].max(axis=0))
-
-
-def _told_by_colours(
-    change: np.ndarray, weights: np.ndarray, seen: np.ndarray, scale: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Change of light (h, w, 3) by the colours of a window's pixels, and the share (h, w, 1) that is known of them."""
-    height, width = weights.shape[:2]
-    step = max(1, int(scale / ENOUGH))
-    size = (-(-width // step), -(-height // step))
-    # Sums of products, so that the pictures can be made smaller after they are multiplied.
+    (height, width), seen = inside.shape, cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
+    step = max(1, int(WINDOWS[-1] * reach / SMOOTH))
+    # Sums of products, so that the picture can be made smaller after they are multiplied.
     parts = [seen, change, *(seen[..., i:] * seen[..., i : i + 1] for i in range(3))]
-    parts += [change * seen[..., i : i + 1] for i in range(3)] + [np.ones_like(weights)]
-    sums = _blurred(_resized(np.concatenate(parts, axis=2) * weights, size), scale / step)
-    offset, slopes = _affine(_means(sums))
-    layers = _resized(np.concatenate([offset, *np.moveaxis(slopes, 2, 0), sums[..., -1:]], axis=2), (width, height))
+    parts += [change * seen[..., i : i + 1] for i in range(3)] + [np.ones_like(seen[..., :1])]
+    sums = _resized(np.concatenate(parts, axis=2) * inside[..., None], _fewer(inside, step))
+    found = np.zeros(1, np.float32)
+    for i, window in enumerate(WINDOWS):
+        told, known = _told_by_colours(sums, max(window * reach, NEAREST) / step)
+        found = told if i == 0 else found + _smoothstep(2.0 * known) * (told - found)
+    layers = _resized(found, (width, height))
     told = layers[..., :3] + sum(seen[..., i : i + 1] * layers[..., 3 * i + 3 : 3 * i + 6] for i in range(3))
-    return told, layers[..., -1:]
+    return np.clip(told, change[inside].min(axis=0), change[inside].max(axis=0))
 
 
-def _affine(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (h, w, 3) and slopes (h, w, 3, 3) of the affine functions that fit windows with these mean products."""
+def _told_by_colours(sums: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Affine functions (h, w, 12) that fit windows of sums of products, and the share (h, w, 1) known of them."""
+    height, width = sums.shape[:2]
+    step = max(1, int(scale / SMOOTH))
+    small = _blurred(_resized(sums, _fewer(sums, step)), scale / step)
+    layers = _resized(np.concatenate([_affine(_means(small)), small[..., -1:]], axis=2), (width, height))
+    return layers[..., :-1], layers[..., -1:]
+
+
+def _fewer(picture: np.ndarray, step: int) -> tuple[int, int]:
+    """Width and height of a picture (h, w, ...) with a pixel for every so many rows and columns."""
+    return -(-picture.shape[1] // step), -(-picture.shape[0] // step)
+
+
+def _affine(means: np.ndarray) -> np.ndarray:
+    """Offset, and slope by each channel, (h, w, 12), of affine functions that fit windows with these mean products."""
     colour, change = means[..., :3], means[..., 3:6]
     upper = means[..., 6:12]
     products = upper[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*colour.shape, 3)
     covariance = products - colour[..., :, None] * colour[..., None, :] + UNTOLD**2 * np.eye(3, dtype=np.float32)
     mixed = means[..., 12:21].reshape(*colour.shape, 3) - colour[..., :, None] * change[..., None, :]
-    slopes = np.linalg.solve(covariance, mixed)
-    return change - np.einsum("hwi,hwij->hwj", colour, slopes), slopes
+    # The inverse by Cramer's rule: of very many small matrices it is quicker than a solver.
+    a, b, c = np.moveaxis(covariance, 2, 0)
+    adjugate = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    slopes = adjugate @ mixed / np.einsum("hwi,hwi->hw", a, adjugate[..., 0, :])[..., None, None]
+    offset = change - np.einsum("hwi,hwij->hwj", colour, slopes)
+    return np.concatenate([offset, slopes.reshape(*colour.shape[:2], 9)], axis=2)
 
 
 def _means(sums: np.ndarray) -> np.ndarray:
@@ -199,7 +208,7 @@ def _on_fewer_pixels(
     if step < 2:
         return smooth(*pictures, scale)
     height, width = pictures[0].shape[:2]
-    small = (_resized(picture, (-(-width // step), -(-height // step))) for picture in pictures)
+    small = (_resized(picture, _fewer(picture, step)) for picture in pictures)
     return _resized(smooth(*small, scale / step), (width, height))
 
 
@@ -207,6 +216,8 @@ def _resized(layers: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Layers (h, w, c) at another (width, height): means where smaller; OpenCV resizes four at a time."""
     import cv2
 
+    if size == (layers.shape[1], layers.shape[0]):
+        return layers
     how = cv2.INTER_AREA if size[0] < layers.shape[1] else cv2.INTER_LINEAR
     parts = range(0, layers.shape[2], 4)
     return np.dstack([cv2.resize(layers[..., i : i + 4], size, interpolation=how) for i in parts])

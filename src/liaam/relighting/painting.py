@@ -42,9 +42,7 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
 
     height, width = image.shape[:2]
     picture, inside = np.zeros((height, width, values.shape[1]), np.float32), np.zeros((height, width), bool)
-    # A fit that has blown up may be of any size.
-    sane = np.isfinite(shape).all() and np.ptp(shape, axis=0).max() < LARGEST * max(height, width)
-    triangles = model.triangles[signed_areas(shape, model.triangles) > 1e-3] if sane else model.triangles[:0]
+    triangles = seen_triangles(image, shape, model)
     if not len(triangles):
         return picture, inside
     there = ReferenceFrame(shape, triangles)
@@ -62,6 +60,16 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     picture[y[seen][kept], x[seen][kept]] = np.stack([layer[kept] / share[kept] for layer in carried], axis=1)
     inside[y[seen][kept], x[seen][kept]] = True
     return picture, inside
+
+
+def seen_triangles(image: np.ndarray, shape: np.ndarray, model: AAM) -> np.ndarray:
+    """Triangles of a shape's mesh that are not turned over, (t, 3); none of a shape that an image cannot show."""
+    height, width = image.shape[:2]
+    # A fit that has blown up may be of any size.
+    sane = np.isfinite(shape).all() and np.ptp(shape, axis=0).max() < LARGEST * max(height, width)
+    if not sane or (shape.max(axis=0) < 0).any() or (shape.min(axis=0) > (width - 1, height - 1)).any():
+        return model.triangles[:0]
+    return model.triangles[signed_areas(shape, model.triangles) > 1e-3]
 
 
 def without_shading(

@@ -10,11 +10,11 @@ from liaam.errors import LiaamError, MethodError
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.photometry import Response
-from liaam.photometry.encoding import as_colour, refuse_grey, stored_values
+from liaam.photometry.encoding import DARK, as_colour, refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.beyond import around, continued
-from liaam.relighting.painting import REACH, box_around, eight_bits, log_light, paint
+from liaam.relighting.painting import REACH, box_around, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
 from liaam.relighting.together import appearance_in_light
@@ -104,7 +104,7 @@ class Relighter:
         image, model = as_colour(image, name), fitter.model
         refuse_grey(image, name, "shading is told by colours; give a colour picture", MethodError)
         response = (fitter.camera or model.camera).response
-        if not paint(image, result.shape, model, np.ones((model.n_pixels, 1), np.float32))[1].any():
+        if not len(seen_triangles(image, result.shape, model)):
             return _as_it_is(model, image, result.shape, response)
         seen = Seen.of(model, image, result.shape, response)
         appearance, log_rgb = appearance_in_light(model, seen, shadow_free(fitter, image, result, prior), prior)
@@ -227,12 +227,18 @@ def _taken_apart(
     """Carry what is known on the reference frame to the picture, and over the mesh's border."""
     layers = (log_rgb, shading.log, shading.model_variance, shading.variance, normals_of(model.frame))
     painted, inside = paint(image, shape, model, np.column_stack(layers).astype(np.float32))
+    if not inside.any():
+        return _as_it_is(model, image, shape, response)
     box = box_around(inside, 4 * reach_of(shape))
     painted, inside = painted[box], inside[box]
     log_model, log_smooth, normals = painted[..., :3], painted[..., 3:6], painted[..., 8:]
     own = log_light(image[box], response)
-    # The picture's own detail, as far as it says more than the model does.
-    doubt = noise_variance(own, response, noise_deviation(image)) + painted[..., 7:8]
+    # The picture's own detail, as far as it says more than the model does. Where one channel is dark, all are believed
+    # as far as that one: the others alone would be another colour.
+    noise = noise_variance(own, response, noise_deviation(image))
+    dark = (stored_values(image[box]) <= DARK).any(axis=2, keepdims=True)
+    noise = np.where(dark, noise.max(axis=2, keepdims=True), noise)
+    doubt = noise + painted[..., 7:8]
     detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + doubt, 1e-12)
     weights = inside[..., None].astype(np.float32)
     nearby, share = around(normals, weights, own, reach_of(shape))
