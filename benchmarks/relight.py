@@ -7,7 +7,16 @@ import numpy as np
 
 from benchmarks.metrics import report
 from liaam.datasets.scenes import Head
-from liaam.experiments.relit import LitPair, flat_error, lit_pairs, mesh_mask, pixel_error, seam, train_on_flat_light
+from liaam.experiments.relit import (
+    LitPair,
+    beyond_error,
+    flat_error,
+    lit_pairs,
+    mesh_mask,
+    pixel_error,
+    seam,
+    train_on_flat_light,
+)
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.relighting import Relighter, paint
@@ -28,16 +37,21 @@ def fitted_at(model: AAM, result: FitResult, shape: np.ndarray) -> FitResult:
 
 
 def measured(model: AAM, pair: LitPair, relighter: Relighter) -> tuple[float, ...]:
-    """Errors of log light (the model alone, the flat picture, its pixels), and seams (flat, lamp, untouched, true)."""
+    """Errors of log light (model alone, flat picture, its pixels, next to the mesh untouched and flat), and seams.
+
+    The seams are those of the flat picture, one under a lamp, the untouched and the true one.
+    """
     shape, picture = relighter.shape, pair.lit.image
-    made = log_light(picture, relighter.response)
+    untouched = log_light(picture, relighter.response)
+    made = untouched.copy()
     made[relighter.box] = relighter.log_flat
     alone, _ = paint(picture, shape, model, relighter.appearance.log_rgb)
     errors = flat_error(model, alone, shape, pair.flat), flat_error(model, made, shape, pair.flat)
     truth = eight_bits(np.log(np.maximum(pair.flat.linear, 1e-4)), relighter.response)
     pictures = (relighter.flat(), relighter.under((1, 0, 0.3)), picture, truth)
     seams = (seam(model, made, shape, pair.flat) for made in pictures)
-    return (*errors, pixel_error(model, made, shape, pair.flat), *seams)
+    beyond = (beyond_error(model, light, shape, pair.flat) for light in (untouched, made))
+    return (*errors, pixel_error(model, made, shape, pair.flat), *beyond, *seams)
 
 
 def pasted_seam(model: AAM, pair: LitPair, relighter: Relighter) -> float:
@@ -72,7 +86,8 @@ def main() -> None:
                 values = " ".join(f"{value:.3f}" for value in rows[start][-1])
                 print(f"relight_person_{person}_{pair.light}_{start} {values} {result.status}")
                 pasted.append(pasted_seam(model, pair, relighter))
-    names = ("model_error", "flat_error", "pixel_error", "flat_seam", "lamp_seam", "untouched_seam", "true_seam")
+    errors = ("model_error", "flat_error", "pixel_error", "untouched_beyond_error", "beyond_error")
+    names = (*errors, "flat_seam", "lamp_seam", "untouched_seam", "true_seam")
     for start, found in rows.items():
         for name, values in zip(names, zip(*found, strict=True), strict=True):
             spread = f"mean {np.mean(values):.3f} worst {max(values):.3f}"

@@ -23,7 +23,8 @@ from liaam.model import AAM
 from liaam.photometry.encoding import DARK, SATURATED
 from liaam.photometry.response import from_linear, to_linear
 from liaam.relighting import paint
-from liaam.relighting.painting import log_light
+from liaam.relighting.painting import REACH, log_light
+from liaam.shape import diagonal_of
 from liaam.training import sample_appearance, train
 
 LIGHTS: dict[str, Lights] = {
@@ -105,6 +106,32 @@ def pixel_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene)
     stored = from_linear(np.clip(flat.linear, 0, 1), model.response)
     counts = mesh_mask(model, log_rgb, shape) & (stored > DARK).all(axis=2) & (stored < SATURATED).all(axis=2)
     return root_mean_square(log_rgb[counts] - np.log(flat.linear[counts]))
+
+
+def beyond_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
+    """Root mean square error of log light next to the mesh, smoothed by :data:`GRAIN`.
+
+    Of what lies no further outside than a change of light reaches (:data:`liaam.relighting.painting.REACH`): what does
+    away with a seam could be smeared over it. All that is there counts, hair and walls too, but for what is dark or
+    clipped in the true flat-lit picture.
+
+    Parameters
+    ----------
+    model : AAM
+    log_rgb : (h, w, 3) float32
+        Logarithm of light of what was made of the picture.
+    shape : (n, 2) float
+        Fitted landmarks.
+    flat : Scene
+        The truth.
+    """
+    from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+    away = np.asarray(distance_transform_edt(~mesh_mask(model, log_rgb, shape)))
+    stored = from_linear(np.clip(flat.linear, 0, 1), model.response)
+    counts = (away > 0) & (away <= REACH * diagonal_of(shape)) & ((stored > DARK) & (stored < SATURATED)).all(axis=2)
+    truth = np.log(np.maximum(flat.linear, 1e-4))
+    return root_mean_square(gaussian_filter(log_rgb - truth, (GRAIN, GRAIN, 0))[counts])
 
 
 def seam(model: AAM, picture: np.ndarray, shape: np.ndarray, flat: Scene) -> float:

@@ -1,7 +1,8 @@
 """Relighting: the fitted object under the light of training (paper eq 11), or under a light of one's choice.
 
 ``appearance`` rebuilds what the object looks like under the training light, ``together`` does so with the shading told
-at the same time; ``painting`` lays values of the reference frame over a picture, without a seam (by ``carrying``);
+at the same time; ``painting`` lays values of the reference frame over a picture, and ``beyond`` goes
+on outside of the mesh, without a seam (by ``carrying``);
 ``shading`` parts a picture into shading and what is under it; ``relief`` makes a surface up for lights that no picture
 has; ``relighter`` does all of it for one fitted picture.
 """

@@ -233,13 +233,10 @@ def _taken_apart(
     painted, inside = painted[box], inside[box]
     log_model, log_smooth, normals = painted[..., :3], painted[..., 3:6], painted[..., 8:]
     own = log_light(image[box], response)
-    # The picture's own detail, as far as it says more than the model does. Where one channel is dark, all are believed
-    # as far as that one: the others alone would be another colour.
-    noise = noise_variance(own, response, noise_deviation(image))
-    dark = (stored_values(image[box]) <= DARK).any(axis=2, keepdims=True)
-    noise = np.where(dark, noise.max(axis=2, keepdims=True), noise)
-    doubt = noise + painted[..., 7:8]
+    # The picture's own detail, as far as it says more than the model does.
+    doubt = noise_variance(own, response, noise_deviation(image)) + painted[..., 7:8]
     detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + doubt, 1e-12)
+    detail = of_dark_channels(detail, stored_values(image[box]) <= DARK)
     weights = inside[..., None].astype(np.float32)
     nearby, share = around(normals, weights, own, reach_of(shape))
     beyond = share * continued(log_smooth, inside, own, reach_of(shape))
@@ -262,6 +259,15 @@ def _taken_apart(
         share=np.where(inside[..., None], 1.0, share).astype(np.float32),
         normals=normals,
     )
+
+
+def of_dark_channels(detail: np.ndarray, dark: np.ndarray) -> np.ndarray:
+    """Detail (h, w, 3) with that of the other channels, or of all, where one is too dark (h, w, 3) to have its own.
+
+    Of a nostril often red alone is left, and detail of red alone would make it cyan.
+    """
+    counts = np.where(dark.all(axis=2, keepdims=True), True, ~dark)
+    return np.where(dark, (detail * counts).sum(axis=2, keepdims=True) / counts.sum(axis=2, keepdims=True), detail)
 
 
 def _as_it_is(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> Relighter:
