@@ -260,3 +260,45 @@ def test_two_methods_are_compared(fit_tab, artefacts):
     swapped = [fit_tab.evaluate(f"() => window.liaamStudio.compare.{side}.fit.id") for side in ("left", "right")]
     assert swapped == [fit["id"] for fit in reversed(sides)]
     shoot(fit_tab, artefacts, "24-compare")
+
+
+COUNT_SCALINGS = """() => {
+  const draw = CanvasRenderingContext2D.prototype.drawImage;
+  window.scalings = 0;
+  CanvasRenderingContext2D.prototype.drawImage = function (image, ...where) {
+    if (image instanceof HTMLImageElement || image instanceof ImageBitmap) window.scalings += 1;
+    return draw.call(this, image, ...where);
+  };
+}"""
+
+FRAME = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+
+
+def test_a_picture_is_scaled_once_for_a_view(fit_tab):
+    """What is drawn over it changes far more often than the view, and scaling is what takes the time."""
+    page = fit_tab
+    page.evaluate(FRAME)
+    at = page.evaluate("() => window.liaamStudio.fit.viewer.toScreen([5, 5])")  # no mesh there
+    before = page.evaluate(PIXEL, at)
+    page.evaluate(COUNT_SCALINGS)
+    for key in ("l", "m", "e", "e", "m", "l"):
+        page.keyboard.press(key)
+        page.evaluate(FRAME)
+    assert page.evaluate("() => window.scalings") == 0
+    assert page.evaluate(PIXEL, at) == before
+    page.evaluate("() => window.liaamStudio.fit.viewer.zoomBy(2)")
+    page.evaluate(FRAME)
+    assert page.evaluate("() => window.scalings") == 1
+    page.evaluate("() => window.liaamStudio.fit.viewer.fit()")
+    page.evaluate(FRAME)
+    assert page.evaluate(PIXEL, at) == before
+
+
+def test_a_drop_scales_its_picture_once(fit_tab, lit_file):
+    """Not again when the server has the picture, nor when the fit has come: both would delay what is waited for."""
+    page = fit_tab
+    page.evaluate(FRAME)
+    page.evaluate(COUNT_SCALINGS)
+    dropped(page, lit_file)
+    page.evaluate(FRAME)
+    assert page.evaluate("() => window.scalings") == 1

@@ -24,6 +24,7 @@ export class Viewer extends EventTarget {
     this._fitted = true;
     this._waiting = false;
     this._space = false;
+    this._scaled = null; // {canvas, view}: the picture as it was last shown
     this._zoomText = h("span", { class: "number", "aria-hidden": "true" }, "100 %");
     container.classList.add("viewer");
     container.append(this.canvas, h("div", { class: "viewer-zoom", role: "group", "aria-label": "Zoom" },
@@ -40,6 +41,7 @@ export class Viewer extends EventTarget {
   /** Show a picture; width and height are those of landmark coordinates, the source may be of any resolution. */
   setPicture(source, width = 0, height = 0) {
     const same = width === this.width && height === this.height;
+    if (same && source === this.source) return;
     this.source = source;
     this.width = width;
     this.height = height;
@@ -180,21 +182,39 @@ export class Viewer extends EventTarget {
   }
 
   _draw() {
+    if (!this.canvas.clientWidth) return; // in a tab that is not open: drawn when it opens, by its new size
     const ctx = this.canvas.getContext("2d");
     const ratio = this.canvas.width / (this.canvas.clientWidth || 1);
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     ctx.clearRect(0, 0, this.canvas.width, this.canvas.height);
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-    if (this.source && this.width) {
-      ctx.imageSmoothingEnabled = this.scale < SHARP_FROM;
-      ctx.imageSmoothingQuality = "high";
-      ctx.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
-    }
+    if (this.source && this.width) this._drawPicture(ctx, ratio);
+    else this._scaled = null;
     for (const draw of this._layers) {
       ctx.save();
       draw(ctx, this);
       ctx.restore();
     }
+  }
+
+  /** The picture as this view shows it is kept: to scale it takes longer than all that is drawn over it. */
+  _drawPicture(ctx, ratio) {
+    const { width, height } = this.canvas;
+    const view = [this.source, this.left, this.top, this.scale, this.width, this.height, ratio, width, height];
+    if (!view.every((value, i) => value === this._scaled?.view[i])) {
+      const canvas = this._scaled?.canvas ?? document.createElement("canvas");
+      Object.assign(canvas, { width, height }); // clears it, too
+      const scaled = canvas.getContext("2d");
+      scaled.setTransform(ratio, 0, 0, ratio, 0, 0);
+      scaled.imageSmoothingEnabled = this.scale < SHARP_FROM;
+      scaled.imageSmoothingQuality = "high";
+      scaled.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
+      this._scaled = { canvas, view };
+    }
+    ctx.save();
+    ctx.setTransform(1, 0, 0, 1, 0, 0);
+    ctx.drawImage(this._scaled.canvas, 0, 0);
+    ctx.restore();
   }
 
   // Pointers: the tool is asked first; what it does not take pans, and two fingers zoom.
