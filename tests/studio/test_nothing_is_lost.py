@@ -356,14 +356,15 @@ def test_what_was_made_for_another_folder_is_refused(small, serve, head_model, f
         ("POST", "/api/fits", {"picture": "p1.png"}),
         ("PUT", "/api/template", {**TURNED, "revision": known["template"]["revision"]}),
     ]
+    training = [("POST", "/api/training", {}), ("DELETE", "/api/training", {})]
     before = (small.root / "p1.ljson").read_bytes()
-    for method, address, body in requests:
+    for method, address, body in requests + training:
         answer = client.request(method, address, json={**body, "folder": folder})
         assert answer.status_code == 409 and answer.json()["folder"] == known["id"]
         assert "another folder" in answer.json()["error"]
     assert (small.root / "p1.ljson").read_bytes() == before
     assert client.get("/api/project", params={"stamp": known["stamp"]}).json()["unchanged"]
-    for method, address, body in requests:
+    for method, address, body in [*requests, training[1]]:
         answer = client.request(method, address, json={**body, "folder": known["id"]})
         assert answer.status_code == 200
 

@@ -239,10 +239,20 @@ class _Handlers:
         return JSONResponse(template.as_json())
 
     async def train(self, request: Request) -> Response:
-        return JSONResponse(asdict(await run_sync(self.studio.training.start)), 202)
+        return JSONResponse(await self._of_training(request, self.studio.training.start), 202)
 
     async def stop_training(self, request: Request) -> Response:
-        return JSONResponse(asdict(await run_sync(self.studio.training.stop)))
+        return JSONResponse(await self._of_training(request, self.studio.training.stop))
+
+    async def _of_training(self, request: Request, do: Callable[[], Any]) -> dict[str, Any]:
+        """Start or stop it, unless the page is of another folder; what has no page need not say which it means."""
+        asked = await self._json(request) if request.headers.get("content-type") else None
+
+        def checked() -> dict[str, Any]:
+            self.studio.project.check_id(asked)
+            return asdict(do())
+
+        return await run_sync(checked)
 
     async def events(self, request: Request) -> Response:
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}

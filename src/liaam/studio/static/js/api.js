@@ -52,7 +52,7 @@ export const api = {
   get: (address, options = {}) => json(address, options),
   put: withBody("PUT"),
   post: withBody("POST"),
-  delete: (address, options = {}) => json(address, { method: "DELETE", ...options }),
+  delete: withBody("DELETE"),
   /** Send a file as it is. */
   upload: (address, blob, options = {}) =>
     json(address, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: blob, ...options }),

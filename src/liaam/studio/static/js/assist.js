@@ -154,7 +154,7 @@ export function createAssist({ app, accept, skip }) {
     asking = true;
     failure.hidden = true;
     try {
-      const training = await api.post(api.url("training"));
+      const training = await state.send((folder) => api.post(api.url("training"), { folder }));
       state.project.training = training;
     } catch (error) {
       // Another tab was quicker: its training is ours too.
@@ -172,7 +172,7 @@ export function createAssist({ app, accept, skip }) {
     cancel.disabled = true;
     failedAt = situation(state.project); // who stops it does not want it begun again by itself
     try {
-      await api.delete(api.url("training"));
+      await state.send((folder) => api.delete(api.url("training"), { folder }));
     } catch (error) {
       app.toast(error, "bad");
     } finally {
