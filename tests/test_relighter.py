@@ -270,6 +270,16 @@ def test_a_wall_that_edges_cut_off_gets_no_halo():
     assert around(values, weights, own, 8.0)[1][40, 74] > 0.5
 
 
+def test_light_is_added_to_dark_hair_but_not_taken_from_it():
+    values, weights = np.ones((60, 80, 1), np.float32), np.zeros((60, 80, 1), np.float32)
+    weights[20:40, 20:50] = 1.0
+    own = np.zeros((60, 80, 3), np.float32)
+    own[:, 53:] = -1.2
+    taken, added = (around(values, weights, own, 10.0, lightened=light)[1][30, 54, 0] for light in (False, True))
+    assert taken < 0.4
+    assert added > 0.9
+
+
 def ridge(rng, noise=0.0):
     """Log light of hair and skin, whose border the mesh follows, and the shadow that lies along it; the mesh."""
     height, width = 80, 120

@@ -30,9 +30,11 @@ FURTHER, STEPS, EDGE = 2.0, 5.0, 0.8
 """Scales at which values are carried over the mesh's border along what looks alike: the coarsest, in reaches; how many
 times finer the next is; and the change of log light, summed over channels, that is as far as a scale."""
 
-BRIGHTER, DARKER, ANOTHER_COLOUR = 0.6, 1.5, 0.25
-"""How much brighter or darker, and how differently coloured, in logarithms, another thing than the object is. Light on
-a dark thing that is none of the object's does less harm than a halo on a bright wall."""
+ANOTHER_LIGHT, ANOTHER_COLOUR = 0.6, 0.25
+"""How much brighter or darker, and how differently coloured, in logarithms, another thing than the object is."""
+
+DARKER = 1.5
+"""How much darker where light is added: a little on dark hair does less harm than a halo on a bright wall."""
 
 CUT_OFF = 0.05
 """Share of what would come from the mesh, were there no edges, below which a place is cut off from it by them."""
@@ -46,7 +48,12 @@ UNTOLD = 0.1
 
 
 def around(
-    values: np.ndarray, weights: np.ndarray, own: np.ndarray, reach: float, soft: bool = False
+    values: np.ndarray,
+    weights: np.ndarray,
+    own: np.ndarray,
+    reach: float,
+    soft: bool = False,
+    lightened: np.ndarray | bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Carry values on beyond where they have weight, and say how much of them to take there.
 
@@ -63,6 +70,8 @@ def around(
     soft : bool
         Weights go down to 0 softly: one blur will do, where else values are carried along what looks alike, so that
         those of a shadow stay in the shadow, the nearest next to where they are known.
+    lightened : (h, w, 1) bool
+        Where the change adds light.
 
     Returns
     -------
@@ -83,7 +92,8 @@ def around(
     unlike = seen - means[..., c:]
     brighter = unlike.mean(axis=2, keepdims=True)
     tint = np.square(unlike - brighter).sum(axis=2, keepdims=True)
-    apart = np.square(brighter / np.where(brighter > 0, BRIGHTER, DARKER)) + tint / ANOTHER_COLOUR**2
+    limit = np.where((brighter < 0) & lightened, DARKER, ANOTHER_LIGHT)
+    apart = np.square(brighter / limit) + tint / ANOTHER_COLOUR**2
     share *= np.exp(-0.5 * np.maximum(apart - 1.0, 0.0))
     return means[..., :c], np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32)
 

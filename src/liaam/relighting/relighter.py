@@ -238,9 +238,10 @@ def _taken_apart(
     detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + doubt, 1e-12)
     detail = of_dark_channels(detail, stored_values(image[box]) <= DARK)
     weights = inside[..., None].astype(np.float32)
-    nearby, share = around(normals, weights, own, reach_of(shape))
-    beyond = share * continued(log_smooth, inside, own, reach_of(shape))
-    taken = np.where(inside[..., None], own - log_model - detail, beyond)
+    beyond = continued(log_smooth, inside, own, reach_of(shape))
+    lightened = beyond.mean(axis=2, keepdims=True) < 0
+    nearby, share = around(normals, weights, own, reach_of(shape), lightened=lightened)
+    taken = np.where(inside[..., None], own - log_model - detail, share * beyond)
     turned = align(model.shape_model.mean, shape)
     normals = np.where(inside[..., None], normals, nearby)
     normals[..., :2] = normals[..., :2] @ (turned.matrix / turned.scale).T.astype(np.float32)
