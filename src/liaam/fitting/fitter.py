@@ -30,8 +30,9 @@ SCALE_LIMITS = (1 / 3, 3.0)
 FOLD_LIMIT = 0.3
 """Share of the mesh turned over beyond which a fit has diverged."""
 
-COARSE, COARSE_NOTICE = 10.0, 10.0
-"""How much sooner than the finest level the coarser ones may stop: in pixels, and in standard deviations."""
+COARSE, COARSE_NOTICE = 10.0, 5.0
+"""How much sooner than the finest level the coarser ones may stop: in pixels, and in standard deviations. Measured on
+starts far off: at 10 standard deviations 4 % of the fits are lost instead of 1."""
 
 SHAPE_LIMIT = 5.0
 """Standard deviations of a shape mode beyond which a fit has diverged; half a model pixel is granted on top,
