@@ -211,17 +211,17 @@ def test_a_safetensors_file_of_another_kind_is_refused(tmp_path):
     assert_refused(path, "is no liaam model")
 
 
-@pytest.mark.parametrize("schema", [0, 2, 99, None, "1"])
+@pytest.mark.parametrize("schema", [0, 1, 99, None, "2"])
 def test_another_schema_version_is_refused(tiny_file, tmp_path, schema):
     header, tensors = parts(tiny_file)
     path = forge(tmp_path / "old.liaam", header | {"schema": schema}, tensors)
-    assert_refused(path, f"schema version {schema}, this liaam reads version 1")
+    assert_refused(path, f"schema version {schema}, this liaam reads version 2")
 
 
 @pytest.mark.parametrize("size", [10**12, 2**62, 2**64 - 1])
 def test_a_forged_size_is_refused_without_asking_for_the_memory(tmp_path, size):
     header = {
-        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 1})},
+        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 2})},
         "shape.mean": {"dtype": "F64", "shape": [size // 16, 2], "data_offsets": [0, size]},
     }
     text = json.dumps(header).encode()
@@ -381,7 +381,7 @@ def test_a_header_that_is_no_header_is_refused(tmp_path, text):
 def test_types_that_numpy_lacks_are_refused(tmp_path, dtype):
     n_bytes = 12 if dtype == "BF16" else 6
     header = {
-        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 1})},
+        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 2})},
         "shape.mean": {"dtype": dtype, "shape": [3, 2], "data_offsets": [0, n_bytes]},
     }
     text = json.dumps(header).encode()

@@ -51,6 +51,10 @@ def test_the_flat_picture_is_near_the_truth(head, taken_apart):
     assert flat_error(model, truth, taken_apart.shape, pair.flat) < 0.02  # the measure's own
 
 
+def test_what_is_kept_is_in_single_precision(taken_apart):
+    assert taken_apart.log_flat.dtype == taken_apart.log_shading.dtype == np.float32
+
+
 def test_detail_is_kept(head, taken_apart):
     model, pair = head
     log_model, _ = model_alone(taken_apart)

@@ -15,7 +15,7 @@ from liaam.photometry import CameraModel, Response, camera_from, describe_respon
 from liaam.shape import ShapeModel, diagonal_of
 from liaam.warp import PiecewiseAffineWarp, surrounded_warp
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Version of the model file; raised whenever its meaning changes."""
 
 MAX_DIAGONAL = 2000.0
@@ -58,7 +58,7 @@ class Reliability:
 
     landmarks: np.ndarray
     weights: np.ndarray
-    understated: float = 1.0
+    understated: float
 
     def quality(self, evidence: np.ndarray) -> float:
         """Probability, 0 to 1, that a fit of some evidence (2,) is right, where right and wrong are as likely."""
@@ -356,12 +356,10 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     landmarks = _tensor(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
     if (np.diagonal(landmarks, axis1=1, axis2=2) < 0).any():
         raise ValueError("reliability.landmarks has variances below 0")
-    weights, understated = _tensor(tensors, "reliability.weights", np.float64, (3,)), 1.0
-    if "reliability.understated" in tensors:  # not in files of earlier versions
-        understated = float(_tensor(tensors, "reliability.understated", np.float64, (1,))[0])
-        if understated < 1.0:
-            raise ValueError("reliability.understated is below 1")
-    return Reliability(landmarks, weights, understated)
+    understated = float(_tensor(tensors, "reliability.understated", np.float64, (1,))[0])
+    if understated < 1.0:
+        raise ValueError("reliability.understated is below 1")
+    return Reliability(landmarks, _tensor(tensors, "reliability.weights", np.float64, (3,)), understated)
 
 
 def _soft_levels(

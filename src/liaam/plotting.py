@@ -74,7 +74,7 @@ OTHERS = ("#1d4e89", "#e8743b", "#19a979", "#b565a7", "#d4a017", "#5c5c5c")
 
 
 def colour_of(method: str) -> str:
-    """Colour of a method in figures, suffixes or not; black for methods of your own."""
+    """Colour of a method in figures, suffixes or not; black for one of your own (several: see :data:`OTHERS`)."""
     return COLOURS.get(base_of(method), "#222222")
 
 

@@ -84,6 +84,11 @@ def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
     return Similarity(matrix, b_mean - matrix @ a_mean)
 
 
+def shifted_into(shape: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Shift a shape (n, 2) into a picture of a width and height, as far as there is room for it."""
+    return shape - np.minimum(shape.min(axis=0), 0.0) - np.maximum(shape.max(axis=0) - (np.array(size) - 1.0), 0.0)
+
+
 def procrustes_mean(shapes: np.ndarray, iterations: int = 100, tolerance: float = 1e-10) -> np.ndarray:
     """Generalised Procrustes mean of shapes: centred, unit norm, oriented like the shapes on average.
 

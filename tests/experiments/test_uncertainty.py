@@ -80,8 +80,11 @@ def test_the_area_under_the_roc_curve_is_the_chance_of_the_right_order():
 
 def test_a_lost_start_is_far_from_the_object(rng):
     shape = rng.normal(100, 20, (30, 2))
-    away = [np.linalg.norm(uncertainty.lost(shape, 50.0, rng) - shape, axis=1).mean() for _ in range(50)]
-    assert min(away) > 10
+    starts = [uncertainty.lost(shape, 50.0, (300, 280), rng) for _ in range(50)]
+    assert min(np.linalg.norm(start - shape, axis=1).mean() for start in starts) > 10
+    for start in starts:
+        assert (start.min(axis=0) >= -1e-9).all()
+        assert (start.max(axis=0) <= [299, 279]).all()
 
 
 def test_it_runs_from_the_command_line_without_data(tmp_path, monkeypatch, capsys):

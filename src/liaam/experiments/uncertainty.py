@@ -24,7 +24,7 @@ from liaam.fitting import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.model import AAM
 from liaam.plotting import Panel, figure_of_curves
-from liaam.shape import rotation
+from liaam.shape import rotation, shifted_into
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -67,7 +67,8 @@ CHOICES = (
     "fits from near starts; the quality has to tell right from wrong among all fits; where it is not known it counts "
     "as 0.",
     STARTS,
-    "Far starts: the same start turned by 40 to 75°, scaled by 0.5 to 1.6 and moved by N(0, 0.7 IOD) per axis.",
+    "Far starts: the same start turned by 40 to 75°, scaled by 0.5 to 1.6 and moved by N(0, 0.7 IOD) per axis; "
+    "what leaves the picture is shifted back into it.",
     f"Generated: heads of {PICTURES} pictures without noise under frontal light to train on and {PICTURES} others to "
     "fit, every other one under a hard light from the side; far starts are those of the middle noise.",
     f"Real: pictures {', '.join(str(i + 1) for i in LEFT_OUT)} of a person are left out of that person's model in "
@@ -198,10 +199,11 @@ def trained(request: Request, data: Sequence, name: str) -> AAM:
     return get_solver(request.solver).train(data, variance=VARIANCE, leave_out=True, name=name)
 
 
-def lost(start: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
-    """Move a start so far that no fit should find back, (n, 2) float64."""
+def lost(start: np.ndarray, unit: float, size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+    """Move a start so far that no fit should find back, but not out of a picture (width, height), (n, 2) float64."""
     centre, turn = start.mean(axis=0), rng.uniform(0.7, 1.3) * rng.choice([-1, 1])
-    return rng.uniform(0.5, 1.6) * (start - centre) @ rotation(turn).T + centre + rng.normal(0.0, 0.7 * unit, 2)
+    moved = rng.uniform(0.5, 1.6) * (start - centre) @ rotation(turn).T + centre + rng.normal(0.0, 0.7 * unit, 2)
+    return shifted_into(moved, size)
 
 
 def fit_subject(request: Request, subject: Subject) -> list[Row]:
@@ -221,8 +223,9 @@ def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[
     """Fit a picture from each of its starts."""
     unit, rng = face_size(picture.truth), request.rng(fitter.model.name, picture.name, "start")
     near = disturbed_start(fitter.model.shape_model.mean, picture.truth, unit, rng)
+    size = (picture.image.shape[1], picture.image.shape[0])
     for start in picture.starts:
-        result = fitter.fit(picture.image, near if start == "near" else lost(near, unit, rng))
+        result = fitter.fit(picture.image, near if start == "near" else lost(near, unit, size, rng))
         distances = squared_distances(picture.truth - result.shape, result.landmark_covariances)
         yield {
             "picture": picture.name,

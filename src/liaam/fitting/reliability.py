@@ -15,7 +15,7 @@ from liaam.fitting.fitter import Fitter, fitted_covariances
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.solver import SolverOptions
 from liaam.model import AAM, Reliability
-from liaam.shape import align, diagonal_of, rotation
+from liaam.shape import align, diagonal_of, rotation, shifted_into
 
 RIGHT, WRONG = 0.03, 0.06
 """Mean distance from the landmarks, as a share of the shape's diagonal, up to which a fit counts as right and beyond
@@ -96,8 +96,7 @@ def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
 def _far(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
     """A start so far away that no fit should find back, shifted into the picture as far as it can be."""
     start = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
-    room = np.array(picture.image.shape[1::-1]) - 1.0
-    return start - np.minimum(start.min(axis=0), 0.0) - np.maximum(start.max(axis=0) - room, 0.0)
+    return shifted_into(start, (picture.image.shape[1], picture.image.shape[0]))
 
 
 def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:
@@ -108,9 +107,15 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
 
 
 def _surprise(error: np.ndarray, spread: np.ndarray) -> float:
-    """Mean square of p's error (n_p,) in units of what a fit states of it, the covariance (n_q, n_q); 1 if it is so."""
+    """Mean square of p's error (n_p,) in units of what a fit states of it, the covariance (n_q, n_q): 1 if it is so.
+
+    NaN of a covariance that has no inverse.
+    """
     n_p = len(error)
-    return float(error @ np.linalg.solve(spread[:n_p, :n_p], error)) / n_p
+    try:
+        return float(error @ np.linalg.solve(spread[:n_p, :n_p], error)) / n_p
+    except np.linalg.LinAlgError:
+        return np.nan
 
 
 def _understated(surprises: np.ndarray) -> float:

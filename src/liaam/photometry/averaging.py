@@ -439,7 +439,7 @@ def soft_channels(logs: np.ndarray, masks: np.ndarray, turn: np.ndarray, softnes
     Parameters
     ----------
     logs : (h, w, 4) float32
-        Logarithms of luminance, R, G and B.
+        Logarithms of brightness, R, G and B.
     masks : (h, w, 2) float32
     turn : (2, 2) float
         Rotation from the image's to the object's axes.

@@ -267,8 +267,9 @@ def of_dark_channels(detail: np.ndarray, dark: np.ndarray) -> np.ndarray:
 
     Of a nostril often red alone is left, and detail of red alone would make it cyan.
     """
-    counts = np.where(dark.all(axis=2, keepdims=True), True, ~dark)
-    return np.where(dark, (detail * counts).sum(axis=2, keepdims=True) / counts.sum(axis=2, keepdims=True), detail)
+    known = np.where(dark.all(axis=2, keepdims=True), True, ~dark)
+    counts = known.sum(axis=2, keepdims=True, dtype=np.float32)
+    return np.where(dark, (detail * known).sum(axis=2, keepdims=True) / counts, detail)
 
 
 def _as_it_is(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> Relighter:

@@ -52,7 +52,7 @@ class Motion:
         return np.concatenate([self.similarity, _real(self.modes * _turn(y[:4]))])
 
     def measured(self, result: FitResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coordinates of a fit, their covariance by the picture, and their directions.
+        """Coordinates of a fit, their covariance as the fit has it, and their directions.
 
         Returns
         -------

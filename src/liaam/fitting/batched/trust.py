@@ -39,7 +39,7 @@ def soft_trust(objective: BatchObjective, shared: Shared, pictures: Pictures, st
         xp.where(some[:, None, None], root, shared.root + xp.zeros_like(root)),
         xp.where(some, unit, xp.full_like(unit, float("nan"))),
         found,
-        tied[..., 0] * noise[..., 2] >= UNKNOWN,
+        noise[..., 2] >= UNKNOWN,
     )
 
 
