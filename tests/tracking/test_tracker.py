@@ -142,20 +142,29 @@ def test_frames_of_another_size_are_followed(head_model, moving):
 
 
 @pytest.fixture(scope="module")
-def still(head_model, moving):
+def stills(head_model, moving):
     # With the sample's shapes, whose span holds the head: what is asked is what the filter makes of the fits' noise.
     # Smooth deformations have twice as many modes and let more of it through.
-    rng = np.random.default_rng(12)
-    tracker = Tracker(replace(head_model, soft_shape=None))
-    return [tracker.update(noisy(moving[0].image, rng)) for _ in range(30)]
+    def follow(seed):
+        rng, tracker = np.random.default_rng(seed), Tracker(replace(head_model, soft_shape=None))
+        return [tracker.update(noisy(moving[0].image, rng)) for _ in range(30)]
+
+    return [follow(seed) for seed in (12, 13, 14)]
 
 
-def test_a_still_scene_trembles_less(still, moving):
-    raw = np.array([frame.raw for frame in still])
-    smooth = np.array([frame.landmarks for frame in still])
-    assert trembling(smooth[8:]) < 0.5 * trembling(raw[8:])
-    assert np.linalg.norm(smooth[15:].mean(0) - raw[15:].mean(0), axis=1).max() < 0.3
-    assert smooth[15:].std(axis=0).mean() < 0.8 * raw[15:].std(axis=0).mean()
+@pytest.fixture(scope="module")
+def still(stills):
+    return stills[0]
+
+
+def test_a_still_scene_trembles_less(stills):
+    # Over several draws: what is left of one, 22 frames of noise, is 0.39 to 0.55 of what it was.
+    raw = np.array([[frame.raw for frame in frames] for frames in stills])
+    smooth = np.array([[frame.landmarks for frame in frames] for frames in stills])
+    left, before = (np.sqrt(np.mean([trembling(each[8:]) ** 2 for each in part])) for part in (smooth, raw))
+    assert left < 0.5 * before
+    assert np.linalg.norm(smooth[:, 15:].mean(1) - raw[:, 15:].mean(1), axis=2).max() < 0.3
+    assert smooth[:, 15:].std(axis=1).mean() < 0.8 * raw[:, 15:].std(axis=1).mean()
 
 
 def test_smoothing_does_not_lag(head_model, moving):
