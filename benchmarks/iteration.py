@@ -162,7 +162,7 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
 
     def sparse_products() -> None:
         steep = last.look.steep
-        kernel.mesh_products(steep, root, design.modes, right, mesh.beta, mesh.starts, mesh.triangles, mesh.modes)
+        kernel.mesh_products(steep, root, design.by_pixels, right, mesh.beta, mesh.starts, mesh.triangles, mesh.modes)
 
     def products() -> None:
         objective.weighed(last.look, state, trust).equations  # noqa: B018

@@ -51,20 +51,21 @@ def test_fast_samples_as_reference_says(points, metric, seed):
 
 @given(
     sizes=st.lists(st.integers(0, 5), min_size=1, max_size=4),
-    rows=st.integers(1, 3),
-    n_modes=st.integers(0, 9),
+    rows=st.integers(1, 4),
+    n_modes=st.integers(0, 20),
     n_right=st.integers(1, 3),
+    order=st.sampled_from("CF"),
     expects=st.booleans(),
     seed=st.integers(0, 999),
 )
-def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, expects, seed):
+def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, order, expects, seed):
     rng = np.random.default_rng(seed)
     n, n_vertices = sum(sizes), 5
     beta = rng.random((n, 3))
     arguments = (
         rng.normal(size=(n, rows, 2)).astype(np.float32),
         rng.random((n, rows)).astype(np.float32),
-        rng.normal(size=(n_modes, n * rows)).astype(np.float32),
+        rng.normal(size=(n_modes, n * rows)).astype(np.float32, order=order),
         rng.normal(size=(n_right, n * rows)).astype(np.float32),
         (beta / beta.sum(axis=1, keepdims=True)).astype(np.float32),
         np.concatenate([[0], np.cumsum(sizes)]),
@@ -75,6 +76,41 @@ def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, expect
     for ours, theirs in zip(fast.mesh_products(*arguments), reference.mesh_products(*arguments), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
         assert ours.dtype == np.float64
+
+
+@given(n=st.integers(3, 12), grid=st.booleans(), seed=st.integers(0, 999))
+def test_fast_finds_pixels_in_triangles_as_reference_says(n, grid, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, 18, (n, 2))
+    points = np.rint(points) if grid else points  # vertices and edges on pixels, triangles of no area
+    triangles = np.array([rng.permutation(n)[:3] for _ in range(2 * n)], dtype=np.int32)
+    (owner, weights), (ours, own) = (kernel.raster(points, triangles, 20, 19) for kernel in (reference, fast))
+    np.testing.assert_array_equal(ours, owner)
+    np.testing.assert_allclose(own, weights, atol=1e-12)
+    assert ours.dtype == owner.dtype == np.int32 and own.shape == (19, 20, 3)
+
+
+def test_products_are_the_same_however_numbers_are_stored(rng):
+    beta, triangles, basis = rng.random((7, 3)), np.array([[0, 1, 2], [2, 1, 3]]), rng.normal(size=(8, 4))
+    arrays = rng.normal(size=(7, 2, 2)), rng.random((7, 2)), rng.normal(size=(3, 14)), rng.normal(size=(1, 14)), beta
+    plain = [array.astype(np.float32) for array in arrays]
+    strange = [np.asfortranarray(array.astype(np.float32).astype(np.float64)) for array in arrays]
+    expected = fast.mesh_products(*plain, np.array([0, 4, 7]), triangles, basis)
+    found = fast.mesh_products(*strange, np.array([0, 4, 7], np.int32), triangles.astype(np.int32), basis)
+    for ours, theirs in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_residual_that_has_blown_up_spoils_no_other_product(rng):
+    beta, triangles = np.full((8, 3), 1 / 3, np.float32), np.array([[0, 1, 2]])
+    steep, root, modes = rng.normal(size=(8, 3, 2)), rng.random((8, 3)), rng.normal(size=(5, 24))
+    left = [array.astype(np.float32) for array in (steep, root, modes)]
+    rest = beta, np.array([0, 8]), triangles, rng.normal(size=(6, 4))
+    right = np.zeros((1, 24), np.float32)
+    calm, blown = (fast.mesh_products(*left, right + number, *rest) for number in (1.0, np.inf))
+    for ours, theirs in zip(blown[:2], calm[:2], strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert not np.isfinite(blown[2]).any()
 
 
 @given(n=st.integers(0, 700), rows=st.integers(1, 3), n_modes=st.integers(0, 5), seed=st.integers(0, 999))

@@ -32,7 +32,7 @@ LAYERS = (
     ("photometry",),
     ("io",),
     ("evaluation", "workers"),
-    ("errors",),
+    ("errors", "jit"),
 )
 """Units from high to low. Units of one row may import each other, but not in a circle."""
 

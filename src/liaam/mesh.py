@@ -188,21 +188,9 @@ class ReferenceFrame:
     @cached_property
     def _raster(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pixel indices (row, column), triangle and weights of every pixel inside the mesh."""
-        width, height = self.size
-        owner = np.full((height, width), -1, dtype=np.int32)
-        weights = np.zeros((height, width, 3))
-        for t, triangle in enumerate(self.triangles):
-            corners = self.points[triangle] - self.origin
-            (x0, y0), (x1, y1) = (
-                np.floor(corners.min(axis=0)).astype(int),
-                np.ceil(corners.max(axis=0)).astype(int),
-            )
-            xs, ys = np.meshgrid(np.arange(x0, x1 + 1), np.arange(y0, y1 + 1))
-            w = barycentric(np.column_stack([xs.ravel(), ys.ravel()]).astype(float), corners)
-            inside = (w >= -1e-9).all(axis=1) & (owner[ys.ravel(), xs.ravel()] < 0)
-            rows, columns = ys.ravel()[inside], xs.ravel()[inside]
-            owner[rows, columns] = t
-            weights[rows, columns] = w[inside]
+        from liaam.kernels import fast  # numba: imported when first needed
+
+        owner, weights = fast.raster(self.points - self.origin, self.triangles, *self.size)
         rows, columns = np.nonzero(owner >= 0)
         return np.column_stack([rows, columns]), owner[rows, columns], weights[rows, columns]
 

@@ -132,6 +132,11 @@ class _Design:
     mean: np.ndarray
     modes: np.ndarray
 
+    @cached_property
+    def by_pixels(self) -> np.ndarray:
+        """Modes in Fortran's order, for sparse products."""
+        return np.asfortranarray(self.modes)
+
 
 @dataclass(frozen=True, eq=False)
 class Objective:
@@ -344,7 +349,7 @@ class Objective:
     ) -> NormalEquations:
         """Normal equations of (p, angles) and lambda at the warp's parameters p."""
         right = np.concatenate([self._turning(look, slope), look.residual.reshape(1, -1)])
-        jj, aj, rj = self._warp_products(look.steep, expected, root, design.modes, right, p)
+        jj, aj, rj = self._warp_products(look.steep, expected, root, design, right, p)
         n, jr = len(right) - 1, rj[-1]
         if n:  # the angles' rows and columns
             by_angles = right[:n]
@@ -366,7 +371,7 @@ class Objective:
         steep: np.ndarray,
         expected: np.ndarray | None,
         root: np.ndarray,
-        modes: np.ndarray,
+        design: _Design,
         right: np.ndarray,
         p: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -375,8 +380,9 @@ class Objective:
         if mesh is None:
             columns, by_root = _rows_of(steep, root, self.warp.jacobian(p)), root.reshape(-1)
             own = columns if expected is None else _rows_of(expected, root, self.warp.jacobian(p))
-            return gram(own, columns), gram(modes * by_root, columns), gram(right * by_root, own)
+            return gram(own, columns), gram(design.modes * by_root, columns), gram(right * by_root, own)
         products = get_kernel(self.kernel).mesh_products
+        modes = design.by_pixels
         return products(steep, root, modes, right, mesh.beta, mesh.starts, mesh.triangles, mesh.modes, expected)
 
     def columns(self, problem: FitProblem, state: State, trust: Trust | None = None) -> np.ndarray:

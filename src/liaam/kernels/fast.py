@@ -2,14 +2,12 @@
 
 from collections.abc import Callable
 
-import numba
 import numpy as np
 
-from liaam.kernels.reference import FLAT
-
-# fastmath without "no NaNs": images are finite by contract, but points of a diverging fit need not be.
-_jit = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
-_F = np.float32
+from liaam.jit import F as _F
+from liaam.jit import jit as _jit
+from liaam.kernels.products import mesh_products, residual_sums, weighted_gram  # noqa: F401 (part of the contract)
+from liaam.kernels.reference import FLAT, ON_EDGE
 
 
 @_jit
@@ -64,6 +62,34 @@ def pull(slopes: np.ndarray, inverse: np.ndarray, owners: np.ndarray) -> np.ndar
     pulled = np.empty((len(slopes), slopes.shape[2], 2), np.float32)
     _pull(slopes, inverse.astype(np.float32), owners, pulled)
     return pulled
+
+
+@_jit
+def _raster(points, triangles, owner, weights):
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        x0, y0 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        x1, y1 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        determinant = x0 * y1 - x1 * y0
+        if determinant == 0.0:
+            continue
+        left, right = min(points[a, 0], points[b, 0], points[c, 0]), max(points[a, 0], points[b, 0], points[c, 0])
+        above, below = min(points[a, 1], points[b, 1], points[c, 1]), max(points[a, 1], points[b, 1], points[c, 1])
+        for y in range(int(np.floor(above)), int(np.ceil(below)) + 1):
+            for x in range(int(np.floor(left)), int(np.ceil(right)) + 1):
+                dx, dy = x - points[a, 0], y - points[a, 1]
+                v, w = (y1 * dx - x1 * dy) / determinant, (x0 * dy - y0 * dx) / determinant
+                u = 1.0 - v - w
+                if owner[y, x] < 0 and u >= -ON_EDGE and v >= -ON_EDGE and w >= -ON_EDGE:
+                    owner[y, x] = t
+                    weights[y, x, 0], weights[y, x, 1], weights[y, x, 2] = u, v, w
+
+
+def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """See :func:`liaam.kernels.reference.raster`."""
+    owner, weights = np.full((height, width), -1, np.int32), np.zeros((height, width, 3))
+    _raster(np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(triangles), owner, weights)
+    return owner, weights
 
 
 @_jit
@@ -211,226 +237,6 @@ def steepest(
     turn, metric = (np.ascontiguousarray(a, dtype=np.float32) for a in (turn, metric))
     _steepest_for(metric)(channels, points, turn, metric, values, projected, steep, weights)
     return values, projected, steep, weights
-
-
-BLOCK = 512
-"""Residuals whose products are summed in float32 before they are added up in float64."""
-
-
-@_jit
-def _weighted_gram(modes, roots, total):
-    m, n = modes.shape
-    block = np.empty((m, BLOCK), np.float32)
-    for start in range(0, n, BLOCK):
-        size = min(BLOCK, n - start)
-        root = roots[start : start + size]
-        for j in range(m):
-            mode, own = modes[j, start : start + size], block[j]
-            for e in range(size):
-                own[e] = mode[e] * root[e]
-        for i in range(0, m, 2):  # two by two: each number that is fetched is used twice
-            a, b = block[i, :size], block[min(i + 1, m - 1), :size]
-            for j in range(0, i + 1, 2):
-                c, d = block[j, :size], block[min(j + 1, m - 1), :size]
-                ac = ad = bc = bd = _F(0.0)
-                for e in range(size):
-                    ac += a[e] * c[e]
-                    ad += a[e] * d[e]
-                    bc += b[e] * c[e]
-                    bd += b[e] * d[e]
-                total[i, j] += ac
-                if j < i:
-                    total[i, j + 1] += ad
-                if i + 1 < m:
-                    total[i + 1, j] += bc
-                    total[i + 1, j + 1] += bd
-    for i in range(m):
-        for j in range(i):
-            total[j, i] = total[i, j]
-
-
-def weighted_gram(modes: np.ndarray, roots: np.ndarray) -> np.ndarray:
-    """See :func:`liaam.kernels.reference.weighted_gram`."""
-    total = np.zeros((len(modes), len(modes)))
-    _weighted_gram(modes, roots.reshape(-1), total)
-    return total
-
-
-@_jit
-def _residual_sums(residual, modes, own, weights, roots, ar):
-    n, k = residual.shape
-    for i in range(n):
-        for r in range(k):
-            roots[i, r] = own[i, r] * weights[i]
-    line, by_root, flat = np.empty(BLOCK, np.float32), roots.reshape(-1), residual.reshape(-1)
-    rr = weight = 0.0
-    for begin in range(0, n * k, BLOCK):
-        end = min(begin + BLOCK, n * k)
-        # Slices rather than indices in the inner loops: only then does the compiler see that they never wrap around.
-        root, part = by_root[begin:end], flat[begin:end]
-        squares = total = _F(0.0)
-        for e in range(end - begin):
-            square = root[e] * root[e]
-            line[e] = square * part[e]
-            squares += line[e] * part[e]
-            total += square
-        rr += squares
-        weight += total
-        for j in range(len(modes)):
-            mode = modes[j, begin:end]
-            product = _F(0.0)
-            for e in range(end - begin):
-                product += mode[e] * line[e]
-            ar[j] += product
-    return rr, weight
-
-
-def residual_sums(
-    residual: np.ndarray, modes: np.ndarray, own: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """See :func:`liaam.kernels.reference.residual_sums`."""
-    roots, ar = np.empty_like(own), np.zeros(len(modes))
-    rr, weight = _residual_sums(residual, modes, own, weights, roots, ar)
-    return roots, ar, float(rr), float(weight)
-
-
-@_jit
-def _spread(beta, roots, slopes, theirs, first, last, k, barycentric, squares, own, weighted):
-    """Lay out what a triangle's entries (pixels times rows) are multiplied of, each in a line of its own."""
-    e, n = 0, (last - first) * k
-    for i in range(first, last):
-        for _ in range(k):
-            barycentric[0, e], barycentric[1, e], barycentric[2, e] = beta[i, 0], beta[i, 1], beta[i, 2]
-            e += 1
-    # Slices rather than indices in the inner loops: only then does the compiler see that they never wrap around.
-    w, x, y = roots[first * k : last * k], slopes[2 * first * k : 2 * last * k], theirs[2 * first * k : 2 * last * k]
-    ex, ey, jx, jy = own[0], own[1], weighted[0], weighted[1]
-    for e in range(n):
-        squares[e] = w[e] * w[e]
-        ex[e], ey[e] = x[2 * e], x[2 * e + 1]
-        jx[e], jy[e] = squares[e] * y[2 * e], squares[e] * y[2 * e + 1]
-
-
-@_jit
-def _add_squares(barycentric, own, weighted, work, n, at, basis, half):
-    """Add E'J of one triangle times the basis: nine products of two by two, six of them different."""
-    ex, ey, jx, jy = own[0], own[1], weighted[0], weighted[1]
-    xx, xy, yx, yy = work[0], work[1], work[2], work[3]
-    for e in range(n):
-        xx[e], xy[e], yx[e], yy[e] = ex[e] * jx[e], ex[e] * jy[e], ey[e] * jx[e], ey[e] * jy[e]
-    for a in range(3):
-        left = barycentric[a]
-        for b in range(a, 3):
-            right = barycentric[b]
-            s0 = s1 = s2 = s3 = _F(0.0)
-            for e in range(n):
-                both = left[e] * right[e]
-                s0 += both * xx[e]
-                s1 += both * xy[e]
-                s2 += both * yx[e]
-                s3 += both * yy[e]
-            _add_block(s0, s1, s2, s3, at[a], at[b], basis, half)
-            if b > a:
-                _add_block(s0, s1, s2, s3, at[b], at[a], basis, half)
-
-
-@_jit
-def _add_block(xx, xy, yx, yy, i, j, basis, half):
-    x, y, above, below = basis[j], basis[j + 1], half[i], half[i + 1]
-    for p in range(basis.shape[1]):
-        above[p] += xx * x[p] + xy * y[p]
-        below[p] += yx * x[p] + yy * y[p]
-
-
-@_jit
-def _add_right(barycentric, own, squares, column, line, n, at, rj):
-    """Add a column's products with E of one triangle."""
-    ex, ey = own[0], own[1]
-    for e in range(n):
-        line[e] = squares[e] * column[e]
-    for a in range(3):
-        left = barycentric[a]
-        s0 = s1 = _F(0.0)
-        for e in range(n):
-            both = left[e] * line[e]
-            s0 += both * ex[e]
-            s1 += both * ey[e]
-        rj[at[a]] += s0
-        rj[at[a] + 1] += s1
-
-
-@_jit
-def _add_modes(barycentric, weighted, modes, begin, work, n, at, aj):
-    """Add A'J of one triangle."""
-    jx, jy = weighted[0], weighted[1]
-    b0, b1, b2 = barycentric[0], barycentric[1], barycentric[2]
-    p0, p1, p2, p3, p4, p5 = work[0], work[1], work[2], work[3], work[4], work[5]
-    for e in range(n):
-        p0[e], p1[e] = b0[e] * jx[e], b0[e] * jy[e]
-        p2[e], p3[e] = b1[e] * jx[e], b1[e] * jy[e]
-        p4[e], p5[e] = b2[e] * jx[e], b2[e] * jy[e]
-    for j in range(len(modes)):
-        mode = modes[j, begin : begin + n]
-        s0 = s1 = s2 = s3 = s4 = s5 = _F(0.0)
-        for e in range(n):
-            m = mode[e]
-            s0 += p0[e] * m
-            s1 += p1[e] * m
-            s2 += p2[e] * m
-            s3 += p3[e] * m
-            s4 += p4[e] * m
-            s5 += p5[e] * m
-        aj[j, at[0]] += s0
-        aj[j, at[0] + 1] += s1
-        aj[j, at[1]] += s2
-        aj[j, at[1] + 1] += s3
-        aj[j, at[2]] += s4
-        aj[j, at[2] + 1] += s5
-
-
-@_jit
-def _mesh_products(steep, expected, root, modes, right, beta, starts, triangles, basis, half, aj, rj):
-    k, longest = root.shape[1], 0
-    for t in range(len(triangles)):
-        longest = max(longest, starts[t + 1] - starts[t])
-    longest *= k
-    slopes, theirs, roots = expected.reshape(-1), steep.reshape(-1), root.reshape(-1)
-    barycentric, squares = np.empty((3, longest), np.float32), np.empty(longest, np.float32)
-    own, weighted = np.empty((2, longest), np.float32), np.empty((2, longest), np.float32)
-    work, at = np.empty((6, longest), np.float32), np.empty(3, np.int64)
-    for t in range(len(triangles)):
-        first, last = starts[t], starts[t + 1]
-        n = (last - first) * k
-        if n == 0:
-            continue
-        for a in range(3):
-            at[a] = 2 * triangles[t, a]
-        _spread(beta, roots, slopes, theirs, first, last, k, barycentric, squares, own, weighted)
-        _add_squares(barycentric, own, weighted, work, n, at, basis, half)
-        for j in range(len(right)):
-            _add_right(barycentric, own, squares, right[j, first * k : last * k], work[0], n, at, rj[j])
-        _add_modes(barycentric, weighted, modes, first * k, work, n, at, aj)
-
-
-def mesh_products(
-    steep: np.ndarray,
-    root: np.ndarray,
-    modes: np.ndarray,
-    right: np.ndarray,
-    beta: np.ndarray,
-    starts: np.ndarray,
-    triangles: np.ndarray,
-    basis: np.ndarray,
-    expected: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """See :func:`liaam.kernels.reference.mesh_products`."""
-    half, (n, n_right) = np.zeros_like(basis), (len(basis), len(right))
-    by_vertices = np.zeros((n_right + len(modes), n))  # of further columns and of the modes, one below the other
-    own = steep if expected is None else expected
-    arguments = own, root, modes, right, beta, starts, triangles, basis
-    _mesh_products(steep, *arguments, half, by_vertices[n_right:], by_vertices[:n_right])
-    carried = by_vertices @ basis
-    return basis.T @ half, carried[n_right:], carried[:n_right]
 
 
 @_jit

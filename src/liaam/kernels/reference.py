@@ -173,6 +173,9 @@ def pull(slopes: np.ndarray, inverse: np.ndarray, owners: np.ndarray) -> np.ndar
     return pull_batch(slopes[None], np.asarray(inverse, np.float64)[None], owners)[0]
 
 
+ON_EDGE = 1e-9
+"""Barycentric weight below nought at which a pixel still lies on an edge."""
+
 FLAT = 0.05
 """Share of its area at rest below which a triangle counts as flat."""
 
@@ -328,6 +331,40 @@ def residual_sums(
     squares = np.square(roots.astype(np.float64))
     weighted = (squares * residual).reshape(-1)
     return roots, modes @ weighted, float(weighted @ residual.reshape(-1)), float(squares.sum())
+
+
+def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Tell in which triangle of a mesh each pixel of a picture lies, and where in it.
+
+    Parameters
+    ----------
+    points : (n, 2) float64
+        Vertices, all within the picture.
+    triangles : (t, 3) int
+        A pixel on the edge of several belongs to the first.
+    width, height : int
+
+    Returns
+    -------
+    owner : (height, width) int32
+        Number of the triangle; -1 outside the mesh.
+    weights : (height, width, 3) float64
+        Barycentric; 0 outside.
+    """
+    owner, weights = np.full((height, width), -1, dtype=np.int32), np.zeros((height, width, 3))
+    for t, (a, b, c) in enumerate(points[triangles]):
+        (left, above), (right, below) = np.floor(np.min([a, b, c], axis=0)), np.ceil(np.max([a, b, c], axis=0))
+        x, y = np.mgrid[int(left) : int(right) + 1, int(above) : int(below) + 1].reshape(2, -1)
+        (x0, y0), (x1, y1) = b - a, c - a
+        determinant = x0 * y1 - x1 * y0
+        if determinant == 0:
+            continue
+        dx, dy = x - a[0], y - a[1]
+        v, w = (y1 * dx - x1 * dy) / determinant, (x0 * dy - y0 * dx) / determinant
+        own = np.column_stack([1.0 - v - w, v, w])
+        inside = (own >= -ON_EDGE).all(axis=1) & (owner[y, x] < 0)
+        owner[y[inside], x[inside]], weights[y[inside], x[inside]] = t, own[inside]
+    return owner, weights
 
 
 def mesh_products(
