@@ -390,3 +390,9 @@ def test_rows_of_all_phases_of_jpeg_are_looked_at(size, rng, monkeypatch):
     some = noise_deviation(decoded)
     monkeypatch.setattr("liaam.photometry.noise.SPARSE", 10**9)
     assert some == pytest.approx(noise_deviation(decoded), rel=0.12)
+
+
+def test_bytes_that_are_counted_say_what_is_said_by_sorting(rng):
+    for size in ((3, 3), (4, 5), (60, 41), (700, 500)):
+        picture = rng.normal(100, 20, (*size, 3)).clip(0, 255).astype(np.uint8)
+        assert noise_deviation(picture) == pytest.approx(noise_deviation(257 * picture.astype(np.uint16)), rel=1e-12)

@@ -1,10 +1,9 @@
 """What is worked out pixel by pixel: block means of any size, and directions of gradients (numba)."""
 
-import numba
 import numpy as np
 
-_jit = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
-_F = np.float32
+from liaam.jit import F as _F
+from liaam.jit import jit as _jit
 
 
 @_jit
@@ -267,6 +266,40 @@ def stored_luminance(image: np.ndarray, table: np.ndarray, weights: np.ndarray) 
 
 
 @_jit
+def _bent_counts(lines, rows, counts):
+    n = lines.shape[1]
+    bent, sizes = np.empty(n, np.int16), np.empty(n - 6, np.int16)
+    for y in rows:
+        above, own, below = lines[y - 1], lines[y], lines[y + 1]
+        for i in range(n):
+            bent[i] = np.int16(above[i]) - np.int16(2) * np.int16(own[i]) + np.int16(below[i])
+        left, middle, right = bent[:-6], bent[3:-3], bent[6:]  # the same channel of the neighbours
+        for i in range(n - 6):
+            sizes[i] = abs(left[i] - np.int16(2) * middle[i] + right[i])
+        for i in range(n - 6):
+            counts[np.uint64(sizes[i])] += 1
+
+
+def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """How often each size of the mask (1, -2, 1)' (1, -2, 1) occurs, which is blind to planes.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+    rows : (n,) int
+        Rows of the mask's middle.
+
+    Returns
+    -------
+    (4081,) int64
+        Sizes from 0 on.
+    """
+    counts = np.zeros(16 * 255 + 1, np.int64)
+    _bent_counts(np.ascontiguousarray(image).reshape(len(image), -1), rows, counts)
+    return counts
+
+
+@_jit
 def _soft_row(picture, y, turn, softness, across, down):
     """Turned gradient along a row, as differences to its neighbours tell it, over the root of its square and another.
 
@@ -361,6 +394,38 @@ def soft_light(
     light, masks = np.empty((*means.shape[:2], 4), np.float32), np.empty((*means.shape[:2], 2), np.float32)
     numbers = np.float32(least), bool(grey), np.asarray(weights, np.float32), np.float32(dark), np.float32(floor)
     return light, masks, bool(_soft_light(means, *numbers, light, masks))
+
+
+@_jit
+def _stored_light(image, table, low, high, grey, weights, dark, floor, light, masks):
+    every = not grey
+    for y in range(image.shape[0]):
+        pixels, row, own = image[y].reshape(-1), light[y].reshape(-1), masks[y].reshape(-1)
+        for x in range(image.shape[1]):
+            r, g, b = pixels[3 * x], pixels[3 * x + 1], pixels[3 * x + 2]
+            red, green, blue = table[r], table[g], table[b]
+            row[4 * x] = weights[0] * red + weights[1] * green + weights[2] * blue + dark
+            row[4 * x + 1], row[4 * x + 2], row[4 * x + 3] = max(red, floor), max(green, floor), max(blue, floor)
+            known = (low <= min(r, min(g, b))) & (max(r, max(g, b)) <= high) & (not grey)
+            own[2 * x], own[2 * x + 1] = _F(known), _F(1.0)
+            every = every & known
+    return every
+
+
+def stored_light(
+    image: np.ndarray,
+    table: np.ndarray,
+    usable: tuple[int, int],
+    grey: bool,
+    weights: np.ndarray,
+    dark: float,
+    floor: float,
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """As :func:`soft_light`, of integer pixels that are not averaged; table and range as of :func:`stored_means`."""
+    light, masks = np.empty((*image.shape[:2], 4), np.float32), np.empty((*image.shape[:2], 2), np.float32)
+    low, high = (image.dtype.type(value) for value in usable)
+    numbers = low, high, bool(grey), np.asarray(weights, np.float32), np.float32(dark), np.float32(floor)
+    return light, masks, bool(_stored_light(np.ascontiguousarray(image), table, *numbers, light, masks))
 
 
 @_jit

@@ -244,13 +244,16 @@ def _encode_soft(
 
     from liaam.photometry import averaging
 
-    means = _block_means(image, "log", response, blocks)
     # Of a grey picture there is no invariant to know.
-    settings = ALL, is_grey(image), BRIGHTNESS, LOG_FLOOR, float(_floor(response))
-    light, masks, every = averaging.soft_light(means, *settings)
+    settings = is_grey(image), BRIGHTNESS, LOG_FLOOR, float(_floor(response))
+    finite = image.dtype.kind == "u"
+    if finite and blocks == _Blocks((0.0, 0.0), 1.0, image.shape[:2]):  # nothing to be averaged
+        table = _table(image.dtype.str, "linear", response)
+        light, masks, every = averaging.stored_light(image, table, _usable_range(image.dtype), *settings)
+    else:
+        light, masks, every = averaging.soft_light(_block_means(image, "log", response, blocks), ALL, *settings)
     logs = cv2.log(light, light)
     if blur > 0.0:
-        finite = means.shape[2] < 5  # stored integers are
         logs = _smooth(logs, blur) if every else _blurred_by_masks(logs, masks, blur, finite)
     return averaging.soft_channels(logs, masks, np.eye(2) if turn is None else turn, SOFTNESS * pixel)
 

@@ -22,8 +22,8 @@ from liaam.photometry.response import Response, log_slope, to_linear
 ENOUGH = 600
 """Pixels across that :func:`noise_deviation` looks at."""
 
-SPARSE = 10_000
-"""Pixels within them that it looks at, in rows evenly apart; the median of as many is right to a few per cent."""
+SPARSE = 5_000
+"""Pixels within them that it looks at, in rows evenly apart; the median of as many is right to 2 per cent."""
 
 STEP = 1 / 255
 """The step between stored values of 8 bits."""
@@ -134,12 +134,25 @@ def noise_deviation(image: np.ndarray) -> float:
     rows = np.arange(1, image.shape[0] - 1, step)
     whole = image.dtype.kind == "u"  # differences of integers are exact
     top = np.iinfo(image.dtype).max if whole else 1.0
-    above, own, below = (
-        image[rows + shift].astype(np.int32) if whole else stored_values(image[rows + shift]) for shift in (-1, 0, 1)
-    )
-    bent = above - 2 * own + below
-    bent = bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]
-    return max(float(1.4826 * np.median(np.abs(bent)) / (6.0 * top)), least)
+    if image.dtype == np.uint8:
+        from liaam.photometry import averaging  # numba: imported when first needed
+
+        middle = _median_of_counts(averaging.bent_counts(image, rows))
+    else:
+        above, own, below = (
+            image[rows + shift].astype(np.int32) if whole else stored_values(image[rows + shift])
+            for shift in (-1, 0, 1)
+        )
+        bent = above - 2 * own + below
+        middle = np.median(np.abs(bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]))
+    return max(float(1.4826 * middle / (6.0 * top)), least)
+
+
+def _median_of_counts(counts: np.ndarray) -> float:
+    """Median of whole numbers of which it is known how often each occurs."""
+    up_to = counts.cumsum()
+    # The two in the middle, one and the same of an odd number.
+    return float(np.searchsorted(up_to, ((up_to[-1] - 1) // 2, up_to[-1] // 2), side="right").mean())
 
 
 def noise_from_flat(
