@@ -73,15 +73,23 @@ def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
     -------
     Similarity
     """
-    seen = np.isfinite(shape).all(axis=1) & np.isfinite(target).all(axis=1)
-    a, b = shape[seen], target[seen]
-    a_mean, b_mean = a.mean(axis=0), b.mean(axis=0)
     # A similarity without reflection is a complex factor: z_b = factor * z_a.
-    za, zb = (a - a_mean) @ [1, 1j], (b - b_mean) @ [1, 1j]
+    za, zb = _as_complex(shape), _as_complex(target)
+    if not np.isfinite(za.sum() + zb.sum()):
+        seen = np.isfinite(za) & np.isfinite(zb)
+        za, zb = za[seen], zb[seen]
+    a_mean, b_mean = za.mean(), zb.mean()
+    za = za - a_mean
     power = float(np.vdot(za, za).real)
-    factor = np.vdot(za, zb) / power if power > 0 else 1.0 + 0j
+    factor = complex(np.vdot(za, zb - b_mean)) / power if power > 0 else 1.0 + 0j
+    offset = complex(b_mean - factor * a_mean)
     matrix = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
-    return Similarity(matrix, b_mean - matrix @ a_mean)
+    return Similarity(matrix, np.array([offset.real, offset.imag]))
+
+
+def _as_complex(shape: np.ndarray) -> np.ndarray:
+    """Points (n, 2) as x + i y, (n,) complex128."""
+    return np.ascontiguousarray(shape, dtype=np.float64).reshape(-1).view(np.complex128)
 
 
 def shifted_into(shape: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from liaam.fitting.normal_equations import BLOCK, NormalEquations, Sums, gram, solve_lifted
+from liaam.fitting.normal_equations import BLOCK, NormalEquations, Sums, gram, positive_inverse, solve_lifted
 
 
 @given(rows=st.sampled_from([1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 5]), seed=st.integers(0, 9))
@@ -102,15 +102,39 @@ def test_without_pixels_the_cost_is_infinite():
     assert Sums(aa=np.zeros((2, 2)), ar=np.zeros(2), rr=0.0, weight=0.0).cost == np.inf
 
 
+@pytest.mark.parametrize("ratios", [(2.0, 0.1, 1.0, -3.0, 0.6, 0.2), (2.0, 0.7, 1.0, 3.0, 0.6, 0.9)])
 @pytest.mark.parametrize("rank", [6, 4])
-def test_a_lifted_solution_is_nowhere_flatter_than_the_base(rng, rank):
+def test_a_lifted_solution_is_nowhere_flatter_than_the_base(rng, rank, ratios):
     """Curvature below the lift is lifted to it, more is kept, and a base that is flat somewhere is no fault."""
     n, lift, damping = 6, 0.5, 0.1
     base = np.diag(np.where(np.arange(n) < rank, np.arange(1.0, n + 1), 0.0))
-    ratios = np.array([2.0, 0.1, 1.0, -3.0, 0.6, 0.2])
+    ratios = np.array(ratios)
     turn = np.linalg.qr(rng.normal(size=(n, n)))[0]
     right = turn @ np.where(np.arange(n) < rank, 1.0, 0.0)
     found = solve_lifted(turn @ base @ turn.T, turn @ (ratios * base) @ turn.T, right, lift, damping)
     expected = 1.0 / ((np.maximum(ratios, lift) + damping) * np.arange(1.0, n + 1))
     np.testing.assert_allclose((turn.T @ found)[:rank], expected[:rank], rtol=1e-8)
     assert np.isfinite(found).all()
+
+
+def test_what_is_steep_by_rounding_only_is_lifted():
+    """A base that is flat but for rounding is lifted out of it, whatever the Hessian says there."""
+    right = np.array([0.0, 1e-6])
+    for least, slope in ((1e-9, 2e-9), (0.0, 1e-14)):
+        step = solve_lifted(np.diag([1.0, least]), np.diag([1.0, slope]), right, 0.5, 0.0)
+        assert np.abs(step).max() <= 20.0 + 1e-6
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e3, 1e8])
+def test_the_inverse_of_a_positive_matrix(rng, condition):
+    turn = np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    matrix = (turn * np.geomspace(1.0, condition, 5)) @ turn.T
+    inverse = positive_inverse(matrix)
+    assert inverse is not None
+    np.testing.assert_allclose(inverse, np.linalg.inv(matrix), rtol=1e-6, atol=1e-9)
+    assert np.array_equal(inverse, inverse.T)
+
+
+@pytest.mark.parametrize("values", [(1.0, 0.0), (1.0, -1.0), (1.0, 1e-15), (1.0, np.nan), (0.0, 0.0)])
+def test_what_is_not_positive_has_no_inverse(values):
+    assert positive_inverse(np.diag(values)) is None

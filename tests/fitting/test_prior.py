@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from liaam.fitting.prior import next_scale
+from liaam.fitting.prior import next_scale, next_scale_of_one
 
 
 def picture(rng, scale, n=30, rigid=4):
@@ -65,3 +65,12 @@ def test_pictures_of_a_batch_do_not_see_each_other(rng):
     together = next_scale(hessians, ps, prior, units, 5.0, scales)
     alone = [next_scale(h, p, prior, u, 5.0, s) for h, p, u, s in zip(hessians, ps, units, scales, strict=True)]
     np.testing.assert_allclose(together, alone, rtol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [0.3, 0.0, np.nan, np.inf])
+@pytest.mark.parametrize("spoilt", [1.0, 0.0, np.nan])
+def test_one_picture_has_the_scale_that_it_has_in_a_batch(rng, unit, spoilt):
+    hessian, _, prior, p = picture(rng, 2.0)
+    hessian = spoilt * hessian
+    expected = next_scale(hessian, p, prior, np.asarray(unit), 5.0, np.asarray(0.7))
+    assert next_scale_of_one(hessian, p, prior, unit, 5.0, 0.7) == pytest.approx(float(expected), rel=1e-6)

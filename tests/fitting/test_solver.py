@@ -7,6 +7,9 @@ import pytest
 
 from liaam.errors import MethodError
 from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
+from liaam.fitting.fitter import prepare_level
+from liaam.fitting.objective import Objective
+from liaam.shape import diagonal_of
 from setups import disturb, model_pixels
 
 EXACT = {"tolerance": 1e-4, "max_iterations": 300, "shape_prior": 0.0}
@@ -138,6 +141,42 @@ def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
     assert sparing.n_iterations < patient.n_iterations
     off = np.linalg.norm(sparing.shape - patient.shape, axis=1)
     assert np.sqrt(np.square(off / patient.deviations).mean()) < 0.3
+
+
+def test_a_last_step_that_nobody_can_tell_is_taken_without_another_look(fine_model, lit_scene, monkeypatch):
+    looks, linearise = [], Objective.linearise
+    monkeypatch.setattr(Objective, "linearise", lambda *args: looks.append(args) or linearise(*args))
+    fitter = Fitter(fine_model, "soft-li", SolverOptions(tolerance=0.0))
+    result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert result.status.ok
+    # One for the start of each level, and one for each step but the last.
+    assert len(looks) == result.n_iterations
+    costs = [step.cost for step in result.history if step.level == len(fitter.objectives) - 1]
+    assert costs[-1] == costs[-2] == result.cost
+    assert not np.array_equal(result.history[-1].shape, result.history[-2].shape)
+
+
+def test_a_result_may_go_without_its_residual(fine_model, lit_scene):
+    start = disturb(lit_scene.landmarks)
+    whole, without = (Fitter(fine_model, residuals=wanted).fit(lit_scene.image, start) for wanted in (True, False))
+    assert whole.residual.shape == (fine_model.surrounded.frame.n_pixels, 3)
+    assert without.residual.shape == (0, 3) and without.usable.shape == (0,)
+    np.testing.assert_array_equal(without.shape, whole.shape)
+    np.testing.assert_array_equal(without.covariance, whole.covariance)
+    assert (without.status, without.quality) == (whole.status, whole.quality)
+
+
+def test_a_patch_reaches_as_far_as_it_is_asked_to(fine_model, lit_scene):
+    def width(margin):
+        fitter = Fitter(fine_model, "soft-li", margin=margin)
+        target = fitter.target(lit_scene.image, lit_scene.landmarks)[0]
+        problem = prepare_level(fitter.objectives[-1], 1.0, target.measured(get_method("soft-li")), [], fitter.options)[
+            0
+        ]
+        return problem.patch.channels.shape[1] / problem.patch.from_image.scale
+
+    reach = 0.1 * diagonal_of(lit_scene.landmarks)
+    assert width(0.2) - width(0.1) == pytest.approx(2 * reach, abs=6)
 
 
 def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):

@@ -130,7 +130,8 @@ class Job:
 
         settings = self.settings
         camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
-        return Fitter(self.model, settings.method, SolverOptions(max_iterations=settings.iterations), camera=camera)
+        options = SolverOptions(max_iterations=settings.iterations)
+        return Fitter(self.model, settings.method, options, camera=camera, residuals=False)
 
     def absolute(self, path: str) -> str:
         """Path of a file, or the text itself if there is no such file (it may be numbers)."""

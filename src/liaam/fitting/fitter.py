@@ -10,7 +10,7 @@ import numpy as np
 from liaam.errors import ImageError, StartError
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.methods import DEFAULT_METHOD, Method, get_method
-from liaam.fitting.normal_equations import NormalEquations
+from liaam.fitting.normal_equations import NormalEquations, on_diagonal, positive_inverse
 from liaam.fitting.objective import Objective, State, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import MARGIN, NEAR, FitProblem, noise_around
@@ -63,9 +63,11 @@ class Stage:
         """Shape of the solution, (n, 2) float64, image pixels."""
         return self.shape(self.solution.state)
 
-    def picture(self) -> tuple[np.ndarray, np.ndarray]:
-        """Residual (n_pixels, k), and where the image was usable (n_pixels,), at all of the frame's pixels."""
+    def picture(self, all_pixels: bool = True) -> tuple[np.ndarray, np.ndarray]:
+        """Residual (n_pixels, k), and where the image was usable (n_pixels,), at all of the frame's pixels or none."""
         whole = self.objective.whole
+        if not all_pixels:
+            return np.empty((0, self.objective.method.n_rows), np.float32), np.empty(0, np.float32)
         solution = self.solution
         look = solution.last.look if whole is None else whole.look(self.problem, solution.state, solution.trust)
         return look.residual * look.weights[:, None], look.weights
@@ -84,6 +86,8 @@ class Target(NamedTuple):
     """Of the image's camera."""
     theta: float | None = None
     """Angle of the image's camera where the method does not estimate it, radians; the model's if left out."""
+    margin: float = MARGIN
+    """Surroundings of the start that the fit may visit, as a share of the object's diagonal."""
 
     def measured(self, method: Method) -> "Target":
         """Target whose noise is measured in the image where the method weighs by it and nobody knows it."""
@@ -125,7 +129,7 @@ def prepare_level(
     Anew for each level: shape modes turn and grow with the pose, and the patch with its resolution belongs where the
     object is now, not where the start was.
     """
-    shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, MARGIN)
+    shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, target.margin)
     warp = objective.warp
     pose = align(warp.rest, shape)
     problem = FitProblem.at(target.image, shape, pose, objective.method, target.response, blur, target.noise, margin)
@@ -179,6 +183,11 @@ class Fitter:
     camera : CameraModel, optional
         Camera of the images to be fitted, which gives response, vignetting, noise, and the angle where the
         method does not estimate it; the training camera if left out.
+    margin : float
+        Surroundings of a start that fits may visit, as a share of the object's diagonal: less where starts are near.
+    residuals : bool
+        Whether results hold the residual at all pixels, which takes another look; ``residual`` and ``usable`` of the
+        results have no rows otherwise.
 
     Examples
     --------
@@ -191,6 +200,8 @@ class Fitter:
     options: SolverOptions = field(default_factory=SolverOptions)
     kernel: str = "fast"
     camera: CameraModel | None = None
+    margin: float = MARGIN
+    residuals: bool = True
 
     def __post_init__(self) -> None:
         self.objectives  # noqa: B018 (complain now, not at the first image)
@@ -286,7 +297,8 @@ class Fitter:
         given = init if found is None else found.shape
         start = start_shape(self.model, given, (image.shape[1], image.shape[0]), name)
         camera = self._camera
-        return Target(camera.flatten(image), start, camera.response, camera.noise, camera.theta), found
+        picture = camera.flatten(image)
+        return Target(picture, start, camera.response, camera.noise, camera.theta, self.margin), found
 
     def equations_at(self, image, result: FitResult) -> tuple[Objective, NormalEquations, np.ndarray]:
         """Normal equations of the sharpest level at a result, with the appearance's coordinates solved there.
@@ -335,7 +347,7 @@ class Fitter:
         solution, has_angle = stages[-1].solution, self._method.has_angles
         history = trace(stages)
         state, last = solution.state, solution.last
-        residual, usable = stages[-1].picture()
+        residual, usable = stages[-1].picture(self.residuals)
         known = self.model.reliability if self._method.name == DEFAULT_METHOD else None
         spread = covariance(stages[-1].objective, solution, self.options.shape_prior / solution.scale)
         spread = spread if known is None else known.understated * spread
@@ -370,12 +382,13 @@ class Fitter:
         shape, objective, solution = history[-1].shape, stage.objective, stage.solution
         if not is_sane(shape, history[0].shape):
             return FitStatus.DIVERGED
-        points = stage.pose(objective.warp.points(solution.state.p))
-        inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
-        if inside.mean() < 0.5:
-            return FitStatus.LEFT_IMAGE
-        if solution.last.weights[inside].mean() < USABLE_LIMIT:
-            return self._why_unusable(image, points[inside])
+        if not solution.last.weights.all():  # some pixel is outside, or says nothing
+            points = stage.pose(objective.warp.points(solution.state.p))
+            inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
+            if inside.mean() < 0.5:
+                return FitStatus.LEFT_IMAGE
+            if solution.last.weights[inside].mean() < USABLE_LIMIT:
+                return self._why_unusable(image, points[inside])
         if folded_share(shape, self.model.triangles) > FOLD_LIMIT or self._strangeness(shape) > SHAPE_LIMIT:
             return FitStatus.DIVERGED
         if solution.flat:
@@ -416,7 +429,11 @@ def covariance(objective: Objective, solution: Solution, strength: float = 1.0) 
     unit = max(objective.unit(equations), 1e-12)
     precision = np.nan_to_num(equations.reduced()[0]) / unit
     n_p = objective.warp.n_parameters
-    precision[np.arange(n_p), np.arange(n_p)] += strength * objective.prior
+    diagonal = on_diagonal(precision)  # a view
+    diagonal[:n_p] += strength * objective.prior
+    inverse = positive_inverse(precision)
+    if inverse is not None:
+        return inverse
     values, vectors = np.linalg.eigh(precision)
     inverse = np.divide(1.0, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
     return (vectors * inverse) @ vectors.T
@@ -430,14 +447,14 @@ def evidence(stage: Stage) -> np.ndarray:
     """
     objective, solution = stage.objective, stage.solution
     seen, warp = solution.last, objective.warp
-    weights = seen.weights * objective.appearance.usable
-    samples = seen.values @ objective.method.image_metric(solution.state.angles[1]).T.astype(np.float32)
+    weights = (seen.weights * objective.appearance.usable).astype(np.float64)
     rows = slice(0, 2) if objective.method.soft else slice(None)  # of soft methods the gradient, always there
-    samples, residual = samples[:, rows].astype(np.float64), seen.residual[:, rows].astype(np.float64)
+    metric = objective.method.image_metric(solution.state.angles[1])[rows]
+    samples = (seen.values @ metric.T.astype(np.float32)).astype(np.float64)
     if objective.method.encoding in ("value", "log"):
         samples -= np.average(samples, axis=0, weights=weights) if weights.any() else 0.0
-    contrast = float(weights @ np.square(samples).sum(axis=1))
-    left = float(weights @ np.square(residual).sum(axis=1))
+    contrast = float((weights @ np.square(samples)).sum())
+    left = float((weights @ np.square(seen.residual[:, rows], dtype=np.float64)).sum())
     if not np.isfinite(left):
         return np.array([-1.0, 14.0])
     explained = 1.0 - left / contrast if contrast > 0 else -1.0

@@ -1,6 +1,7 @@
 """The table of methods (DESIGN section 1): every fitting method is one row of one objective."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -167,16 +168,7 @@ class Method:
 
     def image_metric(self, theta: float) -> np.ndarray:
         """Rows of P for the image (angle theta_2), (k, channels of the encoding)."""
-        return self._with_row(METRICS[self.metric], invariant_row(theta)) if self.has_angles else METRICS[self.metric]
-
-    def _with_row(self, rows: np.ndarray, invariant: np.ndarray) -> np.ndarray:
-        """Rows of an angular metric with the one (1, 3) on log RGB put in."""
-        if self.metric == "invariant":
-            return invariant
-        rows = rows.copy()
-        rows[2] = 0.0
-        rows[2, 2:5] = invariant
-        return rows
+        return _angular_metric(self.metric, float(theta)) if self.has_angles else METRICS[self.metric]
 
     def model_metric(self, theta: float) -> np.ndarray:
         """Rows of P for the model (angle theta_1), (k, channels of the appearance)."""
@@ -190,12 +182,30 @@ class Method:
     def image_metric_derivative(self, theta: float) -> np.ndarray:
         """dP/dtheta for the image, (k, channels of the encoding)."""
         nothing = np.zeros_like(METRICS[self.metric])
-        return self._with_row(nothing, invariant_row_derivative(theta)) if self.has_angles else nothing
+        return _with_row(self.metric, nothing, invariant_row_derivative(theta)) if self.has_angles else nothing
 
     def model_metric_derivative(self, theta: float) -> np.ndarray:
         """dP/dtheta for the model, (k, channels of the appearance)."""
         projected = self.appearance in ("invariant", "soft")
         return np.zeros((self.n_rows, self.n_rows)) if projected else invariant_row_derivative(theta)
+
+
+@lru_cache(maxsize=64)
+def _angular_metric(metric: str, theta: float) -> np.ndarray:
+    """Rows of an angular metric at an angle, to be read only: a fit asks for the same again and again."""
+    rows = _with_row(metric, METRICS[metric], invariant_row(theta))
+    rows.flags.writeable = False
+    return rows
+
+
+def _with_row(metric: str, rows: np.ndarray, invariant: np.ndarray) -> np.ndarray:
+    """Rows of an angular metric with the one (1, 3) on log RGB put in."""
+    if metric == "invariant":
+        return invariant
+    rows = rows.copy()
+    rows[2] = 0.0
+    rows[2, 2:5] = invariant
+    return rows
 
 
 def _check(what: str, value: str, known) -> None:

@@ -5,7 +5,13 @@ degrees of freedom for the scale. Few degrees say that shapes come near and far;
 estimated with its shape, so that a shape that lies near the mean is held there, and one that lies far off may go.
 """
 
+import numpy as np
 from array_api_compat import array_namespace, device
+
+from liaam.fitting.normal_equations import on_diagonal, positive_inverse
+
+FLOOR = 1e-9
+"""Least precision, as a share of the largest one."""
 
 
 def next_scale(hessian, p, prior, unit, freedom: float, scale):
@@ -36,10 +42,29 @@ def next_scale(hessian, p, prior, unit, freedom: float, scale):
     own = xp.where(seen[..., None, None], hessian[..., :n, :n], xp.zeros_like(hessian[..., :n, :n]))
     own = own / xp.where(seen, unit, xp.ones_like(unit))[..., None, None]
     diagonal = xp.linalg.diagonal(own) + held
-    floor = 1e-9 * xp.max(diagonal, axis=-1)[..., None] + 1e-300
+    floor = FLOOR * xp.max(diagonal, axis=-1)[..., None] + 1e-300
     identity = xp.eye(n, dtype=own.dtype, device=device(own))
     spread = xp.linalg.diagonal(xp.linalg.inv(own + (held + floor)[..., None, :] * identity))
     told = xp.sum(xp.where(prior > 0, 1.0 - held * spread, xp.zeros_like(held)), axis=-1)
     squares = xp.sum(prior * p**2, axis=-1)
     new = (freedom + squares) / (freedom + told)
     return xp.where(seen & xp.isfinite(new), new, scale)
+
+
+def next_scale_of_one(
+    hessian: np.ndarray, p: np.ndarray, prior: np.ndarray, unit: float, freedom: float, scale: float
+) -> float:
+    """As :func:`next_scale`, of one picture: without what batches need, in a tenth of the time."""
+    if not (np.isfinite(unit) and unit > 0):
+        return scale
+    held = prior / scale
+    precision = hessian[: len(p), : len(p)] / unit
+    diagonal = on_diagonal(precision)  # a view
+    diagonal += held
+    diagonal += FLOOR * diagonal.max() + 1e-300
+    spread = positive_inverse(precision)
+    if spread is None:
+        return scale
+    told = np.count_nonzero(prior) - float(held @ spread.diagonal())
+    new = (freedom + float(prior @ np.square(p))) / (freedom + told)
+    return new if np.isfinite(new) else scale

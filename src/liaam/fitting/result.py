@@ -118,12 +118,13 @@ class FitResult:
     n_iterations : int
         Steps tried.
     history : tuple of Iteration
-        Each level's start and every accepted step; the last is the result.
+        Each level's start and every accepted step; the last is the result. A last step too short to be noticed has the
+        cost of the state before it.
     residual : (n_pixels, k) float32
-        Image minus model per model pixel and row of the metric, 0 where not usable;
+        Image minus model per model pixel and row of the metric, 0 where not usable; no rows if the fitter keeps none;
         ``model.frame.picture(result.residual)`` is its image (of ``soft-li``: ``model.surrounded.frame.picture``).
     usable : (n_pixels,) float32
-        1 where the image could be used, else 0.
+        1 where the image could be used, else 0; of the pixels of ``residual``.
     covariance : (n_q, n_q) float64
         Covariance of (p, free angles), by the picture and the prior. What blur and (for ``soft-li``) the model's errors
         tie together is counted once, and where left-out pictures have told by how much such variances fall short, they
