@@ -8,6 +8,7 @@ import pytest
 
 from liaam import cli_video
 from liaam.io import VideoReader, video_writer, write_landmarks
+from liaam.tracking import Tracker
 
 
 @pytest.fixture(scope="module")
@@ -152,14 +153,15 @@ def test_a_grey_start_names_video_and_frame(run, model_file, moving, tmp_path):
 
 def test_ctrl_c_leaves_what_was_done(run, model_file, clip, tmp_path, monkeypatch):
     handler = signal.getsignal(signal.SIGINT)
-    caption = cli_video.caption_of
+    update = Tracker.update
 
-    def interrupted(tracked):
+    def interrupted(self, *frame):
+        tracked = update(self, *frame)
         if tracked.index == 3:
             signal.raise_signal(signal.SIGINT)
-        return caption(tracked)
+        return tracked
 
-    monkeypatch.setattr(cli_video, "caption_of", interrupted)
+    monkeypatch.setattr(Tracker, "update", interrupted)
     code, _, err = run("track", model_file, clip, "-o", tmp_path / "t.csv", "--video", tmp_path / "v.mp4")
     assert code == 130
     assert "stopped after 4 frames" in err

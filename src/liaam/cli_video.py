@@ -17,7 +17,9 @@ from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.terminal import Progress, complain, console, progress_bar, say, table_of
 
 if TYPE_CHECKING:
+    from liaam.fitting import FitResult
     from liaam.io import VideoFrame, VideoReader
+    from liaam.model import AAM
     from liaam.tracking import TrackedFrame, Tracker
 
 
@@ -77,7 +79,7 @@ def track(
     camera = camera_for([], camera_file, response, model.camera)
     tracker = Tracker(model, method, camera, TrackingOptions(smooth=smooth))
     counts, reader = Counts(), VideoReader(source, start, stop)
-    with reader, ExitStack() as files, stop_on_interrupt() as stopped, progress_bar() as tell:
+    with stop_on_interrupt() as stopped, reader, ExitStack() as files, progress_bar() as tell:
         sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
         follow(reader, tracker, init, sinks, counts, tell, stopped)
     report(counts, [path for path in (output, annotated, shading_free) if path is not None])
@@ -91,8 +93,8 @@ def track(
         raise typer.Exit(1)
 
 
-Sink = Callable[["VideoFrame", "TrackedFrame"], None]
-"""Takes a frame and what was found in it."""
+Sink = Callable[["VideoFrame", "TrackedFrame", "FitResult | None"], None]
+"""Takes a frame, what was found in it, and the fit."""
 
 
 @dataclass
@@ -194,8 +196,9 @@ def open_sinks(
     ellipses: bool,
     counts: Counts,
 ) -> list[Sink]:
-    """Open what was asked for, and nothing else; each is closed by ``files``."""
+    """Open what was asked for, and nothing else; each is closed by ``files``. Videos are drawn and written aside."""
     from liaam.io import video_writer
+    from liaam.tracking.aside import aside
     from liaam.tracking.files import track_writer
     from liaam.tracking.shading import ShadingRemover
 
@@ -203,37 +206,39 @@ def open_sinks(
     remover = None if shading_free is None else ShadingRemover(tracker.fitter)  # it may refuse: before files are made
     if output is not None:
         track_file = files.enter_context(track_writer(output, tracker.model.n_points))
-        sinks.append(lambda _, tracked: track_file.write(tracked))
+        sinks.append(lambda _, tracked, __: track_file.write(tracked))
     if annotated is not None:
-        sinks.append(drawing(files.enter_context(video_writer(annotated, reader.rate)), tracker, ellipses))
+        draw = drawing(files.enter_context(video_writer(annotated, reader.rate)), tracker.model, ellipses)
+        sinks.append(files.enter_context(aside(draw)))
     if shading_free is not None and remover is not None:
-        sinks.append(unshading(files.enter_context(video_writer(shading_free, reader.rate)), tracker, remover, counts))
+        unshade = unshading(files.enter_context(video_writer(shading_free, reader.rate)), remover, counts)
+        sinks.append(files.enter_context(aside(unshade)))
     return sinks
 
 
-def drawing(writer: Any, tracker: "Tracker", ellipses: bool) -> Sink:
+def drawing(writer: Any, model: "AAM", ellipses: bool) -> Sink:
     """Give what writes annotated frames."""
     from liaam.plotting_video import annotated
 
-    def write(frame: "VideoFrame", tracked: "TrackedFrame") -> None:
+    def write(frame: "VideoFrame", tracked: "TrackedFrame", _result: "FitResult | None") -> None:
         landmarks = tracked.landmarks if tracked.ok else None
         covariances = tracked.covariances if ellipses and tracked.ok else None
-        writer.write(annotated(frame.image, landmarks, tracker.model, caption_of(tracked), covariances), frame.time)
+        writer.write(annotated(frame.image, landmarks, model, caption_of(tracked), covariances), frame.time)
 
     return write
 
 
-def unshading(writer: Any, tracker: "Tracker", remover: Any, counts: Counts) -> Sink:
+def unshading(writer: Any, remover: Any, counts: Counts) -> Sink:
     """Give what writes frames without shading; those without the object, and grey ones, as they are."""
     from liaam.tracking import TrackStatus
 
-    def write(frame: "VideoFrame", tracked: "TrackedFrame") -> None:
+    def write(frame: "VideoFrame", tracked: "TrackedFrame", result: "FitResult | None") -> None:
         if tracked.status is not TrackStatus.TRACKED:
             remover.reset()
         fresh = frame.image
-        if tracker.result is not None:
+        if result is not None:
             try:
-                fresh = remover.remove(frame.image, tracker.result, tracked.landmarks)
+                fresh = remover.remove(frame.image, result, tracked.landmarks)
                 counts.n_unshaded += 1
             except MethodError:  # grey: a whole video, or one that fades
                 counts.n_grey += 1
@@ -274,7 +279,7 @@ def follow(
             tracker.init = read_init(init, Path(reader.name), frame.image.shape[1::-1])
         tracked = tracker.update(frame.image, frame.time, frame.index)
         for sink in sinks:
-            sink(frame, tracked)
+            sink(frame, tracked, tracker.result)
         counts.add(tracked)
         tell(counts.n, reader.n_frames or counts.n, f"{counts.rate:.1f} frames/s, {tracked.status}")
         if stopped():
@@ -283,7 +288,9 @@ def follow(
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
-    """Take the first Ctrl-C for a wish to stop after this frame, so that files are closed well; a second one kills."""
+    """Take the first Ctrl-C for a wish to stop after this frame, so that files are closed well; a second one does not
+    wait for what is still to be written.
+    """
     wished = threading.Event()
     if threading.current_thread() is not threading.main_thread():  # only it may take signals
         yield wished.is_set
@@ -291,8 +298,10 @@ def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
     before = signal.getsignal(signal.SIGINT)
 
     def wish(*_: object) -> None:
+        if wished.is_set():  # the second one; what is open is closed in peace
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            raise KeyboardInterrupt
         wished.set()
-        signal.signal(signal.SIGINT, before)
 
     signal.signal(signal.SIGINT, wish)
     try:

@@ -192,8 +192,8 @@ def overlay(
     points = np.clip(np.nan_to_num((shape + 0.5) * zoom - 0.5), -1e6, 1e6)
     fixed = np.rint(points * 16).astype(np.int32)
     faint = picture.copy()
-    for a, b in mesh_edges(model.triangles):
-        cv2.line(faint, tuple(map(int, fixed[a])), tuple(map(int, fixed[b])), colour, thick, cv2.LINE_AA, 4)
+    edges = fixed[mesh_edges(model.triangles)].reshape(-1, 2, 1, 2)
+    cv2.polylines(faint, list(edges), False, colour, thick, cv2.LINE_AA, 4)
     weight = 0.35 if model.contours else 0.6
     picture = cv2.addWeighted(faint, weight, picture, 1 - weight, 0)
     for indices, closed in model.contours:

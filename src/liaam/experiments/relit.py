@@ -101,10 +101,15 @@ def flat_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) 
     return root_mean_square((sampled(made) - truth)[counts])
 
 
+def told(model: AAM, flat: Scene) -> np.ndarray:
+    """Where the true flat-lit picture is neither dark nor clipped in any channel, (h, w) bool."""
+    stored = from_linear(np.clip(flat.linear, 0, 1), model.response)
+    return np.asarray(((stored > DARK) & (stored < SATURATED)).all(axis=2))
+
+
 def pixel_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
     """The same pixel by pixel of the picture, with all of its noise."""
-    stored = from_linear(np.clip(flat.linear, 0, 1), model.response)
-    counts = mesh_mask(model, log_rgb, shape) & (stored > DARK).all(axis=2) & (stored < SATURATED).all(axis=2)
+    counts = mesh_mask(model, log_rgb, shape) & told(model, flat)
     return root_mean_square(log_rgb[counts] - np.log(flat.linear[counts]))
 
 
@@ -128,8 +133,7 @@ def beyond_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     away = np.asarray(distance_transform_edt(~mesh_mask(model, log_rgb, shape)))
-    stored = from_linear(np.clip(flat.linear, 0, 1), model.response)
-    counts = (away > 0) & (away <= REACH * diagonal_of(shape)) & ((stored > DARK) & (stored < SATURATED)).all(axis=2)
+    counts = (away > 0) & (away <= REACH * diagonal_of(shape)) & told(model, flat)
     truth = np.log(np.maximum(flat.linear, 1e-4))
     return root_mean_square(gaussian_filter(log_rgb - truth, (GRAIN, GRAIN, 0))[counts])
 
