@@ -87,8 +87,16 @@ def test_an_error_outside_leaves_the_rest_undone_and_no_thread_behind():
     assert not any(thread.is_alive() for thread in left)
 
 
+@pytest.fixture
+def interruptible():
+    """Mind Ctrl-C, also where the tests run in a shell's background and ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals of POSIX")
-def test_an_interrupt_at_the_end_waits_for_the_work_at_hand():
+def test_an_interrupt_at_the_end_waits_for_the_work_at_hand(interruptible):
     """What the work writes to is closed after the block: nothing may be under way then."""
     under_way, ended = threading.Event(), []
 
