@@ -4,8 +4,8 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
@@ -156,6 +156,20 @@ def _start(prepare: Callable[[], object] | None) -> None:
         threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
     if prepare is not None:
         prepare()
+
+
+def in_threads(perform: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """Do items side by side in threads of this process, as many as OpenCV may have; results in the items' order.
+
+    For work that lets go of the interpreter: kernels, and what OpenCV does. Under :func:`one_thread`, one by one.
+    """
+    import cv2
+
+    threads = min(cv2.getNumThreads(), all_cores(), len(items))
+    if threads <= 1:
+        return [perform(item) for item in items]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(perform, items))
 
 
 @contextmanager

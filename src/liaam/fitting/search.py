@@ -24,6 +24,7 @@ from liaam.model import AAM, Level
 from liaam.photometry import Response
 from liaam.photometry.encoding import soft_direction, value_luminance
 from liaam.shape import ShapeModel, Similarity, align, diagonal_of, rotation
+from liaam.workers import in_threads
 
 TEMPLATE = 40.0
 """Diagonal of the small model, pixels. Measured on ``imm``: 48 finds no more and takes half as long again, 32 loses
@@ -75,6 +76,11 @@ DOUBTFUL = 0.52
 """Score below which it is doubtful that the picture shows the object. Measured with generic models of three sets of
 faces: no face of 252 scores less, nor do generated ones under hard light from the side (0.55). Of pictures of cats,
 owls, rocks and balls, one in four scores more, nearly all under the model that has learnt heads turned far."""
+
+SURE = 0.65
+"""Score at which no other place is looked at where one object is wanted. Measured with generic models of three sets of
+faces: of 2,000 other places none scores more (0.64 at most), and one or two places are fitted instead of ten; the
+answer is the same for all 252 pictures."""
 
 MOST = 20
 """Objects in a picture at most."""
@@ -265,15 +271,25 @@ class Finder:
         most = MOST if limit is None else min(limit, MOST)
         fields = fields_of(image, response, self.small)
         peaks = self._peaks(fields, 6 + 4 * most)
-        fitted = [self._fitted(image, response, fields, peaks.take(np.array([i]))) for i in range(len(peaks.scales))]
-        seen = [candidate for candidate in fitted if _is_inside(candidate.shape, image)]
+        seen: list[Candidate] = []
+        for i in range(len(peaks.scales)):
+            candidate = self._fitted(image, response, fields, peaks.take(np.array([i])))
+            if not _is_inside(candidate.shape, image):
+                continue
+            seen.append(candidate)
+            if most == 1 and candidate.score >= SURE:
+                break
         seen = seen or [self._in_the_middle(image)]
         chosen = _apart(sorted(seen, key=lambda candidate: -candidate.score), most)
         return [candidate for candidate in chosen if candidate.score >= least]
 
     def _peaks(self, fields: list[Field], count: int) -> _Peaks:
         """Best places by correlation alone."""
-        found = _Peaks.join([self._responses(field, i, count) for i, field in enumerate(fields)])
+        self.templates  # noqa: B018 (made once, not by several threads at the same time)
+        # Those that take longest first: no thread is left with one at the end.
+        order = sorted(range(len(fields)), key=lambda i: -fields[i].values.size)
+        parts = in_threads(lambda i: self._responses(fields[i], i, count), order)
+        found = _Peaks.join([parts[order.index(i)] for i in range(len(fields))])
         return found.take(_strongest(found, 0.2 * self.small.diagonal, count))
 
     def _responses(self, field: Field, which: int, count: int) -> _Peaks:
@@ -372,8 +388,8 @@ def find(
     Returns
     -------
     list of Candidate
-        The best first, without overlap. Never empty unless ``least`` is above 0: a picture without anything gives
-        the mean shape in its middle with score 0.
+        The best first, without overlap; of a single one, the first place that leaves no doubt. Never empty unless
+        ``least`` is above 0: a picture without anything gives the mean shape in its middle with score 0.
 
     Raises
     ------
