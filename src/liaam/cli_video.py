@@ -3,8 +3,8 @@
 import signal
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from liaam.io import VideoFrame, VideoReader
     from liaam.model import AAM
     from liaam.tracking import TrackedFrame, Tracker
+    from liaam.tracking.stretches import Stretch
 
 
 def track(
@@ -62,6 +63,15 @@ def track(
     response: Annotated[
         str | None, typer.Option(help="Response of the video's camera, if not the training camera's.")
     ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs",
+            "-j",
+            help="Processes that track stretches of a long video side by side; all cores if left out.",
+            min=1,
+        ),
+    ] = None,
 ) -> None:
     """Track an object through a video; writes landmarks, and videos with them or without the shading.
 
@@ -70,6 +80,7 @@ def track(
     from liaam.io import VideoReader
     from liaam.model import load_model
     from liaam.tracking import Tracker, TrackingOptions
+    from liaam.workers import one_thread
 
     source, stop = source_of(video), stop_of(start, end, frames)
     if output is None and annotated is None and shading_free is None:
@@ -79,14 +90,16 @@ def track(
     camera = camera_for([], camera_file, response, model.camera)
     tracker = Tracker(model, method, camera, TrackingOptions(smooth=smooth))
     counts, reader = Counts(), VideoReader(source, start, stop)
-    with stop_on_interrupt() as stopped, reader, ExitStack() as files, progress_bar() as tell:
+    task = Task(reader, tracker, start, stop, init, jobs)
+    with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as tell:
         sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
-        follow(reader, tracker, init, sinks, counts, tell, stopped)
+        pictures = annotated is not None or shading_free is not None
+        follow(task, sinks, counts, tell, stopped, pictures=pictures, fits=shading_free is not None)
     report(counts, [path for path in (output, annotated, shading_free) if path is not None])
     if stopped():
         complain(f"stopped after {counts.n} frames; they are written")
         raise typer.Exit(130)
-    faults = [fault for fault in (reader.fault, counts.all_grey and all_grey(shading_free, reader.name)) if fault]
+    faults = [fault for fault in (task.fault, counts.all_grey and all_grey(shading_free, reader.name)) if fault]
     for fault in faults:
         complain(f"error: {fault}")
     if faults or not counts.n_tracked:
@@ -107,7 +120,6 @@ class Counts:
     fits: Counter = field(default_factory=Counter)
     n_unshaded: int = 0
     n_grey: int = 0
-    recent: deque = field(default_factory=lambda: deque(maxlen=60))
     began: float = field(default_factory=monotonic)
 
     @property
@@ -125,16 +137,8 @@ class Counts:
         """Whether shading was to be taken off, and all frames with the object were grey."""
         return self.n_grey > 0 and not self.n_unshaded
 
-    @property
-    def rate(self) -> float:
-        """Frames per second, of late."""
-        if len(self.recent) < 2:
-            return 0.0
-        return (len(self.recent) - 1) / max(self.recent[-1] - self.recent[0], 1e-9)
-
     def add(self, frame: "TrackedFrame") -> None:
         """Count a frame."""
-        self.recent.append(monotonic())
         self.statuses[str(frame.status)] += 1
         self.qualities.append(frame.quality)
         if not frame.ok:
@@ -263,27 +267,113 @@ def caption_of(tracked: "TrackedFrame") -> str:
     return "   ".join(parts)
 
 
+@dataclass
+class Task:
+    """What is tracked, and by what."""
+
+    reader: "VideoReader"
+    tracker: "Tracker"
+    start: int
+    stop: int | None
+    init: str | None
+    jobs: int | None
+    fault: str = ""
+    """What is wrong with the video, in the end."""
+
+    def set_out(self, size: tuple[int, int]) -> None:
+        """Tell the tracker where the object is, in a first frame of a size (width, height), if anybody said."""
+        self.tracker.name = self.reader.name
+        if self.init is not None:
+            self.tracker.init = read_init(self.init, Path(self.reader.name), size)
+
+
+Seen = tuple["VideoFrame", "TrackedFrame", "FitResult | None"]
+
+
 def follow(
-    reader: "VideoReader",
-    tracker: "Tracker",
-    init: str | None,
+    task: Task,
     sinks: Sequence[Sink],
     counts: Counts,
     tell: Progress,
     stopped: Callable[[], bool],
+    *,
+    pictures: bool,
+    fits: bool,
 ) -> None:
     """Track all frames and hand each to what was asked for."""
-    tracker.name = reader.name
-    for frame in reader:
-        if not counts.n and init is not None:
-            tracker.init = read_init(init, Path(reader.name), frame.image.shape[1::-1])
-        tracked = tracker.update(frame.image, frame.time, frame.index)
-        for sink in sinks:
-            sink(frame, tracked, tracker.result)
-        counts.add(tracked)
-        tell(counts.n, reader.n_frames or counts.n, f"{counts.rate:.1f} frames/s, {tracked.status}")
-        if stopped():
-            return
+    from liaam.tracking.stretches import cut
+
+    reader = task.reader
+    stretches = [] if reader.live else cut(task.start, task.stop, reader.n_frames)
+    if len(stretches) > 1:
+        seen = side_by_side(task, stretches, tell, stopped, pictures, fits)
+    else:
+        seen = one_by_one(task, tell, stopped)
+    with closing(seen):
+        for frame, tracked, result in seen:
+            counts.add(tracked)
+            for sink in sinks:
+                sink(frame, tracked, result)
+
+
+def one_by_one(task: Task, tell: Progress, stopped: Callable[[], bool]) -> Generator[Seen, None, None]:
+    """Track frame by frame: a camera, or a short video."""
+    reader, tracker, pace = task.reader, task.tracker, Pace()
+    with reader:
+        for n, frame in enumerate(reader, 1):
+            if n == 1:
+                task.set_out(frame.image.shape[1::-1])
+            tracked = tracker.update(frame.image, frame.time, frame.index)
+            yield frame, tracked, tracker.result
+            tell(n, reader.n_frames or n, f"{pace(n):.1f} frames/s, {tracked.status}")
+            if stopped():
+                return
+    task.fault = reader.fault
+
+
+def side_by_side(
+    task: Task,
+    stretches: "list[Stretch]",
+    tell: Progress,
+    stopped: Callable[[], bool],
+    pictures: bool,
+    fits: bool,
+) -> Generator[Seen, None, None]:
+    """Track stretches of a long video in processes; frames come without their picture unless pictures are wanted."""
+    import numpy as np
+
+    from liaam.io import VideoFrame, VideoReader
+    from liaam.tracking.stretches import TrackJob, track_stretches
+    from liaam.workers import all_cores
+
+    reader, tracker, pace = task.reader, task.tracker, Pace()
+    if task.init is not None:
+        with VideoReader(reader.name, task.start, task.start + 1) as beginning:
+            task.set_out(next(iter(beginning)).image.shape[1::-1])
+    job = TrackJob(tracker, reader.name, fits)
+    nothing, total = np.empty((0, 0, 3), np.uint8), reader.n_frames or 0
+    tracked = track_stretches(
+        job, stretches, task.jobs or all_cores(), lambda n: tell(n, total, f"{pace(n):.1f} frames/s"), stopped
+    )
+    with ExitStack() as open_:
+        shown = iter(open_.enter_context(reader)) if pictures else None
+        for stretch in open_.enter_context(closing(tracked)):
+            task.fault = task.fault or stretch.fault
+            for found, result in stretch.frames:
+                yield next(shown) if shown else VideoFrame(found.index, found.time, nothing), found, result
+
+
+class Pace:
+    """Frames per second, of late."""
+
+    def __init__(self) -> None:
+        self._seen: deque = deque([(monotonic(), 0)], maxlen=60)
+
+    def __call__(self, n: int) -> float:
+        """Take note that so many are done."""
+        self._seen.append((monotonic(), n))
+        (before, fewer), (now, more) = self._seen[0], self._seen[-1]
+        return (more - fewer) / max(now - before, 1e-9)
 
 
 @contextmanager

@@ -11,6 +11,8 @@ import pytest
 
 from liaam.errors import LiaamError, VideoError
 from liaam.io import VideoReader, video_writer, write_image
+from liaam.io import video as io_video
+from liaam.io.video import SOUGHT
 
 N = 30
 
@@ -316,3 +318,66 @@ def test_nothing_is_left_of_a_video_that_failed(tmp_path):
         writer.write(picture(0))
         raise LiaamError("on purpose")
     assert list(tmp_path.iterdir()) == []
+
+
+def write_long(path: Path, codec: str, options: dict, n: int = 260) -> Path:
+    """A film with a key frame now and then, whose frames refer to later ones where the codec can do that."""
+    import av
+
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream(codec, rate=25, options=options)
+        stream.height, stream.width, stream.pix_fmt = 48, 64, "yuv420p"
+        for i in range(n):
+            image = picture(i % 45)
+            image[:24, : 64 * i // n] = 250  # no two frames are alike
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        out.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "options"),
+    [
+        ("film.mp4", "libx264", {"g": "60", "bf": "3"}),
+        ("film.mkv", "libx264", {"g": "50", "bf": "2", "x264-params": "open-gop=1"}),
+        ("film.webm", "libvpx-vp9", {"g": "40", "deadline": "realtime", "cpu-used": "8"}),
+        ("film.avi", "mpeg4", {"g": "30"}),
+        ("film.mov", "mpeg4", {"g": "500"}),
+    ],
+)
+def test_a_start_in_the_middle_gives_the_same_frames(tmp_path, name, codec, options):
+    path = write_long(tmp_path / name, codec, options)
+    whole = read(path)
+    for start in (SOUGHT, SOUGHT + 37, 201, 259):
+        with VideoReader(path, start, start + 4) as video:
+            part = list(video)
+            assert video.fault == ""
+        assert [frame.index for frame in part] == list(range(start, min(start + 4, 260)))
+        for frame in part:
+            assert frame.time == pytest.approx(whole[frame.index].time, abs=1e-9)
+            np.testing.assert_array_equal(frame.image, whole[frame.index].image)
+    with VideoReader(path, 150) as video:
+        assert [frame.index for frame in video] == list(range(150, 260))
+        assert video.fault == ""
+    with pytest.raises(VideoError, match="only 260 frames"):
+        read(path, 300)
+
+
+def test_most_of_a_film_is_passed_over(tmp_path, monkeypatch):
+    path = write_long(tmp_path / "film.mp4", "libx264", {"g": "20", "bf": "2"})
+    decoded = []
+    picture_of = io_video._File._frames_of
+    monkeypatch.setattr(
+        io_video._File, "_frames_of", lambda self, packet: decoded.append(1) or picture_of(self, packet)
+    )
+    assert len(read(path, 240, 242)) == 2
+    assert len(decoded) < 120
+
+
+def test_a_film_cut_short_is_told_from_the_middle_on(tmp_path):
+    path = write_long(tmp_path / "film.avi", "mpeg4", {"g": "20", "qscale": "2"})
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 4])
+    with VideoReader(path, 120) as video:
+        indices = [frame.index for frame in video]
+    assert indices[0] == 120
+    assert "cut short" in video.fault or "damaged" in video.fault

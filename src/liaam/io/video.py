@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,12 @@ AHEAD = 16
 
 AHEAD_LIVE = 2
 """The same of a camera, whose older frames are dropped instead when nobody takes them."""
+
+SOUGHT = 100
+"""First frame from which on a file is entered at a key frame instead of decoded from its beginning."""
+
+_REORDERED = 32
+"""Frames by which a video's pieces may lie before or behind their place in time, at most."""
 
 DEFAULT_RATE = Fraction(25)
 """Frames per second where a file does not say."""
@@ -156,7 +163,9 @@ class VideoReader:
     def _decode(self) -> None:
         """Put all frames into the queue, then None; or the error there was."""
         try:
-            for index, (time, picture) in enumerate(self._source):
+            if self._start >= SOUGHT:
+                self._source.skip_to(self._start)
+            for index, (time, picture) in enumerate(self._source, self._source.n_seen):
                 if self._closed.is_set() or (self._stop is not None and index >= self._stop):
                     break
                 if index >= self._start:
@@ -205,6 +214,7 @@ class _File:
         self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
         self.n_frames, self.n_packets = self._announced(stream)
         self.n_seen, self.n_read, self.n_damaged, self.fault = 0, 0, 0, ""
+        self.begun: float | None = None
         self.reformatter = av.video.reformatter.VideoReformatter()
 
     def _announced(self, stream: Any) -> tuple[int | None, int]:
@@ -214,8 +224,50 @@ class _File:
             return stream.frames or None, stream.frames
         return sum(not entry.is_discard for entry in entries) or None, min(stream.frames, len(entries))
 
+    def skip_to(self, start: int) -> None:
+        """Go to the last key frame well before a frame, where the file tells which that is; else stay."""
+        try:
+            pieces = self._pieces(start + _REORDERED)
+            times = sorted(time for time, shown in pieces if shown and time is not None)
+            if any(time is None for time, _ in pieces) or len(set(times)) < len(times) or len(times) <= start:
+                return
+            # Sooner than needed: what is shown just before a key frame may be stored behind it, and lack what it needs.
+            sooner = times[max(0, start - _REORDERED)]
+            self.container.seek(sooner, stream=self.stream)
+            stored, shown = self._next_times()
+            self.container.seek(sooner, stream=self.stream)
+        except self.errors:
+            stored = shown = None
+        if shown is None or shown not in times or times.index(shown) >= start:
+            self._reopen()  # it goes elsewhere than it says
+            return
+        self.n_seen, self.begun = times.index(shown), float(times[0] * self.stream.time_base)
+        self.n_read = [time for time, _ in pieces].index(stored)
+
+    def _pieces(self, count: int) -> list[tuple[int | None, bool]]:
+        """Time of the first pieces of the file in their order, and whether they are shown; nothing is decoded."""
+        av = _pyav(f"{self.path} is a video")
+        with av.open(str(self.path)) as container:
+            pieces = (piece for piece in container.demux(container.streams.video[0]) if piece.size)
+            return [(piece.pts, not piece.is_discard) for piece in islice(pieces, count)]
+
+    def _next_times(self) -> tuple[int | None, int | None]:
+        """Times of the next piece, and of the first frame that comes of it and those after; None where none comes."""
+        stored = None
+        for packet in self.container.demux(self.stream):
+            stored = packet.pts if stored is None else stored
+            for frame in packet.decode():
+                return stored, frame.pts
+        return stored, None
+
+    def _reopen(self) -> None:
+        av = _pyav(f"{self.path} is a video")
+        self.container.close()
+        self.container = av.open(str(self.path))
+        self._begin(av, self.container.streams.video[0])
+
     def __iter__(self) -> Iterator[tuple[float, Any]]:
-        first, last = None, -1.0
+        first, last = self.begun, -1.0
         try:
             for packet in self.container.demux(self.stream):
                 self.n_read += bool(packet.size)
@@ -258,6 +310,9 @@ class _File:
 class _Device(_File):
     """A camera of Linux through PyAV."""
 
+    def skip_to(self, start: int) -> None:
+        """Stay: nothing is known of what is to come."""
+
     def __init__(self, number: int):
         av = _pyav(f"camera {number}")
         self.path = Path(f"/dev/video{number}")
@@ -277,6 +332,9 @@ class _Capture:
         self.capture = cv2.VideoCapture(number)
         self.rate = Fraction(max(1, round(self.capture.get(cv2.CAP_PROP_FPS)) or 25))
         self.n_seen, self.fault = 0, ""
+
+    def skip_to(self, start: int) -> None:
+        """Stay: nothing is known of what is to come."""
 
     @property
     def is_open(self) -> bool:

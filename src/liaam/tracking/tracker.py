@@ -153,6 +153,23 @@ class _Loss:
         return _Loss(self.frames + 1, min(max(1, 2 * self.wait), longest), min(max(1, 2 * self.wait), longest) - 1)
 
 
+@dataclass(frozen=True, eq=False)
+class TrackState:
+    """What a tracker knows between two frames, so that another one may go on; see :meth:`Tracker.resume`.
+
+    Attributes
+    ----------
+    count : int
+        Frames seen; 0 before the first, which is refused where it makes no sense.
+    """
+
+    count: int = 0
+    track: _Track | None = None
+    loss: _Loss = _Loss()
+    size: tuple[int, int] | None = None
+    last: np.ndarray | None = None
+
+
 @dataclass(eq=False)
 class Tracker:
     """Follows one object from frame to frame.
@@ -197,12 +214,18 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget the object; the next frame is a first one."""
+        self.resume(TrackState())
+
+    @property
+    def state(self) -> TrackState:
+        """What is known after the last frame."""
+        return TrackState(self._count, self._track, self._loss, self._size, self._last)
+
+    def resume(self, state: TrackState) -> None:
+        """Go on where a tracker with the same model and method was."""
         self.result = None
-        self._track: _Track | None = None
-        self._loss = _Loss()
-        self._count = 0
-        self._size: tuple[int, int] | None = None
-        self._last: np.ndarray | None = None
+        self._count, self._track, self._loss = state.count, state.track, state.loss
+        self._size, self._last = state.size, state.last
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.
