@@ -213,6 +213,7 @@ def fit(
     from liaam.fitting import Fitter, SolverOptions
     from liaam.io import make_folder
     from liaam.model import load_model
+    from liaam.workers import one_blas_thread
 
     if every and init is not None:
         raise LiaamError("--all searches for all objects, and --init says where one is; leave one of them out")
@@ -223,7 +224,7 @@ def fit(
     table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
     advice: dict[str, list[str]] = {}
     failed = 0
-    with progress_bar() as tell:
+    with one_blas_thread(), progress_bar() as tell:
         for i, (image, stem) in enumerate(zip(images, unique_stems(images), strict=True)):
             tell(i, len(images), image.name)
             try:

@@ -173,19 +173,27 @@ def in_threads(perform: Callable[[Item], Result], items: Sequence[Item]) -> list
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
-    """Hold BLAS, OpenMP and OpenCV to one thread.
+def one_blas_thread() -> Iterator[None]:
+    """Hold BLAS and OpenMP to one thread: the matrices of a fit are too small for more, which wait in loops.
 
-    Sums then come in one order wherever they are made, and workers leave each other's cores alone.
+    Sums then come in one order wherever they are made. It holds for the whole process.
     """
-    import cv2
     import scipy.linalg  # noqa: F401 (it brings a BLAS of its own, which has to be there to be held)
     from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1):
+        yield
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Hold OpenCV to one thread too: workers leave each other's cores alone."""
+    import cv2
 
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        with threadpool_limits(limits=1):
+        with one_blas_thread():
             yield
     finally:
         cv2.setNumThreads(before)

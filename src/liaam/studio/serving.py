@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from liaam.errors import LiaamError
 from liaam.studio.settings import DEFAULT_PORT, Settings
+from liaam.workers import one_blas_thread
 
 if TYPE_CHECKING:
     from liaam.studio.app import Studio
@@ -55,7 +56,7 @@ def serve(
     from liaam.studio.app import make_studio
 
     listener = open_port(host, port)
-    with listener:
+    with listener, one_blas_thread():
         settings = Settings(host=host, port=listener.getsockname()[1])
         studio = make_studio(folder, model, settings)
         server = make_server(studio, uvicorn)
