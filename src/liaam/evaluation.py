@@ -19,6 +19,11 @@ def _distances(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.linalg.norm(found - np.asarray(truth)[known], axis=1)
 
 
+def median_error(shape: np.ndarray, truth: np.ndarray) -> float:
+    """Median distance of corresponding (n, 2) landmarks, pixels: half of them are nearer. See :func:`point_error`."""
+    return float(np.median(_distances(shape, truth)))
+
+
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:
     """Root mean square distance of corresponding (n, 2) landmarks, pixels: what a covariance speaks of."""
     return root_mean_square(_distances(shape, truth))

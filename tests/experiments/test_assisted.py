@@ -71,6 +71,8 @@ def test_the_summary_agrees_with_the_rows(finished, read_rows):
     cell = summary["cells"][0]["after"][1]
     for name, roles in (("next", ["next"]), ("waiting", ["next", "rest"]), ("fresh", ["fresh"])):
         assert cell[name]["nme_median"] == np.median([row["nme"] for row in own if row["role"] in roles])
+    assert cell["point_median"] == np.median([row["point"] for row in own if row["role"] == "next"])
+    assert all(0 < row["point"] < 2 * row["nme"] for row in own)  # at most half of the points lie beyond the median
     assert cell["bound_median"] <= cell["waiting"]["nme_median"]
     assert len(read_rows(out)) == len(rows)
     assert "| smooth | uncertain |" in (out / "report.md").read_text()

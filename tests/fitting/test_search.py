@@ -10,7 +10,7 @@ import pytest
 import liaam
 from liaam.datasets.scenes import DIFFUSE, Head, Pose, lateral, narrow_band_camera, render
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.fitting import Candidate, Finder, FitStatus, Fitter, find
+from liaam.fitting import Candidate, Finder, FitStatus, Fitter, find, search
 from liaam.fitting.search import (
     DOUBTFUL,
     LARGEST,
@@ -26,6 +26,7 @@ from liaam.fitting.search import (
 )
 from liaam.model import AAM, Level
 from liaam.shape import diagonal_of, rotation
+from liaam.workers import one_thread
 from setups import model_pixels
 
 WIDE = (320, 420)
@@ -76,6 +77,39 @@ def test_two_objects_in_one_picture(finder):
     for truth in truths:
         assert min(error(candidate, truth) for candidate in found) < 0.06
     assert len(finder.find(picture, limit=1)) == 1
+
+
+def fits_counted(finder, monkeypatch, image, **options):
+    """What is found, and at how many places the small model was fitted."""
+    fit, places = Finder._fitted, []
+    monkeypatch.setattr(Finder, "_fitted", lambda self, *given: places.append(1) or fit(self, *given))
+    found = finder.find(image, **options)
+    monkeypatch.setattr(Finder, "_fitted", fit)
+    return found, len(places)
+
+
+def test_a_single_object_is_not_sought_where_it_cannot_be(finder, monkeypatch):
+    """No place is fitted after one that leaves no doubt, nor one that responds far less: the answer is the same."""
+    image = photograph(Pose(scale=0.7)).image
+    monkeypatch.setattr(search, "SURE", 2.0)
+    monkeypatch.setattr(search, "WORTH", 0.0)
+    (every,), all_places = fits_counted(finder, monkeypatch, image)
+    monkeypatch.setattr(search, "SURE", every.score)
+    (surely,), few_places = fits_counted(finder, monkeypatch, image)
+    monkeypatch.setattr(search, "SURE", 2.0)
+    monkeypatch.setattr(search, "WORTH", 0.999)
+    (strongest,), one_place = fits_counted(finder, monkeypatch, image)
+    assert all_places > few_places >= one_place == 1
+    for found in (surely, strongest):
+        np.testing.assert_array_equal(found.shape, every.shape)
+    assert fits_counted(finder, monkeypatch, image, limit=2)[1] > all_places  # of several, all places count
+
+
+def test_one_thread_finds_what_several_find(finder):
+    image = photograph(Pose(scale=0.7)).image
+    with one_thread():
+        (alone,) = finder.find(image)
+    np.testing.assert_array_equal(finder.find(image)[0].shape, alone.shape)
 
 
 def test_a_large_picture(finder):

@@ -16,7 +16,7 @@ import numpy as np
 
 from liaam.datasets import Sample
 from liaam.errors import LiaamError, MethodError
-from liaam.evaluation import finite_or_none, inter_ocular_distance, nme
+from liaam.evaluation import finite_or_none, inter_ocular_distance, median_error, nme
 from liaam.experiments.protocol import Header, Table, in_percent, select, statistics, tell
 from liaam.experiments.runner import Experiment, Row
 from liaam.experiments.solvers import check_trials
@@ -61,15 +61,16 @@ COLUMNS = {
     "role": "",
     "person": "",
     "nme": ".6f",
+    "point": ".6f",
     "bound": ".6f",
     "start_nme": ".6f",
     "deviation": ".6f",
     "status": "",
     "seconds": ".4f",
 }
-"""Columns of results.csv. ``start_nme``: error of where the search starts the fit; ``deviation``: mean standard
-deviation of a landmark that the fit states, by the shape's diagonal; the others as in
-:mod:`liaam.experiments.protocol`."""
+"""Columns of results.csv. ``point``: median over the picture's landmarks, where ``nme`` is the mean; ``start_nme``:
+error of where the search starts the fit; ``deviation``: mean standard deviation of a landmark that the fit states, by
+the shape's diagonal; the others as in :mod:`liaam.experiments.protocol`."""
 
 CHOICES = (
     "Pictures: the first (diffuse, frontal) one of each person. Who takes part and in which order is drawn anew for "
@@ -120,6 +121,7 @@ def place(fitter: Fitter, sample: Sample) -> Row:
     return {
         "person": sample.name,
         "nme": nme(result.shape, truth, unit),
+        "point": median_error(result.shape, truth) / unit,
         "bound": nme(fitter.shapes.project(truth), truth, unit),
         "start_nme": nme(start, truth, unit),
         "deviation": uncertainty(result),
@@ -254,22 +256,39 @@ def _after(count: int, rows: list[Row]) -> dict[str, Any]:
     waiting = [row for row in rows if row["role"] != "fresh"]
     return {
         "annotated": count,
-        "bound_median": finite_or_none(np.median([row["bound"] for row in waiting])) if waiting else None,
+        "bound_median": _median(waiting, "bound"),
+        "point_median": _median(select(rows, role="next"), "point"),
         "next": statistics(select(rows, role="next")),
         "waiting": statistics(waiting),
         "fresh": statistics(select(rows, role="fresh")),
     }
 
 
+def _median(rows: Sequence[Row], name: str) -> float | None:
+    return finite_or_none(np.median([row[name] for row in rows])) if rows else None
+
+
 def table(summary: Mapping[str, Any]) -> tuple[Header, Table]:
     """Medians by recipe, order and number of annotated pictures."""
-    header = ["annotated", "recipe", "order", "next, %", "all left, %", "p90, %", "> 8 %", "fresh, %", "bound, %"]
+    header = [
+        "annotated",
+        "recipe",
+        "order",
+        "next, %",
+        "its points, %",
+        "all left, %",
+        "p90, %",
+        "> 8 %",
+        "fresh, %",
+        "bound, %",
+    ]
     return header, [
         [
             str(cell["annotated"]),
             found["recipe"],
             found["order"],
             percent(cell["next"]["nme_median"]),
+            percent(cell["point_median"]),
             percent(cell["waiting"]["nme_median"]),
             percent(cell["waiting"]["nme_p90"]),
             percent(cell["waiting"]["beyond"], 0),
@@ -300,7 +319,8 @@ def report(_rows: list[Row], summary: Mapping[str, Any]) -> str:
     """What was asked, and the medians."""
     question = (
         "How near does a model of the first few annotated pictures place the points of the others? Median error by "
-        "inter-ocular distance: of the picture that is offered next, of all that are left of the session, and of "
-        "persons that never belong to it; bound: the error of the true shape projected on the shape model."
+        "inter-ocular distance: of the picture that is offered next (mean over its points, and median over them), of "
+        "all that are left of the session, and of persons that never belong to it; bound: the error of the true shape "
+        "projected on the shape model."
     )
     return tell(question, table(summary))
