@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liaam import cli_video
-from liaam.io import VideoReader, video_writer, write_landmarks
+from liaam.io import VideoFrame, VideoReader, video_writer, write_landmarks
 from liaam.tracking import Tracker, stretches
 
 
@@ -256,6 +256,12 @@ def test_errors_name_fault_and_remedy(run, model_file, clip, tmp_path, monkeypat
     assert "Traceback" not in err
     assert own.read_text() == film.read_text() == "x,y\n1,2\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["own.csv", "own.mp4"]
+
+
+def test_pictures_are_those_of_the_number():
+    frames = [VideoFrame(i, 0.04 * i, np.zeros((2, 2, 3), np.uint8)) for i in (0, 1, 3, 4)]
+    shown = cli_video.by_number(iter(frames))
+    assert [shown(number).index for number in range(6)] == [0, 1, 3, 3, 4, 4]
 
 
 def test_ranges_in_words():

@@ -280,9 +280,11 @@ class Task:
     fault: str = ""
     """What is wrong with the video, in the end."""
 
+    def __post_init__(self) -> None:
+        self.tracker.name = self.reader.name
+
     def set_out(self, size: tuple[int, int]) -> None:
         """Tell the tracker where the object is, in a first frame of a size (width, height), if anybody said."""
-        self.tracker.name = self.reader.name
         if self.init is not None:
             self.tracker.init = read_init(self.init, Path(self.reader.name), size)
 
@@ -301,10 +303,7 @@ def follow(
     fits: bool,
 ) -> None:
     """Track all frames and hand each to what was asked for."""
-    from liaam.tracking.stretches import cut
-
-    reader = task.reader
-    stretches = [] if reader.live else cut(task.start, task.stop, reader.n_frames)
+    stretches = stretches_of(task)
     if len(stretches) > 1:
         seen = side_by_side(task, stretches, tell, stopped, pictures, fits)
     else:
@@ -314,6 +313,19 @@ def follow(
             counts.add(tracked)
             for sink in sinks:
                 sink(frame, tracked, result)
+
+
+def stretches_of(task: Task) -> "list[Stretch]":
+    """Parts of a video that can be tracked side by side: of a long file that can be entered in its middle."""
+    from liaam.io.video import can_enter
+    from liaam.tracking.stretches import cut
+
+    reader = task.reader
+    searchable = "orientation" in task.tracker.model.levels[0].appearances
+    if reader.live or not reader.announces or not searchable:
+        return []
+    stretches = cut(task.start, task.stop, reader.n_frames)
+    return stretches if len(stretches) > 1 and can_enter(reader.name, stretches[1].start) else []
 
 
 def one_by_one(task: Task, tell: Progress, stopped: Callable[[], bool]) -> Generator[Seen, None, None]:
@@ -356,11 +368,26 @@ def side_by_side(
         job, stretches, task.jobs or all_cores(), lambda n: tell(n, total, f"{pace(n):.1f} frames/s"), stopped
     )
     with ExitStack() as open_:
-        shown = iter(open_.enter_context(reader)) if pictures else None
+        shown = by_number(iter(open_.enter_context(reader))) if pictures else None
         for stretch in open_.enter_context(closing(tracked)):
             task.fault = task.fault or stretch.fault
             for found, result in stretch.frames:
-                yield next(shown) if shown else VideoFrame(found.index, found.time, nothing), found, result
+                yield shown(found.index) if shown else VideoFrame(found.index, found.time, nothing), found, result
+                if pictures and stopped():  # to draw what is tracked already would take its time
+                    return
+
+
+def by_number(frames: "Iterator[VideoFrame]") -> "Callable[[int], VideoFrame]":
+    """Go through frames to that of a number, or else the next one, or the last."""
+    frame = next(frames)
+
+    def at(number: int) -> "VideoFrame":
+        nonlocal frame
+        while frame.index < number and (following := next(frames, None)) is not None:
+            frame = following
+        return frame
+
+    return at
 
 
 class Pace:

@@ -187,7 +187,7 @@ def one_blas_thread() -> Iterator[None]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Hold OpenCV to one thread too: workers leave each other's cores alone."""
+    """Hold BLAS, OpenMP and OpenCV to one thread: workers leave each other's cores alone."""
     import cv2
 
     before = cv2.getNumThreads()

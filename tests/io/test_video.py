@@ -381,3 +381,60 @@ def test_a_film_cut_short_is_told_from_the_middle_on(tmp_path):
         indices = [frame.index for frame in video]
     assert indices[0] == 120
     assert "cut short" in video.fault or "damaged" in video.fault
+
+
+def without_beginning(path: Path, to: Path, first: int) -> Path:
+    """Copy a film without its first pieces, as a recorder does that is switched on in the middle."""
+    import av
+
+    with av.open(str(path)) as given, av.open(str(to), "w") as out:
+        stream = out.add_stream_from_template(given.streams.video[0])
+        for i, packet in enumerate(given.demux(given.streams.video[0])):
+            if packet.dts is not None and i >= first:
+                packet.stream = stream
+                out.mux(packet)
+    return to
+
+
+def with_damage(path: Path, to: Path, where: set[int]) -> Path:
+    """Copy a film with nonsense for some of its pieces."""
+    import av
+
+    with av.open(str(path)) as given, av.open(str(to), "w") as out:
+        stream = out.add_stream_from_template(given.streams.video[0])
+        for i, packet in enumerate(given.demux(given.streams.video[0])):
+            if packet.dts is None:
+                continue
+            if i in where:
+                broken = av.Packet(bytes(40))
+                broken.pts, broken.dts, broken.time_base = packet.pts, packet.dts, packet.time_base
+                packet = broken
+            packet.stream = stream
+            out.mux(packet)
+    return to
+
+
+@pytest.mark.parametrize("name", ["cut.ts", "damaged.mp4", "damaged.avi"])
+def test_frames_have_one_number_from_wherever_they_are_read(tmp_path, name):
+    whole = write_long(tmp_path / "film.mp4", *(("mpeg4", {"g": "25"}) if "avi" in name else ("libx264", {"g": "25"})))
+    path = tmp_path / name
+    if "cut" in name:
+        without_beginning(whole, path, 13)
+    else:
+        with_damage(whole, path, {40, 77, 160})
+    numbered = {frame.index: frame.image for frame in read(path)}
+    for start in (SOUGHT, SOUGHT + 37, 201):
+        part = read(path, start, start + 5)
+        assert len(part) >= 4
+        for frame in part:
+            np.testing.assert_array_equal(frame.image, numbered[frame.index])
+
+
+def test_damage_before_the_end_of_a_part_is_told(tmp_path):
+    whole = write_long(tmp_path / "film.mp4", "mpeg4", {"g": "25"})
+    path = with_damage(whole, tmp_path / "damaged.mp4", {40})
+    with VideoReader(path, 0, 60) as video:
+        frames = list(video)
+    if len(frames) < 60:  # some decoders make something of it
+        assert "damaged" in video.fault
+    assert not video.ended

@@ -109,16 +109,28 @@ def moved(frame, by):
     return replace(frame, landmarks=frame.landmarks + by)
 
 
-def test_tracks_agree_near_each_other_or_where_the_first_is_lost(followed):
+def test_tracks_agree_near_each_other_and_nobody_takes_over_from_a_short_loss(followed):
     frame = followed[5]
     lost = replace(frame, status=TrackStatus.LOST)
-    assert agree(frame, frame) and agree(frame, moved(frame, 1e-4)) and agree(lost, frame) and agree(lost, lost)
-    assert agree(lost, None)
+    assert agree(frame, frame) and agree(frame, moved(frame, 1e-4)) and agree(lost, lost)
     assert not agree(frame, moved(frame, 1.0)) and not agree(frame, lost) and not agree(frame, None)
+    assert not agree(lost, frame, lost=8, patience=8) and not agree(lost, None, lost=1, patience=8)
+    assert agree(lost, frame, lost=9, patience=8)
+
+
+def test_a_track_lost_for_a_frame_goes_on(job, followed):
+    """Of its own object, when the other track has found something else meanwhile."""
+    first = track_stretch(job, Stretch(0, 0, 8))
+    blink = replace(first.frames[-1][0], status=TrackStatus.LOST)
+    first = replace(first, frames=[*first.frames[:-1], (blink, None)])
+    own = as_stretch([moved(frame, 20.0) for frame in followed[8:16]], before=moved(followed[7], 20.0))
+    found = frames_of([joined(job, Stretch(1, 8, 16), first, own, lambda: False)])
+    away = np.linalg.norm(landmarks_of(found) - landmarks_of(followed[8:16]), axis=2).mean(axis=1)
+    assert away.max() < 0.01 * diagonal_of(followed[0].landmarks)
 
 
 def as_stretch(frames, before=None):
-    return TrackedStretch(before, [(frame, None) for frame in frames], TrackState(count=len(frames)), "")
+    return TrackedStretch(before, [(frame, None) for frame in frames], TrackState(count=len(frames)), "", whole=True)
 
 
 @pytest.mark.parametrize("meeting", [9, 11, None])
@@ -136,6 +148,19 @@ def test_a_track_goes_on_until_both_are_of_one_opinion(job, followed, meeting):
     assert away.max() < 0.01 * diagonal_of(followed[0].landmarks)
     taken = [frame is other for frame, other in zip(found, elsewhere, strict=True)]
     assert taken == [meeting is not None and i > meeting for i in range(8, 16)]
+
+
+def test_holes_of_a_damaged_file_are_no_end(job, followed, monkeypatch):
+    """Pieces that cannot be decoded, the last one of a stretch among them."""
+    known = [[followed[i] for i in (0, 1, 4, 5, 6)], followed[8:16], followed[16:]]
+    parts_ = cut(0, None, 24, LENGTH)
+    each = [(part, as_stretch(frames, followed[part.start - 1])) for part, frames in zip(parts_, known, strict=True)]
+    each[0] = parts_[0], replace(each[0][1], fault="damaged")
+    monkeypatch.setattr(stretches, "_each", lambda *_: (part for part in each))
+    monkeypatch.setattr(stretches, "agree", lambda *_: True)
+    tracked = list(track_stretches(job, parts_, 1))
+    assert [frame.index for frame in frames_of(tracked)] == [i for i in range(24) if i not in (2, 3, 7)]
+    assert [part.fault for part in tracked] == ["damaged", "", ""]
 
 
 def test_a_wish_to_stop_leaves_no_gap(job):

@@ -275,7 +275,7 @@ class Finder:
         most = MOST if limit is None else min(limit, MOST)
         fields = fields_of(image, response, self.small)
         peaks = self._peaks(fields, 6 + 4 * most)
-        seen = self._fitted_in_turn(image, response, fields, peaks, single=most == 1)
+        seen = self._fitted_in_turn(image, response, fields, peaks, max(SURE, least) if most == 1 else None)
         seen = seen or [self._in_the_middle(image)]
         chosen = _apart(sorted(seen, key=lambda candidate: -candidate.score), most)
         return [candidate for candidate in chosen if candidate.score >= least]
@@ -329,18 +329,18 @@ class Finder:
         return {name: value for name, value in self.__dict__.items() if name != "_spectra"}
 
     def _fitted_in_turn(
-        self, image: np.ndarray, response: Response, fields: list[Field], peaks: _Peaks, single: bool
+        self, image: np.ndarray, response: Response, fields: list[Field], peaks: _Peaks, enough: float | None
     ) -> list[Candidate]:
-        """Fit the small model at the places, the strongest first; for a single object, as far as that can matter."""
+        """Fit the small model at the places, the strongest first; for a single object, until a score is enough."""
         seen: list[Candidate] = []
         for i, strength in enumerate(peaks.responses):
-            if single and seen and strength < WORTH * peaks.responses[0]:
+            if enough is not None and seen and strength < WORTH * peaks.responses[0]:
                 break
             candidate = self._fitted(image, response, fields, peaks.take(np.array([i])))
             if not _is_inside(candidate.shape, image):
                 continue
             seen.append(candidate)
-            if single and candidate.score >= SURE:
+            if enough is not None and candidate.score >= enough:
                 break
         return seen
 

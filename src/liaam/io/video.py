@@ -37,7 +37,7 @@ SOUGHT = 100
 """First frame from which on a file is entered at a key frame instead of decoded from its beginning."""
 
 _REORDERED = 32
-"""Frames by which a video's pieces may lie before or behind their place in time, at most."""
+"""Frames by which a video's pieces lie before or behind their place in time, at most, in codecs in use."""
 
 DEFAULT_RATE = Fraction(25)
 """Frames per second where a file does not say."""
@@ -85,8 +85,12 @@ class VideoReader:
         Frames per second.
     n_frames : int or None
         How many frames will come as far as the file tells; None if it does not, and for a camera.
+    announces : bool
+        Whether the file itself tells how many frames it has.
     live : bool
         Whether it is a camera.
+    ended : bool
+        Once all frames have come: whether the source ended, and not at ``stop``.
     fault : str
         Once all frames have come: what is wrong with the file, such as that it is cut short; empty for a sound one.
 
@@ -113,6 +117,7 @@ class VideoReader:
         self._source = _open_camera(source) if isinstance(source, int) else _File(source)
         self.rate = self._source.rate
         self.n_frames = self._expected()
+        self.announces, self.ended = bool(self._source.n_frames), False
         self._queue: queue.Queue[VideoFrame | BaseException | None] = queue.Queue(AHEAD_LIVE if self.live else AHEAD)
         self._closed = threading.Event()
         self._n_given, self._ended = 0, False
@@ -152,11 +157,11 @@ class VideoReader:
                 raise item
             if not self._n_given:
                 raise VideoError(self._why_nothing())
-            self.fault = self._source.fault
+            self.fault = self._source.fault or self._source.damage
 
     def _why_nothing(self) -> str:
         seen = self._source.n_seen
-        if seen:
+        if seen > self._source.n_damaged:
             return f"{self.name} has only {seen} frames, so there is none from {self._start} on; start sooner"
         return f"{self.name} holds no frame that can be decoded: it is damaged, or cut short; export it again"
 
@@ -165,11 +170,14 @@ class VideoReader:
         try:
             if self._start >= SOUGHT:
                 self._source.skip_to(self._start)
-            for index, (time, picture) in enumerate(self._source, self._source.n_seen):
+            for time, picture in self._source:
+                index = self._source.n_seen - 1
                 if self._closed.is_set() or (self._stop is not None and index >= self._stop):
                     break
                 if index >= self._start:
                     self._put(VideoFrame(index, time, picture()))
+            else:
+                self.ended = True
             self._put(None)
         except BaseException as error:
             self._put(error)
@@ -226,10 +234,16 @@ class _File:
 
     def skip_to(self, start: int) -> None:
         """Go to the last key frame well before a frame, where the file tells which that is; else stay."""
+        pieces, times = [], []
         try:
-            pieces = self._pieces(start + _REORDERED)
+            pieces = self._pieces(start + 4 * _REORDERED)
             times = sorted(time for time, shown in pieces if shown and time is not None)
-            if any(time is None for time, _ in pieces) or len(set(times)) < len(times) or len(times) <= start:
+            if any(time is None for time, _ in pieces) or len(set(times)) < len(times):
+                return
+            _, first = self._next_times()
+            times = times[times.index(first) :] if first in times else []  # those before lack what they need
+            if len(times) <= start:
+                self._reopen()
                 return
             # Sooner than needed: what is shown just before a key frame may be stored behind it, and lack what it needs.
             sooner = times[max(0, start - _REORDERED)]
@@ -238,11 +252,12 @@ class _File:
             self.container.seek(sooner, stream=self.stream)
         except self.errors:
             stored = shown = None
-        if shown is None or shown not in times or times.index(shown) >= start:
+        order = [time for time, _ in pieces]
+        if stored not in order or shown not in times or times.index(shown) >= start:
             self._reopen()  # it goes elsewhere than it says
             return
         self.n_seen, self.begun = times.index(shown), float(times[0] * self.stream.time_base)
-        self.n_read = [time for time, _ in pieces].index(stored)
+        self.n_read = order.index(stored)
 
     def _pieces(self, count: int) -> list[tuple[int | None, bool]]:
         """Time of the first pieces of the file in their order, and whether they are shown; nothing is decoded."""
@@ -285,7 +300,7 @@ class _File:
             )
             return
         if self.n_damaged:
-            self.fault = f"{self.path} is damaged: {self.n_damaged} pieces of it could not be decoded and are missing"
+            self.fault = self.damage
         elif self.n_read < self.n_packets:
             self.fault = (
                 f"{self.path} is cut short: it has {self.n_read} of the {self.n_packets} frames that it announces"
@@ -296,7 +311,15 @@ class _File:
             return packet.decode()
         except self.errors:
             self.n_damaged += 1
+            self.n_seen += 1  # so that frames have the same numbers from wherever they are counted
             return []
+
+    @property
+    def damage(self) -> str:
+        """What is known of damaged pieces so far; empty if there were none."""
+        if not self.n_damaged:
+            return ""
+        return f"{self.path} is damaged: {self.n_damaged} pieces of it could not be decoded and are missing"
 
     def _picture(self, frame: Any) -> np.ndarray:
         picture = self.reformatter.reformat(frame, format="rgb24").to_ndarray()
@@ -324,7 +347,7 @@ class _Device(_File):
 class _Capture:
     """A camera through OpenCV."""
 
-    n_frames = None
+    n_frames, n_damaged, damage = None, 0, ""
 
     def __init__(self, number: int):
         import cv2
@@ -498,6 +521,16 @@ def check_video_name(path: Path) -> None:
     """Complain about the name of a video that cannot be written."""
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise VideoError(f"{path}: a video's name ends in {', '.join(VIDEO_SUFFIXES)}, such as {path.stem}.mp4")
+
+
+def can_enter(path: str | os.PathLike[str], start: int) -> bool:
+    """Tell whether a file can be read from about a frame on, without decoding all that comes before."""
+    file = _File(path)
+    try:
+        file.skip_to(start)
+        return file.begun is not None
+    finally:
+        file.close()
 
 
 def is_video(path: Path) -> bool:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,8 @@ class TrackedStretch:
     frames: list[tuple[TrackedFrame, FitResult | None]]
     state: TrackState
     fault: str
+    whole: bool
+    """Whether it was tracked to its end, and not until the file ended or somebody wished to stop."""
 
 
 Found = Generator[tuple[Stretch, TrackedStretch], None, None]
@@ -138,23 +141,28 @@ def track_stretch(
                 else:
                     frames.append((tracked, tracker.result if job.fits else None))
                 if not seen(tracked):
-                    return TrackedStretch(before, frames, tracker.state, "")
+                    return TrackedStretch(before, frames, tracker.state, "", whole=False)
     except VideoError:  # no frame at all
         if not stretch.number:
             raise
-    return TrackedStretch(before, frames, tracker.state, reader.fault or ("" if frames else short))
+    reached = bool(frames) and (not reader.ended or frames[-1][0].index + 1 == stretch.stop)
+    return TrackedStretch(before, frames, tracker.state, reader.fault or ("" if frames else short), whole=reached)
 
 
-def agree(track: TrackedFrame, other: TrackedFrame | None) -> bool:
-    """Tell whether another track may go on where one is: both know the object to be in one place, or the first none.
+def agree(track: TrackedFrame, other: TrackedFrame | None, lost: int = 0, patience: int = 0) -> bool:
+    """Tell whether another track may go on where one is.
 
     Parameters
     ----------
     track, other : TrackedFrame, TrackedFrame or None
         The same frame as both have it.
+    lost : int
+        Frames for which the track has been lost.
+    patience : int
+        Frames for which it looks for its object where that was; it takes whatever it finds only after them.
     """
     if not track.ok:
-        return True
+        return lost > patience or (other is not None and not other.ok)
     if other is None or not other.ok:
         return False
     distance = np.linalg.norm(track.landmarks - other.landmarks, axis=1).mean()
@@ -177,20 +185,24 @@ def joined(
     stopped : callable
         Whether to stop.
     """
-    if agree(last.frames[-1][0], own.before):
+    patience, end = job.tracker.options.patience, last.frames[-1][0]
+    lost = sum(1 for _ in takewhile(lambda found: not found[0].ok, reversed(last.frames)))
+    if agree(end, own.before, lost, patience):
         return own
     theirs = {frame.index: frame for frame, _ in own.frames}
     met = False
 
     def goes_on(frame: TrackedFrame) -> bool:
-        nonlocal met
-        met = agree(frame, theirs.get(frame.index))
+        nonlocal met, lost
+        lost = 0 if frame.ok else lost + 1
+        met = agree(frame, theirs.get(frame.index), lost, patience)
         return not met and not stopped()
 
     going = track_stretch(job, stretch, last.state, goes_on)
     if not met:
         return going
-    return replace(own, frames=going.frames + own.frames[len(going.frames) :])
+    at = going.frames[-1][0].index
+    return replace(own, frames=going.frames + [found for found in own.frames if found[0].index > at])
 
 
 def track_stretches(
@@ -222,11 +234,14 @@ def track_stretches(
     """
     last: TrackedStretch | None = None
     try:
-        with _watched(progress, stopped) as shared, closing(_each(job, stretches, jobs, shared)) as each:
+        with (
+            _watched(len(stretches), progress, stopped) as shared,
+            closing(_each(job, stretches, jobs, shared)) as each,
+        ):
             for stretch, tracked in _in_order(each):
                 last = tracked if last is None else joined(job, stretch, last, tracked, stopped)
                 yield last
-                if stretch.stop is not None and len(last.frames) < stretch.stop - stretch.start:
+                if not last.whole:
                     return  # stopped, or the file ends here
     except WorkerDied as death:
         begin = death.items[0].start
@@ -256,30 +271,35 @@ def _in_order(each: Found) -> Found:
 
 @dataclass(frozen=True, eq=False)
 class _Shared:
-    """What processes tell each other: how many frames are done, and whether to stop."""
+    """What processes tell each other, without locks, which a process that is killed would leave closed.
+
+    Attributes
+    ----------
+    n_done : array of int
+        Frames of each stretch that are done.
+    stop : bool value
+        Whether to stop.
+    """
 
     n_done: Any
     stop: Any
 
     def seen(self, stretch: Stretch, frame: TrackedFrame) -> bool:
         """Count a frame, but for those before a stretch; tells whether to go on."""
-        if frame.index >= stretch.start:
-            with self.n_done.get_lock():
-                self.n_done.value += 1
-        return not self.stop.is_set()
+        self.n_done[stretch.number] += frame.index >= stretch.start
+        return not self.stop.value
 
 
 @contextmanager
-def _watched(progress: Callable[[int], object], stopped: Callable[[], bool]) -> Iterator[_Shared]:
+def _watched(n: int, progress: Callable[[int], object], stopped: Callable[[], bool]) -> Iterator[_Shared]:
     """Tell of progress and pass on the wish to stop, on a thread: this one waits for the workers."""
     context, over = multiprocessing.get_context("spawn"), threading.Event()
-    shared = _Shared(context.Value("q", 0), context.Event())
+    shared = _Shared(context.RawArray("q", n), context.RawValue("b", 0))
 
     def watch() -> None:
         while not over.wait(POLLED):
-            progress(shared.n_done.value)
-            if stopped():
-                shared.stop.set()
+            shared.stop.value = stopped()
+            progress(sum(shared.n_done))
 
     watcher = threading.Thread(target=watch, name="watch", daemon=True)
     watcher.start()

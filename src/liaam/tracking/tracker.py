@@ -161,6 +161,14 @@ class TrackState:
     ----------
     count : int
         Frames seen; 0 before the first, which is refused where it makes no sense.
+    track : optional
+        Belief in the object's motion.
+    loss
+        How long it has been lost.
+    size : (height, width), optional
+        Of the last frame.
+    last : (n, 2) float64, optional
+        Landmarks where it was last.
     """
 
     count: int = 0
