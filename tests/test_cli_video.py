@@ -151,17 +151,22 @@ def test_a_grey_start_names_video_and_frame(run, model_file, moving, tmp_path):
     assert "grey.mp4, frame 0" in err
 
 
-def test_ctrl_c_leaves_what_was_done(run, model_file, clip, tmp_path, monkeypatch):
-    handler = signal.getsignal(signal.SIGINT)
+def interrupt_at(index, monkeypatch):
+    """Press Ctrl-C while a frame is tracked."""
     update = Tracker.update
 
     def interrupted(self, *frame):
         tracked = update(self, *frame)
-        if tracked.index == 3:
+        if tracked.index == index:
             signal.raise_signal(signal.SIGINT)
         return tracked
 
     monkeypatch.setattr(Tracker, "update", interrupted)
+
+
+def test_ctrl_c_leaves_what_was_done(run, model_file, clip, tmp_path, monkeypatch):
+    handler = signal.getsignal(signal.SIGINT)
+    interrupt_at(3, monkeypatch)
     code, _, err = run("track", model_file, clip, "-o", tmp_path / "t.csv", "--video", tmp_path / "v.mp4")
     assert code == 130
     assert "stopped after 4 frames" in err
@@ -195,15 +200,7 @@ def test_all_outputs_of_a_long_video(run, model_file, clip, moving, tmp_path, in
 
 
 def test_ctrl_c_leaves_what_was_done_of_a_long_video(run, model_file, clip, tmp_path, monkeypatch, in_stretches):
-    update = Tracker.update
-
-    def interrupted(self, *frame):
-        tracked = update(self, *frame)
-        if tracked.index == 9:
-            signal.raise_signal(signal.SIGINT)
-        return tracked
-
-    monkeypatch.setattr(Tracker, "update", interrupted)
+    interrupt_at(9, monkeypatch)
     monkeypatch.setattr(stretches, "POLLED", 0.001)
     code, _, err = run("track", model_file, clip, "-o", tmp_path / "t.csv", "--jobs", 1)
     assert code == 130

@@ -120,7 +120,7 @@ class VideoReader:
         self.announces, self.ended = bool(self._source.n_frames), False
         self._queue: queue.Queue[VideoFrame | BaseException | None] = queue.Queue(AHEAD_LIVE if self.live else AHEAD)
         self._closed = threading.Event()
-        self._n_given, self._ended = 0, False
+        self._n_given, self._all_given = 0, False
         self._thread = threading.Thread(target=self._decode, name=f"decode {self.name}", daemon=True)
 
     def _expected(self) -> int | None:
@@ -141,7 +141,7 @@ class VideoReader:
 
     def __iter__(self) -> Iterator[VideoFrame]:
         """Give the frames, once: a second loop goes on where the first one stopped."""
-        while not self._ended:
+        while not self._all_given:
             if self._thread.ident is None or self._closed.is_set():
                 raise VideoError(
                     f"{self.name}: frames come inside of a with block only; write 'with VideoReader(...) as video:' "
@@ -152,7 +152,7 @@ class VideoReader:
                 self._n_given += 1
                 yield item
                 continue
-            self._ended = True
+            self._all_given = True
             if item is not None:
                 raise item
             if not self._n_given:
@@ -168,7 +168,7 @@ class VideoReader:
     def _decode(self) -> None:
         """Put all frames into the queue, then None; or the error there was."""
         try:
-            if self._start >= SOUGHT:
+            if self._start >= SOUGHT and isinstance(self._source, _File) and not self.live:
                 self._source.skip_to(self._start)
             for time, picture in self._source:
                 index = self._source.n_seen - 1
@@ -299,9 +299,7 @@ class _File:
                 f"{self.path} is damaged after frame {self.n_seen} ({fault.strerror}); what comes before was read"
             )
             return
-        if self.n_damaged:
-            self.fault = self.damage
-        elif self.n_read < self.n_packets:
+        if not self.n_damaged and self.n_read < self.n_packets:
             self.fault = (
                 f"{self.path} is cut short: it has {self.n_read} of the {self.n_packets} frames that it announces"
             )
@@ -333,9 +331,6 @@ class _File:
 class _Device(_File):
     """A camera of Linux through PyAV."""
 
-    def skip_to(self, start: int) -> None:
-        """Stay: nothing is known of what is to come."""
-
     def __init__(self, number: int):
         av = _pyav(f"camera {number}")
         self.path = Path(f"/dev/video{number}")
@@ -355,9 +350,6 @@ class _Capture:
         self.capture = cv2.VideoCapture(number)
         self.rate = Fraction(max(1, round(self.capture.get(cv2.CAP_PROP_FPS)) or 25))
         self.n_seen, self.fault = 0, ""
-
-    def skip_to(self, start: int) -> None:
-        """Stay: nothing is known of what is to come."""
 
     @property
     def is_open(self) -> bool:

@@ -77,6 +77,8 @@ class TrackedStretch:
         What the tracker knows at the end.
     fault : str
         What is wrong with the file; empty for a sound one.
+    whole : bool
+        Whether it was tracked to its end, and not until the file ended or somebody wished to stop.
     """
 
     before: TrackedFrame | None
@@ -84,7 +86,6 @@ class TrackedStretch:
     state: TrackState
     fault: str
     whole: bool
-    """Whether it was tracked to its end, and not until the file ended or somebody wished to stop."""
 
 
 Found = Generator[tuple[Stretch, TrackedStretch], None, None]
