@@ -81,10 +81,10 @@ def test_two_objects_in_one_picture(finder):
 
 def fits_counted(finder, monkeypatch, image, **options):
     """What is found, and at how many places the small model was fitted."""
-    fit, places = Finder._fitted, []
-    monkeypatch.setattr(Finder, "_fitted", lambda self, *given: places.append(1) or fit(self, *given))
+    fit, places = Finder.fitted, []
+    monkeypatch.setattr(Finder, "fitted", lambda self, *given: places.append(1) or fit(self, *given))
     found = finder.find(image, **options)
-    monkeypatch.setattr(Finder, "_fitted", fit)
+    monkeypatch.setattr(Finder, "fitted", fit)
     return found, len(places)
 
 
@@ -103,6 +103,31 @@ def test_a_single_object_is_not_sought_where_it_cannot_be(finder, monkeypatch):
     for found in (surely, strongest):
         np.testing.assert_array_equal(found.shape, every.shape)
     assert fits_counted(finder, monkeypatch, image, limit=2)[1] > all_places  # of several, all places count
+
+
+@pytest.mark.parametrize("scale, small_are_sought", [(0.7, False), (0.2, True)])
+def test_small_objects_are_sought_where_no_large_one_is_sure(finder, monkeypatch, scale, small_are_sought):
+    """The answer is that of a search at all sizes."""
+    picture = photograph(Pose(scale=scale)).image
+    shorter, field, sizes = min(picture.shape[:2]), search.Grey.field, []
+    monkeypatch.setattr(search.Grey, "field", lambda self, size, small: sizes.append(size) or field(self, size, small))
+    monkeypatch.setattr(search, "SURE", 0.55)  # of a small model, faces score less than of people
+    (found,) = finder.find(picture)
+    assert sorted(sizes) == [size for size in search.search_sizes(shorter) if small_are_sought or size >= 0.3 * shorter]
+    monkeypatch.setattr(search, "LARGE", 0.0)
+    (of_all,) = finder.find(picture)
+    np.testing.assert_array_equal(found.shape, of_all.shape)
+
+
+def test_no_place_is_fitted_twice(finder, monkeypatch):
+    """Places of large objects, which were fitted first, count again beside those of small ones."""
+    monkeypatch.setattr(search, "SURE", 2.0)
+    image = photograph(Pose(scale=0.7)).image
+    (found,), in_two = fits_counted(finder, monkeypatch, image)
+    monkeypatch.setattr(search, "LARGE", 0.0)
+    (of_all,), in_one = fits_counted(finder, monkeypatch, image)
+    assert in_one <= in_two <= in_one + 1  # at most the second best of the large ones is none of the best
+    assert found.score == of_all.score
 
 
 def test_one_thread_finds_what_several_find(finder):

@@ -6,8 +6,10 @@ places are fitted with the small model by method ``igo``; how well that explains
 them is the object. Directions are nearly blind to the light, and every model holds them, that of a grey set too.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,8 +59,19 @@ SOFTNESS = 0.02
 in flat regions has no direction, and smooth shading follows any smooth model. Measured, with models of three sets of
 faces: so the scores of the faces and those of other objects hardly overlap; with plain directions they do."""
 
+SAMPLES = 20_000
+"""Pixels, about, that tell a picture's contrast."""
+
 CONTRASTS = (0.3, 1.0)
 """Contrasts of a picture that count as such: a flatter one is not stretched further."""
+
+LARGE = 0.3
+"""Diagonal of a large object, as a share of the image's shorter side. Where one object is wanted, small ones are looked
+for only if no large one is :data:`SURE`: their fields have three quarters of all pixels. Measured on the pictures that
+:data:`SURE` tells of: the answer is the same for all."""
+
+LARGE_PLACES = 2
+"""Places that are fitted at most before small objects are looked for."""
 
 PADDING = 0.25
 """How far an object may stick out of the image, as a share of its diagonal."""
@@ -82,7 +95,7 @@ SURE = 0.65
 faces, as they are, under simulated hard light, shadows and dapples: of 5,100 other places none scores more (0.64 at
 most), and the answer is the same for all 609 pictures with one or two places fitted instead of ten."""
 
-WORTH = 0.75
+WORTH = 0.8
 """Response, as a share of the strongest, below which a place is not fitted where one object is wanted. Measured on the
 same pictures: the right place has 0.84 at least."""
 
@@ -188,6 +201,56 @@ class Field:
 
 
 @dataclass(frozen=True, eq=False)
+class Grey:
+    """Luminance of a picture, of which fields are made.
+
+    Attributes
+    ----------
+    values : (h, w) float32
+        From 0 to 1.
+    reduce : int
+        Image pixels that one of them stands for, in either direction.
+    """
+
+    values: np.ndarray
+    reduce: int
+
+    @staticmethod
+    def of(image: np.ndarray, response: Response, factor: float) -> "Grey":
+        """Grey of a picture (h, w, 3), reduced by about a factor and at least eight pixels across."""
+        from liaam.photometry.averaging import area_means  # numba: imported when first needed
+
+        reduce = max(1, min(int(factor), min(image.shape[:2]) // 8))
+        # Sixteen samples of a block are as good as all; large pictures need not be decoded in full.
+        stride = max(1, reduce // 4)
+        reduce //= stride
+        sparse = image[stride // 2 :: stride, stride // 2 :: stride]
+        grey = value_luminance(sparse, response)
+        if reduce > 1:
+            rows, columns = grey.shape[0] // reduce, grey.shape[1] // reduce
+            grey = area_means(grey[: rows * reduce, : columns * reduce], (rows, columns))
+        every = max(1, int(np.sqrt(grey.size / SAMPLES)))
+        low, high = np.percentile(grey[::every, ::every], [1, 99])
+        grey = (np.clip(grey, low, high) / np.clip(high - low, *CONTRASTS)).astype(np.float32)
+        return Grey(grey, reduce * stride)
+
+    def field(self, size: float, small: AAM) -> Field:
+        """Directions in which objects of a size in image pixels are as large as the small model."""
+        import cv2  # heavy: imported when first needed
+
+        from liaam.photometry.averaging import area_means  # numba: imported when first needed
+
+        grey = self.values
+        covered = np.array(grey.shape[::-1]) * self.reduce  # a rest at the border was dropped
+        width, height = np.maximum(np.rint(covered * (small.diagonal / size)), 8).astype(int)
+        if width <= grey.shape[1] and height <= grey.shape[0]:
+            resized = area_means(grey, (int(height), int(width)))
+        else:
+            resized = cv2.resize(grey, (int(width), int(height)), interpolation=cv2.INTER_LINEAR)
+        return Field(soft_directions(resized, small.levels[0].blur), covered / (width, height))
+
+
+@dataclass(frozen=True, eq=False)
 class _Peaks:
     """Places where a template responds.
 
@@ -217,9 +280,23 @@ class _Peaks:
     def take(self, which: np.ndarray) -> "_Peaks":
         return _Peaks(*(column[which] for column in self.columns))
 
+    def places(self) -> list["_Place"]:
+        """One by one."""
+        columns = (self.centres.tolist(), self.scales.tolist(), self.fields.tolist(), self.templates.tolist())
+        return [_Place(tuple(centre), *rest) for centre, *rest in zip(*columns, strict=True)]
+
     @staticmethod
     def join(parts: list["_Peaks"]) -> "_Peaks":
         return _Peaks(*(np.concatenate(column) for column in zip(*(part.columns for part in parts), strict=True)))
+
+
+class _Place(NamedTuple):
+    """A row of :class:`_Peaks` without its response."""
+
+    centre: tuple[float, float]
+    scale: float
+    field: int
+    template: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,22 +350,17 @@ class Finder:
         image = load_picture(image, name)[0]
         response = self.model.response if response is None else response
         most = MOST if limit is None else min(limit, MOST)
-        fields = fields_of(image, response, self.small)
-        peaks = self._peaks(fields, 6 + 4 * most)
-        seen = self._fitted_in_turn(image, response, fields, peaks, max(SURE, least) if most == 1 else None)
-        seen = seen or [self._in_the_middle(image)]
+        search = _Search(self, image, response, 6 + 4 * most)
+        seen = search.for_one(max(SURE, least)) if most == 1 else search.for_all()
+        seen = seen or _Search(self, image, response, 6 + 4 * most).for_all() or [self._in_the_middle(image)]
         chosen = _apart(sorted(seen, key=lambda candidate: -candidate.score), most)
         return [candidate for candidate in chosen if candidate.score >= least]
 
-    def _peaks(self, fields: list[Field], count: int) -> _Peaks:
-        """Best places by correlation alone."""
-        self.templates  # noqa: B018 (made once, not by several threads at the same time)
-        # The largest field comes first: no thread is left with one that takes long at the end.
-        found = _Peaks.join(in_threads(lambda i: self._responses(fields[i], i, count), range(len(fields))))
-        return found.take(_strongest(found, 0.2 * self.small.diagonal, count))
+    def responses(self, field: Field, which: int, count: int, worth: float) -> _Peaks:
+        """Local maxima of every template's correlation with a field, the best few of each template.
 
-    def _responses(self, field: Field, which: int, count: int) -> _Peaks:
-        """Local maxima of every template's correlation with a field, the best few of each template."""
+        Those that respond with less than a share ``worth`` of the strongest need not be among them.
+        """
         import cv2  # heavy: imported when first needed
 
         kernel, pad = get_kernel(), int(PADDING * self.small.diagonal)
@@ -296,12 +368,13 @@ class Finder:
         size = np.maximum(np.array(field.values.shape) + 2 * pad, np.max([shape for shape, _ in sizes], axis=0))
         fast = int(cv2.getOptimalDFTSize(int(size[0]))), int(cv2.getOptimalDFTSize(int(size[1])))
         spectra, product, correlated = _spectra(field.values, fast, pad), *np.empty((2, *fast), np.float32)
-        places, responses = [], []
+        places, responses, least = [], [], LEAST_RESPONSE
         for (shape, origin), own in zip(sizes, self._spectra_of(fast), strict=True):
             # The cosine between two directions times their lengths.
             cosine = cv2.idft(kernel.correlate(spectra, own, product), correlated)
             inside = cosine[: size[0] - shape[0] + 1, : size[1] - shape[1] + 1]
-            best, values = kernel.best_peaks(inside, count, LEAST_RESPONSE, SURROUNDINGS)
+            best, values = kernel.best_peaks(inside, count, least, SURROUNDINGS)
+            least = max(least, worth * float(values[0])) if len(values) else least
             places.append(best[:, ::-1] - origin)
             responses.append(values)
         numbers = np.repeat(np.arange(len(sizes)), [len(values) for values in responses])
@@ -326,26 +399,10 @@ class Finder:
         """Leave out the spectra, which are large and soon made again."""
         return {name: value for name, value in self.__dict__.items() if name != "_spectra"}
 
-    def _fitted_in_turn(
-        self, image: np.ndarray, response: Response, fields: list[Field], peaks: _Peaks, enough: float | None
-    ) -> list[Candidate]:
-        """Fit the small model at the places, the strongest first; for a single object, until a score is enough."""
-        seen: list[Candidate] = []
-        for i, strength in enumerate(peaks.responses):
-            if enough is not None and seen and strength < WORTH * peaks.responses[0]:
-                break
-            candidate = self._fitted(image, response, fields, peaks.take(np.array([i])))
-            if not _is_inside(candidate.shape, image):
-                continue
-            seen.append(candidate)
-            if enough is not None and candidate.score >= enough:
-                break
-        return seen
-
-    def _fitted(self, image: np.ndarray, response: Response, fields: list[Field], peak: _Peaks) -> Candidate:
-        """Fit the small model at one place and judge what came out."""
-        template, warp = self.templates[int(peak.templates[0])], self.objective.warp
-        pose = Similarity(rotation(template.turn) * peak.scales[0], peak.centres[0])
+    def fitted(self, image: np.ndarray, response: Response, place: _Place, field: Field) -> Candidate:
+        """Fit the small model at a place that was found in a field, and judge what came out."""
+        template, warp = self.templates[place.template], self.objective.warp
+        pose = Similarity(rotation(template.turn) * place.scale, np.array(place.centre))
         start, blur = pose(warp.shape(template.p)), self.small.levels[0].blur
         problem = FitProblem.at(image, start, pose, self.objective.method, response, blur, margin=VISITED)
         solution = solve(self.objective, problem, self.objective.start(template.p), SETTINGS)
@@ -353,7 +410,7 @@ class Finder:
         sane = np.isfinite(shape).all() and GROWTH[0] < diagonal_of(shape) / diagonal_of(start) < GROWTH[1]
         if not sane:
             return self._candidate(start, 0.0)
-        strength = fields[int(peak.fields[0])].strength(pose(warp.points(solution.state.p)))
+        strength = field.strength(pose(warp.points(solution.state.p)))
         return self._candidate(shape, self._score(solution, strength))
 
     def _score(self, solution: Solution, strength: np.ndarray) -> float:
@@ -378,6 +435,78 @@ class Finder:
         size = np.array(image.shape[1::-1])
         mean = self.model.shape_model.mean
         return self._candidate(mean * (0.8 * size.min() / diagonal_of(mean)) + 0.5 * (size - 1), 0.0)
+
+
+class _Search:
+    """Search of one picture: what was found out about it so far.
+
+    Parameters
+    ----------
+    finder : Finder
+    image : (h, w, 3) uint8, uint16 or float32
+    response : Response
+    count : int
+        Places to look at, at most.
+    """
+
+    def __init__(self, finder: Finder, image: np.ndarray, response: Response, count: int) -> None:
+        self.finder, self.image, self.count = finder, image, count
+        self.response: Response = response
+        self.sizes = search_sizes(min(image.shape[:2]))
+        self.grey = Grey.of(image, response, self.sizes[0] / finder.small.diagonal)
+        self.fields: list[Field] = []
+        self.found: list[_Peaks] = []
+        self.fits: dict[_Place, Candidate] = {}
+        finder.templates  # noqa: B018 (made once, not by several threads at the same time)
+
+    def for_one(self, enough: float) -> list[Candidate]:
+        """Fit the best places until a score is enough, those of large objects first."""
+        large = self.sizes >= LARGE * min(self.image.shape[:2])
+        if large.any() and not large.all():
+            seen = self._in_turn(self._peaks(self.sizes[large], WORTH), enough, LARGE_PLACES)
+            if any(candidate.score >= enough for candidate in seen):
+                return seen
+            return self._in_turn(self._peaks(self.sizes[~large], WORTH), enough)
+        return self._in_turn(self._peaks(self.sizes, WORTH), enough)
+
+    def for_all(self) -> list[Candidate]:
+        """Fit the best places of all sizes."""
+        return self._inside(self._fitted(place) for place in self._peaks(self.sizes).places())
+
+    def _peaks(self, sizes: np.ndarray, worth: float = 0.0) -> _Peaks:
+        """Best places by correlation alone, of objects of these sizes and of those looked for before."""
+        small, first = self.finder.small, len(self.fields)
+
+        def look(i: int) -> tuple[Field, _Peaks]:
+            field = self.grey.field(sizes[i], small)
+            return field, self.finder.responses(field, first + i, self.count, worth)
+
+        # The largest field comes first: no thread is left with one that takes long at the end.
+        for field, peaks in in_threads(look, range(len(sizes))):
+            self.fields.append(field)
+            self.found.append(peaks)
+        found = _Peaks.join(self.found)
+        return found.take(_strongest(found, 0.2 * small.diagonal, self.count))
+
+    def _in_turn(self, peaks: _Peaks, enough: float, most: int | None = None) -> list[Candidate]:
+        """Fit places, the strongest first, until a score is enough or they respond too little."""
+        seen: list[Candidate] = []
+        for place, strength in zip(peaks.places()[:most], peaks.responses, strict=False):
+            if strength < WORTH * peaks.responses[0]:
+                break
+            seen += self._inside([self._fitted(place)])
+            if seen and seen[-1].score >= enough:
+                break
+        return seen
+
+    def _fitted(self, place: _Place) -> Candidate:
+        if place not in self.fits:
+            field = self.fields[place.field]
+            self.fits[place] = self.finder.fitted(self.image, self.response, place, field)
+        return self.fits[place]
+
+    def _inside(self, candidates: Iterable[Candidate]) -> list[Candidate]:
+        return [candidate for candidate in candidates if _is_inside(candidate.shape, self.image)]
 
 
 def find(
@@ -510,47 +639,6 @@ def _template(small: AAM, turn: float, p: np.ndarray) -> Template:
     picture = frame.picture(mean)
     field = (picture[..., 0] + 1j * picture[..., 1]) * np.exp(1j * turn)
     return Template(field.astype(np.complex64), frame.origin, turn, p)
-
-
-def fields_of(image: np.ndarray, response: Response, small: AAM) -> list[Field]:
-    """Directions of a picture, so that objects of growing size are as large as the small model.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8, uint16 or float32
-    response : Response
-    small : AAM
-
-    Returns
-    -------
-    list of Field
-    """
-    shorter = min(image.shape[:2])
-    sizes = search_sizes(shorter)
-    reduce = max(1, min(int(sizes[0] / small.diagonal), shorter // 8))
-    # Sixteen samples of a block are as good as all; large pictures need not be decoded in full.
-    stride = max(1, reduce // 4)
-    reduce //= stride
-    sparse = image[stride // 2 :: stride, stride // 2 :: stride]
-    grey = value_luminance(sparse, response, reduce)
-    low, high = np.percentile(grey[::2, ::2], [1, 99])
-    grey = (np.clip(grey, low, high) / np.clip(high - low, *CONTRASTS)).astype(np.float32)
-    return [_field(grey, reduce * stride, size, small) for size in sizes]
-
-
-def _field(grey: np.ndarray, reduce: int, size: float, small: AAM) -> Field:
-    """Field of a picture, blocks of whose pixels were averaged, for objects of a size in image pixels."""
-    import cv2  # heavy: imported when first needed
-
-    from liaam.photometry.averaging import area_means  # numba: imported when first needed
-
-    covered = np.array(grey.shape[::-1]) * reduce  # a rest at the border was dropped
-    width, height = np.maximum(np.rint(covered * (small.diagonal / size)), 8).astype(int)
-    if width <= grey.shape[1] and height <= grey.shape[0]:
-        resized = area_means(grey, (int(height), int(width)))
-    else:
-        resized = cv2.resize(grey, (int(width), int(height)), interpolation=cv2.INTER_LINEAR)
-    return Field(soft_directions(resized, small.levels[0].blur), covered / (width, height))
 
 
 def search_sizes(shorter_side: int) -> np.ndarray:

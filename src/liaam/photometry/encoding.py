@@ -321,12 +321,12 @@ def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
     return _encode(stored, encoding, response)
 
 
-def value_luminance(image: np.ndarray, response: Response = "srgb", reduce: float = 1.0) -> np.ndarray:
-    """Luminance of the encoding ``value``, (h // reduce, w // reduce) float32; see :func:`encode`."""
+def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarray:
+    """Luminance of the encoding ``value``, (h, w) float32; see :func:`encode`."""
     from liaam.photometry import averaging  # numba: imported when first needed
 
-    if image.dtype.kind != "u" or reduce > 1:
-        return encode(image, "value", response, reduce=reduce)[..., :3] @ LUMINANCE[0].astype(np.float32)
+    if image.dtype.kind != "u":
+        return encode(image, "value", response)[..., :3] @ LUMINANCE[0].astype(np.float32)
     return averaging.stored_luminance(image, _table(image.dtype.str, "value", response), LUMINANCE[0])
 
 
