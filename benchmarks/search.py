@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from benchmarks.metrics import report
-from liaam.datasets import Dataset, Sample, load_folder
+from liaam.datasets import Dataset, load_folder
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.fitting import Finder
 from liaam.shape import diagonal_of
@@ -40,7 +40,7 @@ def scenes() -> tuple[list[Picture], list[Picture]]:
     return training, [picture(seed, lights) for seed in range(100, 100 + N_HEADS) for lights in lamps]
 
 
-def halves(folder: Path, letters: int) -> list[tuple[list[Picture], list[Picture]]]:
+def half_sets(folder: Path, letters: int) -> list[tuple[Dataset, Dataset]]:
     """Part a folder by the person, into what to train on and what to search, both ways round."""
     data = load_folder(folder)
     persons = sorted({sample.name[:letters] for sample in data})
@@ -48,14 +48,12 @@ def halves(folder: Path, letters: int) -> list[tuple[list[Picture], list[Picture
     def half(which: int) -> Dataset:
         return data.select(lambda sample: persons.index(sample.name[:letters]) % 2 == which)
 
-    def pictures(samples: Dataset) -> list[Picture]:
-        return [_picture(sample) for sample in samples]
-
-    return [(pictures(half(which)), pictures(half(1 - which))) for which in (0, 1)]
+    return [(half(which), half(1 - which)) for which in (0, 1)]
 
 
-def _picture(sample: Sample) -> Picture:
-    return sample.read_image(), sample.landmarks.points
+def pictures_of(samples: Dataset) -> list[Picture]:
+    """Images and landmarks of a data set."""
+    return [(sample.read_image(), sample.landmarks.points) for sample in samples]
 
 
 def measure(training: list[Picture], tests: list[Picture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -76,7 +74,11 @@ def measure(training: list[Picture], tests: list[Picture]) -> tuple[np.ndarray, 
 def main(folder: str | None = None, letters: int = 2) -> None:
     """Print the metrics, of generated pictures or of a folder; ``letters`` of a name tell the person."""
     cv2.setNumThreads(1)
-    folds = [scenes()] if folder is None else halves(Path(folder), letters)
+    folds = (
+        [scenes()]
+        if folder is None
+        else [(pictures_of(training), pictures_of(tests)) for training, tests in half_sets(Path(folder), letters)]
+    )
     errors, seconds, scores = np.concatenate([measure(*fold) for fold in folds], axis=1)
     report("search_found_percent", 100 * (errors < LIMIT).mean(), f"of {len(errors)}", form=".1f")
     report("search_error", float(np.median(errors)), f"worst {errors.max():.3f}")

@@ -22,6 +22,7 @@ from typing import IO, Any
 import numpy as np
 
 from benchmarks.metrics import report
+from benchmarks.search import half_sets, pictures_of
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, make_set, random_expression, random_pose, render
 from liaam.io import write_image
 from liaam.training import train
@@ -35,7 +36,7 @@ ADDRESS = re.compile(r"http://\S+/\?token=\S+")
 DROP = """([name, base64]) => {
   const bytes = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
   const transfer = new DataTransfer();
-  transfer.items.add(new File([bytes], name, {type: "image/png"}));
+  transfer.items.add(new File([bytes], name));
   const target = document.querySelector("[data-testid=fit-drop]");
   for (const type of ["dragenter", "dragover", "drop"])
     target.dispatchEvent(new DragEvent(type, {dataTransfer: transfer, bubbles: true, cancelable: true}));
@@ -54,6 +55,14 @@ def material(folder: Path) -> list[Path]:
         paths.append(folder / f"lit-{i:02d}.png")
         write_image(paths[-1], scene.image)
     return paths
+
+
+def photographs(folder: Path, data: Path, letters: int) -> list[Path]:
+    """Write a model of half of a data set's persons, and give pictures of the other half; see :func:`half_sets`."""
+    training, others = half_sets(data, letters)[0]
+    train(pictures_of(training), leave_out=False).save(folder / "model.liaam")
+    files = [sample.image for sample in others if isinstance(sample.image, Path)]
+    return files[:: max(1, len(files) // N_DROPS)][:N_DROPS]
 
 
 def drops(page, pictures: list[Path]) -> list[float]:
@@ -175,12 +184,12 @@ def browsing(size: tuple[int, int] = (1280, 720), **options) -> Iterator[Any]:
         yield browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
 
 
-def main() -> None:
-    """Print the metrics."""
+def main(data: str | None = None, letters: int = 2) -> None:
+    """Print the metrics, of generated pictures or of a data set; ``letters`` of a name tell the person."""
     with browsing() as page, tempfile.TemporaryDirectory() as name:
         if page is None:
             return
-        pictures = material(Path(name))
+        pictures = material(Path(name)) if data is None else photographs(Path(name), Path(data), letters)
         with served(Path(name), "--model", str(Path(name) / "model.liaam")) as address:
             page.goto(address)
             page.locator("[data-testid=tab-fit]").click()
@@ -197,4 +206,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1] if len(sys.argv) > 1 else None, int(sys.argv[2]) if len(sys.argv) > 2 else 2)

@@ -5,6 +5,12 @@ import sys
 import zlib
 from pathlib import Path
 
+# Before anything is imported that looks at it: how wide printed tables are, and that tests which run side by side
+# ('pytest -n auto') leave each other's cores alone.
+os.environ["COLUMNS"] = "200"
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -33,6 +39,14 @@ SCENE_SIZE = (240, 180)
 # The same examples in every run, and no limit on the time of one: numba compiles at the first.
 settings.register_profile("liaam", derandomize=True, deadline=None)
 settings.load_profile("liaam")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Keep the tests of a file on one worker: they share what is long in the making."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log)
 
 
 @pytest.fixture
@@ -128,7 +142,6 @@ def run(monkeypatch, capsys):
     """Run 'liaam ...' in this process; gives (exit status, standard output, standard error)."""
 
     def call(*arguments):
-        monkeypatch.setenv("COLUMNS", "200")
         monkeypatch.setattr(sys, "argv", ["liaam", *map(str, arguments)])
         with pytest.raises(SystemExit) as stopped:
             cli.main()

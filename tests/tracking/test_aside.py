@@ -107,6 +107,7 @@ def test_an_interrupt_at_the_end_waits_for_the_work_at_hand(interruptible):
 
     def interrupt():
         under_way.wait(5)
+        time.sleep(0.1)  # a signal that comes just before somebody waits is heard after
         signal.pthread_kill(main, signal.SIGINT)
 
     main = threading.main_thread().ident or 0
