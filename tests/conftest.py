@@ -5,11 +5,11 @@ import sys
 import zlib
 from pathlib import Path
 
-# Before anything is imported that looks at it: how wide printed tables are, and that tests which run side by side
-# ('pytest -n auto') leave each other's cores alone.
-os.environ["COLUMNS"] = "200"
+# Before anything is imported that looks at these. Tests that run side by side ('pytest -n logical') leave each other's
+# cores alone; and how wide tables are printed is what a test says, not who runs it.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.pop("COLUMNS", None)
 
 import numpy as np
 import pytest
@@ -142,6 +142,7 @@ def run(monkeypatch, capsys):
     """Run 'liaam ...' in this process; gives (exit status, standard output, standard error)."""
 
     def call(*arguments):
+        monkeypatch.setenv("COLUMNS", "200")
         monkeypatch.setattr(sys, "argv", ["liaam", *map(str, arguments)])
         with pytest.raises(SystemExit) as stopped:
             cli.main()

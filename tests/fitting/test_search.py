@@ -81,10 +81,16 @@ def test_two_objects_in_one_picture(finder):
 
 def fits_counted(finder, monkeypatch, image, **options):
     """What is found, and at how many places the small model was fitted."""
-    fit, places = Finder.fitted, []
-    monkeypatch.setattr(Finder, "fitted", lambda self, *given: places.append(1) or fit(self, *given))
+    fit, places = Finder._fitted, []
+
+    def counted(self, image, response, place, field):
+        places.append(place)
+        return fit(self, image, response, place, field)
+
+    monkeypatch.setattr(Finder, "_fitted", counted)
     found = finder.find(image, **options)
-    monkeypatch.setattr(Finder, "fitted", fit)
+    monkeypatch.setattr(Finder, "_fitted", fit)
+    assert len(set(places)) == len(places)
     return found, len(places)
 
 
@@ -94,7 +100,7 @@ def test_a_single_object_is_not_sought_where_it_cannot_be(finder, monkeypatch):
     monkeypatch.setattr(search, "SURE", np.inf)
     monkeypatch.setattr(search, "WORTH", 0.0)
     (every,), all_places = fits_counted(finder, monkeypatch, image)
-    monkeypatch.setattr(search, "SURE", every.score)
+    monkeypatch.setattr(search, "SURE", every.score + 0.5)
     (surely,), few_places = fits_counted(finder, monkeypatch, image)
     monkeypatch.setattr(search, "SURE", np.inf)
     monkeypatch.setattr(search, "WORTH", 0.999)
@@ -111,7 +117,6 @@ def test_small_objects_are_sought_where_no_large_one_is_sure(finder, monkeypatch
     picture = photograph(Pose(scale=scale)).image
     shorter, field, sizes = min(picture.shape[:2]), search.Grey.field, []
     monkeypatch.setattr(search.Grey, "field", lambda self, size, small: sizes.append(size) or field(self, size, small))
-    monkeypatch.setattr(search, "SURE", 0.95)  # generated faces have less texture than people's
     (found,) = finder.find(picture)
     assert sorted(sizes) == [size for size in search.search_sizes(shorter) if small_are_sought or size >= 0.3 * shorter]
     monkeypatch.setattr(search, "LARGE", 0.0)
@@ -122,12 +127,55 @@ def test_small_objects_are_sought_where_no_large_one_is_sure(finder, monkeypatch
 def test_no_place_is_fitted_twice(finder, monkeypatch):
     """Places of large objects, which were fitted first, count again beside those of small ones."""
     monkeypatch.setattr(search, "SURE", np.inf)
+    monkeypatch.setattr(search, "WORTH", 0.0)
     image = photograph(Pose(scale=0.7)).image
     (found,), in_two = fits_counted(finder, monkeypatch, image)
     monkeypatch.setattr(search, "LARGE", 0.0)
     (of_all,), in_one = fits_counted(finder, monkeypatch, image)
-    assert in_one <= in_two <= in_one + 1  # at most the second best of the large ones is none of the best
+    assert 2 <= in_one <= in_two <= in_one + search.LARGE_PLACES
     assert found.score == of_all.score
+
+
+def test_a_place_that_scores_too_little_ends_no_search(finder, monkeypatch):
+    """However strongly it responds: neither one below what is asked for nor a doubtful one is sure."""
+    monkeypatch.setattr(search, "SURE", 0.0)
+    monkeypatch.setattr(search, "WORTH", 0.0)
+    image = photograph(Pose(scale=0.7)).image
+    (found,), at_once = fits_counted(finder, monkeypatch, image)
+    assert (at_once, found.score > DOUBTFUL) == (1, True)
+    none, tried = fits_counted(finder, monkeypatch, image, least=found.score + 0.01)
+    assert (none, tried > 1) == ([], True)
+    monkeypatch.setattr(search, "DOUBTFUL", found.score + 0.01)
+    assert fits_counted(finder, monkeypatch, image)[1] == tried
+
+
+def test_weaker_places_are_looked_at_where_the_best_lie_outside(finder, monkeypatch):
+    image, asked, is_inside = photograph(Pose(scale=0.7)).image, [], search._is_inside
+    monkeypatch.setattr(search, "WORTH", 1.0)  # a single place, which is the object
+
+    def anywhere_but_there(shape, picture):
+        asked.append(shape)
+        return is_inside(shape, picture) and bool(np.abs(shape - asked[0]).max() > 5)
+
+    monkeypatch.setattr(search, "_is_inside", anywhere_but_there)
+    (found,) = finder.find(image)
+    assert len(asked) > 1
+    assert 0 < found.score < DOUBTFUL
+
+
+def test_a_picture_that_shows_nothing_is_looked_at_once(finder, monkeypatch):
+    field, sizes = search.Grey.field, []
+    monkeypatch.setattr(search.Grey, "field", lambda self, size, small: sizes.append(size) or field(self, size, small))
+    (found,) = finder.find(np.zeros((240, 320, 3), np.uint8))
+    assert found.score == 0
+    assert len(set(sizes)) == len(sizes)
+
+
+def test_grey_of_integers_is_that_of_floats(rng):
+    image = rng.integers(0, 256, (120, 160, 3), dtype=np.uint8)
+    whole, shares = (search.Grey.of(given, "srgb", 3.4) for given in (image, (image / 255).astype(np.float32)))
+    assert (whole.reduce, whole.values.shape) == (3, (40, 53))
+    np.testing.assert_allclose(whole.values, shares.values, atol=1e-5)
 
 
 def test_one_thread_finds_what_several_find(finder):
