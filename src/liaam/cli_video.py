@@ -317,12 +317,12 @@ def follow(
 
 def stretches_of(task: Task) -> "list[Stretch]":
     """Parts of a video that can be tracked side by side: of a long file that can be entered in its middle."""
+    from liaam.fitting.search import is_searchable
     from liaam.io.video import can_enter
     from liaam.tracking.stretches import cut
 
     reader = task.reader
-    searchable = "orientation" in task.tracker.model.levels[0].appearances
-    if reader.live or not reader.announces or not searchable:
+    if reader.live or not reader.announces or not is_searchable(task.tracker.model):
         return []
     stretches = cut(task.start, task.stop, reader.n_frames)
     return stretches if len(stretches) > 1 and can_enter(reader.name, stretches[1].start) else []

@@ -555,6 +555,11 @@ def _spectra(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarr
     return np.stack([cv2.dft(part) for part in padded])
 
 
+def is_searchable(model: AAM) -> bool:
+    """Tell whether a model has learnt what the search needs: orientations of gradients."""
+    return "orientation" in model.levels[0].appearances
+
+
 def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
     """Coarsest orientations of a model on a smaller reference frame.
 
@@ -577,7 +582,7 @@ def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
         If the model has not learnt orientations.
     """
     level = model.levels[0]
-    if "orientation" not in level.appearances:
+    if not is_searchable(model):
         raise MethodError(
             "the model has not learnt orientations of gradients, which the search needs; train it again, or give a "
             "start (--init)"
