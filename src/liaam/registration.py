@@ -11,7 +11,8 @@ import numpy as np
 from liaam.appearance import AppearanceModel
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.fitter import Stage, Target, covariance, is_sane, solve_levels
+from liaam.fitting.fitter import covariance
+from liaam.fitting.levels import Stage, Target, is_sane, solve_levels
 from liaam.fitting.objective import Objective
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import slope_left, tied_together

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
-from liaam.fitting.fitter import solve_levels
+from liaam.fitting.levels import solve_levels
 from liaam.fitting.trust import SOFT_ROWS
 from liaam.photometry import linear_to_srgb, srgb_to_linear
 from liaam.photometry.encoding import BRIGHTNESS

@@ -7,7 +7,7 @@ import pytest
 
 from liaam.errors import MethodError
 from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
-from liaam.fitting.fitter import prepare_level
+from liaam.fitting.levels import prepare_level
 from liaam.fitting.objective import Objective
 from liaam.shape import diagonal_of
 from setups import disturb, model_pixels

@@ -9,7 +9,8 @@ import numpy as np
 from liaam.errors import MethodError, StartError
 from liaam.fitting.batched.objective import BatchObjective, unsupported
 from liaam.fitting.batched.solver import BatchSolver
-from liaam.fitting.fitter import Fitter, Stage, Target, is_sane, prepare_level, spare
+from liaam.fitting.fitter import Fitter
+from liaam.fitting.levels import Stage, Target, is_sane, prepare_level, spare
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.result import FitResult, FitStatus
 from liaam.fitting.solver import SolverOptions
