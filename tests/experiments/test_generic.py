@@ -12,7 +12,7 @@ METHODS = ("rgb", "li")
 
 def test_a_generic_model_is_never_fitted_to_those_it_was_trained_on(folder, monkeypatch):
     trained = []
-    monkeypatch.setattr(protocol.Request, "train", lambda self, samples, name: trained.append(samples))
+    monkeypatch.setattr(protocol.Request, "train", lambda self, samples, name, **_: trained.append(samples))
     experiment = generic.generic_experiment(folder, METHODS)
     generic.get_trained.cache_clear()
     for task in experiment.tasks:

@@ -83,9 +83,17 @@ class Request:
             "solver": f"{self.solver}: {get_solver(self.solver).summary}",
         }
 
-    def train(self, samples: Iterable[Sample], name: str) -> "Trained":
-        """Train a model on some pictures, with a fitter for each method."""
-        model = get_solver(self.solver).train(samples, variance=VARIANCE, name=name)
+    def train(self, samples: Iterable[Sample], name: str, leave_out: bool = False) -> "Trained":
+        """Train a model on some pictures, with a fitter for each method.
+
+        Parameters
+        ----------
+        samples : iterable of Sample
+        name : str
+        leave_out : bool
+            Whether it learns how far its fits can be trusted, and begins those of little quality again.
+        """
+        model = get_solver(self.solver).train(samples, variance=VARIANCE, name=name, leave_out=leave_out)
         return Trained(model, make_fitters(model, self.methods, self.solver))
 
     def rng(self, *what: str | int) -> np.random.Generator:

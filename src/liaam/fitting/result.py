@@ -33,6 +33,11 @@ class FitStatus(StrEnum):
         return not self.ok and self not in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)
 
     @property
+    def unusable(self) -> bool:
+        """Whether the picture says too little, wherever a fit starts."""
+        return self in (FitStatus.TOO_DARK, FitStatus.SATURATED, FitStatus.NO_TEXTURE)
+
+    @property
     def message(self) -> str:
         """What happened, and what to do about it."""
         return _MESSAGES[self]
@@ -140,6 +145,9 @@ class FitResult:
     method : str
     found : Candidate, optional
         What the search gave the fit to start from; None where the start was given.
+    n_starts : int
+        From how many starts the object was fitted: more than 1 where the first fit came to little
+        (:attr:`liaam.fitting.Fitter.restarts`). ``history`` and ``n_iterations`` are those of the fit that was kept.
     """
 
     shape: np.ndarray
@@ -160,6 +168,7 @@ class FitResult:
     quality: float
     method: str
     found: Candidate | None = None
+    n_starts: int = 1
 
     def __repr__(self) -> str:
         return f"FitResult({self.method}: {self.status}, {len(self.shape)} landmarks, {self.n_iterations} iterations)"
@@ -187,6 +196,7 @@ class FitResult:
         return {
             "image": image_name,
             "start": "given" if self.found is None else "searched",
+            "starts_tried": self.n_starts,
             "search_score": None if self.found is None else self.found.score,
             "search_doubtful": None if self.found is None else self.found.doubtful,
             "method": self.method,

@@ -212,10 +212,10 @@ class Tracker:
     result: FitResult | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self.fitter = Fitter(self.model, self.method, camera=self.camera)
+        self.fitter = Fitter(self.model, self.method, camera=self.camera, restarts=False)  # it searches instead
         near = SolverOptions(max_iterations=self.options.iterations, notice=NOTICE)
         few = sharpest(self.model, self.options.levels)
-        self._near = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, residuals=False)
+        self._near = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, residuals=False, restarts=False)
         self._motion = Motion(self.fitter.shapes)
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
         self.reset()

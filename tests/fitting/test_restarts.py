@@ -1,0 +1,99 @@
+"""Fits that came to little are begun again from elsewhere, and never end worse than they were."""
+
+import numpy as np
+import pytest
+
+from liaam.fitting import FitStatus, Fitter, SolverOptions, fitter
+from liaam.fitting.levels import is_sane
+from liaam.fitting.restarts import APART, other_starts
+from liaam.shape import diagonal_of
+from setups import disturb, model_pixels, train_on
+
+FAR = ((0.7, (0.12, -0.04)), (1.2, (-0.15, 0.1)), (1.35, (0.02, 0.16)), (0.8, (-0.2, -0.05)), (1.35, (0.15, 0.1)))
+"""Scales and shifts of starts from which single fits are lost."""
+
+
+@pytest.fixture(scope="module")
+def judged(scenes):
+    """Give a model that has learnt how far its fits can be trusted."""
+    return train_on(scenes, diagonal=60.0, leave_out=True)
+
+
+@pytest.fixture(scope="module")
+def both(judged, lit_scene):
+    """Give the fits from far starts without and with restarts."""
+    starts = [disturb(lit_scene.landmarks, *far) for far in FAR]
+    return [[Fitter(judged, restarts=on).fit(lit_scene.image, start) for start in starts] for on in (False, True)]
+
+
+def test_fits_from_far_starts_are_saved(judged, lit_scene, both):
+    once, again = ([model_pixels(judged, fit.shape, lit_scene.landmarks) for fit in fits] for fits in both)
+    lost = np.array(once) > 3.0
+    assert lost.sum() >= 3, "these starts are no longer far"
+    assert np.sum(np.array(again)[lost] < 1.0) >= 2
+
+
+def test_no_fit_ends_with_less_quality(both):
+    assert all(again.quality >= once.quality for once, again in zip(*both, strict=True))
+    assert all(once.n_starts == 1 for once in both[0])
+    assert any(again.n_starts > 1 for again in both[1])
+
+
+def test_right_fits_are_not_begun_again(judged, lit_scene, same_light_scene, monkeypatch):
+    monkeypatch.setattr(fitter, "other_starts", None)  # not to be called
+    for scene in (lit_scene, same_light_scene):
+        result = Fitter(judged).fit(scene.image, disturb(scene.landmarks))
+        assert result.n_starts == 1
+        assert result.status.ok
+
+
+@pytest.mark.parametrize("value", [0, 255, 128])
+def test_where_the_picture_says_nothing_no_start_is_tried(judged, value, monkeypatch):
+    monkeypatch.setattr(fitter, "other_starts", None)
+    picture = np.full((180, 240, 3), value, np.uint8)
+    picture[0, 0] = (90, 100, 110)  # not grey all over
+    result = Fitter(judged).fit(picture, (60, 40, 180, 150))
+    assert result.status.unusable
+    assert result.n_starts == 1
+
+
+def test_where_no_quality_is_known_no_start_is_tried(scenes, lit_scene, monkeypatch):
+    monkeypatch.setattr(fitter, "other_starts", None)
+    start = disturb(lit_scene.landmarks, *FAR[0])
+    model = train_on(scenes, diagonal=60.0)
+    assert np.isnan(Fitter(model).fit(lit_scene.image, start).quality)
+
+
+def test_results_say_how_many_starts_were_tried(both):
+    again = next(result for result in both[1] if result.n_starts > 1)
+    assert again.facts("picture")["starts_tried"] == again.n_starts
+    assert len(again.history) <= again.n_iterations + 3  # of the one that was kept: its steps, and the levels' starts
+
+
+def test_other_starts_lie_apart_and_within_reason(judged, lit_scene):
+    start = disturb(lit_scene.landmarks, *FAR[0])
+    own = Fitter(judged)
+    target, _ = own.target(lit_scene.image, start)
+    shapes = other_starts(own.objectives[0], judged.soft_levels[0].blur, target, SolverOptions(), kept=4)
+    assert 2 <= len(shapes) <= 4
+    for i, shape in enumerate(shapes):
+        assert is_sane(shape, start)
+        distances = [np.sqrt(np.square(shape - other).sum(axis=1).mean()) for other in shapes[:i]]
+        assert all(distance > APART * diagonal_of(start) for distance in distances)
+
+
+@pytest.mark.parametrize("n_modes", [0, 1])
+def test_models_of_few_modes_are_bent_as_far_as_they_go(scenes, lit_scene, n_modes):
+    model = train_on(scenes[:1] * 3 if n_modes == 0 else scenes, diagonal=60.0, variance=max(n_modes, 1))
+    own = Fitter(model)
+    target, _ = own.target(lit_scene.image, disturb(lit_scene.landmarks, *FAR[1]))
+    assert len(model.shape_of("soft").eigenvalues) == n_modes
+    shapes = other_starts(own.objectives[0], model.soft_levels[0].blur, target, SolverOptions())
+    assert all(np.isfinite(shape).all() for shape in shapes)
+    assert shapes
+
+
+def test_what_is_kept_has_a_status_of_its_own(both):
+    for once, again in zip(*both, strict=True):
+        if again.quality > once.quality:
+            assert again.status in (FitStatus.CONVERGED, FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)
