@@ -4,7 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from safetensors import safe_open
+from safetensors.numpy import save_file
 
+from liaam.errors import ModelFileError
 from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.reliability import MOST_UNDERSTATED, _landmarks, _logistic, _surprise, _understated, _weights
 from liaam.model import load_model
@@ -61,6 +64,40 @@ def test_it_is_kept_in_the_model_file(judged, tmp_path):
     np.testing.assert_array_equal(loaded.landmarks, judged.reliability.landmarks)
     np.testing.assert_array_equal(loaded.weights, judged.reliability.weights)
     assert loaded.understated == judged.reliability.understated
+    assert loaded.ordinary == judged.reliability.ordinary
+    assert 0.5 < loaded.little < loaded.ordinary < 1.0
+
+
+def rewritten(judged, path, **tensors):
+    """Model file whose reliability is changed; None takes a tensor out."""
+    judged.save(path)
+    with safe_open(path, framework="numpy") as file:
+        header, known = file.metadata(), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    known |= {f"reliability.{name}": value for name, value in tensors.items()}
+    save_file({key: value for key, value in known.items() if value is not None}, path, header)
+    return path
+
+
+def test_a_file_that_does_not_know_what_is_ordinary_is_read(judged, tmp_path):
+    loaded = load_model(rewritten(judged, tmp_path / "m.liaam", ordinary=None)).reliability
+    assert loaded is not None
+    assert (loaded.ordinary, loaded.little) == (0.5, 0.5)
+
+
+@pytest.mark.parametrize("ordinary", [-0.1, 1.1, np.nan])
+def test_an_ordinary_quality_that_is_no_probability_is_refused(judged, tmp_path, ordinary):
+    with pytest.raises(ModelFileError):
+        load_model(rewritten(judged, tmp_path / "m.liaam", ordinary=np.array([ordinary])))
+
+
+@pytest.mark.parametrize(("ordinary", "little"), [(0.5, 0.5), (0.9, 0.8123), (0.99, 0.9554), (0.0, 0.0), (1.0, 1.0)])
+def test_little_is_two_thirds_of_the_log_odds(judged, ordinary, little):
+    assert replace(judged.reliability, ordinary=ordinary).little == pytest.approx(little, abs=1e-3)
+
+
+def test_nearly_all_right_fits_are_ordinary(judged, scenes):
+    fits = [Fitter(judged).fit(scene.image, disturb(scene.landmarks)) for scene in scenes]
+    assert np.mean([fit.quality >= judged.reliability.ordinary for fit in fits]) >= 0.8
 
 
 def test_variances_grow_by_what_fits_understate(judged, lit_scene):

@@ -1,12 +1,16 @@
 """Fits that came to little are begun again from elsewhere, and never end worse than they were."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from liaam.fitting import FitStatus, Fitter, SolverOptions, fitter
+from liaam.fitting import Fitter, SolverOptions, fitter
+from liaam.fitting.fitter import SLOW
 from liaam.fitting.levels import is_sane
 from liaam.fitting.restarts import APART, other_starts
 from liaam.shape import diagonal_of
+from liaam.tracking import Tracker
 from setups import disturb, model_pixels, train_on
 
 FAR = ((0.7, (0.12, -0.04)), (1.2, (-0.15, 0.1)), (1.35, (0.02, 0.16)), (0.8, (-0.2, -0.05)), (1.35, (0.15, 0.1)))
@@ -64,10 +68,64 @@ def test_where_no_quality_is_known_no_start_is_tried(scenes, lit_scene, monkeypa
     assert np.isnan(Fitter(model).fit(lit_scene.image, start).quality)
 
 
-def test_results_say_how_many_starts_were_tried(both):
-    again = next(result for result in both[1] if result.n_starts > 1)
-    assert again.facts("picture")["starts_tried"] == again.n_starts
-    assert len(again.history) <= again.n_iterations + 3  # of the one that was kept: its steps, and the levels' starts
+def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(judged, lit_scene, both):
+    again = next(new for old, new in zip(*both, strict=True) if new.quality > old.quality)
+    assert again.facts("picture")["starts_tried"] == again.n_starts > 1
+    alone = Fitter(judged, restarts=False).fit(lit_scene.image, again.start)
+    np.testing.assert_allclose(alone.shape, again.shape, atol=1e-6)
+    assert (alone.status, alone.n_iterations, len(alone.history)) == (
+        again.status,
+        again.n_iterations,
+        len(again.history),
+    )
+
+
+@pytest.mark.parametrize(
+    ("quality", "steps", "again"),
+    [(0.3, 10, True), (0.3, 40, True), (0.7, 40, True), (0.7, 10, False), (0.85, 40, False), (np.nan, 40, False)],
+)
+def test_doubtful_fits_are_begun_again_and_slow_ones_of_little_quality(judged, lit_scene, quality, steps, again):
+    own = replace(judged.reliability, ordinary=0.9)  # 0.81 is little then
+    ours = Fitter(replace(judged, reliability=own))
+    made = Fitter(judged, restarts=False).fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert ours._falls_short(replace(made, quality=quality, n_iterations=steps)) is again
+    few = replace(ours, options=SolverOptions(max_iterations=SLOW))
+    assert not few._falls_short(replace(made, quality=quality, n_iterations=steps))
+
+
+def test_no_iterations_leave_the_start_as_it_is(judged, lit_scene):
+    start = disturb(lit_scene.landmarks, *FAR[0])
+    result = Fitter(judged, options=SolverOptions(max_iterations=0)).fit(lit_scene.image, start)
+    assert result.n_starts == 1
+    np.testing.assert_allclose(result.start, result.shape)
+
+
+def test_a_fit_that_ran_off_is_not_kept(judged, lit_scene, monkeypatch):
+    ours = Fitter(judged)
+    start = disturb(lit_scene.landmarks, *FAR[0])
+    target, _ = ours.target(lit_scene.image, start)
+    first = Fitter(judged, restarts=False).fit(lit_scene.image, start)
+    off = replace(first, quality=1.0, shape=10 * first.shape)
+    monkeypatch.setattr(Fitter, "_fit_from", lambda _self, _target: off)
+    kept = ours._fit_again(target, first)
+    assert kept.quality == first.quality
+    assert kept.n_starts > 1
+
+
+def test_an_ordinary_fit_ends_the_search(judged, lit_scene, monkeypatch):
+    ours, calls = Fitter(judged), []
+    target, _ = ours.target(lit_scene.image, disturb(lit_scene.landmarks, *FAR[0]))
+    first = Fitter(judged, restarts=False).fit(lit_scene.image, target.start)
+    good = replace(first, quality=0.99, shape=target.start)
+    monkeypatch.setattr(Fitter, "_fit_from", lambda _self, _target: calls.append(1) or good)
+    assert ours._fit_again(target, first).quality == 0.99
+    assert len(calls) == 1
+
+
+def test_trackers_search_instead(judged):
+    tracker = Tracker(judged)
+    assert not tracker.fitter.restarts
+    assert not tracker._near.restarts
 
 
 def test_other_starts_lie_apart_and_within_reason(judged, lit_scene):
@@ -91,9 +149,3 @@ def test_models_of_few_modes_are_bent_as_far_as_they_go(scenes, lit_scene, n_mod
     shapes = other_starts(own.objectives[0], model.soft_levels[0].blur, target, SolverOptions())
     assert all(np.isfinite(shape).all() for shape in shapes)
     assert shapes
-
-
-def test_what_is_kept_has_a_status_of_its_own(both):
-    for once, again in zip(*both, strict=True):
-        if again.quality > once.quality:
-            assert again.status in (FitStatus.CONVERGED, FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)

@@ -67,7 +67,7 @@ class Fitter:
         Whether fits that are doubtful, or slow and of little quality (:attr:`liaam.model.Reliability.little`), are
         begun again from elsewhere (:func:`liaam.fitting.restarts.other_starts`), of which the one of most quality is
         kept: more heads that are turned away are found, at some ten times the time of a fit. For methods and models
-        that know no quality it makes no difference.
+        that know no quality, and for fits of so few iterations that they say nothing, it makes no difference.
 
     Examples
     --------
@@ -171,18 +171,23 @@ class Fitter:
         return self.judged(target.image, solve_levels(levels, target, self.options))
 
     def _falls_short(self, result: FitResult) -> bool:
-        """Whether a fit may be wrong for want of a better start."""
+        """Whether a fit may be wrong for want of a better start; cut short, it says nothing about its start."""
         known = self.model.reliability
-        if known is None or not result.quality < known.little or result.status.unusable:
+        if known is None or result.status.unusable or self.options.max_iterations <= SLOW:
             return False
-        return result.quality < LEAST_QUALITY or result.n_iterations > SLOW
+        slow = result.n_iterations > SLOW
+        return result.quality < LEAST_QUALITY or (slow and result.quality < known.little)
 
     def _fit_again(self, target: Target, first: FitResult) -> FitResult:
-        """Best of a fit and of those from other starts, by their quality."""
-        starts = other_starts(self.objectives[0], self._levels[0].blur, target, self.options)
-        others = [self._fit_from(target._replace(start=start)) for start in starts]
-        sane = [other for other in others if is_sane(other.shape, target.start)]
-        return replace(max([first, *sane], key=lambda result: result.quality), n_starts=1 + len(others))
+        """Best of a fit and of those from other starts, by their quality; the first ordinary one ends the search."""
+        known, best, n_starts = self.model.reliability, first, 1
+        for start in other_starts(self.objectives[0], self._levels[0].blur, target, self.options):
+            other, n_starts = self._fit_from(target._replace(start=start)), n_starts + 1
+            if other.quality > best.quality and is_sane(other.shape, target.start):
+                best = other
+            if known is not None and best.quality >= known.ordinary:
+                break
+        return replace(best, n_starts=n_starts)
 
     def target(self, image, init=None, name: str = "image") -> tuple[Target, Candidate | None]:
         """Picture and start, checked, with what is known of the camera, and what a search found; as :meth:`fit`."""

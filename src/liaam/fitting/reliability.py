@@ -65,7 +65,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     for i, picture in enumerate(pictures):
         rng = np.random.default_rng([7, i])
         if fitter is None or fitter.model is not picture.model:
-            fitter = Fitter(picture.model, DEFAULT_METHOD, OPTIONS)
+            fitter = Fitter(picture.model, DEFAULT_METHOD, OPTIONS, restarts=False)
         for near, start in ((True, _near(picture, rng)), (False, _far(picture, rng))):
             result = fitter.fit(picture.image, start)
             if result.status.lost:

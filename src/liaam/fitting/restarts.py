@@ -65,15 +65,15 @@ def other_starts(
 
     def reached(p: np.ndarray, mode: int = 0, bent: float = 0.0, moved: Sequence[float] = (0.0, 0.0)) -> Stage:
         p = p.copy()
-        if mode < n_modes:
-            p[mode] += bent * deviations[mode]
+        p[mode] += bent * deviations[mode] if n_modes else 0.0
         shape = warp.shape(p) + np.array(moved) * diagonal_of(warp.rest)
         start = replace(state, p=warp.parameters(shape))
         return Stage(objective, problem, pose, solve(objective, problem, start, options))
 
     mean = np.where(np.arange(len(state.p)) < n_modes, 0.0, state.p)
     directions = ((0.0, 0.0), (-SHIFT, 0.0), (SHIFT, 0.0), (0.0, SHIFT), (0.0, -SHIFT))
-    stages = [reached(mean, 0, bent, moved) for bent in (-BENT, 0.0, BENT) for moved in directions]
+    bends = (-BENT, 0.0, BENT) if n_modes else (0.0,)
+    stages = [reached(mean, 0, bent, moved) for bent in bends for moved in directions]
     for stage in _best(stages, BEST, target.start):
         p = stage.solution.state.p
         stages += [reached(p, mode, bent) for mode in range(min(MODES, n_modes)) for bent in (-BENT_ON, BENT_ON)]

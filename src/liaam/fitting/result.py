@@ -34,7 +34,7 @@ class FitStatus(StrEnum):
 
     @property
     def unusable(self) -> bool:
-        """Whether the picture says too little, wherever a fit starts."""
+        """Whether the picture says too little where the fit ended: other starts near by see no more."""
         return self in (FitStatus.TOO_DARK, FitStatus.SATURATED, FitStatus.NO_TEXTURE)
 
     @property
@@ -146,8 +146,9 @@ class FitResult:
     found : Candidate, optional
         What the search gave the fit to start from; None where the start was given.
     n_starts : int
-        From how many starts the object was fitted: more than 1 where the first fit came to little
-        (:attr:`liaam.fitting.Fitter.restarts`). ``history`` and ``n_iterations`` are those of the fit that was kept.
+        From how many starts the object was fitted: more than 1 where the first fit came to little and others were
+        found (:attr:`liaam.fitting.Fitter.restarts`). All else is of the fit that was kept: ``history`` and ``start``
+        need not begin where the first one did.
     """
 
     shape: np.ndarray
@@ -185,7 +186,7 @@ class FitResult:
 
     @property
     def start(self) -> np.ndarray:
-        """Landmarks at the start, (n, 2) float64."""
+        """Landmarks at the start of the fit that was kept, (n, 2) float64."""
         return self.history[0].shape
 
     def facts(self, image_name: str) -> dict:

@@ -91,8 +91,9 @@ def fit_many(
 ) -> BatchResult:
     """Fit a model to many images at once.
 
-    Each picture comes to what :meth:`liaam.fitting.Fitter.fit` gives for it, up to rounding; the pictures of a batch
-    share the library's calls. Patches are cut and encoded on the CPU, the rest is done by the library on its device.
+    Each picture comes to what a :class:`liaam.fitting.Fitter` without restarts gives for it, up to rounding; the
+    pictures of a batch share the library's calls. Patches are cut and encoded on the CPU, the rest is done by the
+    library on its device.
 
     Parameters
     ----------
