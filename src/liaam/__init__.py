@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from liaam.datasets import Dataset, Sample, load_folder
+    from liaam.datasets import Dataset, LabelFault, Sample, find_label_faults, load_folder
     from liaam.errors import LiaamError
     from liaam.fitting import METHODS, Candidate, FitResult, FitStatus, Fitter, Method, SolverOptions, find, fit
     from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
@@ -29,6 +29,7 @@ __all__ = [
     "FitResult",
     "FitStatus",
     "Fitter",
+    "LabelFault",
     "Landmarks",
     "LiaamError",
     "Method",
@@ -39,6 +40,7 @@ __all__ = [
     "Tracker",
     "TrackingOptions",
     "find",
+    "find_label_faults",
     "fit",
     "invariant_image",
     "load_camera",
@@ -56,7 +58,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "datasets": ("Dataset", "Sample", "load_folder"),
+    "datasets": ("Dataset", "LabelFault", "Sample", "find_label_faults", "load_folder"),
     "errors": ("LiaamError",),
     "fitting": ("METHODS", "Candidate", "FitResult", "FitStatus", "Fitter", "Method", "SolverOptions", "find", "fit"),
     "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),

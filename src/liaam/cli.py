@@ -12,6 +12,7 @@ from rich.table import Table
 
 from liaam import __version__
 from liaam.cli_batch import batch
+from liaam.cli_check import check, warn_of_faults
 from liaam.cli_experiments import experiments, reproduce
 from liaam.cli_inputs import DOUBT, camera_for, check_output, read_init, unique_stems
 from liaam.cli_photometry import calibrate, invariant, register_command
@@ -38,6 +39,7 @@ app = typer.Typer(
 app.add_typer(experiments, name="experiment")
 app.add_typer(calibrate, name="calibrate")
 app.command()(batch)
+app.command()(check)
 app.command()(invariant)
 app.command("register")(register_command)
 app.command()(relight)
@@ -147,6 +149,7 @@ def train(
     others = None if lit is None else load_folder(lit, recursive=recursive)
     if others is not None:
         say(f"other lights: {others.report()}")
+    warn_of_faults(data, folder)
     with progress_bar() as tell:
         model = train_model(
             data,

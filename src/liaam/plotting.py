@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from liaam.datasets.label_faults import LabelFault
 from liaam.evaluation import cumulative_errors
 from liaam.io import atomic_path
 from liaam.model import AAM
@@ -206,6 +207,48 @@ def overlay(
     for x, y in fixed:
         cv2.circle(picture, (int(x), int(y)), radius, (0, 0, 0), -1, cv2.LINE_AA, 4)
         cv2.circle(picture, (int(x), int(y)), int(radius * 0.7), colour, -1, cv2.LINE_AA, 4)
+    return picture
+
+
+def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[LabelFault]) -> np.ndarray:
+    """Draw landmarks on their picture, those at fault in red, numbered, with lines to where the others have them.
+
+    Parameters
+    ----------
+    image : (h, w, 3) array
+    points : (n, 2) float
+        Landmarks, image pixels.
+    faults : sequence of LabelFault
+        Of this picture.
+
+    Returns
+    -------
+    (h', w', 3) uint8
+        The surroundings of the landmarks, enlarged.
+    """
+    import cv2
+
+    margin = 0.15 * np.ptp(points, axis=0).max() + 5
+    low = np.maximum(np.floor(points.min(axis=0) - margin), 0).astype(int)
+    high = np.ceil(points.max(axis=0) + margin).astype(int)
+    picture, zoom = enlarged(as_picture(image)[low[1] : high[1], low[0] : high[0]])
+
+    def at(place: np.ndarray) -> tuple[int, int]:
+        x, y = np.clip(np.rint((place - low + 0.5) * zoom - 0.5), -1e6, 1e6)
+        return int(x), int(y)
+
+    size = max(picture.shape[:2]) / 700
+    thick, radius = max(1, round(size)), max(2, round(3 * size))
+    for point in points:
+        cv2.circle(picture, at(point), radius, (64, 255, 140), -1, cv2.LINE_AA)
+    for fault in faults:
+        for i in fault.points:
+            cv2.line(picture, at(points[i]), at(fault.expected[i]), (255, 220, 64), thick, cv2.LINE_AA)
+            cv2.circle(picture, at(points[i]), radius, (255, 40, 40), -1, cv2.LINE_AA)
+        for i in fault.points:
+            x, y = at(points[i])
+            place = (x + 2 * radius, y - radius)
+            cv2.putText(picture, str(i + 1), place, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * size, (255, 255, 255), thick)
     return picture
 
 

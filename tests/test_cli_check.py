@@ -1,0 +1,106 @@
+"""``liaam check``, and what ``liaam train`` says of landmarks in another order, as a person types it."""
+
+import numpy as np
+import pytest
+
+from liaam.datasets.scenes import Head, make_set
+from liaam.io import Contour, Landmarks, read_image, read_landmarks, write_image, write_landmarks
+
+SPOILT = "face3"
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return make_set(9, head=Head(5), size=(160, 120))
+
+
+@pytest.fixture(scope="module")
+def order(scenes):
+    """Eight landmarks that spread far, run the other way round."""
+    points = scenes[0].landmarks
+    spread = [np.linalg.norm(np.ptp(points[i : i + 8], axis=0)) for i in range(len(points) - 7)]
+    first, order = int(np.argmax(spread)), np.arange(len(points))
+    order[first : first + 8] = order[first : first + 8][::-1]
+    return order
+
+
+def write_folder(folder, scenes, order=None, ending=".pts", **facts):
+    for i, scene in enumerate(scenes):
+        write_image(folder / f"face{i}.png", scene.image)
+        points = scene.landmarks if order is None or f"face{i}" != SPOILT else scene.landmarks[order]
+        write_landmarks(folder / f"face{i}{ending}", Landmarks(points, **facts))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def good(scenes, tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("good"), scenes)
+
+
+@pytest.fixture(scope="module")
+def spoilt(scenes, order, tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("spoilt"), scenes, order)
+
+
+def test_check_says_that_all_is_well(run, good, tmp_path):
+    code, text, err = run("check", good, "-o", tmp_path / "o")
+    assert (code, err) == (0, "")
+    assert "no faults found" in text
+    assert not (tmp_path / "o").exists()
+
+
+def test_check_finds_shows_and_mends(run, scenes, spoilt, tmp_path):
+    before = {path.name: path.read_bytes() for path in spoilt.iterdir()}
+    code, text, err = run("check", spoilt, "-o", tmp_path / "o")
+    assert (code, err) == (1, "")
+    assert SPOILT in text
+    assert "the other way round" in " ".join(text.split())
+    assert sorted(path.name for path in (tmp_path / "o").iterdir()) == [f"{SPOILT}.pts", f"{SPOILT}_faults.png"]
+    mended = read_landmarks(tmp_path / "o" / f"{SPOILT}.pts").points
+    assert np.abs(mended - scenes[int(SPOILT[-1])].landmarks).max() < 1e-3
+    picture = read_image(tmp_path / "o" / f"{SPOILT}_faults.png").astype(int)
+    red = (picture[..., 0] > 200) & (picture[..., 1] < 80) & (picture[..., 2] < 80)
+    assert red.sum() > 50  # landmarks at fault
+    assert {path.name: path.read_bytes() for path in spoilt.iterdir()} == before
+
+
+def test_what_pts_cannot_hold_is_written_as_ljson(run, scenes, order, tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    write_folder(folder, scenes, order, ".ljson", contours=(Contour((0, 1, 2)),))
+    assert run("check", folder, "-o", tmp_path / "o")[0] == 1
+    assert read_landmarks(tmp_path / "o" / f"{SPOILT}.ljson").contours == (Contour((0, 1, 2)),)
+
+
+def test_check_never_writes_into_the_folder(run, spoilt):
+    code, _, err = run("check", spoilt, "-o", spoilt)
+    assert code == 1
+    assert "nothing in it is changed" in err
+
+
+def test_check_needs_some_pictures(run, good, tmp_path):
+    code, _, err = run("check", good, "--images", "face[0-3]*")
+    assert code == 1
+    assert "4 landmarked pictures are too few" in err
+    assert "does not exist" in run("check", tmp_path / "none")[2]
+
+
+def test_check_leaves_out_what_is_incomplete(run, scenes, tmp_path):
+    write_folder(tmp_path, scenes)
+    points = scenes[0].landmarks.copy()
+    points[4] = np.nan
+    write_landmarks(tmp_path / "face0.pts", points)
+    code, text, err = run("check", tmp_path)
+    assert code == 0
+    assert "landmarks are missing: 1 of 9" in err
+    assert "no faults" in text
+
+
+def test_training_says_so(run, good, spoilt, tmp_path):
+    options = ("--diagonal", 40, "--no-leave-out", "-o", tmp_path / "m.liaam")
+    code, _, err = run("train", spoilt, *options)
+    assert err.splitlines()[0].startswith(f"{SPOILT}: points")
+    assert "liaam check" in err.splitlines()[1]
+    assert code == 1  # such an order folds the mesh, which is where training has always stopped
+    assert "fold the mesh" in err.splitlines()[-1]
+    assert run("train", good, *options)[2] == ""
