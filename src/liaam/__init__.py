@@ -8,10 +8,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from liaam.datasets import Dataset, LabelFault, Sample, find_label_faults, load_folder
+    from liaam.datasets import Dataset, Sample, load_folder
     from liaam.errors import LiaamError
     from liaam.fitting import METHODS, Candidate, FitResult, FitStatus, Fitter, Method, SolverOptions, find, fit
     from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
+    from liaam.label_faults import LabelFault, find_label_faults
     from liaam.model import AAM, load_model
     from liaam.photometry import CameraModel, invariant_image, load_camera, theta_from_chart, theta_from_scene
     from liaam.registration import Registration, register
@@ -58,10 +59,11 @@ __all__ = [
 ]
 
 _HOMES = {
-    "datasets": ("Dataset", "LabelFault", "Sample", "find_label_faults", "load_folder"),
+    "datasets": ("Dataset", "Sample", "load_folder"),
     "errors": ("LiaamError",),
     "fitting": ("METHODS", "Candidate", "FitResult", "FitStatus", "Fitter", "Method", "SolverOptions", "find", "fit"),
     "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
+    "label_faults": ("LabelFault", "find_label_faults"),
     "model": ("AAM", "load_model"),
     "photometry": ("CameraModel", "invariant_image", "load_camera", "theta_from_chart", "theta_from_scene"),
     "registration": ("Registration", "register"),

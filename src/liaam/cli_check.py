@@ -10,7 +10,8 @@ from liaam.errors import LiaamError
 from liaam.terminal import Progress, complain, console, progress_bar, say, stoppable_progress, table_of
 
 if TYPE_CHECKING:
-    from liaam.datasets import Dataset, LabelFault, Sample
+    from liaam.datasets import Dataset, Sample
+    from liaam.label_faults import LabelFault
 
 TOLD = 3
 """Faults that training tells before it refers to ``liaam check``."""
@@ -61,7 +62,7 @@ def check(
 
 def faults_by_sample(data: "Dataset", tell: Progress | None = None) -> "list[tuple[Sample, list[LabelFault]]]":
     """Samples with faults; those with missing landmarks are not looked at."""
-    from liaam.datasets import find_label_faults
+    from liaam.label_faults import find_label_faults
 
     whole = [sample for sample in data if not sample.landmarks.missing.any()]
     found: dict[int, list[LabelFault]] = defaultdict(list)
@@ -98,7 +99,7 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
 
 def warn_of_faults(data: "Dataset", folder: Path) -> None:
     """Tell of landmarks in another order than those of the other pictures, before a model learns it."""
-    from liaam.datasets.label_faults import LEAST_PICTURES
+    from liaam.label_faults import LEAST_PICTURES
 
     if sum(not sample.landmarks.missing.any() for sample in data) < LEAST_PICTURES:
         return

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.datasets.label_faults import LabelFault
 from liaam.evaluation import cumulative_errors
 from liaam.io import atomic_path
+from liaam.label_faults import LabelFault
 from liaam.model import AAM
 from liaam.photometry import linear_to_srgb
 
