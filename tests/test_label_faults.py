@@ -118,6 +118,15 @@ def test_points_on_one_spot_and_identical_shapes_are_no_fault():
     assert find_label_faults([*same, np.zeros((6, 2))]) == []
 
 
+@pytest.mark.parametrize("n", [3, 5, 8, 20])
+def test_objects_that_bend_in_many_ways_raise_no_alarm(rng, n):
+    mean, modes = 50 * rng.normal(size=(n, 2)), 8 * rng.normal(size=(4, n, 2))
+    made = [mean + np.tensordot(rng.normal(size=4), modes, 1) + rng.normal(size=(n, 2)) for _ in range(40)]
+    faults = find_label_faults(made)
+    assert not [fault for fault in faults if fault.is_order]
+    assert len(faults) <= 1
+
+
 def test_few_pictures_say_nothing(shapes):
     with pytest.raises(LiaamError, match=f"at least {LEAST_PICTURES}"):
         find_label_faults(shapes[: LEAST_PICTURES - 1])

@@ -32,6 +32,10 @@ STRAY, LEAST_STRAY = 8.0, 0.05
 """How many times as far off as is usual a landmark has to lie, and which share of the shape's diagonal at least, to be
 told: a face that turns away has landmarks in places of its own."""
 
+LEAST_LANDMARKS, AS_USUAL = 10, 2.5
+"""How many landmarks there have to be, and how many times as far off as is usual half of them may lie, for a single one
+to be told: of few landmarks, or in a shape like no other, each may lie anywhere."""
+
 HALF_TURNED = 3.0
 """How many times as far off as is usual all landmarks have to lie before left and right are tried the other way."""
 
@@ -197,7 +201,8 @@ def _faults_of(
         yield LabelFault(picture, kind, points, order, _rms(distances[at]), _rms(after[at]), expected)
     limit = np.maximum(STRAY * usual, LEAST_STRAY * diagonal_of(shape))
     stray = np.flatnonzero((distances > limit) & (order == identity))
-    if len(stray):
+    others_as_usual = len(shape) >= LEAST_LANDMARKS and np.median(distances / usual) < AS_USUAL
+    if len(stray) and others_as_usual:
         far = _rms(distances[stray])
         yield LabelFault(picture, "stray", tuple(stray.tolist()), identity, far, far, expected)
 
