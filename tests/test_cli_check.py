@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from liaam import find_label_faults
 from liaam.datasets.scenes import Head, make_set
 from liaam.io import Contour, Landmarks, read_image, read_landmarks, write_image, write_landmarks
+from liaam.plotting import overlay_of_faults
 
 SPOILT = "face3"
 
@@ -72,10 +74,49 @@ def test_what_pts_cannot_hold_is_written_as_ljson(run, scenes, order, tmp_path):
     assert read_landmarks(tmp_path / "o" / f"{SPOILT}.ljson").contours == (Contour((0, 1, 2)),)
 
 
-def test_check_never_writes_into_the_folder(run, spoilt):
-    code, _, err = run("check", spoilt, "-o", spoilt)
+@pytest.mark.parametrize("inside", [".", "deep/er"])
+def test_check_never_writes_into_the_folder(run, spoilt, inside):
+    code, _, err = run("check", spoilt, "-o", spoilt / inside)
     assert code == 1
     assert "nothing in it is changed" in err
+    assert not (spoilt / "deep").exists()
+
+
+def test_check_never_writes_over_landmarks(run, spoilt, tmp_path):
+    other = tmp_path / f"{SPOILT}.pts"
+    other.write_text("mine")
+    code, _, err = run("check", spoilt, "-o", tmp_path)
+    assert code == 1
+    assert "not written over" in err
+    assert other.read_text() == "mine"
+
+
+def test_a_picture_that_cannot_be_read_costs_its_picture_only(run, scenes, order, tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    write_folder(folder, scenes, order)
+    (folder / f"{SPOILT}.png").write_bytes((folder / f"{SPOILT}.png").read_bytes()[:200])
+    code, text, err = run("check", folder, "-o", tmp_path / "o")
+    assert code == 1
+    assert f"{SPOILT}.png" in err
+    assert "1 with landmarks in the other order" in " ".join(text.split())
+    assert [path.name for path in (tmp_path / "o").iterdir()] == [f"{SPOILT}.pts"]
+
+
+def test_landmarks_outside_the_picture_are_drawn_on_the_whole(order, scenes):
+    points = [scene.landmarks for scene in scenes]
+    points[3] = points[3][order] + 5000
+    (fault,) = find_label_faults(points)
+    picture = overlay_of_faults(scenes[3].image, points[3], [fault])
+    height, width = scenes[3].image.shape[:2]
+    assert picture.shape[0] * width == picture.shape[1] * height
+
+
+def test_names_are_printed_as_they_are(run, scenes, order, tmp_path):
+    write_folder(tmp_path, scenes, order)
+    for ending in (".png", ".pts"):
+        (tmp_path / f"{SPOILT}{ending}").rename(tmp_path / f"[bold]3{ending}")
+    assert "[bold]3" in run("check", tmp_path)[1]
 
 
 def test_check_needs_some_pictures(run, good, tmp_path):

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
 from liaam.errors import LiaamError
 from liaam.terminal import Progress, complain, console, progress_bar, say, stoppable_progress, table_of
@@ -48,12 +49,12 @@ def check(
     with stoppable_progress() as tell:
         faults = faults_by_sample(data, tell)
     if not faults:
-        say("no faults found: all landmarks lie as they do in pictures like theirs")
+        say("no faults found, of those that single pictures have")
         return
     table = table_of("image", "landmarks")
     for sample, own in faults:
         for fault in own:
-            table.add_row(sample.name, fault.message)
+            table.add_row(escape(sample.name), fault.message)
     console.print(table)
     if output is not None:
         write_faults(output, folder, faults)
@@ -76,23 +77,28 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
     from liaam.io import make_folder, write_image, write_landmarks
     from liaam.plotting import overlay_of_faults
 
-    if output.resolve() == folder.resolve():
-        raise LiaamError(f"{output} is the folder that is checked; give another with -o: nothing in it is changed")
+    if output.resolve().is_relative_to(folder.resolve()):
+        raise LiaamError(f"{output} is in the folder that is checked; give another with -o: nothing in it is changed")
     make_folder(output)
     mended = 0
     for sample, own in faults:
         place = output / sample.name
         make_folder(place.parent)
-        write_image(
-            place.with_name(f"{place.name}_faults.png"),
-            overlay_of_faults(sample.read_image(), sample.landmarks.points, own),
-        )
         for fault in own:
             if fault.is_order:
                 landmarks = fault.mended_landmarks(sample.landmarks)
                 told = landmarks.contours or landmarks.names or landmarks.invisible  # what .pts cannot hold
-                write_landmarks(place.with_name(f"{place.name}{'.ljson' if told else '.pts'}"), landmarks)
+                file = place.with_name(f"{place.name}{'.ljson' if told else '.pts'}")
+                if file.exists():
+                    raise LiaamError(f"{file} is there already and is not written over; give an empty folder with -o")
+                write_landmarks(file, landmarks)
                 mended += 1
+        try:
+            picture = overlay_of_faults(sample.read_image(), sample.landmarks.points, own)
+        except LiaamError as error:  # the landmarks are what counts
+            complain(str(error))
+            continue
+        write_image(place.with_name(f"{place.name}_faults.png"), picture)
     said = f"; {mended} with landmarks in the other order, to take over where you agree" if mended else ""
     say(f"written to {output}: pictures of what was found{said}")
 
@@ -110,4 +116,4 @@ def warn_of_faults(data: "Dataset", folder: Path) -> None:
         complain(f"{sample.name}: {fault.message}")
     if told:
         more = f"and {len(told) - TOLD} more; " if len(told) > TOLD else ""
-        complain(f"{more}the model learns them so; see 'liaam check {folder} -o FAULTS'")
+        complain(f"{more}the model learns them so; 'liaam check' on {folder} shows them and the other order")

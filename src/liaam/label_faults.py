@@ -17,7 +17,8 @@ LEAST_PICTURES = 8
 """Pictures without which nobody can say what is usual."""
 
 NEIGHBOURS = 9
-"""Pictures whose median is what a picture's landmarks are expected at: an odd number, of which four may be wrong."""
+"""Pictures whose median is what a picture's landmarks are expected at. Those with the same fault are drawn to each
+other: faults of single pictures are found, one that a tenth of the pictures share by half."""
 
 MOST_COMPARED = 400
 """Pictures that each is compared with, at most."""
@@ -152,7 +153,7 @@ def _others(shapes: np.ndarray, own: int) -> np.ndarray:
 def _expected(shape: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Where the pictures nearest to a shape (n, 2) have its landmarks, (n, 2) float64; ``others`` are (m, n, 2)."""
     placed = _onto(others, shape)
-    # Medians of distances: landmarks that were exchanged do not choose the company.
+    # Medians of distances: the few landmarks that were exchanged have little say in the company.
     nearest = np.median(np.linalg.norm(placed - shape, axis=2), axis=1).argsort(kind="stable")[:NEIGHBOURS]
     return _onto(np.median(placed[nearest], axis=0)[None], shape)[0]
 

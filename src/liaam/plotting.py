@@ -229,8 +229,11 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     import cv2
 
     margin = 0.15 * np.ptp(points, axis=0).max() + 5
-    low = np.maximum(np.floor(points.min(axis=0) - margin), 0).astype(int)
-    high = np.ceil(points.max(axis=0) + margin).astype(int)
+    whole = np.array(image.shape[1::-1])
+    low = np.clip(np.floor(points.min(axis=0) - margin), 0, whole).astype(int)
+    high = np.clip(np.ceil(points.max(axis=0) + margin), 0, whole).astype(int)
+    if (high - low < 8).any():  # landmarks of another picture, or of one that was larger
+        low, high = np.zeros(2, int), whole
     picture, zoom = enlarged(as_picture(image)[low[1] : high[1], low[0] : high[0]])
 
     def at(place: np.ndarray) -> tuple[int, int]:
