@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from liaam import cli_video
+from liaam.evaluation import ranges_of
 from liaam.io import VideoFrame, VideoReader, video_writer, write_landmarks
 from liaam.tracking import Tracker, stretches
 
@@ -262,8 +263,8 @@ def test_pictures_are_those_of_the_number():
 
 
 def test_ranges_in_words():
-    assert cli_video.ranges_of([1, 2, 3, 7, 9, 10]) == "1–3, 7, 9–10"
-    assert cli_video.ranges_of(range(0, 40, 2), most=2) == "0, 2 and 18 more stretches"
+    assert ranges_of([1, 2, 3, 7, 9, 10]) == "1–3, 7, 9–10"
+    assert ranges_of(range(0, 40, 2), most=2) == "0, 2 and 18 more stretches"
 
 
 def test_a_number_is_a_camera_unless_a_file_has_that_name(tmp_path, monkeypatch):

@@ -14,7 +14,17 @@ from liaam import __version__
 from liaam.cli_batch import batch
 from liaam.cli_check import check, warn_of_faults
 from liaam.cli_experiments import experiments, reproduce
-from liaam.cli_inputs import DOUBT, camera_for, check_output, read_init, unique_stems
+from liaam.cli_inputs import (
+    DOUBT,
+    ImagesOption,
+    LandmarkedFolder,
+    RecursiveOption,
+    camera_for,
+    check_output,
+    read_folder,
+    read_init,
+    unique_stems,
+)
 from liaam.cli_photometry import calibrate, invariant, register_command
 from liaam.cli_relight import relight
 from liaam.cli_studio import studio
@@ -66,13 +76,10 @@ def root(
 
 @app.command()
 def train(
-    folder: Annotated[Path, typer.Argument(help="Folder of images with landmarks beside them.")],
+    folder: LandmarkedFolder,
     output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write.")],
-    images: Annotated[
-        list[str] | None,
-        typer.Option("--images", help="Only images whose name matches, such as '07-[12346]*'; may be repeated."),
-    ] = None,
-    recursive: Annotated[bool, typer.Option("--recursive", help="Look into sub-folders too.")] = False,
+    images: ImagesOption = None,
+    recursive: RecursiveOption = False,
     variance: Annotated[
         str,
         typer.Option(
@@ -142,9 +149,7 @@ def train(
         raise LiaamError(
             f"{output} is an image or landmark file; name the model otherwise, such as {folder.name}.liaam"
         )
-    data = load_folder(folder, recursive=recursive)
-    data = data.select(images) if images else data
-    say(data.report())
+    data = read_folder(folder, images, recursive)
     options["camera"] = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
     others = None if lit is None else load_folder(lit, recursive=recursive)
     if others is not None:

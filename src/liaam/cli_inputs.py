@@ -2,13 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from liaam.errors import CameraError, LiaamError
+from liaam.terminal import say
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from liaam.datasets import Dataset
     from liaam.photometry import CameraModel
 
 DOUBT = (
@@ -16,6 +20,24 @@ DOUBT = (
     "else, say where the object is with --init"
 )
 """What to say of a start that is as likely something else."""
+
+
+LandmarkedFolder = Annotated[Path, typer.Argument(help="Folder of images with landmarks beside them.")]
+ImagesOption = Annotated[
+    list[str] | None,
+    typer.Option("--images", help="Only images whose name matches, such as '07-[12346]*'; may be repeated."),
+]
+RecursiveOption = Annotated[bool, typer.Option("--recursive", help="Look into sub-folders too.")]
+
+
+def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool) -> "Dataset":
+    """Read a folder of landmarked images, some or all, and say what was found."""
+    from liaam.datasets import load_folder
+
+    data = load_folder(folder, recursive=recursive)
+    data = data.select(images) if images else data
+    say(data.report())
+    return data
 
 
 def read_init(text: str, image: Path, size: tuple[int, int]):

@@ -431,6 +431,8 @@ def report(counts: Counts, outputs: Sequence[Path]) -> None:
     """Say what came out."""
     import numpy as np
 
+    from liaam.evaluation import ranges_of
+
     seconds = max(monotonic() - counts.began, 1e-9)
     table = table_of("frames", "with landmarks", "lost", "found anew", "quality", "frames/s")
     known = [quality for quality in counts.qualities if np.isfinite(quality)]
@@ -448,15 +450,3 @@ def report(counts: Counts, outputs: Sequence[Path]) -> None:
         f"lost in frames {ranges_of(counts.lost)} (last fits: {reasons}): look at them with --video; if the object is "
         "there, say with --init where it is in the first frame, or train on frames like these"
     )
-
-
-def ranges_of(numbers: Sequence[int], most: int = 8) -> str:
-    """Write sorted numbers as ranges, the first few."""
-    ranges: list[list[int]] = []
-    for number in numbers:
-        if ranges and number == ranges[-1][1] + 1:
-            ranges[-1][1] = number
-        else:
-            ranges.append([number, number])
-    shown = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in ranges[:most])
-    return shown + (f" and {len(ranges) - most} more stretches" if len(ranges) > most else "")

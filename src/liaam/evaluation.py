@@ -1,4 +1,6 @@
-"""Measures of how well landmarks were found."""
+"""Measures of how well landmarks were found, and how numbers are told."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -76,3 +78,15 @@ def or_dash(value: float | None, style: str = ".3f") -> str:
 def angle_difference(angle: float, truth: float) -> float:
     """Angle minus truth, brought to (-pi, pi], radians."""
     return float(np.pi - (np.pi - (angle - truth)) % (2 * np.pi))
+
+
+def ranges_of(numbers: Sequence[int], most: int = 8) -> str:
+    """Write sorted numbers as ranges, the first few."""
+    ranges: list[list[int]] = []
+    for number in numbers:
+        if ranges and number == ranges[-1][1] + 1:
+            ranges[-1][1] = number
+        else:
+            ranges.append([number, number])
+    shown = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in ranges[:most])
+    return shown + (f" and {len(ranges) - most} more stretches" if len(ranges) > most else "")

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.errors import LiaamError
+from liaam.evaluation import ranges_of
 from liaam.io.landmarks import Landmarks
 from liaam.shape import diagonal_of, mirror_order, procrustes_mean
 
@@ -83,7 +84,7 @@ class LabelFault:
     @property
     def message(self) -> str:
         """What is wrong, for people who count from 1."""
-        told = _told(self.points)
+        told = ranges_of([point + 1 for point in self.points], most=len(self.points))
         if self.kind == "mirrored":
             return f"left and right are exchanged ({self.distance:.1f} px off, {self.mended:.1f} px the other way)"
         said = {
@@ -132,13 +133,13 @@ def find_label_faults(
     for i, shape in enumerate(own):
         if progress:
             progress(i, len(own), "comparing landmarks")
-        expected[i] = _expected(shape, _others(own, i))
+        expected[i] = _expected(shape, own, i)
     off = np.linalg.norm(own - expected, axis=2) / sizes[:, None]
     usual = np.maximum(np.median(off, axis=0), 1e-4)  # of each landmark, as a share of the diagonal
     return [
         fault
         for i, picture in enumerate(pictures)
-        for fault in _faults_of(picture, own[i], expected[i], sizes[i] * usual, _others(own, i), mirrored)
+        for fault in _faults_of(picture, own, i, expected[i], sizes[i] * usual, mirrored)
     ]
 
 
@@ -150,9 +151,9 @@ def _others(shapes: np.ndarray, own: int) -> np.ndarray:
     return shapes[pool]
 
 
-def _expected(shape: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Where the pictures nearest to a shape (n, 2) have its landmarks, (n, 2) float64; ``others`` are (m, n, 2)."""
-    placed = _onto(others, shape)
+def _expected(shape: np.ndarray, shapes: np.ndarray, own: int) -> np.ndarray:
+    """Where the pictures nearest to a shape (n, 2) have its landmarks, (n, 2) float64; its own one does not count."""
+    placed = _onto(_others(shapes, own), shape)
     # Medians of distances: the few landmarks that were exchanged have little say in the company.
     nearest = np.median(np.linalg.norm(placed - shape, axis=2), axis=1).argsort(kind="stable")[:NEIGHBOURS]
     return _onto(np.median(placed[nearest], axis=0)[None], shape)[0]
@@ -177,16 +178,18 @@ def _onto(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 def _faults_of(
     picture: int,
-    shape: np.ndarray,
+    shapes: np.ndarray,
+    own: int,
     expected: np.ndarray,
     usual: np.ndarray,
-    others: np.ndarray,
     mirrored: np.ndarray | None,
 ) -> Iterator[LabelFault]:
+    """Faults of the shape number ``own`` of all (m, n, 2), which is that of a picture."""
+    shape = shapes[own]
     distances = np.linalg.norm(shape - expected, axis=1)
     identity, everything = np.arange(len(shape)), tuple(range(len(shape)))
     if mirrored is not None and np.median(distances / usual) > HALF_TURNED:
-        turned = _expected(shape[mirrored], others)
+        turned = _expected(shape[mirrored], shapes, own)
         after = np.linalg.norm(shape[mirrored] - turned, axis=1)
         if np.median(after / usual) * HALF_TURNED < np.median(distances / usual):
             yield LabelFault(picture, "mirrored", everything, mirrored, _rms(distances), _rms(after), turned)
@@ -268,14 +271,3 @@ def _kind_of(order: np.ndarray, run: np.ndarray) -> str:
 
 def _rms(distances: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(distances))))
-
-
-def _told(points: Sequence[int]) -> str:
-    """Numbers of landmarks, counted from 1, neighbours drawn together: 3, 22–29."""
-    runs: list[list[int]] = []
-    for point in points:
-        if runs and point == runs[-1][-1] + 1:
-            runs[-1].append(point)
-        else:
-            runs.append([point])
-    return ", ".join(str(run[0] + 1) if len(run) == 1 else f"{run[0] + 1}–{run[-1] + 1}" for run in runs)

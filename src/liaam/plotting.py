@@ -234,7 +234,7 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     high = np.clip(np.ceil(points.max(axis=0) + margin), 0, whole).astype(int)
     if (high - low < 8).any():  # landmarks of another picture, or of one that was larger
         low, high = np.zeros(2, int), whole
-    picture, zoom = enlarged(as_picture(image)[low[1] : high[1], low[0] : high[0]])
+    picture, zoom = enlarged(image[low[1] : high[1], low[0] : high[0]])
 
     def at(place: np.ndarray) -> tuple[int, int]:
         x, y = np.clip(np.rint((place - low + 0.5) * zoom - 0.5), -1e6, 1e6)

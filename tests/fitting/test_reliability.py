@@ -12,13 +12,7 @@ from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.reliability import MOST_UNDERSTATED, _landmarks, _logistic, _surprise, _understated, _weights
 from liaam.model import load_model
 from liaam.shape import diagonal_of
-from setups import disturb, train_on
-
-
-@pytest.fixture(scope="module")
-def judged(scenes):
-    """Give a model that has learnt how far its fits can be trusted."""
-    return train_on(scenes, diagonal=60.0, leave_out=True)
+from setups import disturb
 
 
 def test_it_tells_right_fits_from_wrong_ones(judged, lit_scene, same_light_scene):

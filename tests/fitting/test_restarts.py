@@ -18,12 +18,6 @@ FAR = ((0.7, (0.12, -0.04)), (1.2, (-0.15, 0.1)), (1.35, (0.02, 0.16)), (0.8, (-
 
 
 @pytest.fixture(scope="module")
-def judged(scenes):
-    """Give a model that has learnt how far its fits can be trusted."""
-    return train_on(scenes, diagonal=60.0, leave_out=True)
-
-
-@pytest.fixture(scope="module")
 def both(judged, lit_scene):
     """Give the fits from far starts without and with restarts."""
     starts = [disturb(lit_scene.landmarks, *far) for far in FAR]

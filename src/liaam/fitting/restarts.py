@@ -63,20 +63,24 @@ def other_starts(
     warp, n_modes = objective.warp, objective.warp.n_parameters - 4  # the similarities stand last
     deviations = objective.prior[:n_modes] ** -0.5
 
-    def reached(p: np.ndarray, mode: int = 0, bent: float = 0.0, moved: Sequence[float] = (0.0, 0.0)) -> Stage:
+    def bent(p: np.ndarray, mode: int, by: float) -> np.ndarray:
         p = p.copy()
-        p[mode] += bent * deviations[mode] if n_modes else 0.0
+        p[mode] += by * deviations[mode]
+        return p
+
+    def reached(p: np.ndarray, moved: Sequence[float] = (0.0, 0.0)) -> Stage:
         shape = warp.shape(p) + np.array(moved) * diagonal_of(warp.rest)
         start = replace(state, p=warp.parameters(shape))
         return Stage(objective, problem, pose, solve(objective, problem, start, options))
 
-    mean = np.where(np.arange(len(state.p)) < n_modes, 0.0, state.p)
+    mean = state.p.copy()
+    mean[:n_modes] = 0.0
     directions = ((0.0, 0.0), (-SHIFT, 0.0), (SHIFT, 0.0), (0.0, SHIFT), (0.0, -SHIFT))
-    bends = (-BENT, 0.0, BENT) if n_modes else (0.0,)
-    stages = [reached(mean, 0, bent, moved) for bent in bends for moved in directions]
+    shapes = [bent(mean, 0, by) for by in (-BENT, 0.0, BENT)] if n_modes else [mean]
+    stages = [reached(p, moved) for p in shapes for moved in directions]
     for stage in _best(stages, BEST, target.start):
         p = stage.solution.state.p
-        stages += [reached(p, mode, bent) for mode in range(min(MODES, n_modes)) for bent in (-BENT_ON, BENT_ON)]
+        stages += [reached(bent(p, mode, by)) for mode in range(min(MODES, n_modes)) for by in (-BENT_ON, BENT_ON)]
     return [stage.reached for stage in _best(stages, kept, target.start)]
 
 
