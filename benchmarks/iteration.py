@@ -140,7 +140,8 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
     right = np.concatenate([last.look.by_angles, last.residual.reshape(1, -1)])
 
     def fresh() -> solver._Run:
-        return replace(run, last=replace(last))  # without what it has worked out already
+        # Without what it has worked out already, now or before its step of lambda.
+        return replace(run, last=replace(last, before=None if last.before is None else replace(last.before)))
 
     def whole() -> None:
         tried = propose(objective, fresh(), options)
@@ -162,7 +163,7 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
 
     def sparse_products() -> None:
         steep = last.look.steep
-        kernel.mesh_products(steep, root, design.by_pixels, right, mesh.beta, mesh.starts, mesh.triangles, mesh.modes)
+        kernel.mesh_products(steep, root, design.packed, right, mesh)
 
     def products() -> None:
         objective.weighed(last.look, state, trust).equations  # noqa: B018

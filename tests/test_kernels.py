@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from finite_differences import assert_jacobian
 from liaam.errors import MethodError
 from liaam.kernels import KERNELS, fast, get_kernel, reference
+from liaam.kernels.layout import PAIRS, MeshPixels, pack
 
 HEIGHT, WIDTH = 9, 12
 
@@ -49,33 +50,62 @@ def test_fast_samples_as_reference_says(points, metric, seed):
     np.testing.assert_array_equal(found[3], expected[3])
 
 
-@given(
-    sizes=st.lists(st.integers(0, 5), min_size=1, max_size=4),
-    rows=st.integers(1, 4),
-    n_modes=st.integers(0, 20),
-    n_right=st.integers(1, 3),
-    order=st.sampled_from("CF"),
-    expects=st.booleans(),
-    seed=st.integers(0, 999),
-)
-def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, order, expects, seed):
-    rng = np.random.default_rng(seed)
-    n, n_vertices = sum(sizes), 5
-    beta = rng.random((n, 3))
-    arguments = (
-        rng.normal(size=(n, rows, 2)).astype(np.float32),
-        rng.random((n, rows)).astype(np.float32),
-        rng.normal(size=(n_modes, n * rows)).astype(np.float32, order=order),
-        rng.normal(size=(n_right, n * rows)).astype(np.float32),
+def mesh_of(rng: np.random.Generator, sizes: list[int], n_vertices: int = 5, n_p: int = 4) -> MeshPixels:
+    beta = rng.random((sum(sizes), 3))
+    return MeshPixels(
         (beta / beta.sum(axis=1, keepdims=True)).astype(np.float32),
         np.concatenate([[0], np.cumsum(sizes)]),
         np.array([rng.permutation(n_vertices)[:3] for _ in sizes]),
-        rng.normal(size=(2 * n_vertices, 4)),
-        rng.normal(size=(n, rows, 2)).astype(np.float32) if expects else None,
+        rng.normal(size=(2 * n_vertices, n_p)),
+    )
+
+
+def floats(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    return rng.normal(size=shape).astype(np.float32)
+
+
+@given(
+    sizes=st.lists(st.integers(0, 5), min_size=1, max_size=4),
+    rows=st.integers(1, 4),
+    n_modes=st.sampled_from([0, 1, 7, 8, 9, 16, 20, 24, 40]),
+    n_right=st.integers(1, 3),
+    expects=st.booleans(),
+    seed=st.integers(0, 999),
+)
+def test_fast_multiplies_as_reference_says(sizes, rows, n_modes, n_right, expects, seed):
+    rng = np.random.default_rng(seed)
+    mesh, n = mesh_of(rng, sizes), sum(sizes)
+    arguments = (
+        floats(rng, n, rows, 2),
+        rng.random((n, rows)).astype(np.float32),
+        pack(floats(rng, n_modes, n * rows)),
+        floats(rng, n_right, n * rows),
+        mesh,
+        floats(rng, n, rows, 2) if expects else None,
     )
     for ours, theirs in zip(fast.mesh_products(*arguments), reference.mesh_products(*arguments), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
         assert ours.dtype == np.float64
+
+
+@given(n_modes=st.integers(0, 9), n=st.integers(0, 40), seed=st.integers(0, 999))
+def test_packed_numbers_are_near_those_given(n_modes, n, seed):
+    rng = np.random.default_rng(seed)
+    rows = floats(rng, n_modes, n) * rng.choice([0.0, 1e-6, 1.0, 1e6], (n_modes, 1)).astype(np.float32)
+    packed = pack(rows)
+    assert packed.steps.dtype == np.int16 and packed.rows.dtype == np.float32
+    error = np.abs(packed.rows - rows).max(axis=1, initial=0.0)
+    assert (error <= 0.51 / 32767 * np.abs(rows).max(axis=1, initial=0.0)).all()
+    np.testing.assert_array_equal(pack(packed.rows).steps, packed.steps)
+    np.testing.assert_array_equal(packed.lines[:, :n_modes], packed.steps.T)
+    assert packed.lines.shape[1] % 8 == 0 and not packed.lines[:, n_modes:].any()
+
+
+def test_edges_of_a_mesh_are_those_of_its_triangles():
+    mesh = MeshPixels(np.empty((0, 3)), np.zeros(3, int), np.array([[0, 2, 1], [1, 2, 3]]), np.empty((8, 0)))
+    pairs = [[sorted((t[a], t[b])) for a, b in PAIRS] for t in mesh.triangles.tolist()]
+    assert mesh.edges[mesh.sides].tolist() == pairs
+    assert len(mesh.edges) == 4 + 5  # vertices, and sides of which one is shared
 
 
 @given(n=st.integers(3, 12), grid=st.booleans(), seed=st.integers(0, 999))
@@ -91,39 +121,52 @@ def test_fast_finds_pixels_in_triangles_as_reference_says(n, grid, seed):
 
 
 def test_products_are_the_same_however_numbers_are_stored(rng):
-    beta, triangles, basis = rng.random((7, 3)), np.array([[0, 1, 2], [2, 1, 3]]), rng.normal(size=(8, 4))
-    arrays = rng.normal(size=(7, 2, 2)), rng.random((7, 2)), rng.normal(size=(3, 14)), rng.normal(size=(1, 14)), beta
-    plain = [array.astype(np.float32) for array in arrays]
-    strange = [np.asfortranarray(array.astype(np.float32).astype(np.float64)) for array in arrays]
-    expected = fast.mesh_products(*plain, np.array([0, 4, 7]), triangles, basis)
-    found = fast.mesh_products(*strange, np.array([0, 4, 7], np.int32), triangles.astype(np.int32), basis)
+    mesh, packed = mesh_of(rng, [4, 3]), pack(floats(rng, 3, 14))
+    plain = floats(rng, 7, 2, 2), floats(rng, 7, 2), floats(rng, 1, 14)
+    strange = [np.asfortranarray(array.astype(np.float64)) for array in plain]
+    expected = fast.mesh_products(plain[0], plain[1], packed, plain[2], mesh)
+    found = fast.mesh_products(strange[0], strange[1], packed, strange[2], mesh)
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
 def test_a_residual_that_has_blown_up_spoils_no_other_product(rng):
-    beta, triangles = np.full((8, 3), 1 / 3, np.float32), np.array([[0, 1, 2]])
-    steep, root, modes = rng.normal(size=(8, 3, 2)), rng.random((8, 3)), rng.normal(size=(5, 24))
-    left = [array.astype(np.float32) for array in (steep, root, modes)]
-    rest = beta, np.array([0, 8]), triangles, rng.normal(size=(6, 4))
+    mesh = mesh_of(rng, [8])
+    left = floats(rng, 8, 3, 2), floats(rng, 8, 3), pack(floats(rng, 5, 24))
     right = np.zeros((1, 24), np.float32)
-    calm, blown = (fast.mesh_products(*left, right + number, *rest) for number in (1.0, np.inf))
+    calm, blown = (fast.mesh_products(*left, right + number, mesh) for number in (1.0, np.inf))
     for ours, theirs in zip(blown[:2], calm[:2], strict=True):
         np.testing.assert_array_equal(ours, theirs)
     assert not np.isfinite(blown[2]).any()
 
 
-@given(n=st.integers(0, 700), rows=st.integers(1, 3), n_modes=st.integers(0, 5), seed=st.integers(0, 999))
-def test_fast_weighs_as_reference_says(n, rows, n_modes, seed):
+@given(
+    n=st.integers(0, 700),
+    rows=st.integers(1, 3),
+    n_modes=st.integers(0, 9),
+    b=st.integers(1, 3),
+    seed=st.integers(0, 999),
+)
+def test_fast_weighs_as_reference_says(n, rows, n_modes, b, seed):
     rng = np.random.default_rng(seed)
-    modes = rng.normal(size=(n_modes, n * rows)).astype(np.float32)
-    residual, own = rng.normal(size=(2, n, rows)).astype(np.float32)
+    modes = floats(rng, n_modes, n * rows)
+    residual, own = floats(rng, 2, n, rows)
     found, expected = (kernel.weighted_gram(modes, own) for kernel in (fast, reference))
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-3)
     assert found.dtype == np.float64
-    arguments = residual, modes, own, np.rint(rng.random(n)).astype(np.float32)
+    packed = pack(modes)
+    arguments = residual, packed, own, np.rint(rng.random(n)).astype(np.float32)
     for ours, theirs in zip(fast.residual_sums(*arguments), reference.residual_sums(*arguments), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-3)
+    arguments = floats(rng, b, n * rows), b - 1, packed, own
+    for ours, theirs in zip(fast.column_products(*arguments), reference.column_products(*arguments), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-3)
+    arguments = residual, packed, rng.normal(size=n_modes)
+    given = residual.copy()
+    left, expected = fast.less(*arguments), reference.less(*arguments)
+    np.testing.assert_allclose(left, expected, rtol=1e-5, atol=1e-4)
+    assert left.dtype == np.float32 and left.shape == residual.shape
+    np.testing.assert_array_equal(residual, given)
 
 
 @given(seed=st.integers(0, 99))

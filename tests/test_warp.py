@@ -68,7 +68,7 @@ def test_where_pixels_lie_in_the_mesh_gives_their_jacobian(model):
     warp = model.warp.at(model.warp.every(1.5))
     mesh = warp.mesh_pixels()
     owners = np.repeat(np.arange(len(mesh.triangles)), np.diff(mesh.starts))
-    modes = mesh.modes.reshape(mesh.n_vertices, 2, -1)[mesh.triangles[owners]]
+    modes = mesh.basis.reshape(-1, 2, warp.n_parameters)[mesh.triangles[owners]]
     carried = np.einsum("nv,nvai->nai", mesh.beta, modes)
     np.testing.assert_allclose(carried, warp.jacobian(np.zeros(warp.n_parameters)), atol=1e-5)
 

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from liaam.kernels.layout import MeshPixels
 from liaam.mesh import ReferenceFrame, surroundings
 from liaam.shape import ShapeModel, Similarity
 
@@ -59,35 +60,9 @@ class Warp(Protocol):
         """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2), model pixels."""
         ...
 
-    def mesh_pixels(self) -> "MeshPixels | None":
+    def mesh_pixels(self) -> MeshPixels | None:
         """Where the pixels lie in a mesh; None if they do not move with one, or not in the order of its triangles."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class MeshPixels:
-    """Pixels in the order of their triangles, for sparse products (:func:`liaam.kernels.reference.mesh_products`).
-
-    Attributes
-    ----------
-    beta : (n, 3) float32
-        Barycentric weights.
-    starts : (t + 1,) int64
-        First pixel of each triangle, and the end.
-    triangles : (t, 3) int64
-    modes : (2 n_vertices, n_parameters) float64
-        Derivative of the vertices' coordinates (x and y in turn) by the warp's parameters.
-    """
-
-    beta: np.ndarray
-    starts: np.ndarray
-    triangles: np.ndarray
-    modes: np.ndarray
-
-    @property
-    def n_vertices(self) -> int:
-        """Number of vertices."""
-        return len(self.modes) // 2
 
 
 @dataclass(frozen=True, eq=False)

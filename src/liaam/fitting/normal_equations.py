@@ -24,9 +24,6 @@ FLATTEST = 1e-6
 BLOCK = 1024
 """Residuals whose products are summed in float32 before they are added up in float64."""
 
-WIDE = 8192
-"""The same where a residual is one of the factors: sums of mixed signs, whose rounding nothing hangs on."""
-
 RIDGE = 1e-8
 """Relative ridge on A'A, far below any mode that can be seen; it keeps unseen modes from exploding."""
 

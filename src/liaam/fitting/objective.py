@@ -18,7 +18,7 @@ import numpy as np
 from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
 from liaam.fitting.methods import Method
-from liaam.fitting.normal_equations import WIDE, NormalEquations, Sums, gram
+from liaam.fitting.normal_equations import NormalEquations, Sums, gram
 from liaam.fitting.problem import FitProblem, Look, tied_together
 from liaam.fitting.trust import (
     SoftRows,
@@ -31,6 +31,7 @@ from liaam.fitting.trust import (
     weigh,
 )
 from liaam.kernels import get_kernel
+from liaam.kernels.layout import Packed, pack
 from liaam.model import AAM, Level
 from liaam.shape import ShapeModel
 from liaam.warp import Warp
@@ -63,15 +64,27 @@ class Linearisation:
     ----------
     sums : Sums
         What the cost and lambda hang on.
-    look : Look
-        What the pixels looked like.
+    weighed : Look
+        What the pixels looked like when they were weighed.
     products : callable
         Gives the normal equations for a look, its sums, and the gradient that is expected (None for the picture's).
+    before : Linearisation, optional
+        The same before lambda took a step, if it has.
+    taken : callable, optional
+        Gives the residual after that step for the one before it.
+    step : (m,) float64, optional
+        That step.
+    bends : bool
+        Whether derivatives by the angles change with the residual.
     """
 
     sums: Sums
-    look: Look
+    weighed: Look
     products: Callable[[Look, Sums, np.ndarray | None], NormalEquations]
+    before: "Linearisation | None" = None
+    taken: Callable[[np.ndarray], np.ndarray] | None = None
+    step: np.ndarray | None = None
+    bends: bool = False
 
     @classmethod
     def of(cls, equations: NormalEquations, look: Look) -> "Linearisation":
@@ -84,10 +97,26 @@ class Linearisation:
 
         return cls(equations, look, known)
 
+    def after_lambda_step(self, step: np.ndarray, taken: Callable[[np.ndarray], np.ndarray]) -> "Linearisation":
+        """The same after lambda moved by a step; ``taken`` gives the residual then for the one now."""
+        sums = self.sums.after_lambda_step(step)
+        return replace(self, sums=sums, before=self, taken=taken, step=step)
+
+    @cached_property
+    def look(self) -> Look:
+        """What the pixels look like now."""
+        if self.before is None or self.taken is None:
+            return self.weighed
+        look = self.before.look
+        return Look(look.values, self.taken(look.residual), look.steep, look.by_angles, look.weights)
+
     @cached_property
     def equations(self) -> NormalEquations:
         """Normal equations with the picture's own gradient."""
-        return self.products(self.look, self.sums, None)
+        if self.before is None or self.step is None or self.bends:
+            return self.products(self.look, self.sums, None)
+        # They follow from those before: nobody has to look at pixels again.
+        return self.before.equations.after_lambda_step(self.step)
 
     def expecting(self, gradient: np.ndarray) -> NormalEquations:
         """Equations of the zero of E'r (E'J, A'J and E'r), E being the derivatives by a gradient (n_pixels, k, 2)."""
@@ -126,16 +155,17 @@ class _Design:
     Attributes
     ----------
     mean : (n_pixels, k) float32
-    modes : (m, n_pixels * k) float32
+    packed : Packed
+        Modes (m, n_pixels * k).
     """
 
     mean: np.ndarray
-    modes: np.ndarray
+    packed: Packed
 
     @cached_property
-    def by_pixels(self) -> np.ndarray:
-        """Modes in Fortran's order, for sparse products."""
-        return np.asfortranarray(self.modes)
+    def modes(self) -> np.ndarray:
+        """The same modes as they are, (m, n_pixels * k) float32."""
+        return self.packed.rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +231,7 @@ class Objective:
     @property
     def n_lambda(self) -> int:
         """Appearance modes plus extra modes."""
-        return len(self._fixed_design.modes)
+        return len(self._fixed_design.packed.steps)
 
     def design(self, theta: float) -> _Design:
         """Model side at an angle theta_1; made once where the method keeps it fixed."""
@@ -222,7 +252,7 @@ class Objective:
         metric = self.method.model_metric(theta).astype(np.float32)
         mean = self.appearance.mean @ metric.T
         modes = np.concatenate([self.appearance.modes @ metric.T, *self._extra_modes(mean, metric)])
-        return _Design(mean, np.ascontiguousarray(modes.reshape(-1, mean.size), dtype=np.float32))
+        return _Design(mean, pack(modes.reshape(-1, mean.size)))
 
     def _extra_modes(self, mean: np.ndarray, metric: np.ndarray) -> list[np.ndarray]:
         n, k = mean.shape
@@ -238,24 +268,24 @@ class Objective:
         return extra
 
     @cached_property
-    def _slopes(self) -> np.ndarray:
-        """Slopes at rest of the mean, the appearance and the illumination modes, (1 + m, n_pixels * 2 * c) float32."""
+    def _slopes(self) -> Packed:
+        """Slopes at rest of the mean, the appearance and the illumination modes, (1 + m, n_pixels * 2 * c)."""
         of = self.of_all_pixels
         textures = [of.appearance.mean[None], of.appearance.modes]
         if self.method.illumination and of.illumination is not None:
             textures.append(of.illumination.modes)
-        slopes = [self.warp.slopes(texture).ravel() for texture in np.concatenate(textures)]
-        return np.stack(slopes, dtype=np.float32, casting="same_kind")
+        return pack(np.stack([self.warp.slopes(texture).ravel() for texture in np.concatenate(textures)]))
 
     def model_gradient(self, state: State) -> np.ndarray:
         """Derivative of the fitted appearance, as the picture shows it, by the place: (n_pixels, k, 2) float32."""
-        n_own = len(self._slopes) - 1
+        packed, (n, c) = self._slopes, self.appearance.mean.shape
+        n_own = len(packed.steps) - 1
         scale = 1.0 + (state.lam[n_own] if self.method.gain else 0.0)  # a gain's mode is the mean
-        coordinates = np.concatenate([[scale], state.lam[:n_own]]).astype(np.float32)
-        slopes = (coordinates @ self._slopes).reshape(-1, self.appearance.mean.shape[1])
+        coordinates = np.concatenate([[scale], state.lam[:n_own]])
+        slopes = get_kernel(self.kernel).less(np.zeros((n, 2, c), np.float32), packed, -coordinates)
         if self.method.projects_appearance:
             slopes = slopes @ self.method.model_metric(state.angles[0]).T.astype(np.float32)
-        return self.warp.pulled(slopes.reshape(len(self.appearance.mean), 2, -1), state.p)
+        return self.warp.pulled(slopes, state.p)
 
     def start(self, p: np.ndarray) -> State:
         """State with mean appearance and the model's own angle for both cameras."""
@@ -288,23 +318,17 @@ class Objective:
         gain, offset = (1.0, 0.0) if trust is None else (trust.gain, trust.offset)
         points = self.warp.points(state.p, problem.pose)
         turn = problem.pose.matrix if gain == 1.0 else gain * problem.pose.matrix
-        values, projected, steep, weights = get_kernel(self.kernel).steepest(
-            problem.patch.channels, points, turn, metric
-        )
-        residual = projected - design.mean
-        lam = state.lam.astype(np.float32)
-        with np.errstate(over="ignore", invalid="ignore"):  # a fit that blows up; its cost says so
-            residual -= (lam @ design.modes).reshape(residual.shape)
+        kernel = get_kernel(self.kernel)
+        values, projected, steep, weights = kernel.steepest(problem.patch.channels, points, turn, metric)
+        residual = kernel.less(projected - design.mean, design.packed, state.lam)
         if (gain, offset) != (1.0, 0.0):  # rows of P see a common offset by their sum
             residual += (gain - 1.0) * projected + (offset * metric.sum(axis=1)).astype(np.float32)
         return Look(values, residual, steep, self._by_angles(state, values), weights)
 
     def moved(self, seen: Linearisation, state: State, step: np.ndarray) -> Linearisation:
         """The same after a step of lambda."""
-        look = seen.look
-        change = (step.astype(np.float32) @ self.design(state.angles[0]).modes).reshape(look.residual.shape)
-        look = Look(look.values, look.residual - change, look.steep, look.by_angles, look.weights)
-        return Linearisation(seen.sums.after_lambda_step(step), look, seen.products)
+        packed = self.design(state.angles[0]).packed
+        return seen.after_lambda_step(step, partial(get_kernel(self.kernel).less, packed=packed, factors=step))
 
     def weighed(self, look: Look, state: State, trust: Trust | None = None) -> Linearisation:
         """Weigh what is seen at a state, under weights worked out at this or an earlier one."""
@@ -312,7 +336,7 @@ class Objective:
         design = self.design(state.angles[0])
         known = self._weighted_of(design, own_root, trust)
         kernel = get_kernel(self.kernel)
-        root, ar, rr, weight = kernel.residual_sums(look.residual, design.modes, own_root, look.weights)
+        root, ar, rr, weight = kernel.residual_sums(look.residual, design.packed, own_root, look.weights)
         aa, inverse = known.aa, known.inverse
         blind = np.flatnonzero(look.weights == 0)
         if len(blind):
@@ -321,7 +345,8 @@ class Objective:
             aa, inverse = aa - unseen, None
         unit = trust.unit if trust is not None and self.method.soft else np.nan
         sums = Sums(aa=aa, ar=ar, rr=rr, weight=weight, inverse=inverse, unit=unit)
-        return Linearisation(sums, look, partial(self._equations, state.p, design, root, slope))
+        products = partial(self._equations, state.p, design, root, slope)
+        return Linearisation(sums, look, products, bends=slope is not None)
 
     def _weighted_of(self, design: _Design, own_root: np.ndarray, trust: Trust | None) -> Weighted:
         """Gram matrix of the modes under the model's and the trust's weights, all pixels of the image usable."""
@@ -352,9 +377,7 @@ class Objective:
         jj, aj, rj = self._warp_products(look.steep, expected, root, design, right, p)
         n, jr = len(right) - 1, rj[-1]
         if n:  # the angles' rows and columns
-            by_angles = right[:n]
-            weighted = by_angles * np.square(root).reshape(-1)
-            mixed, own = gram(design.modes, weighted, WIDE), gram(right, weighted, WIDE)
+            mixed, own = get_kernel(self.kernel).column_products(right, n, design.packed, root)
             jj = np.concatenate([np.concatenate([jj, rj[:n]]), np.concatenate([rj[:n].T, own[:n]])], axis=1)
             aj, jr = np.concatenate([aj, mixed], axis=1), np.concatenate([jr, own[n]])
         return NormalEquations.of(sums, jj, jr, aj)
@@ -381,9 +404,7 @@ class Objective:
             columns, by_root = _rows_of(steep, root, self.warp.jacobian(p)), root.reshape(-1)
             own = columns if expected is None else _rows_of(expected, root, self.warp.jacobian(p))
             return gram(own, columns), gram(design.modes * by_root, columns), gram(right * by_root, own)
-        products = get_kernel(self.kernel).mesh_products
-        modes = design.by_pixels
-        return products(steep, root, modes, right, mesh.beta, mesh.starts, mesh.triangles, mesh.modes, expected)
+        return get_kernel(self.kernel).mesh_products(steep, root, design.packed, right, mesh, expected)
 
     def columns(self, problem: FitProblem, state: State, trust: Trust | None = None) -> np.ndarray:
         """Weighted columns [J | r] in full, (n_pixels * k, n_q + 1) float32: what the products are made of."""

@@ -1,13 +1,18 @@
 """Fast kernels: numba, one pass over the model's pixels, no large temporaries (contract: ``reference``)."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from liaam.jit import F as _F
 from liaam.jit import jit as _jit
-from liaam.kernels.products import mesh_products, residual_sums, weighted_gram  # noqa: F401 (part of the contract)
+from liaam.kernels.products import (  # noqa: F401 (of the contract)
+    column_products,
+    less,
+    mesh_products,
+    residual_sums,
+    weighted_gram,
+)
 from liaam.kernels.reference import FLAT, ON_EDGE
+from liaam.kernels.steepest import SOFT, steepest  # noqa: F401 (of the contract)
 
 
 @_jit
@@ -90,153 +95,6 @@ def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -
     owner, weights = np.full((height, width), -1, np.int32), np.zeros((height, width, 3))
     _raster(np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(triangles), owner, weights)
     return owner, weights
-
-
-@_jit
-def _steepest(channels, points, turn, metric, values, projected, steep, weights):
-    height, width = channels.shape[0], channels.shape[1]
-    n, k, n_c = points.shape[0], metric.shape[0], metric.shape[1]
-    along_x, along_y = np.empty(n_c, np.float32), np.empty(n_c, np.float32)
-    for i in range(n):
-        px, py = points[i, 0], points[i, 1]
-        # Written so that NaN counts as outside.
-        if not (px >= 0.0 and py >= 0.0 and px <= width - 1 and py <= height - 1):
-            weights[i] = _F(0.0)
-            values[i, :] = _F(0.0)
-            projected[i, :] = _F(0.0)
-            steep[i, :, :] = _F(0.0)
-            continue
-        x, y = min(int(px), width - 2), min(int(py), height - 2)
-        u, v = _F(px - x), _F(py - y)
-        left, above = _F(1.0) - u, _F(1.0) - v
-        weights[i] = min(
-            min(channels[y, x, n_c], channels[y, x + 1, n_c]),
-            min(channels[y + 1, x, n_c], channels[y + 1, x + 1, n_c]),
-        )
-        for c in range(n_c):
-            c00, c10, c01, c11 = (
-                channels[y, x, c],
-                channels[y, x + 1, c],
-                channels[y + 1, x, c],
-                channels[y + 1, x + 1, c],
-            )
-            top, bottom = left * c00 + u * c10, left * c01 + u * c11
-            values[i, c] = above * top + v * bottom
-            along_x[c] = above * (c10 - c00) + v * (c11 - c01)
-            along_y[c] = bottom - top
-        for r in range(k):
-            value = gx = gy = _F(0.0)
-            for c in range(n_c):
-                m = metric[r, c]
-                value += m * values[i, c]
-                gx += m * along_x[c]
-                gy += m * along_y[c]
-            projected[i, r] = value
-            steep[i, r, 0] = gx * turn[0, 0] + gy * turn[1, 0]
-            steep[i, r, 1] = gx * turn[0, 1] + gy * turn[1, 1]
-
-
-_U = np.uint64  # of indices that never wrap around
-
-
-@_jit
-def _place(points, i, height, width, n):
-    """Where a point's four pixels begin in a flat picture of n channels, where it lies between, and if it is inside."""
-    px, py = points[i, 0], points[i, 1]
-    if not (px >= 0.0 and py >= 0.0 and px <= width - 1 and py <= height - 1):
-        return _U(0), _F(0.0), _F(0.0), False
-    x, y = min(int(px), width - 2), min(int(py), height - 2)
-    return _U((y * width + x) * n), _F(px - x), _F(py - y), True
-
-
-@_jit
-def _bilinear(flat, at, right, below, u, v):
-    """Sample of a channel, and its derivatives along x and y."""
-    c00, c01 = flat[at], flat[at + below]
-    upper, lower = flat[at + right] - c00, flat[at + right + below] - c01
-    top = c00 + u * upper
-    down = c01 + u * lower - top
-    return top + v * down, upper + v * (lower - upper), down
-
-
-@_jit
-def _least(flat, at, right, below):
-    return min(min(flat[at], flat[at + right]), min(flat[at + below], flat[at + right + below]))
-
-
-@_jit
-def _set_steep(row, gx, gy, turn):
-    row[0] = gx * turn[0, 0] + gy * turn[1, 0]
-    row[1] = gx * turn[0, 1] + gy * turn[1, 1]
-
-
-@_jit
-def _steepest_one(channels, points, turn, metric, values, projected, steep, weights):
-    """One row over three channels."""
-    height, width = channels.shape[0], channels.shape[1]
-    flat, right, below = channels.reshape(-1), _U(4), _U(4 * width)
-    m0, m1, m2 = metric[0, 0], metric[0, 1], metric[0, 2]
-    for i in range(len(points)):
-        at, u, v, inside = _place(points, i, height, width, 4)
-        v0, x0, y0 = _bilinear(flat, at, right, below, u, v)
-        v1, x1, y1 = _bilinear(flat, at + _U(1), right, below, u, v)
-        v2, x2, y2 = _bilinear(flat, at + _U(2), right, below, u, v)
-        keep = _F(1.0) if inside else _F(0.0)
-        values[i, 0], values[i, 1], values[i, 2] = keep * v0, keep * v1, keep * v2
-        projected[i, 0] = keep * (m0 * v0 + m1 * v1 + m2 * v2)
-        _set_steep(steep[i, 0], keep * (m0 * x0 + m1 * x1 + m2 * x2), keep * (m0 * y0 + m1 * y1 + m2 * y2), turn)
-        weights[i] = keep * _least(flat, at + _U(3), right, below)
-
-
-@_jit
-def _steepest_soft(channels, points, turn, metric, values, projected, steep, weights):
-    """Two rows of a channel each, and one over the three that follow them, of six."""
-    height, width = channels.shape[0], channels.shape[1]
-    flat, right, below = channels.reshape(-1), _U(7), _U(7 * width)
-    m0, m1, m2, m3, m4 = metric[0, 0], metric[1, 1], metric[2, 2], metric[2, 3], metric[2, 4]
-    for i in range(len(points)):
-        at, u, v, inside = _place(points, i, height, width, 7)
-        v0, x0, y0 = _bilinear(flat, at, right, below, u, v)
-        v1, x1, y1 = _bilinear(flat, at + _U(1), right, below, u, v)
-        v2, x2, y2 = _bilinear(flat, at + _U(2), right, below, u, v)
-        v3, x3, y3 = _bilinear(flat, at + _U(3), right, below, u, v)
-        v4, x4, y4 = _bilinear(flat, at + _U(4), right, below, u, v)
-        v5 = _bilinear(flat, at + _U(5), right, below, u, v)[0]
-        keep = _F(1.0) if inside else _F(0.0)
-        values[i, 0], values[i, 1], values[i, 2] = keep * v0, keep * v1, keep * v2
-        values[i, 3], values[i, 4], values[i, 5] = keep * v3, keep * v4, keep * v5
-        projected[i, 0], projected[i, 1] = keep * m0 * v0, keep * m1 * v1
-        projected[i, 2] = keep * (m2 * v2 + m3 * v3 + m4 * v4)
-        _set_steep(steep[i, 0], keep * m0 * x0, keep * m0 * y0, turn)
-        _set_steep(steep[i, 1], keep * m1 * x1, keep * m1 * y1, turn)
-        _set_steep(steep[i, 2], keep * (m2 * x2 + m3 * x3 + m4 * x4), keep * (m2 * y2 + m3 * y3 + m4 * y4), turn)
-        weights[i] = keep * _least(flat, at + _U(6), right, below)
-
-
-SOFT = np.array([[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 1, 1, 0]], bool)
-"""Entries of the metric ``soft`` that are not zero."""
-
-
-def _steepest_for(metric: np.ndarray) -> Callable:
-    """Loop for a metric: without inner loops for those of the methods most used, which takes little more than half."""
-    if metric.shape == (1, 3):
-        return _steepest_one
-    if metric.shape == SOFT.shape and not metric[~SOFT].any():
-        return _steepest_soft
-    return _steepest
-
-
-def steepest(
-    channels: np.ndarray, points: np.ndarray, turn: np.ndarray, metric: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """See :func:`liaam.kernels.reference.steepest`."""
-    n, (k, c) = len(points), metric.shape
-    values, projected = np.empty((n, c), np.float32), np.empty((n, k), np.float32)
-    steep, weights = np.empty((n, k, 2), np.float32), np.empty(n, np.float32)
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    turn, metric = (np.ascontiguousarray(a, dtype=np.float32) for a in (turn, metric))
-    _steepest_for(metric)(channels, points, turn, metric, values, projected, steep, weights)
-    return values, projected, steep, weights
 
 
 @_jit

@@ -1,144 +1,80 @@
 """Fast products of the residual, its derivatives and the appearance modes (contract: ``reference``).
 
 Those of a mesh are sums over triangles of a few dozen pixels, in which a compiler's own vector code spends its time
-adding up lanes. So the columns of one factor lie side by side, :data:`LANES` of them to a register, and are multiplied
-by one number of the other factor at a time; the few instructions that say so are written out (:func:`_square_sums`,
-:func:`_mode_sums`).
+adding up lanes. So the columns of one factor lie side by side, a register of them, and are multiplied by one number of
+the other factor at a time; the few instructions that say so are written out (:mod:`liaam.kernels.lanes`).
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 from liaam.jit import F as _F
 from liaam.jit import jit as _jit
+from liaam.kernels.lanes import Lanes
+from liaam.kernels.layout import PAIRS, MeshPixels, Packed
 
-LANES = 8
-"""Columns that are summed at a time: a register of AVX; elsewhere two of SSE's or NEON's."""
+LONG, SHORT = 16, 8
+"""Columns that are summed at a time, and those at the end: a register of AVX-512 and of AVX; elsewhere several."""
 
-_VECTOR = ir.VectorType(ir.FloatType(), LANES)
-_ZERO = ir.Constant(_VECTOR, [0.0] * LANES)
-_INT, _I32 = ir.IntType(64), ir.IntType(32)
-
-
-class _Lanes(NamedTuple):
-    """Writes instructions for float32 in vectors: a builder of LLVM, and the data of the arrays among the arguments."""
-
-    builder: Any
-    data: Callable[[int], Any]
-
-    @classmethod
-    def of(cls, context: Any, builder: Any, signature: Any, args: Any) -> "_Lanes":
-        def data(i: int) -> Any:
-            return context.make_array(signature.args[i])(context, builder, args[i]).data
-
-        return cls(builder, data)
-
-    def after(self, at: Any, step: int | Any, count: int | Any) -> Any:
-        """Give at + step * count."""
-        step, count = (ir.Constant(_INT, n) if isinstance(n, int) else n for n in (step, count))
-        return self.builder.add(at, self.builder.mul(step, count))
-
-    def sums(self, count: int) -> list[Any]:
-        """Vectors to add up in, nought."""
-        sums = [cgutils.alloca_once(self.builder, _VECTOR) for _ in range(count)]
-        self.clear(sums)
-        return sums
-
-    def clear(self, sums: list[Any]) -> None:
-        for each in sums:
-            self.builder.store(_ZERO, each)
-
-    def add(self, total: Any, factor: Any, vector: Any) -> None:
-        """Add factor * vector to a sum, in one instruction where the machine has it."""
-        flags = ("contract",)
-        product = self.builder.fmul(self.every(factor), vector, flags=flags)
-        self.builder.store(self.builder.fadd(product, self.builder.load(total), flags=flags), total)
-
-    def number(self, array: int, at: Any) -> Any:
-        return self.builder.load(self.builder.gep(self.data(array), [at]))
-
-    def vector(self, array: int, at: Any, size: int = LANES) -> Any:
-        """Read numbers that lie side by side."""
-        place = self.builder.gep(self.data(array), [at])
-        loaded = self.builder.load(self.builder.bitcast(place, ir.VectorType(ir.FloatType(), size).as_pointer()))
-        loaded.align = 4
-        return loaded
-
-    def put(self, total: Any, array: int, at: Any) -> None:
-        place = self.builder.gep(self.data(array), [at])
-        stored = self.builder.store(self.builder.load(total), self.builder.bitcast(place, _VECTOR.as_pointer()))
-        stored.align = 4
-
-    def pair(self, first: Any, second: Any) -> Any:
-        """Vector of two numbers."""
-        nothing = ir.Constant(ir.VectorType(ir.FloatType(), 2), ir.Undefined)
-        return self.builder.insert_element(self.builder.insert_element(nothing, first, _I32(0)), second, _I32(1))
-
-    def mixed(self, first: Any, second: Any, order: Sequence[int]) -> Any:
-        """Vector of numbers of two others, by their places in both."""
-        return self.builder.shuffle_vector(first, second, ir.Constant(ir.VectorType(_I32, LANES), list(order)))
-
-    def every(self, number: Any) -> Any:
-        """One number in all lanes."""
-        nothing = ir.Constant(_VECTOR, ir.Undefined)
-        return self.mixed(self.builder.insert_element(nothing, number, _I32(0)), nothing, [0] * LANES)
-
-    def for_each(self, first: Any, count: int | Any, work: Callable[[Any], None]) -> None:
-        """Do something for ``first``, ``first + 1``, ...: written out where it is known how often."""
-        if isinstance(count, int):
-            for i in range(count):
-                work(self.builder.add(first, ir.Constant(_INT, i)))
-            return
-        with cgutils.for_range(self.builder, count, intp=_INT) as loop:
-            work(self.builder.add(first, loop.index))
+_AT = types.intp  # where something lies, or how much there is of it
 
 
-PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Corners of a triangle, two by two."""
+def _by_columns(lanes: Lanes, wide: Any, work: Callable[[Any, int], None]) -> None:
+    """Do something for each :data:`LONG` columns, and for the :data:`SHORT` that may be left."""
+    rest = lanes.builder.and_(wide, lanes.whole(LONG - 1))
+    long = lanes.builder.sub(wide, rest)
+    lanes.for_each(long, lambda j: work(j, LONG), LONG)
+    lanes.where(long, wide, lambda j: work(j, SHORT))
 
 
 def _square_sums(rows: int | None) -> Any:
     """Make what E'J and right'E of a triangle's pixels are made of, for a known number of rows, or any.
 
     With Q = sum_r w^2 (ex jx, ex jy, ey jx, ey jy) and u = sum_r w^2 right (ex, ey), of two further columns, of a
-    pixel, out[pair] = sum beta_a beta_b (Q, u, u') and out[6 + a] = sum beta_a (Q, u, u'): nine lines of :data:`LANES`
-    numbers. Arrays are flat; ``pixel`` is the first of n.
+    pixel, out[pair] = sum beta_a beta_b (Q, u, u') and out[6 + a] = sum beta_a (Q, u, u'): nine lines of 8 numbers.
+    ``fours`` keeps w^2 (jx, jy, right, right') of each entry. Arrays are flat; ``pixel`` is the first of n.
     """
 
     @intrinsic
-    def square_sums(_context, beta, slopes, theirs, roots, one, other, pixel, n, k, out):
-        signature = types.void(beta, slopes, theirs, roots, one, other, types.intp, types.intp, types.intp, out)
+    def square_sums(_context, beta, slopes, theirs, roots, one, other, pixel, n, k, fours, out):
+        signature = types.void(beta, slopes, theirs, roots, one, other, _AT, _AT, _AT, fours, out)
 
         def codegen(context, builder, signature, args):
-            lanes, k = _Lanes.of(context, builder, signature, args), args[8] if rows is None else rows
-            sums, own = lanes.sums(9), lanes.sums(1)
+            lanes = Lanes(context, builder, signature, args)
+            pixel, n, k = args[6:9]
+            sums, own = lanes.sums(9, 8), lanes.sums(1, 8)
+            begin = lanes.times(pixel, k)
 
-            def add_entry(entry):
-                root, at = lanes.number(3, entry), lanes.after(_INT(0), 2, entry)
-                slope, further = lanes.vector(1, at, 2), lanes.pair(lanes.number(4, entry), lanes.number(5, entry))
-                left = lanes.mixed(slope, slope, (0, 0, 1, 1, 0, 1, 0, 1))
-                right = lanes.mixed(lanes.vector(2, at, 2), further, (0, 1, 0, 1, 2, 2, 3, 3))
-                lanes.add(own[0], builder.fmul(root, root), builder.fmul(left, right))
+            def add_entry(at):
+                entry = lanes.plus(begin, at)
+                root, slope = lanes.number(3, entry), lanes.vector(2, lanes.times(2, entry), 2)
+                four = lanes.with_number(lanes.mixed(slope, None, (0, 1, 0, 1)), lanes.number(4, entry), 2, 4)
+                four = lanes.with_number(four, lanes.number(5, entry), 3, 4)
+                four = lanes.product(four, lanes.every(lanes.product(root, root), 4))
+                lanes.put(four, 9, lanes.times(4, at))
+                expected = lanes.vector(1, lanes.times(2, entry), 2)
+                left = lanes.mixed(expected, None, (0, 0, 1, 1, 0, 1, 0, 1))
+                lanes.add(own[0], left, lanes.mixed(four, None, (0, 1, 0, 1, 2, 2, 3, 3)))
 
             def add_pixel(i):
-                lanes.clear(own)
-                lanes.for_each(lanes.after(_INT(0), k, i), k, add_entry)
-                vector = builder.load(own[0])
-                corners = [lanes.number(0, lanes.after(_INT(a), 3, i)) for a in range(3)]
+                lanes.set(own, [lanes.nought(8)])
+                first = lanes.times(i, k)
+                lanes.for_each(k if rows is None else rows, lambda r: add_entry(lanes.plus(first, r)))
+                at = lanes.times(3, lanes.plus(pixel, i))
+                corners = [lanes.every(lanes.number(0, lanes.plus(at, a)), 8) for a in range(3)]
+                by_corner = [lanes.product(corner, lanes.get(own)[0]) for corner in corners]
                 for total, (a, b) in zip(sums, PAIRS, strict=False):
-                    lanes.add(total, builder.fmul(corners[a], corners[b]), vector)
-                for total, corner in zip(sums[6:], corners, strict=True):
-                    lanes.add(total, corner, vector)
+                    lanes.add(total, corners[a], by_corner[b])
+                for total, vector in zip(sums[6:], by_corner, strict=True):
+                    lanes.add(total, vector)
 
-            lanes.for_each(args[6], args[7], add_pixel)
-            for line, total in enumerate(sums):
-                lanes.put(total, 9, _INT(LANES * line))
+            lanes.for_each(n, add_pixel)
+            for line, total in enumerate(lanes.get(sums)):
+                lanes.put(total, 10, lanes.whole(8 * line))
             return context.get_dummy_value()
 
         return signature, codegen
@@ -149,38 +85,42 @@ def _square_sums(rows: int | None) -> Any:
 def _mode_sums(rows: int | None) -> Any:
     """Make A'J of a triangle's pixels: ``out[2 a + c] = sum beta_a sum_r w^2 j_c modes``, a < 3, c < 2.
 
-    Arrays as those of :func:`_square_sums`; ``modes_at`` is where :data:`LANES` columns of ``modes`` begin at the first
-    pixel, ``step`` from one residual to the next, as ``out_at`` and ``out_step`` of the sums.
+    Arrays as those of :func:`_square_sums`, ``modes`` with ``wide`` columns.
     """
 
     @intrinsic
-    def mode_sums(_context, beta, theirs, roots, modes, pixel, n, k, modes_at, step, out, out_at, out_step):
-        at = types.intp
-        signature = types.void(beta, theirs, roots, modes, at, at, at, at, at, out, at, at)
+    def mode_sums(_context, beta, fours, modes, pixel, n, k, wide, out):
+        signature = types.void(beta, fours, modes, _AT, _AT, _AT, _AT, out)
 
         def codegen(context, builder, signature, args):
-            lanes, k = _Lanes.of(context, builder, signature, args), args[6] if rows is None else rows
-            begin = lanes.after(_INT(0), k, args[4])
-            sums, own = lanes.sums(6), lanes.sums(2)
+            lanes = Lanes(context, builder, signature, args)
+            pixel, n, k, wide = args[3:7]
+            begin = lanes.times(lanes.times(pixel, k), wide)
 
-            def add_entry(entry):
-                vector = lanes.vector(3, lanes.after(args[7], args[8], builder.sub(entry, begin)))
-                root = lanes.number(2, entry)
-                for c, total in enumerate(own):
-                    steep = lanes.number(1, lanes.after(_INT(c), 2, entry))
-                    lanes.add(total, builder.fmul(builder.fmul(root, root), steep), vector)
+            def sum_columns(column, size):
+                sums, own = lanes.sums(6, size), lanes.sums(2, size)
 
-            def add_pixel(i):
-                lanes.clear(own)
-                lanes.for_each(lanes.after(_INT(0), k, i), k, add_entry)
-                for a in range(3):
-                    corner = lanes.number(0, lanes.after(_INT(a), 3, i))
-                    for c in range(2):
-                        lanes.add(sums[2 * a + c], corner, builder.load(own[c]))
+                def add_entry(at):
+                    line = lanes.steps(2, lanes.plus(begin, lanes.times(at, wide), column), size)
+                    for c, total in enumerate(own):
+                        steep = lanes.number(1, lanes.plus(lanes.times(4, at), c))
+                        lanes.add(total, lanes.every(steep, size), line)
 
-            lanes.for_each(args[4], args[5], add_pixel)
-            for line, total in enumerate(sums):
-                lanes.put(total, 9, lanes.after(args[10], args[11], line))
+                def add_pixel(i):
+                    lanes.set(own, [lanes.nought(size)] * 2)
+                    first = lanes.times(i, k)
+                    lanes.for_each(k if rows is None else rows, lambda r: add_entry(lanes.plus(first, r)))
+                    at, by_axis = lanes.times(3, lanes.plus(pixel, i)), lanes.get(own)
+                    for a in range(3):
+                        corner = lanes.every(lanes.number(0, lanes.plus(at, a)), size)
+                        for c in range(2):
+                            lanes.add(sums[2 * a + c], corner, by_axis[c])
+
+                lanes.for_each(n, add_pixel)
+                for line, total in enumerate(lanes.get(sums)):
+                    lanes.put(total, 7, lanes.plus(lanes.times(wide, line), column))
+
+            _by_columns(lanes, wide, sum_columns)
             return context.get_dummy_value()
 
         return signature, codegen
@@ -235,8 +175,32 @@ def weighted_gram(modes: np.ndarray, roots: np.ndarray) -> np.ndarray:
 
 
 @_jit
-def _residual_sums(residual, modes, own, weights, roots, ar):
+def _less(values, steps, factors):
+    m, n = steps.shape
+    for begin in range(0, n, BLOCK):
+        end = min(begin + BLOCK, n)
+        out = values[begin:end]
+        for j in range(0, m, 4):  # four at a time: what is left is fetched and stored less often
+            a, b = steps[j, begin:end], steps[min(j + 1, m - 1), begin:end]
+            c, d = steps[min(j + 2, m - 1), begin:end], steps[min(j + 3, m - 1), begin:end]
+            p, q, r, s = factors[j], factors[j + 1], factors[j + 2], factors[j + 3]
+            for e in range(end - begin):
+                out[e] -= p * _F(a[e]) + q * _F(b[e]) + r * _F(c[e]) + s * _F(d[e])
+
+
+def less(values: np.ndarray, packed: Packed, factors: np.ndarray) -> np.ndarray:
+    """See :func:`liaam.kernels.reference.less`."""
+    left = np.array(values, dtype=np.float32)
+    filled = np.zeros(len(factors) + 3, np.float32)
+    np.multiply(factors, packed.sizes, out=filled[: len(factors)], casting="unsafe")
+    _less(left.reshape(-1), packed.steps, filled)
+    return left
+
+
+@_jit
+def _residual_sums(residual, steps, own, weights, roots, ar):
     n, k = residual.shape
+    m = len(steps)
     for i in range(n):
         for r in range(k):
             roots[i, r] = own[i, r] * weights[i]
@@ -254,131 +218,142 @@ def _residual_sums(residual, modes, own, weights, roots, ar):
             total += square
         rr += squares
         weight += total
-        for j in range(len(modes)):
-            mode = modes[j, begin:end]
-            product = _F(0.0)
+        for j in range(0, m, 2):  # two by two: each number that is fetched is used twice
+            a, b = steps[j, begin:end], steps[min(j + 1, m - 1), begin:end]
+            first = second = _F(0.0)
             for e in range(end - begin):
-                product += mode[e] * line[e]
-            ar[j] += product
+                first += _F(a[e]) * line[e]
+                second += _F(b[e]) * line[e]
+            ar[j] += first
+            if j + 1 < m:
+                ar[j + 1] += second
     return rr, weight
 
 
 def residual_sums(
-    residual: np.ndarray, modes: np.ndarray, own: np.ndarray, weights: np.ndarray
+    residual: np.ndarray, packed: Packed, own: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """See :func:`liaam.kernels.reference.residual_sums`."""
-    roots, ar = np.empty_like(own), np.zeros(len(modes))
-    rr, weight = _residual_sums(residual, modes, own, weights, roots, ar)
-    return roots, ar, float(rr), float(weight)
+    roots, ar = np.empty_like(own), np.zeros(len(packed.steps))
+    rr, weight = _residual_sums(residual, packed.steps, own, weights, roots, ar)
+    return roots, ar * packed.sizes, float(rr), float(weight)
 
 
 @_jit
-def _lanes_for(n):
-    """Columns that hold n, so many that they fill whole vectors."""
-    return (n + LANES - 1) // LANES * LANES
+def _column_products(right, count, steps, root, ac, cc):
+    m, size, line = len(steps), len(root), np.empty(BLOCK, np.float32)
+    for begin in range(0, size, BLOCK):
+        end = min(begin + BLOCK, size)
+        part = root[begin:end]
+        for c in range(count):
+            column = right[c, begin:end]
+            for e in range(end - begin):
+                line[e] = part[e] * part[e] * column[e]
+            for b in range(len(right)):
+                other, product = right[b, begin:end], _F(0.0)
+                for e in range(end - begin):
+                    product += other[e] * line[e]
+                cc[b, c] += product
+            for j in range(m):
+                step, product = steps[j, begin:end], _F(0.0)
+                for e in range(end - begin):
+                    product += _F(step[e]) * line[e]
+                ac[j, c] += product
+
+
+def column_products(right: np.ndarray, count: int, packed: Packed, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """See :func:`liaam.kernels.reference.column_products`."""
+    ac, cc = np.zeros((len(packed.steps), count)), np.zeros((len(right), count))
+    _column_products(right, count, packed.steps, root.reshape(-1), ac, cc)
+    return ac * packed.sizes[:, None], cc
 
 
 @_jit
-def _readable(values, begin, n, beyond, spare):
-    """Where n numbers from a place on can be read, and so many beyond them: as they are, or in a copy."""
-    if begin + n + beyond <= len(values):
-        return values, begin
-    spare[:n] = values[begin : begin + n]
-    return spare, 0
-
-
-@_jit
-def _sum_squares(beta, slopes, theirs, roots, one, other, first, n, k, sums):
+def _sum_squares(beta, slopes, theirs, roots, one, other, first, n, k, fours, sums):
     if k == 1:
-        _squares_of_one(beta, slopes, theirs, roots, one, other, first, n, k, sums)
+        _squares_of_one(beta, slopes, theirs, roots, one, other, first, n, k, fours, sums)
     elif k == 2:
-        _squares_of_two(beta, slopes, theirs, roots, one, other, first, n, k, sums)
+        _squares_of_two(beta, slopes, theirs, roots, one, other, first, n, k, fours, sums)
     elif k == 3:
-        _squares_of_three(beta, slopes, theirs, roots, one, other, first, n, k, sums)
+        _squares_of_three(beta, slopes, theirs, roots, one, other, first, n, k, fours, sums)
     else:
-        _squares(beta, slopes, theirs, roots, one, other, first, n, k, sums)
+        _squares(beta, slopes, theirs, roots, one, other, first, n, k, fours, sums)
 
 
 @_jit
-def _sum_modes(beta, theirs, roots, block, first, n, k, at, m, sums, wide):
-    for j in range(0, wide, LANES):
-        if k == 1:
-            _modes_of_one(beta, theirs, roots, block, first, n, k, at + j, m, sums, j, wide)
-        elif k == 2:
-            _modes_of_two(beta, theirs, roots, block, first, n, k, at + j, m, sums, j, wide)
-        elif k == 3:
-            _modes_of_three(beta, theirs, roots, block, first, n, k, at + j, m, sums, j, wide)
-        else:
-            _modes(beta, theirs, roots, block, first, n, k, at + j, m, sums, j, wide)
+def _sum_modes(beta, fours, lines, first, n, k, wide, sums):
+    if k == 1:
+        _modes_of_one(beta, fours, lines, first, n, k, wide, sums)
+    elif k == 2:
+        _modes_of_two(beta, fours, lines, first, n, k, wide, sums)
+    elif k == 3:
+        _modes_of_three(beta, fours, lines, first, n, k, wide, sums)
+    else:
+        _modes(beta, fours, lines, first, n, k, wide, sums)
 
 
 @_jit
-def _add_squares(squares, at, basis, total):
-    """Add E'J of one triangle times the basis to the lines of its corners."""
-    block = np.empty((6, 6))
-    for pair in range(len(PAIRS)):
-        (a, b), q = PAIRS[pair], squares[pair]
-        i, j = 2 * a, 2 * b
-        block[i, j] = block[j, i] = q[0]
-        block[i, j + 1] = block[j, i + 1] = q[1]
-        block[i + 1, j] = block[j + 1, i] = q[2]
-        block[i + 1, j + 1] = block[j + 1, i + 1] = q[3]
-    b0, b1, b2, b3, b4, b5 = basis[at[0]], basis[at[1]], basis[at[2]], basis[at[3]], basis[at[4]], basis[at[5]]
-    for r in range(6):
-        c, line = block[r], total[at[r]]
-        c0, c1, c2, c3, c4, c5 = c[0], c[1], c[2], c[3], c[4], c[5]
-        for p in range(len(b0)):
-            line[p] += c0 * b0[p] + c1 * b1[p] + c2 * b2[p] + c3 * b3[p] + c4 * b4[p] + c5 * b5[p]
+def _add_edges(by_edge, edges, basis, total):
+    """Add E'J of pairs of vertices times the basis to the vertices' lines."""
+    for e in range(len(edges)):
+        a, b, q, r, s, t = edges[e, 0], edges[e, 1], by_edge[e, 0], by_edge[e, 1], by_edge[e, 2], by_edge[e, 3]
+        for _ in range(1 if a == b else 2):
+            x, y, to_x, to_y = basis[2 * b], basis[2 * b + 1], total[2 * a], total[2 * a + 1]
+            for p in range(len(x)):
+                to_x[p] += q * x[p] + r * y[p]
+                to_y[p] += s * x[p] + t * y[p]
+            a, b = b, a
 
 
 @_jit
-def _mesh_products(steep, expected, root, modes, right, beta, starts, triangles, basis, total):
-    k, m, n_right, n_p, longest = root.shape[1], modes.shape[1], len(right), basis.shape[1], 0
+def _mesh_products(steep, expected, root, lines, right, beta, starts, triangles, edges, sides, basis, total):
+    k, wide, n_right, n_p, longest = root.shape[1], lines.shape[1], len(right), basis.shape[1], 0
     for t in range(len(triangles)):
         longest = max(longest, starts[t + 1] - starts[t])
-    corners, roots, values = beta.reshape(-1), root.reshape(-1), modes.reshape(-1)
-    slopes, theirs, wide = expected.reshape(-1), steep.reshape(-1), _lanes_for(m)
-    squares, sums = np.empty((9, LANES), np.float32), np.empty((6, wide), np.float32)
-    spare, at = np.zeros(longest * k * m + wide, np.float32), np.empty(6, np.int64)
+    corners, roots, columns = beta.reshape(-1), root.reshape(-1), lines.reshape(-1)
+    slopes, theirs = expected.reshape(-1), steep.reshape(-1)
+    squares, sums, fours = np.empty((9, 8), np.float32), np.empty((6, wide), np.float32), np.empty(4 * longest * k, _F)
+    by_edge = np.zeros((len(edges), 4))
     for t in range(len(triangles)):
         first, n = starts[t], starts[t + 1] - starts[t]
         if n == 0:
             continue
-        for r in range(6):
-            at[r] = 2 * triangles[t, r // 2] + r % 2
         for c in range(0, n_right, 2):  # two further columns at a time
             one, other = right[c], right[min(c + 1, n_right - 1)]
-            _sum_squares(corners, slopes, theirs, roots, one, other, first, n, k, squares.reshape(-1))
+            _sum_squares(corners, slopes, theirs, roots, one, other, first, n, k, fours, squares.reshape(-1))
             for r in range(6):
+                line = total[2 * triangles[t, r // 2] + r % 2]
                 for side in range(min(2, n_right - c)):
-                    total[at[r], n_p + c + side] += squares[6 + r // 2, 4 + 2 * side + r % 2]
-        _add_squares(squares, at, basis, total)
-        block, begin = _readable(values, first * k * m, n * k * m, wide, spare)
-        _sum_modes(corners, theirs, roots, block, first, n, k, begin, m, sums.reshape(-1), wide)
+                    line[n_p + c + side] += squares[6 + r // 2, 4 + 2 * side + r % 2]
+        for pair in range(6):
+            for q in range(4):
+                by_edge[sides[t, pair], q] += squares[pair, q]
+        _sum_modes(corners, fours, columns, first, n, k, wide, sums.reshape(-1))
         for r in range(6):
-            line, own = total[at[r], n_p + n_right :], sums[r]
-            for j in range(m):
+            line, own = total[2 * triangles[t, r // 2] + r % 2, n_p + n_right :], sums[r]
+            for j in range(wide):
                 line[j] += own[j]
+    _add_edges(by_edge, edges, basis, total)
 
 
 def mesh_products(
     steep: np.ndarray,
     root: np.ndarray,
-    modes: np.ndarray,
+    packed: Packed,
     right: np.ndarray,
-    beta: np.ndarray,
-    starts: np.ndarray,
-    triangles: np.ndarray,
-    basis: np.ndarray,
+    mesh: MeshPixels,
     expected: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """See :func:`liaam.kernels.reference.mesh_products`; fastest with modes in Fortran's order."""
-    n_p, n_right = basis.shape[1], len(right)
+    """See :func:`liaam.kernels.reference.mesh_products`."""
+    basis, n_right = mesh.basis, len(right)
+    n_p, (wide, m) = basis.shape[1], (packed.lines.shape[1], len(packed.steps))
     # By the vertices: E'J on its way to the parameters, further columns and modes, side by side.
-    total = np.zeros((len(basis), n_p + n_right + len(modes)))
+    total = np.zeros((len(basis), n_p + n_right + wide))
     # The instructions above look at memory as it is: float32, line by line.
-    floats = steep, steep if expected is None else expected, root, modes.T, right, beta
-    steep, own, root, lines, right, beta = (np.ascontiguousarray(array, dtype=_F) for array in floats)
-    _mesh_products(steep, own, root, lines, right, beta, starts, triangles, basis, total)
+    floats = steep, steep if expected is None else expected, root, right
+    steep, own, root, right = (np.ascontiguousarray(array, dtype=_F) for array in floats)
+    pixels = mesh.beta, mesh.starts, mesh.triangles, mesh.edges, mesh.sides
+    _mesh_products(steep, own, root, packed.lines, right, *pixels, basis, total)
     carried = (basis.T @ total).T
-    return carried[:n_p].T, carried[n_p + n_right :], carried[n_p : n_p + n_right]
+    aj = carried[n_p + n_right :][:m] * packed.sizes[:, None]
+    return carried[:n_p].T, aj, carried[n_p : n_p + n_right]

@@ -15,6 +15,8 @@ import numpy as np
 from array_api_compat import array_namespace
 from array_api_compat import device as device_of
 
+from liaam.kernels.layout import MeshPixels, Packed
+
 Array = Any
 """An array of any library of the array API standard."""
 
@@ -257,7 +259,7 @@ def steepest(
     Parameters
     ----------
     channels : (h, w, c + 1) float32
-        Encoded image.
+        Encoded image, at least 2 pixels high and wide.
     points : (n, 2) float64
         W(x; p) in the image's pixels.
     turn : (2, 2) float
@@ -300,8 +302,26 @@ def weighted_gram(modes: np.ndarray, roots: np.ndarray) -> np.ndarray:
     return weighted @ weighted.T
 
 
+def less(values: np.ndarray, packed: Packed, factors: np.ndarray) -> np.ndarray:
+    """What is left of values when combined rows are taken off: values - factors A.
+
+    Parameters
+    ----------
+    values : array of n * k numbers, float32
+    packed : Packed
+        A (m, n * k).
+    factors : (m,) float
+
+    Returns
+    -------
+    array as the values, float32
+    """
+    taken = np.asarray(factors, np.float64) @ packed.rows.astype(np.float64)
+    return (values - taken.reshape(values.shape)).astype(np.float32)
+
+
 def residual_sums(
-    residual: np.ndarray, modes: np.ndarray, own: np.ndarray, weights: np.ndarray
+    residual: np.ndarray, packed: Packed, own: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """What a weighted residual sums up to.
 
@@ -309,8 +329,8 @@ def residual_sums(
     ----------
     residual : (n, k) float32
         r, unweighted.
-    modes : (m, n * k) float32
-        A, unweighted.
+    packed : Packed
+        A (m, n * k), unweighted.
     own : (n, k) float32
         Roots of the weights.
     weights : (n,) float32
@@ -330,7 +350,30 @@ def residual_sums(
     roots = own * weights[:, None]
     squares = np.square(roots.astype(np.float64))
     weighted = (squares * residual).reshape(-1)
-    return roots, modes @ weighted, float(weighted @ residual.reshape(-1)), float(squares.sum())
+    return roots, packed.rows @ weighted, float(weighted @ residual.reshape(-1)), float(squares.sum())
+
+
+def column_products(right: np.ndarray, count: int, packed: Packed, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted products of the first few of some columns with the appearance and with all of the columns.
+
+    Parameters
+    ----------
+    right : (b, n * k) float32
+        Columns, unweighted: of the angles, and the residual.
+    count : int
+        How many of them to multiply with.
+    packed : Packed
+        A (m, n * k), unweighted.
+    root : (n, k) float32
+        Root of the weights, the image's included.
+
+    Returns
+    -------
+    ac : (m, count) float64
+    cc : (b, count) float64
+    """
+    weighted = (np.square(root.astype(np.float64)).reshape(-1) * right[:count]).T
+    return packed.rows @ weighted, right @ weighted
 
 
 def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -370,12 +413,9 @@ def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -
 def mesh_products(
     steep: np.ndarray,
     root: np.ndarray,
-    modes: np.ndarray,
+    packed: Packed,
     right: np.ndarray,
-    beta: np.ndarray,
-    starts: np.ndarray,
-    triangles: np.ndarray,
-    basis: np.ndarray,
+    mesh: MeshPixels,
     expected: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted products of the derivatives by a mesh's vertices with themselves and with other columns.
@@ -393,17 +433,12 @@ def mesh_products(
         Derivative of each pixel's residuals by the place.
     root : (n, k) float32
         Root of the weights, the image's included.
-    modes : (m, n * k) float32
-        A, unweighted.
+    packed : Packed
+        A (m, n * k), unweighted.
     right : (b, n * k) float32
         Further columns, unweighted: of the angles, and the residual.
-    beta : (n, 3) float32
-        Barycentric weights of the triangle's vertices; pixels in the order of their triangles.
-    starts : (t + 1,) int64
-        First pixel of each triangle, and the end.
-    triangles : (t, 3) int64
-    basis : (2 n_vertices, n_p) float64
-        Derivative of the vertices' coordinates, x and y in turn, by the warp's parameters.
+    mesh : MeshPixels
+        Where the pixels lie.
     expected : (n, k, 2) float32, optional
         What the derivatives are expected to be, E; J'J and right'J become E'J and right'E.
 
@@ -413,18 +448,18 @@ def mesh_products(
     aj : (m, n_p) float64
     rj : (b, n_p) float64
     """
-    owners = np.repeat(np.arange(len(triangles)), np.diff(starts))
+    owners = np.repeat(np.arange(len(mesh.triangles)), np.diff(mesh.starts))
 
     def columns_of(slopes: np.ndarray) -> np.ndarray:
-        columns = np.zeros((*root.shape, len(basis) // 2, 2))
+        columns = np.zeros((*root.shape, len(mesh.basis) // 2, 2))
         for corner in range(3):
-            at = triangles[owners, corner]
-            columns[np.arange(len(root)), :, at] = (beta[:, corner, None] * root)[..., None] * slopes
-        return columns.reshape(root.size, len(basis)) @ basis
+            at = mesh.triangles[owners, corner]
+            columns[np.arange(len(root)), :, at] = (mesh.beta[:, corner, None] * root)[..., None] * slopes
+        return columns.reshape(root.size, len(mesh.basis)) @ mesh.basis
 
     by_root, columns = root.reshape(-1, 1), columns_of(steep)
     left = columns if expected is None else columns_of(expected)
-    return left.T @ columns, modes @ (by_root * columns), right @ (by_root * left)
+    return left.T @ columns, packed.rows @ (by_root * columns), right @ (by_root * left)
 
 
 def soft_noise_batch(

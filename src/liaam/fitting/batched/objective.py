@@ -228,7 +228,7 @@ class BatchObjective:
             full=full,
             metric=_by_angle(method.image_metric),
             model_metric=_by_angle(method.model_metric),
-            slopes=own._slopes if self.scores else np.zeros((0, 0), np.float32),
+            slopes=own._slopes.rows if self.scores else np.zeros((0, 0), np.float32),
             triangles=triangles,
             frame=_edges(np, warp.frame.points, triangles),
             owners=warp._owners.astype(np.int64),
