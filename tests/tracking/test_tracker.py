@@ -1,6 +1,7 @@
 """Tracking generated videos: what moves is followed, what is hidden is found again, what trembles is calmed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -126,6 +127,53 @@ def test_a_jump_is_no_tracking(head_model, moving):
     assert first.status is TrackStatus.FOUND
 
 
+def astray(tracker: Tracker, monkeypatch, quality: float) -> None:
+    """Let fits that follow come out with part of the landmarks elsewhere, and a quality."""
+    fit = tracker._near.fit
+
+    def spoilt(image, start, name=""):
+        result = fit(image, start, name)
+        moved = result.shape.copy()
+        moved[:20] += 0.1 * diagonal_of(moved)
+        return replace(result, shape=moved, quality=quality)
+
+    monkeypatch.setattr(tracker, "_near", SimpleNamespace(fit=spoilt))
+
+
+def test_what_has_gone_astray_is_put_right(head_model, moving, monkeypatch):
+    tracker = Tracker(head_model, options=TrackingOptions(review=4))
+    first = tracker.update(moving[0].image)
+    astray(tracker, monkeypatch, 1.0 - 1.5 * (1.0 - first.quality))
+    frames = [tracker.update(scene.image) for scene in moving[1:6]]
+    assert [frame.status for frame in frames] == [TrackStatus.TRACKED] * 3 + [TrackStatus.FOUND, TrackStatus.TRACKED]
+    assert off(frames[2].raw, moving[3]) > RIGHT > off(frames[3].raw, moving[4])
+    np.testing.assert_allclose(frames[3].landmarks, frames[3].raw, atol=1e-9)  # not smoothed with what was astray
+    assert frames[3].quality > frames[2].quality
+
+
+def test_a_fit_from_the_mean_shape_has_to_be_clearly_better(head_model, moving, monkeypatch):
+    tracker = Tracker(head_model, options=TrackingOptions(review=1))
+    first = tracker.update(moving[0].image)
+    astray(tracker, monkeypatch, 1.0 - 1.1 * (1.0 - first.quality))
+    assert tracker.update(moving[1].image).status is TrackStatus.TRACKED
+
+
+@pytest.mark.parametrize(("review", "reviewed"), [(0, []), (3, [12, 15]), (1, [11, 12, 13, 14, 15])])
+def test_frames_are_reviewed_by_their_number(head_model, moving, monkeypatch, review, reviewed):
+    tracker, found = Tracker(head_model, options=TrackingOptions(review=review)), []
+    monkeypatch.setattr(tracker, "_reviewed", lambda _pixels, _followed, name: found.append(int(name.split()[1])))
+    for i in range(10, 16):
+        tracker.update(moving[i].image, index=i)
+    assert found == reviewed
+
+
+def test_what_knows_no_quality_is_not_reviewed(head_model, moving, monkeypatch):
+    tracker = Tracker(head_model, "li", init=moving[0].landmarks, options=TrackingOptions(review=1))
+    tracker.update(moving[0].image)
+    monkeypatch.setattr(tracker, "fitter", None)
+    assert tracker.update(moving[1].image).status is TrackStatus.TRACKED
+
+
 def test_frames_of_another_size_are_followed(head_model, moving):
     import cv2
 
@@ -248,7 +296,9 @@ def test_a_tracker_begins_anew(head_model, moving):
     assert (frame.index, frame.status) == (0, TrackStatus.FOUND)
 
 
-@pytest.mark.parametrize("wrong", [{"levels": 0}, {"iterations": 0}, {"patience": -1}, {"longest_wait": 0}])
+@pytest.mark.parametrize(
+    "wrong", [{"levels": 0}, {"iterations": 0}, {"patience": -1}, {"longest_wait": 0}, {"review": -1}]
+)
 def test_options_that_make_no_sense(wrong):
     with pytest.raises(MethodError, match="at least"):
         TrackingOptions(**wrong)
