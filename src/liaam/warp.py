@@ -6,6 +6,7 @@ own coordinates; the fitting problem adds the constant similarity between model 
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import sqrt
 from typing import Protocol
 
 import numpy as np
@@ -109,7 +110,7 @@ class PiecewiseAffineWarp:
     def movement(self, step: np.ndarray) -> float:
         """Root mean square movement of the landmarks by a step of p, model pixels."""
         # The shape vectors are orthonormal over the 2 n landmark coordinates.
-        return float(np.linalg.norm(step) / np.sqrt(self.shape_model.n_points))
+        return sqrt(float(step @ step) / self.shape_model.n_points)
 
     def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
         """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""

@@ -373,7 +373,8 @@ class Objective:
         expected: np.ndarray | None,
     ) -> NormalEquations:
         """Normal equations of (p, angles) and lambda at the warp's parameters p."""
-        right = np.concatenate([self._turning(look, slope), look.residual.reshape(1, -1)])
+        turning, right = self._turning(look, slope), look.residual.reshape(1, -1)
+        right = np.concatenate([turning, right]) if len(turning) else right
         jj, aj, rj = self._warp_products(look.steep, expected, root, design, right, p)
         n, jr = len(right) - 1, rj[-1]
         if n:  # the angles' rows and columns

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.fitting.normal_equations import NormalEquations, Sums, on_diagonal, solve_lifted
+from liaam.fitting.normal_equations import NormalEquations, Sums, on_diagonal, solve_lifted, solve_symmetric
 from liaam.fitting.objective import Linearisation, Objective, State
 from liaam.fitting.prior import next_scale_of_one
 from liaam.fitting.problem import FitProblem
@@ -488,10 +488,10 @@ def _step(
     floor = 1e-9 * diagonal.max()
     diagonal += damping * np.maximum(diagonal, floor) + floor
     step = np.zeros(len(free))
-    try:
-        step[free] = np.linalg.solve(hessian, -gradient[free])
-    except np.linalg.LinAlgError:
+    own = solve_symmetric(hessian, -gradient[free])
+    if own is None:
         return None
+    step[free] = own
     return step, equations.lambda_step(step)
 
 

@@ -79,12 +79,12 @@ class MeshPixels:
         edges, numbers = np.unique(corners, axis=0, return_inverse=True)
         return edges, numbers.reshape(len(self.triangles), len(PAIRS))
 
-    @property
+    @cached_property
     def edges(self) -> np.ndarray:
         """Vertices that share a triangle, (e, 2) int64, each with itself among them."""
         return self._edges[0]
 
-    @property
+    @cached_property
     def sides(self) -> np.ndarray:
         """Which edge :data:`PAIRS` of a triangle's corners are, (t, 6) int64."""
         return self._edges[1]
