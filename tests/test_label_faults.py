@@ -93,6 +93,23 @@ def test_left_and_right_exchanged_are_found():
     assert "left and right" in fault.message
 
 
+@pytest.mark.parametrize(("kind", "step", "shift"), [("reversed", -1, 0), ("reversed", -1, 11), ("shifted", 1, 5)])
+def test_landmarks_in_another_order_as_a_whole_are_found(shapes, kind, step, shift):
+    order = np.roll(np.arange(len(shapes[0]))[::step], shift)
+    (fault,) = find_label_faults(exchanged(shapes, 6, order))
+    assert (fault.picture, fault.kind) == (6, kind)
+    assert fault.points == tuple(range(len(shapes[0])))
+    np.testing.assert_array_equal(exchanged(shapes, 6, order)[6][fault.order], shapes[6])
+    assert fault.distance > 4 * fault.mended
+
+
+def test_outlines_that_are_alike_from_everywhere_have_no_beginning(rng):
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = 50 * np.column_stack([np.cos(angles), np.sin(angles)])
+    made = [np.roll(ring + rng.normal(scale=0.5, size=ring.shape), i % 5, axis=0) for i in range(12)]
+    assert find_label_faults(made) == []
+
+
 def test_a_landmark_far_off_is_told_and_not_moved(shapes):
     made = [shape.copy() for shape in shapes]
     made[7][11] += 0.3 * np.ptp(made[7], axis=0)

@@ -38,8 +38,9 @@ LEAST_LANDMARKS, AS_USUAL = 10, 2.5
 """How many landmarks there have to be, and how many times as far off as is usual half of them may lie, for a single one
 to be told: of few landmarks, or in a shape like no other, each may lie anywhere."""
 
-HALF_TURNED = 3.0
-"""How many times as far off as is usual all landmarks have to lie before left and right are tried the other way."""
+ALL_OFF = 3.0
+"""How many times as far off as is usual half of the landmarks have to lie before all are tried in other orders, and how
+many times nearer they have to be in one of them: the other way round, begun elsewhere, or left for right."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +129,8 @@ def find_label_faults(
         return []
     own = np.array([shapes[i] for i in pictures], dtype=np.float64)
     sizes = np.array([diagonal_of(shape) for shape in own])
-    mirrored = mirror_order(procrustes_mean(own))
+    mean = procrustes_mean(own)
+    orders = _whole_orders(len(mean), mirror_order(mean))
     expected = np.empty_like(own)
     for i, shape in enumerate(own):
         if progress:
@@ -139,7 +141,7 @@ def find_label_faults(
     return [
         fault
         for i, picture in enumerate(pictures)
-        for fault in _faults_of(picture, own, i, expected[i], sizes[i] * usual, mirrored)
+        for fault in _faults_of(picture, own, i, expected[i], sizes[i] * usual, mean, orders)
     ]
 
 
@@ -182,17 +184,18 @@ def _faults_of(
     own: int,
     expected: np.ndarray,
     usual: np.ndarray,
-    mirrored: np.ndarray | None,
+    mean: np.ndarray,
+    orders: dict[str, np.ndarray],
 ) -> Iterator[LabelFault]:
     """Faults of the shape number ``own`` of all (m, n, 2), which is that of a picture."""
     shape = shapes[own]
     distances = np.linalg.norm(shape - expected, axis=1)
     identity, everything = np.arange(len(shape)), tuple(range(len(shape)))
-    if mirrored is not None and np.median(distances / usual) > HALF_TURNED:
-        turned = _expected(shape[mirrored], shapes, own)
-        after = np.linalg.norm(shape[mirrored] - turned, axis=1)
-        if np.median(after / usual) * HALF_TURNED < np.median(distances / usual):
-            yield LabelFault(picture, "mirrored", everything, mirrored, _rms(distances), _rms(after), turned)
+    if np.median(distances / usual) > ALL_OFF:
+        kind, order, elsewhere = _best_whole(shapes, own, usual, mean, orders)
+        after = np.linalg.norm(shape[order] - elsewhere, axis=1)
+        if np.median(after / usual) * ALL_OFF < np.median(distances / usual):
+            yield LabelFault(picture, kind, everything, order, _rms(distances), _rms(after), elsewhere)
             return
     order = _exchanged(shape, expected, usual)
     moved = np.flatnonzero(order != identity)
@@ -209,6 +212,30 @@ def _faults_of(
     if len(stray) and others_as_usual:
         far = _rms(distances[stray])
         yield LabelFault(picture, "stray", tuple(stray.tolist()), identity, far, far, expected)
+
+
+def _whole_orders(n: int, mirrored: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Other orders of all n landmarks by kind, (r, n) int64: begun elsewhere, the other way round, left for right."""
+    rolls = (np.arange(n)[:, None] + np.arange(n)) % n
+    orders = {"shifted": rolls[1:], "reversed": rolls[:, ::-1]}
+    return orders if mirrored is None else {"mirrored": mirrored[None], **orders}
+
+
+def _best_whole(
+    shapes: np.ndarray, own: int, usual: np.ndarray, mean: np.ndarray, orders: dict[str, np.ndarray]
+) -> tuple[str, np.ndarray, np.ndarray]:
+    """Kind and order in which a shape is nearest to the pictures that are then like it, and where those have it.
+
+    Of each kind the order is tried that is nearest to the mean shape.
+    """
+    tried = []
+    for kind, each in orders.items():
+        placed = _onto(shapes[own][each], mean)
+        order = each[np.median(np.linalg.norm(placed - mean, axis=2), axis=1).argmin()]
+        shape = shapes[own][order]
+        expected = _expected(shape, shapes, own)
+        tried.append((np.median(np.linalg.norm(shape - expected, axis=1) / usual), kind, order, expected))
+    return min(tried, key=lambda each: each[0])[1:]
 
 
 def _exchanged(shape: np.ndarray, expected: np.ndarray, usual: np.ndarray) -> np.ndarray:
