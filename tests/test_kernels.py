@@ -50,6 +50,21 @@ def test_fast_samples_as_reference_says(points, metric, seed):
     np.testing.assert_array_equal(found[3], expected[3])
 
 
+@pytest.mark.parametrize("n", [0, 1, 255, 256, 257, 259, 600])
+@pytest.mark.parametrize("metric", [np.ones((1, 3)), fast.SOFT * 1.0], ids=["one", "soft"])
+@pytest.mark.parametrize("size", [(2, 2), (HEIGHT, WIDTH)])
+def test_any_number_of_points_is_sampled(rng, size, metric, n):
+    channels = rng.random((*size, metric.shape[1] + 1))
+    points = rng.uniform(-1, np.array(size[::-1]), (n, 2))
+    for ours, theirs in zip(
+        fast.steepest(channels, points, np.eye(2), metric),
+        reference.steepest(channels, points, np.eye(2), metric),
+        strict=True,
+    ):
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours, theirs, atol=1e-5)
+
+
 def mesh_of(rng: np.random.Generator, sizes: list[int], n_vertices: int = 5, n_p: int = 4) -> MeshPixels:
     beta = rng.random((sum(sizes), 3))
     return MeshPixels(
@@ -99,6 +114,23 @@ def test_packed_numbers_are_near_those_given(n_modes, n, seed):
     np.testing.assert_array_equal(pack(packed.rows).steps, packed.steps)
     np.testing.assert_array_equal(packed.lines[:, :n_modes], packed.steps.T)
     assert packed.lines.shape[1] % 8 == 0 and not packed.lines[:, n_modes:].any()
+
+
+def test_rows_that_are_no_numbers_stay_so():
+    rows = np.ones((4, 3), np.float32)
+    rows[1, 2], rows[2, 0], rows[3] = np.nan, np.inf, 1e-43
+    packed = pack(rows)
+    assert np.isnan(packed.rows[1:3]).all()
+    np.testing.assert_array_equal(packed.rows[[0, 3]], [[1, 1, 1], [0, 0, 0]])
+    assert np.isnan(fast.less(np.zeros(3, np.float32), packed, np.ones(4))).all()
+
+
+@pytest.mark.parametrize("kernel", [fast, reference])
+def test_rows_are_taken_off_whatever_lies_where(rng, kernel):
+    values, packed = floats(rng, 5, 4), pack(floats(rng, 3, 20))
+    expected = reference.less(values, packed, np.arange(3))
+    np.testing.assert_allclose(kernel.less(np.asfortranarray(values), packed, np.arange(3)), expected, atol=1e-5)
+    assert not np.isfinite(kernel.less(values, packed, np.full(3, 1e300))).any()
 
 
 def test_edges_of_a_mesh_are_those_of_its_triangles():

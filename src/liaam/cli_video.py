@@ -434,11 +434,11 @@ def report(counts: Counts, outputs: Sequence[Path]) -> None:
     from liaam.evaluation import ranges_of
 
     seconds = max(monotonic() - counts.began, 1e-9)
-    table = table_of("frames", "with landmarks", "lost", "found anew", "quality", "frames/s")
+    table = table_of("frames", "with landmarks", "lost", "found anew", "corrected", "quality", "frames/s")
     known = [quality for quality in counts.qualities if np.isfinite(quality)]
     again = max(0, counts.statuses["found"] - 1)
     quality = f"{np.median(known):.2f}" if known else "–"
-    numbers = counts.n, counts.n_tracked, len(counts.lost), again
+    numbers = counts.n, counts.n_tracked, len(counts.lost), again, counts.statuses["corrected"]
     table.add_row(*map(str, numbers), quality, f"{counts.n / seconds:.1f}")
     console.print(table)
     for path in outputs:

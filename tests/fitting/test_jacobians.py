@@ -138,6 +138,23 @@ def test_gram_matrices_leave_out_pixels_without_weight(model, lit_scene, method,
     np.testing.assert_allclose(seen.equations.jj, J.T @ J, rtol=1e-4, atol=1e-5 * np.abs(J.T @ J).max())
 
 
+@pytest.mark.parametrize("method", ALL)
+def test_equations_after_a_step_of_lambda_are_those_of_another_look(model, lit_scene, method, rng):
+    setting = Setting(model, lit_scene, method, "fast", rng)
+    seen = setting.objective.linearise(setting.problem, setting.state, setting.trust)
+    step = rng.normal(size=setting.objective.n_lambda) * np.abs(seen.sums.best_lambda_step())
+    moved = setting.objective.moved(seen, setting.state, step)
+    there = setting.objective.linearise(
+        setting.problem, replace(setting.state, lam=setting.state.lam + step), setting.trust
+    )
+    np.testing.assert_allclose(moved.residual, there.residual, atol=1e-5 * np.abs(there.residual).max())
+    direct = moved.products(moved.look, moved.sums, None)
+    for name in ("jj", "aj", "jr"):
+        own, other = getattr(moved.equations, name), getattr(direct, name)
+        np.testing.assert_allclose(own, other, atol=1e-5 * np.abs(other).max(), err_msg=name)
+    assert moved.cost == pytest.approx(there.cost, rel=1e-4)
+
+
 @pytest.mark.parametrize("method", ANGLED)
 def test_the_reduced_gradient_is_that_of_the_cost_with_lambda_at_its_best(model, lit_scene, method, rng):
     setting = Setting(model, lit_scene, method, "fast", rng)

@@ -9,7 +9,7 @@ import pytest
 from liaam.datasets.scenes import lateral
 from liaam.errors import ImageError, MethodError, StartError, VideoError
 from liaam.fitting import Candidate, FitStatus, Fitter
-from liaam.shape import diagonal_of
+from liaam.shape import align, diagonal_of
 from liaam.tracking import Tracker, TrackingOptions, TrackStatus, track_video
 from liaam.tracking.tracker import sharpest
 from setups import MOVING_FRAMES, moving_scene
@@ -145,26 +145,63 @@ def test_what_has_gone_astray_is_put_right(head_model, moving, monkeypatch):
     first = tracker.update(moving[0].image)
     astray(tracker, monkeypatch, 1.0 - 1.5 * (1.0 - first.quality))
     frames = [tracker.update(scene.image) for scene in moving[1:6]]
-    assert [frame.status for frame in frames] == [TrackStatus.TRACKED] * 3 + [TrackStatus.FOUND, TrackStatus.TRACKED]
+    followed, corrected = TrackStatus.TRACKED, TrackStatus.CORRECTED
+    assert [frame.status for frame in frames] == [followed, followed, followed, corrected, followed]
     assert off(frames[2].raw, moving[3]) > RIGHT > off(frames[3].raw, moving[4])
     np.testing.assert_allclose(frames[3].landmarks, frames[3].raw, atol=1e-9)  # not smoothed with what was astray
-    assert frames[3].quality > frames[2].quality
+    assert frames[3].ok and frames[3].quality > frames[2].quality
 
 
-def test_a_fit_from_the_mean_shape_has_to_be_clearly_better(head_model, moving, monkeypatch):
-    tracker = Tracker(head_model, options=TrackingOptions(review=1))
-    first = tracker.update(moving[0].image)
-    astray(tracker, monkeypatch, 1.0 - 1.1 * (1.0 - first.quality))
-    assert tracker.update(moving[1].image).status is TrackStatus.TRACKED
+@pytest.mark.parametrize(
+    ("change", "moved", "status"),
+    [
+        ({}, 0.1, TrackStatus.CORRECTED),
+        ({"quality": 0.79}, 0.1, TrackStatus.TRACKED),  # better, but not clearly
+        ({"status": FitStatus.DIVERGED}, 0.1, TrackStatus.TRACKED),
+        ({}, 0.01, TrackStatus.TRACKED),  # the same
+        ({}, 0.5, TrackStatus.TRACKED),  # another object
+    ],
+)
+def test_a_review_has_to_be_clearly_better(head_model, moving, monkeypatch, change, moved, status):
+    tracker, starts = Tracker(head_model, options=TrackingOptions(review=1)), []
+    tracker.update(moving[0].image)
+    near = tracker._near.fit
+
+    def followed(image, start, name=""):
+        return replace(near(image, start, name), quality=0.75)
+
+    def anew(image, start, name=""):
+        starts.append(start)
+        fit = near(image, start, name)
+        return replace(fit, **{"shape": fit.shape + moved * diagonal_of(fit.shape), "quality": 0.9, **change})
+
+    monkeypatch.setattr(tracker, "_near", SimpleNamespace(fit=followed))
+    monkeypatch.setattr(tracker, "fitter", SimpleNamespace(fit=anew))
+    assert tracker.update(moving[1].image).status is status
+    mean = head_model.shape_model.mean
+    np.testing.assert_allclose(align(starts[0], mean)(starts[0]), mean, atol=1e-6)
 
 
-@pytest.mark.parametrize(("review", "reviewed"), [(0, []), (3, [12, 15]), (1, [11, 12, 13, 14, 15])])
+@pytest.mark.parametrize(("review", "reviewed"), [(0, []), (3, [12, 15, 19]), (1, [11, 12, 14, 15, 16, 19]), (100, [])])
 def test_frames_are_reviewed_by_their_number(head_model, moving, monkeypatch, review, reviewed):
     tracker, found = Tracker(head_model, options=TrackingOptions(review=review)), []
     monkeypatch.setattr(tracker, "_reviewed", lambda _pixels, _followed, name: found.append(int(name.split()[1])))
-    for i in range(10, 16):
+    for i in (10, 11, 12, 14, 15, 16, 19):  # a camera leaves frames out
         tracker.update(moving[i].image, index=i)
     assert found == reviewed
+
+
+def test_who_goes_on_with_a_track_reviews_the_same_frames(head_model, moving, monkeypatch):
+    tracker, other = (Tracker(head_model, options=TrackingOptions(review=3)) for _ in range(2))
+    for i in range(4):
+        tracker.update(moving[i].image)
+    other.resume(tracker.state)
+    found = []
+    for each in (tracker, other):
+        monkeypatch.setattr(each, "_reviewed", lambda _pixels, _followed, name: found.append(name))
+        for i in range(4, 8):
+            each.update(moving[i].image)
+    assert found == ["frame 6"] * 2
 
 
 def test_what_knows_no_quality_is_not_reviewed(head_model, moving, monkeypatch):

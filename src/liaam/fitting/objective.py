@@ -116,7 +116,8 @@ class Linearisation:
         if self.before is None or self.step is None or self.bends:
             return self.products(self.look, self.sums, None)
         # They follow from those before: nobody has to look at pixels again.
-        return self.before.equations.after_lambda_step(self.step)
+        known = self.before.equations
+        return NormalEquations.of(self.sums, known.jj, known.jr - known.aj.T @ self.step, known.aj)
 
     def expecting(self, gradient: np.ndarray) -> NormalEquations:
         """Equations of the zero of E'r (E'J, A'J and E'r), E being the derivatives by a gradient (n_pixels, k, 2)."""
@@ -234,10 +235,14 @@ class Objective:
         return len(self._fixed_design.packed.steps)
 
     def design(self, theta: float) -> _Design:
-        """Model side at an angle theta_1; made once where the method keeps it fixed."""
+        """Model side at an angle theta_1; made once where the method keeps it fixed, else kept while theta_1 stays."""
         if theta == self.theta_model and not self._turns:
             return self._fixed_design
-        return self._make_design(theta)
+        last = self.__dict__.get("_last_design")
+        if last is None or last[0] != theta:
+            last = theta, self._make_design(theta)
+            self.__dict__["_last_design"] = last  # at once: others may fit with this objective in other threads
+        return last[1]
 
     @cached_property
     def _turns(self) -> bool:

@@ -1,4 +1,8 @@
-"""Instructions on vectors of float32, for the few inner loops whose shape a compiler does not find by itself."""
+"""Instructions on vectors of float32, for the few inner loops whose shape a compiler does not find by itself.
+
+Nothing here checks bounds or types: whoever calls sees to both. What numba has cached of functions in other files does
+not notice a change in this one; remove the caches (``*.nbi``, ``*.nbc``) after it.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -45,11 +45,14 @@ class Packed:
 
 
 def pack(rows: np.ndarray) -> Packed:
-    """Pack rows (m, n) of finite numbers."""
+    """Pack rows (m, n); one that holds what is no number, as of an angle that has blown up, is none as a whole."""
     largest = np.maximum(rows.max(axis=1, initial=0.0), -rows.min(axis=1, initial=0.0))
-    sizes = np.where(largest > 0, largest / LARGEST, 1.0).astype(np.float32)
+    finite, seen = np.isfinite(largest), largest > LARGEST * np.finfo(np.float32).tiny
+    sizes = np.where(seen, largest / LARGEST, 1.0).astype(np.float32)
+    if not finite.all():
+        sizes, rows = np.where(finite, sizes, np.float32(np.nan)), np.where(finite[:, None], rows, 0.0)
     steps = np.empty(rows.shape, np.int16)
-    np.rint(rows / sizes[:, None], out=steps, casting="unsafe")
+    np.rint(rows / np.where(finite, sizes, 1.0).astype(np.float32)[:, None], out=steps, casting="unsafe")
     return Packed(steps, sizes)
 
 

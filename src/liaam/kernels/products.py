@@ -15,10 +15,11 @@ from numba.extending import intrinsic
 from liaam.jit import F as _F
 from liaam.jit import jit as _jit
 from liaam.kernels.lanes import Lanes
-from liaam.kernels.layout import PAIRS, MeshPixels, Packed
+from liaam.kernels.layout import LANES, PAIRS, MeshPixels, Packed
 
-LONG, SHORT = 16, 8
-"""Columns that are summed at a time, and those at the end: a register of AVX-512 and of AVX; elsewhere several."""
+LONG, SHORT = 2 * LANES, LANES
+"""Columns that are summed at a time, and those at the end: a register of AVX-512 and of AVX, elsewhere several.
+Lines are as wide as these make up."""
 
 _AT = types.intp  # where something lies, or how much there is of it
 
@@ -190,9 +191,10 @@ def _less(values, steps, factors):
 
 def less(values: np.ndarray, packed: Packed, factors: np.ndarray) -> np.ndarray:
     """See :func:`liaam.kernels.reference.less`."""
-    left = np.array(values, dtype=np.float32)
+    left = np.array(values, dtype=np.float32, order="C")
     filled = np.zeros(len(factors) + 3, np.float32)
-    np.multiply(factors, packed.sizes, out=filled[: len(factors)], casting="unsafe")
+    with np.errstate(over="ignore", invalid="ignore"):  # a fit that blows up; its cost says so
+        np.multiply(factors, packed.sizes, out=filled[: len(factors)], casting="unsafe")
     _less(left.reshape(-1), packed.steps, filled)
     return left
 
@@ -234,7 +236,7 @@ def residual_sums(
     residual: np.ndarray, packed: Packed, own: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """See :func:`liaam.kernels.reference.residual_sums`."""
-    roots, ar = np.empty_like(own), np.zeros(len(packed.steps))
+    roots, ar = np.empty(own.shape, np.float32), np.zeros(len(packed.steps))
     rr, weight = _residual_sums(residual, packed.steps, own, weights, roots, ar)
     return roots, ar * packed.sizes, float(rr), float(weight)
 
@@ -350,9 +352,9 @@ def mesh_products(
     # By the vertices: E'J on its way to the parameters, further columns and modes, side by side.
     total = np.zeros((len(basis), n_p + n_right + wide))
     # The instructions above look at memory as it is: float32, line by line.
-    floats = steep, steep if expected is None else expected, root, right
-    steep, own, root, right = (np.ascontiguousarray(array, dtype=_F) for array in floats)
-    pixels = mesh.beta, mesh.starts, mesh.triangles, mesh.edges, mesh.sides
+    floats = steep, steep if expected is None else expected, root, right, mesh.beta
+    steep, own, root, right, beta = (np.ascontiguousarray(array, dtype=_F) for array in floats)
+    pixels = beta, mesh.starts, mesh.triangles, mesh.edges, mesh.sides
     _mesh_products(steep, own, root, packed.lines, right, *pixels, basis, total)
     carried = (basis.T @ total).T
     aj = carried[n_p + n_right :][:m] * packed.sizes[:, None]

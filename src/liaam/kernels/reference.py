@@ -316,8 +316,9 @@ def less(values: np.ndarray, packed: Packed, factors: np.ndarray) -> np.ndarray:
     -------
     array as the values, float32
     """
-    taken = np.asarray(factors, np.float64) @ packed.rows.astype(np.float64)
-    return (values - taken.reshape(values.shape)).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # a fit that blows up; its cost says so
+        taken = np.asarray(factors, np.float64) @ packed.rows.astype(np.float64)
+        return (values - taken.reshape(values.shape)).astype(np.float32)
 
 
 def residual_sums(
@@ -436,7 +437,7 @@ def mesh_products(
     packed : Packed
         A (m, n * k), unweighted.
     right : (b, n * k) float32
-        Further columns, unweighted: of the angles, and the residual.
+        Further columns, unweighted, one at least: of the angles, and the residual.
     mesh : MeshPixels
         Where the pixels lie.
     expected : (n, k, 2) float32, optional

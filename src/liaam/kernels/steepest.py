@@ -19,7 +19,7 @@ from liaam.kernels.lanes import Lanes
 _AT = types.intp  # where something lies, or how much there is of it
 
 BLOCK = 256
-"""Pixels whose places are worked out at a time."""
+"""Pixels whose places are worked out at a time: a multiple of those that are written together."""
 
 
 @_jit
@@ -257,6 +257,7 @@ def steepest(
     values, projected = np.empty((room, c), np.float32), np.empty((room, k), np.float32)
     steep, weights = np.empty((room, k, 2), np.float32), np.empty(room, np.float32)
     loop, factors = _loop_for(metric)
+    # The instructions above look at memory as it is.
     points, turn = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(turn, np.float32)
-    loop(channels, points, turn, factors, values, projected, steep, weights)
+    loop(np.ascontiguousarray(channels, np.float32), points, turn, factors, values, projected, steep, weights)
     return values[:n], projected[:n], steep[:n], weights[:n]

@@ -46,12 +46,16 @@ BETTER = 0.8
 on a talking face whose jaw had gone astray for 1,000 frames: 0.6 to 0.8 there, 0.88 and more where the track is right
 and the fit from the mean shape is not."""
 
+APART = 0.02
+"""Share of the object's diagonal that a landmark of that fit has to lie elsewhere: else nothing was astray."""
+
 
 class TrackStatus(StrEnum):
     """How a frame's landmarks came about."""
 
     FOUND = "found"
     TRACKED = "tracked"
+    CORRECTED = "corrected"
     LOST = "lost"
 
 
@@ -72,8 +76,8 @@ class TrackingOptions:
     longest_wait : int
         Frames between two searches at most: the first wait is one frame, and each is twice as long as the one before.
     review : int
-        Every so many frames (those whose number is a multiple of it) one is fitted from the mean shape too, and what is
-        clearly the better fit is gone on from, where the method knows the quality of its fits; 0 for never.
+        Every so many frames (at multiples of it, or at the next frame there is) one is fitted from the mean shape too,
+        and what is clearly the better fit is gone on from, where the method knows the quality of its fits; 0 for never.
     """
 
     smooth: bool = True
@@ -100,8 +104,8 @@ class TrackedFrame:
     time : float
         Seconds, as given; NaN if not.
     status : TrackStatus
-        ``found`` by the search, by the start that was given or from the mean shape, ``tracked`` from the frame before,
-        or ``lost``. Where one that is ``found`` follows on one that is ``tracked``, some before it were astray.
+        ``found`` by the search or by the start that was given, ``tracked`` from the frame before, ``corrected`` from
+        the mean shape, since part of what was tracked had gone astray some frames before, or ``lost``.
     fit_status : FitStatus or None
         Of the last fit that was tried; None where none was.
     quality : float
@@ -182,6 +186,8 @@ class TrackState:
         Of the last frame.
     last : (n, 2) float64, optional
         Landmarks where it was last.
+    reviewed : int
+        Number of the last frame that was reviewed or found, over how often that is done.
     """
 
     count: int = 0
@@ -189,6 +195,7 @@ class TrackState:
     loss: _Loss = _Loss()
     size: tuple[int, int] | None = None
     last: np.ndarray | None = None
+    reviewed: int = 0
 
 
 @dataclass(eq=False)
@@ -240,13 +247,13 @@ class Tracker:
     @property
     def state(self) -> TrackState:
         """What is known after the last frame."""
-        return TrackState(self._count, self._track, self._loss, self._size, self._last)
+        return TrackState(self._count, self._track, self._loss, self._size, self._last, self._period)
 
     def resume(self, state: TrackState) -> None:
         """Go on where a tracker with the same model and method was."""
         self.result = None
         self._count, self._track, self._loss = state.count, state.track, state.loss
-        self._size, self._last = state.size, state.last
+        self._size, self._last, self._period = state.size, state.last, state.reviewed
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.
@@ -258,7 +265,7 @@ class Tracker:
         time : float
             Seconds, for the result.
         index : int, optional
-            Number of the frame, for the result; counted if left out.
+            Number of the frame, for the result and for what is done every so many frames; counted if left out.
 
         Returns
         -------
@@ -308,6 +315,7 @@ class Tracker:
         if first and self.init is not None:
             tried = self.fitter.fit(pixels, self.init, name)
             if _usable(tried):
+                self._is_due(index)
                 return TrackStatus.FOUND, tried
         elif self._loss.frames <= self.options.patience and self._last is not None:
             right, tried = self._follow(pixels, name)
@@ -316,12 +324,13 @@ class Tracker:
                 if better is None:
                     return TrackStatus.TRACKED, tried
                 self._track = None  # its motion was that of something else
-                return TrackStatus.FOUND, better
+                return TrackStatus.CORRECTED, better
         searched = self._loss.due <= 0
         if searched:
             right, found = self._search(pixels, name, first)
             tried = found or tried
             if right:
+                self._is_due(index)
                 self._track = None  # it may be anywhere now
                 return TrackStatus.FOUND, tried
         self._loss = self._loss.next_frame(searched, self.options.longest_wait)
@@ -342,8 +351,12 @@ class Tracker:
         return False, tried
 
     def _is_due(self, index: int) -> bool:
-        """Tell whether a frame is one to be reviewed: by its number, so that whoever tracks it does the same."""
-        return self.options.review > 0 and index % self.options.review == 0
+        """Tell whether a frame is to be reviewed, and take it as having been.
+
+        By its number, so that whoever tracks it does the same; numbers may have holes.
+        """
+        last, self._period = self._period, index // self.options.review if self.options.review else 0
+        return self._period != last
 
     def _reviewed(self, pixels: np.ndarray, followed: FitResult, name: str) -> FitResult | None:
         """Fit from the mean shape where the object is, if that is clearly better."""
@@ -354,8 +367,11 @@ class Tracker:
             anew = self.fitter.fit(pixels, align(mean, followed.shape)(mean), name)
         except (StartError, ImageError):
             return None
+        apart, size = np.linalg.norm(anew.shape - followed.shape, axis=1), diagonal_of(followed.shape)
         better = _usable(anew) and 1.0 - anew.quality < BETTER * (1.0 - followed.quality)
-        return anew if better else None
+        # Nothing was astray, or this is another object.
+        elsewhere = apart.max() > APART * size and apart.mean() < JUMP * size
+        return anew if better and elsewhere else None
 
     def _predicted(self) -> np.ndarray:
         """Where the object should be in this frame; lets the track's belief move on to it."""
