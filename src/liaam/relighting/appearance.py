@@ -74,9 +74,10 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     variance = tied_together(fitter.model.levels[-1].blur) * max(equations.cost, LEAST_VARIANCE)
     precision = np.zeros(len(lam))
     precision[:n] = prior * variance / np.maximum(eigenvalues, 1e-12)
-    # Modes that are not seen may have lost their sign to rounding.
-    ridge = max(1e-9 * float(np.diag(equations.aa).max()), -2.0 * float(np.linalg.eigvalsh(equations.aa)[0]))
-    hessian = equations.aa + np.diag(precision + ridge)
+    # Modes that are not seen may have lost their sign to rounding; how far is luck, and nothing to hold others by.
+    curvatures, axes = np.linalg.eigh(equations.aa)
+    ridge = 1e-9 * float(np.diag(equations.aa).max())
+    hessian = (axes * (np.maximum(curvatures, 0.0) + ridge)) @ axes.T + np.diag(precision)
     best = np.linalg.solve(hessian, equations.aa @ lam + equations.ar)
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
     return ShadowFree(objective.appearance.texture(best[:n]), best[:n], spread[:n])
