@@ -141,7 +141,8 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
 
     def fresh() -> solver._Run:
         # Without what it has worked out already, now or before its step of lambda.
-        return replace(run, last=replace(last, before=None if last.before is None else replace(last.before)))
+        step = None if last.last is None else replace(last.last, before=replace(last.last.before))
+        return replace(run, last=replace(last, last=step))
 
     def whole() -> None:
         tried = propose(objective, fresh(), options)

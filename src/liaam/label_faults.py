@@ -130,7 +130,7 @@ def find_label_faults(
     own = np.array([shapes[i] for i in pictures], dtype=np.float64)
     sizes = np.array([diagonal_of(shape) for shape in own])
     mean = procrustes_mean(own)
-    orders = _whole_orders(len(mean), mirror_order(mean))
+    mirrored = mirror_order(mean)
     expected = np.empty_like(own)
     for i, shape in enumerate(own):
         if progress:
@@ -141,7 +141,7 @@ def find_label_faults(
     return [
         fault
         for i, picture in enumerate(pictures)
-        for fault in _faults_of(picture, own, i, expected[i], sizes[i] * usual, mean, orders)
+        for fault in _faults_of(picture, own, i, expected[i], sizes[i] * usual, mean, mirrored)
     ]
 
 
@@ -185,14 +185,14 @@ def _faults_of(
     expected: np.ndarray,
     usual: np.ndarray,
     mean: np.ndarray,
-    orders: dict[str, np.ndarray],
+    mirrored: np.ndarray | None,
 ) -> Iterator[LabelFault]:
     """Faults of the shape number ``own`` of all (m, n, 2), which is that of a picture."""
     shape = shapes[own]
     distances = np.linalg.norm(shape - expected, axis=1)
     identity, everything = np.arange(len(shape)), tuple(range(len(shape)))
     if np.median(distances / usual) > ALL_OFF:
-        kind, order, elsewhere = _best_whole(shapes, own, usual, mean, orders)
+        kind, order, elsewhere = _best_whole(shapes, own, usual, mean, mirrored)
         after = np.linalg.norm(shape[order] - elsewhere, axis=1)
         if np.median(after / usual) * ALL_OFF < np.median(distances / usual):
             yield LabelFault(picture, kind, everything, order, _rms(distances), _rms(after), elsewhere)
@@ -214,20 +214,23 @@ def _faults_of(
         yield LabelFault(picture, "stray", tuple(stray.tolist()), identity, far, far, expected)
 
 
-def _whole_orders(n: int, mirrored: np.ndarray | None) -> dict[str, np.ndarray]:
-    """Other orders of all n landmarks by kind, (r, n) int64: begun elsewhere, the other way round, left for right."""
+def _turns(n: int) -> dict[str, np.ndarray]:
+    """Orders of n landmarks in a row by kind, (n, n) int64 each: begun at each of them, and so the other way round."""
     rolls = (np.arange(n)[:, None] + np.arange(n)) % n
-    orders = {"shifted": rolls[1:], "reversed": rolls[:, ::-1]}
-    return orders if mirrored is None else {"mirrored": mirrored[None], **orders}
+    return {"shifted": rolls, "reversed": rolls[:, ::-1]}
 
 
 def _best_whole(
-    shapes: np.ndarray, own: int, usual: np.ndarray, mean: np.ndarray, orders: dict[str, np.ndarray]
+    shapes: np.ndarray, own: int, usual: np.ndarray, mean: np.ndarray, mirrored: np.ndarray | None
 ) -> tuple[str, np.ndarray, np.ndarray]:
     """Kind and order in which a shape is nearest to the pictures that are then like it, and where those have it.
 
     Of each kind the order is tried that is nearest to the mean shape.
     """
+    turns = _turns(len(mean))
+    orders = {"shifted": turns["shifted"][1:], "reversed": turns["reversed"]}  # the first is the one that it has
+    if mirrored is not None:
+        orders = {"mirrored": mirrored[None], **orders}
     tried = []
     for kind, each in orders.items():
         placed = _onto(shapes[own][each], mean)
@@ -279,10 +282,10 @@ def _as_run(order: np.ndarray, squares: np.ndarray) -> np.ndarray:
     for first in range(max(moved.min() - 2, 0), moved.min() + 1):
         for last in range(moved.max(), min(moved.max() + 2, len(order) - 1) + 1):
             run = np.arange(first, last + 1)
-            for turned in (run, run[::-1]):
-                for shift in range(len(run)):
+            for orders in _turns(len(run)).values():
+                for turned in orders:
                     tried = identity.copy()
-                    tried[run] = np.roll(turned, shift)
+                    tried[run] = run[turned]
                     cost = squares[identity, tried].sum()
                     if cost < least:
                         best, least = tried, cost
@@ -290,8 +293,8 @@ def _as_run(order: np.ndarray, squares: np.ndarray) -> np.ndarray:
 
 
 def _kind_of(order: np.ndarray, run: np.ndarray) -> str:
-    for kind, turned in (("shifted", run), ("reversed", run[::-1])):
-        if any(np.array_equal(order, np.roll(turned, shift)) for shift in range(len(run))):
+    for kind, orders in _turns(len(run)).items():
+        if (run[orders] == order).all(axis=1).any():
             return kind
     return "exchanged"
 

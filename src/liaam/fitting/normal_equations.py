@@ -228,9 +228,10 @@ class NormalEquations(Sums):
         hessian = self.jj - carried @ self.aj
         return 0.5 * (hessian + hessian.T), self.jr - carried @ self.ar
 
-    def after_lambda_step(self, step: np.ndarray) -> "NormalEquations":
-        """Equations after lambda moved by a step, from Gram matrices alone."""
-        return self.of(super().after_lambda_step(step), self.jj, self.jr - self.aj.T @ step, self.aj)
+    def after_lambda_step(self, step: np.ndarray, sums: Sums | None = None) -> "NormalEquations":
+        """Equations after lambda moved by a step, from Gram matrices alone, and the sums then if they are known."""
+        sums = super().after_lambda_step(step) if sums is None else sums
+        return self.of(sums, self.jj, self.jr - self.aj.T @ step, self.aj)
 
     def reduced(self) -> tuple[np.ndarray, np.ndarray]:
         """Hessian J'QJ (n_q, n_q) and gradient J'Qr (n_q,) with lambda eliminated."""

@@ -57,6 +57,23 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
+class LambdaStep:
+    """A step of lambda from where a picture was weighed.
+
+    Attributes
+    ----------
+    before : Linearisation
+    step : (m,) float64
+    taken : callable
+        Gives the residual after the step for the one before it.
+    """
+
+    before: "Linearisation"
+    step: np.ndarray
+    taken: Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
 class Linearisation:
     """A picture weighed at a state: what it sums up to, and the normal equations, worked out when asked for.
 
@@ -68,12 +85,8 @@ class Linearisation:
         What the pixels looked like when they were weighed.
     products : callable
         Gives the normal equations for a look, its sums, and the gradient that is expected (None for the picture's).
-    before : Linearisation, optional
-        The same before lambda took a step, if it has.
-    taken : callable, optional
-        Gives the residual after that step for the one before it.
-    step : (m,) float64, optional
-        That step.
+    last : LambdaStep, optional
+        Step that lambda has taken since then, if it has.
     bends : bool
         Whether derivatives by the angles change with the residual.
     """
@@ -81,9 +94,7 @@ class Linearisation:
     sums: Sums
     weighed: Look
     products: Callable[[Look, Sums, np.ndarray | None], NormalEquations]
-    before: "Linearisation | None" = None
-    taken: Callable[[np.ndarray], np.ndarray] | None = None
-    step: np.ndarray | None = None
+    last: "LambdaStep | None" = None
     bends: bool = False
 
     @classmethod
@@ -97,27 +108,21 @@ class Linearisation:
 
         return cls(equations, look, known)
 
-    def after_lambda_step(self, step: np.ndarray, taken: Callable[[np.ndarray], np.ndarray]) -> "Linearisation":
-        """The same after lambda moved by a step; ``taken`` gives the residual then for the one now."""
-        sums = self.sums.after_lambda_step(step)
-        return replace(self, sums=sums, before=self, taken=taken, step=step)
-
     @cached_property
     def look(self) -> Look:
         """What the pixels look like now."""
-        if self.before is None or self.taken is None:
+        if self.last is None:
             return self.weighed
-        look = self.before.look
-        return Look(look.values, self.taken(look.residual), look.steep, look.by_angles, look.weights)
+        look = self.last.before.look
+        return Look(look.values, self.last.taken(look.residual), look.steep, look.by_angles, look.weights)
 
     @cached_property
     def equations(self) -> NormalEquations:
         """Normal equations with the picture's own gradient."""
-        if self.before is None or self.step is None or self.bends:
+        if self.last is None or self.bends:
             return self.products(self.look, self.sums, None)
         # They follow from those before: nobody has to look at pixels again.
-        known = self.before.equations
-        return NormalEquations.of(self.sums, known.jj, known.jr - known.aj.T @ self.step, known.aj)
+        return self.last.before.equations.after_lambda_step(self.last.step, self.sums)
 
     def expecting(self, gradient: np.ndarray) -> NormalEquations:
         """Equations of the zero of E'r (E'J, A'J and E'r), E being the derivatives by a gradient (n_pixels, k, 2)."""
@@ -333,7 +338,8 @@ class Objective:
     def moved(self, seen: Linearisation, state: State, step: np.ndarray) -> Linearisation:
         """The same after a step of lambda."""
         packed = self.design(state.angles[0]).packed
-        return seen.after_lambda_step(step, partial(get_kernel(self.kernel).less, packed=packed, factors=step))
+        taken = partial(get_kernel(self.kernel).less, packed=packed, factors=step)
+        return replace(seen, sums=seen.sums.after_lambda_step(step), last=LambdaStep(seen, step, taken))
 
     def weighed(self, look: Look, state: State, trust: Trust | None = None) -> Linearisation:
         """Weigh what is seen at a state, under weights worked out at this or an earlier one."""

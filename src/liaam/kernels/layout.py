@@ -46,13 +46,13 @@ class Packed:
 
 def pack(rows: np.ndarray) -> Packed:
     """Pack rows (m, n); one that holds what is no number, as of an angle that has blown up, is none as a whole."""
-    largest = np.maximum(rows.max(axis=1, initial=0.0), -rows.min(axis=1, initial=0.0))
-    finite, seen = np.isfinite(largest), largest > LARGEST * np.finfo(np.float32).tiny
-    sizes = np.where(seen, largest / LARGEST, 1.0).astype(np.float32)
-    if not finite.all():
-        sizes, rows = np.where(finite, sizes, np.float32(np.nan)), np.where(finite[:, None], rows, 0.0)
+    largest = np.abs(rows).max(axis=1, initial=0.0)
+    sizes = np.where(largest > LARGEST * np.finfo(np.float32).tiny, largest / LARGEST, 1.0).astype(np.float32)
     steps = np.empty(rows.shape, np.int16)
-    np.rint(rows / np.where(finite, sizes, 1.0).astype(np.float32)[:, None], out=steps, casting="unsafe")
+    with np.errstate(invalid="ignore"):
+        np.rint(rows / sizes[:, None], out=steps, casting="unsafe")
+    lost = ~np.isfinite(largest)
+    steps[lost], sizes[lost] = 0, np.nan
     return Packed(steps, sizes)
 
 

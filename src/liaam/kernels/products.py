@@ -200,9 +200,23 @@ def less(values: np.ndarray, packed: Packed, factors: np.ndarray) -> np.ndarray:
 
 
 @_jit
+def _add_products(steps, begin, end, line, total):
+    """Add the products of a stretch of all rows with a line."""
+    m = len(steps)
+    for j in range(0, m, 2):  # two by two: each number that is fetched is used twice
+        a, b = steps[j, begin:end], steps[min(j + 1, m - 1), begin:end]
+        first = second = _F(0.0)
+        for e in range(end - begin):
+            first += _F(a[e]) * line[e]
+            second += _F(b[e]) * line[e]
+        total[j] += first
+        if j + 1 < m:
+            total[j + 1] += second
+
+
+@_jit
 def _residual_sums(residual, steps, own, weights, roots, ar):
     n, k = residual.shape
-    m = len(steps)
     for i in range(n):
         for r in range(k):
             roots[i, r] = own[i, r] * weights[i]
@@ -220,15 +234,7 @@ def _residual_sums(residual, steps, own, weights, roots, ar):
             total += square
         rr += squares
         weight += total
-        for j in range(0, m, 2):  # two by two: each number that is fetched is used twice
-            a, b = steps[j, begin:end], steps[min(j + 1, m - 1), begin:end]
-            first = second = _F(0.0)
-            for e in range(end - begin):
-                first += _F(a[e]) * line[e]
-                second += _F(b[e]) * line[e]
-            ar[j] += first
-            if j + 1 < m:
-                ar[j + 1] += second
+        _add_products(steps, begin, end, line, ar)
     return rr, weight
 
 
@@ -243,7 +249,7 @@ def residual_sums(
 
 @_jit
 def _column_products(right, count, steps, root, ac, cc):
-    m, size, line = len(steps), len(root), np.empty(BLOCK, np.float32)
+    size, line = len(root), np.empty(BLOCK, np.float32)
     for begin in range(0, size, BLOCK):
         end = min(begin + BLOCK, size)
         part = root[begin:end]
@@ -256,18 +262,14 @@ def _column_products(right, count, steps, root, ac, cc):
                 for e in range(end - begin):
                     product += other[e] * line[e]
                 cc[b, c] += product
-            for j in range(m):
-                step, product = steps[j, begin:end], _F(0.0)
-                for e in range(end - begin):
-                    product += _F(step[e]) * line[e]
-                ac[j, c] += product
+            _add_products(steps, begin, end, line, ac[c])
 
 
 def column_products(right: np.ndarray, count: int, packed: Packed, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """See :func:`liaam.kernels.reference.column_products`."""
-    ac, cc = np.zeros((len(packed.steps), count)), np.zeros((len(right), count))
+    ac, cc = np.zeros((count, len(packed.steps))), np.zeros((len(right), count))
     _column_products(right, count, packed.steps, root.reshape(-1), ac, cc)
-    return ac * packed.sizes[:, None], cc
+    return (ac * packed.sizes).T, cc
 
 
 @_jit

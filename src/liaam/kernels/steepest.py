@@ -204,6 +204,7 @@ def _put_twelve(lanes: Lanes, vector: Any, array: int, i: Any, each: int) -> Non
 _four_of_one, _two_of_soft = _intrinsic_of(_write_one), _intrinsic_of(_write_soft)
 
 
+# Two loops that differ in what they call: in one, with a branch around either, both take a quarter longer.
 @_jit
 def _steepest_one(channels, points, turn, factors, values, projected, steep, weights):
     height, width, stride = channels.shape

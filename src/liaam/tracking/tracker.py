@@ -186,8 +186,8 @@ class TrackState:
         Of the last frame.
     last : (n, 2) float64, optional
         Landmarks where it was last.
-    reviewed : int
-        Number of the last frame that was reviewed or found, over how often that is done.
+    period : int
+        Number of the last frame with landmarks, over how many are between reviews.
     """
 
     count: int = 0
@@ -195,7 +195,7 @@ class TrackState:
     loss: _Loss = _Loss()
     size: tuple[int, int] | None = None
     last: np.ndarray | None = None
-    reviewed: int = 0
+    period: int = 0
 
 
 @dataclass(eq=False)
@@ -253,7 +253,7 @@ class Tracker:
         """Go on where a tracker with the same model and method was."""
         self.result = None
         self._count, self._track, self._loss = state.count, state.track, state.loss
-        self._size, self._last, self._period = state.size, state.last, state.reviewed
+        self._size, self._last, self._period = state.size, state.last, state.period
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.
@@ -290,7 +290,7 @@ class Tracker:
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
             return _lost(self.model.n_points, index, time, tried)
-        self._loss, self._last = _Loss(), tried.shape
+        self._loss, self._last, self._period = _Loss(), tried.shape, self._period_of(index)
         return self._seen(tried, status, index, time)
 
     def _missed(self, index: int, time: float) -> TrackedFrame:
@@ -315,12 +315,12 @@ class Tracker:
         if first and self.init is not None:
             tried = self.fitter.fit(pixels, self.init, name)
             if _usable(tried):
-                self._is_due(index)
                 return TrackStatus.FOUND, tried
         elif self._loss.frames <= self.options.patience and self._last is not None:
             right, tried = self._follow(pixels, name)
             if right and tried is not None:
-                better = self._reviewed(pixels, tried, name) if self._is_due(index) else None
+                due = self._period_of(index) != self._period
+                better = self._reviewed(pixels, tried, name) if due else None
                 if better is None:
                     return TrackStatus.TRACKED, tried
                 self._track = None  # its motion was that of something else
@@ -330,7 +330,6 @@ class Tracker:
             right, found = self._search(pixels, name, first)
             tried = found or tried
             if right:
-                self._is_due(index)
                 self._track = None  # it may be anywhere now
                 return TrackStatus.FOUND, tried
         self._loss = self._loss.next_frame(searched, self.options.longest_wait)
@@ -350,13 +349,9 @@ class Tracker:
                 return True, tried
         return False, tried
 
-    def _is_due(self, index: int) -> bool:
-        """Tell whether a frame is to be reviewed, and take it as having been.
-
-        By its number, so that whoever tracks it does the same; numbers may have holes.
-        """
-        last, self._period = self._period, index // self.options.review if self.options.review else 0
-        return self._period != last
+    def _period_of(self, index: int) -> int:
+        """Reviews due up to a frame, by its number: whoever tracks it counts the same, and there may be holes."""
+        return index // self.options.review if self.options.review else 0
 
     def _reviewed(self, pixels: np.ndarray, followed: FitResult, name: str) -> FitResult | None:
         """Fit from the mean shape where the object is, if that is clearly better."""
