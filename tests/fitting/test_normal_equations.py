@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from liaam.fitting.normal_equations import BLOCK, NormalEquations, Sums, gram, positive_inverse, solve_lifted
+from liaam.fitting.normal_equations import (
+    BLOCK,
+    NormalEquations,
+    Sums,
+    diagonal_of_inverse,
+    gram,
+    positive_inverse,
+    solve_lifted,
+)
 
 
 @given(rows=st.sampled_from([1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 5]), seed=st.integers(0, 9))
@@ -129,12 +137,13 @@ def test_what_is_steep_by_rounding_only_is_lifted():
 def test_the_inverse_of_a_positive_matrix(rng, condition):
     turn = np.linalg.qr(rng.normal(size=(5, 5)))[0]
     matrix = (turn * np.geomspace(1.0, condition, 5)) @ turn.T
-    inverse = positive_inverse(matrix)
-    assert inverse is not None
+    inverse, diagonal = positive_inverse(matrix), diagonal_of_inverse(matrix)
+    assert inverse is not None and diagonal is not None
     np.testing.assert_allclose(inverse, np.linalg.inv(matrix), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(diagonal, inverse.diagonal(), rtol=1e-9)
     assert np.array_equal(inverse, inverse.T)
 
 
 @pytest.mark.parametrize("values", [(1.0, 0.0), (1.0, -1.0), (1.0, 1e-15), (1.0, np.nan), (0.0, 0.0)])
 def test_what_is_not_positive_has_no_inverse(values):
-    assert positive_inverse(np.diag(values)) is None
+    assert positive_inverse(np.diag(values)) is None and diagonal_of_inverse(np.diag(values)) is None

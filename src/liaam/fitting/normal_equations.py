@@ -18,6 +18,12 @@ import numpy as np
 SINGULAR = 1e-11
 """Least square on the diagonal of a Cholesky factor, as a share of the matrix's largest entry, that is no rounding."""
 
+STEEPEST = 1e300
+"""What no ratio of curvatures exceeds."""
+
+FEW = 0.25
+"""Share of a matrix's eigenvectors up to which those alone take less time than all."""
+
 FLATTEST = 1e-6
 """Share by which a Hessian has to be steeper than needs be to be used as it is."""
 
@@ -44,8 +50,10 @@ def gram(left: np.ndarray, right: np.ndarray, block: int = BLOCK) -> np.ndarray:
 
 def on_diagonal(matrix: np.ndarray) -> np.ndarray:
     """Diagonal of a matrix, (n,): a view that may be written to, for a tenth of what index arrays take."""
-    contiguous = matrix.flags.c_contiguous
-    return matrix.reshape(-1)[:: len(matrix) + 1] if contiguous else np.einsum("ii->i", matrix)
+    for along in (matrix, matrix.T):
+        if along.flags.c_contiguous:
+            return along.reshape(-1)[:: len(matrix) + 1]
+    return np.einsum("ii->i", matrix)
 
 
 def regular_inverse(matrix: np.ndarray) -> np.ndarray:
@@ -64,15 +72,28 @@ def regular_inverse(matrix: np.ndarray) -> np.ndarray:
 
 def positive_inverse(matrix: np.ndarray) -> np.ndarray | None:
     """Inverse of a symmetric positive definite matrix; None where it is not, or where doubles hardly tell."""
-    factor, failed = _lapack("potrf")(matrix, lower=1)
-    # Written so that NaN counts as failed.
-    if failed or not on_diagonal(factor).min() ** 2 > SINGULAR * matrix.diagonal().max():
+    factor = _positive_factor(matrix)
+    if factor is None:
         return None
     half = _lapack("potri")(factor, lower=1)[0]
     inverse = half + half.T
     inverse_diagonal = on_diagonal(inverse)  # a view
     inverse_diagonal *= 0.5
     return inverse
+
+
+def diagonal_of_inverse(matrix: np.ndarray) -> np.ndarray | None:
+    """Diagonal of what :func:`positive_inverse` gives."""
+    factor = _positive_factor(matrix)
+    return None if factor is None else np.square(_lapack("trtri")(factor, lower=1)[0]).sum(axis=0)
+
+
+def _positive_factor(matrix: np.ndarray) -> np.ndarray | None:
+    """Cholesky factor of a matrix that is safely positive."""
+    factor, failed = _lapack("potrf")(matrix, lower=1)
+    # Written so that NaN counts as failed.
+    safe = not failed and on_diagonal(factor).min() ** 2 > SINGULAR * matrix.diagonal().max()
+    return factor if safe else None
 
 
 def solve_symmetric(matrix: np.ndarray, right: np.ndarray) -> np.ndarray | None:
@@ -102,27 +123,46 @@ def solve_lifted(base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift:
     -------
     (n,) float64
     """
-    potrf, sygst, syevd, trtrs = (_lapack(name) for name in ("potrf", "sygst", "syevd", "trtrs"))
-    # Mostly nothing is to be lifted, which factors tell in a tenth of the time that eigenvalues take.
-    if not potrf(hessian - (lift + FLATTEST) * base, lower=1)[1]:
+    potrf, potrs, sygst = (_lapack(name) for name in ("potrf", "potrs", "sygst"))
+    flat = _negative_count(hessian - (lift + FLATTEST) * base)
+    if not flat:
         damped = hessian + damping * base
         factor, failed = potrf(damped, lower=1)
         # What is steep by rounding only is no slope to go down on.
-        if not failed and on_diagonal(factor).min() ** 2 > ROUNDING * np.trace(damped):
-            return _lapack("potrs")(factor, right, lower=1)[0]
+        if not failed and on_diagonal(factor).min() ** 2 > ROUNDING * damped.trace():
+            return potrs(factor, right, lower=1)[0]
     factor, failed = potrf(base, lower=1)
     # Sums of float32 products need not be quite positive.
-    if failed or on_diagonal(factor).min() ** 2 < ROUNDING * np.trace(base):
+    if failed or on_diagonal(factor).min() ** 2 < ROUNDING * base.trace():
         return _solve_lifted_by_axes(base, hessian, right, lift, damping)
-    ratios, axes, failed = syevd(sygst(hessian, factor, lower=1)[0], lower=1)
-    if failed:
+    found = _least_eigenvalues(sygst(hessian, factor, lower=1)[0], lift, flat)
+    if found is None:
         return _solve_lifted_by_axes(base, hessian, right, lift, damping)
-    whitened = trtrs(factor, right, lower=1)[0]
-    whitened = axes @ ((whitened @ axes) / (np.maximum(ratios, lift) + damping))
-    return trtrs(factor, whitened, lower=1, trans=1)[0]
+    ratios, axes = found
+    low = factor @ axes  # all other directions stay as they are
+    lifted = hessian + damping * base + (low * (lift - ratios)) @ low.T
+    solution, failed = _lapack("posv")(lifted, right, lower=1)[1:]
+    return _solve_lifted_by_axes(base, hessian, right, lift, damping) if failed else solution
 
 
-@lru_cache(maxsize=8)
+def _negative_count(matrix: np.ndarray) -> int:
+    """Count of a symmetric matrix's negative eigenvalues, by Sylvester's law: of a factor, in a tenth of their time."""
+    factor, pivots, _ = _lapack("sytrf")(matrix, lower=1)
+    alone = pivots > 0  # the others are pivots of 2 by 2, each with one eigenvalue below nought
+    return int(np.count_nonzero(on_diagonal(factor)[alone] < 0) + np.count_nonzero(~alone) // 2)
+
+
+def _least_eigenvalues(matrix: np.ndarray, below: float, about: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Eigenvalues of a symmetric matrix below a limit, ``about`` so many, and vectors in columns; None if it fails."""
+    if about <= FEW * len(matrix):
+        values, axes, count, _, failed = _lapack("syevx")(matrix, range="V", vl=-STEEPEST, vu=below, lower=1)
+    else:
+        values, axes, failed = _lapack("syevd")(matrix, lower=1)
+        count = np.count_nonzero(values < below)
+    return None if failed else (values[:count], axes[:, :count])
+
+
+@lru_cache(maxsize=16)
 def _lapack(name: str) -> Callable:
     """LAPACK itself: of systems this small, checking takes as long as solving."""
     from scipy.linalg.lapack import get_lapack_funcs  # heavy: imported when first needed
