@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from finite_differences import assert_jacobian
 from liaam.errors import MethodError
 from liaam.kernels import KERNELS, fast, get_kernel, reference
-from liaam.kernels.layout import PAIRS, MeshPixels, pack
+from liaam.kernels.layout import PAIRS, Carried, MeshPixels, pack
 
 HEIGHT, WIDTH = 9, 12
 
@@ -73,6 +73,52 @@ def mesh_of(rng: np.random.Generator, sizes: list[int], n_vertices: int = 5, n_p
         np.array([rng.permutation(n_vertices)[:3] for _ in sizes]),
         rng.normal(size=(2 * n_vertices, n_p)),
     )
+
+
+@given(
+    sizes=st.lists(st.sampled_from([0, 1, 3, 100, 255, 300]), min_size=1, max_size=6),
+    metric=st.sampled_from([np.ones((1, 3)), fast.SOFT * 1.0, np.eye(3)]),
+    lost=st.sampled_from([None, np.nan, np.inf, 1e300]),
+    seed=st.integers(0, 999),
+)
+def test_a_mesh_is_sampled_where_its_pixels_lie(sizes, metric, lost, seed):
+    rng = np.random.default_rng(seed)
+    channels, turn = channels_of(rng, metric.shape[1]), rng.normal(size=(2, 2))
+    places = Carried(rng.uniform(-2, 14, (5, 2)), mesh_of(rng, sizes))
+    if lost is not None:
+        places.vertices[0, 0] = lost
+    assert len(places) == len(places.points) == sum(sizes)
+    arguments = turn, metric
+    found = fast.steepest(channels, places, *arguments)
+    for ours, theirs in zip(found, reference.steepest(channels, places, *arguments), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-4)
+    for ours, theirs in zip(found, fast.steepest(channels, places.points, *arguments), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-4)
+
+
+@given(
+    n=st.integers(1, 9),
+    rank=st.integers(0, 9),
+    damping=st.sampled_from([0.0, 1e-3, 10.0]),
+    free=st.lists(st.booleans(), min_size=9, max_size=9),
+    seed=st.integers(0, 999),
+)
+def test_fast_steps_as_reference_does(n, rank, damping, free, seed):
+    rng = np.random.default_rng(seed)
+    half = rng.normal(size=(n, min(rank, n)))
+    arguments = half @ half.T, rng.normal(size=n), rng.random(n), np.array(free[:n]), damping
+    found, expected = fast.damped_step(*arguments), reference.damped_step(*arguments)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+    assert not found[~arguments[3]].any()
+
+
+@pytest.mark.parametrize("kernel", [fast, reference])
+def test_a_system_without_a_solution_gives_no_step(kernel):
+    nothing = np.zeros((2, 2)), np.ones(2), np.zeros(2), np.ones(2, bool), 0.0
+    assert kernel.damped_step(*nothing) is None
+    lost = np.full((2, 2), np.nan), np.ones(2), np.ones(2), np.ones(2, bool), 0.0
+    step = kernel.damped_step(*lost)
+    assert step is None or not np.isfinite(step).any()
 
 
 def floats(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -187,18 +233,21 @@ def test_fast_weighs_as_reference_says(n, rows, n_modes, b, seed):
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-3)
     assert found.dtype == np.float64
     packed = pack(modes)
-    arguments = residual, packed, own, np.rint(rng.random(n)).astype(np.float32)
-    for ours, theirs in zip(fast.residual_sums(*arguments), reference.residual_sums(*arguments), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-3)
-    arguments = floats(rng, b, n * rows), b - 1, packed, own
-    for ours, theirs in zip(fast.column_products(*arguments), reference.column_products(*arguments), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-3)
+    weights = np.rint(rng.random(n)).astype(np.float32)
+    for values, factors in ((None, None), (residual, None), (residual, rng.normal(size=n_modes))):
+        ours, theirs = np.tile(floats(rng, b, n * rows), (2, 1, 1))
+        found = fast.column_sums(ours, packed, own, weights, values, factors)
+        expected = reference.column_sums(theirs, packed, own, weights, values, factors)
+        for mine, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(mine, other, rtol=1e-5, atol=1e-3)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-4)
     arguments = residual, packed, rng.normal(size=n_modes)
     given = residual.copy()
     left, expected = fast.less(*arguments), reference.less(*arguments)
     np.testing.assert_allclose(left, expected, rtol=1e-5, atol=1e-4)
     assert left.dtype == np.float32 and left.shape == residual.shape
     np.testing.assert_array_equal(residual, given)
+    np.testing.assert_allclose(fast.combined(*arguments[1:]), reference.combined(*arguments[1:]), rtol=1e-5, atol=1e-4)
 
 
 @given(seed=st.integers(0, 99))

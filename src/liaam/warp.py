@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from liaam.kernels.layout import MeshPixels
+from liaam.kernels.layout import Carried, MeshPixels
 from liaam.mesh import ReferenceFrame, surroundings
 from liaam.shape import ShapeModel, Similarity
 
@@ -43,6 +43,10 @@ class Warp(Protocol):
 
     def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
         """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""
+        ...
+
+    def places(self, p: np.ndarray, pose: Similarity) -> np.ndarray | Carried:
+        """The points as kernels take them: those of a mesh need not be worked out before they are looked at."""
         ...
 
     def jacobian(self, p: np.ndarray) -> np.ndarray:
@@ -118,6 +122,13 @@ class PiecewiseAffineWarp:
         # Barycentric weights sum to 1, so carrying the few landmarks carries all pixels.
         return self.interpolate(landmarks if pose is None else pose(landmarks))
 
+    def places(self, p: np.ndarray, pose: Similarity) -> np.ndarray | Carried:
+        """The points as kernels take them: told by the mesh's vertices where pixels are in the triangles' order."""
+        mesh = self._mesh_pixels
+        if mesh is None:
+            return self.points(p, pose)
+        return Carried(pose(self._vertices_of(p)), mesh)
+
     def interpolate(self, landmarks: np.ndarray) -> np.ndarray:
         """Carry (n_points, 2) positions of the landmarks to all model pixels, (n_pixels, 2) float64."""
         from liaam.kernels import fast  # numba: imported when first needed
@@ -127,6 +138,19 @@ class PiecewiseAffineWarp:
     def _vertices(self, landmarks: np.ndarray) -> np.ndarray:
         """Positions of the frame's vertices, (n_vertices, 2), for those of the landmarks."""
         return landmarks if self.extension is None else self.extension @ landmarks
+
+    def _vertices_of(self, p: np.ndarray) -> np.ndarray:
+        """Positions of the frame's vertices, (n_vertices, 2)."""
+        return self._resting_vertices + (p @ self._by_parameters).reshape(-1, 2)
+
+    @cached_property
+    def _resting_vertices(self) -> np.ndarray:
+        return self._vertices(self.shape_model.mean)
+
+    @cached_property
+    def _by_parameters(self) -> np.ndarray:
+        """:attr:`_vertex_modes` in rows, (n_parameters, 2 n_vertices)."""
+        return self._vertex_modes.reshape(self.n_parameters, -1)
 
     @cached_property
     def _owners(self) -> np.ndarray:
@@ -199,7 +223,7 @@ class PiecewiseAffineWarp:
         """
         from liaam.kernels import fast  # numba: imported when first needed
 
-        vertices = self._vertices(self.shape_model.shape(p))
+        vertices = self._vertices_of(p)
         inverse = fast.inverse_affinities(self.frame.points, vertices, self.frame.triangles)
         return fast.pull(np.asarray(slopes, np.float32), inverse, self._owners)
 
@@ -295,6 +319,10 @@ class HomographyWarp:
         """
         points = apply_homography(self.matrix(p), self.pixels)
         return points if pose is None else pose(points)
+
+    def places(self, p: np.ndarray, pose: Similarity) -> np.ndarray:
+        """The points as kernels take them."""
+        return self.points(p, pose)
 
     def jacobian(self, p: np.ndarray) -> np.ndarray:
         """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32: (G_12 - W G_3) (x, 1) / N_3."""

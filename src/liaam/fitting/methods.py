@@ -181,8 +181,13 @@ class Method:
 
     def image_metric_derivative(self, theta: float) -> np.ndarray:
         """dP/dtheta for the image, (k, channels of the encoding)."""
-        nothing = np.zeros_like(METRICS[self.metric])
-        return _with_row(self.metric, nothing, invariant_row_derivative(theta)) if self.has_angles else nothing
+        return (
+            _angular_derivative(self.metric, float(theta)) if self.has_angles else np.zeros_like(METRICS[self.metric])
+        )
+
+    def noise_slope(self, theta: float) -> float:
+        """How much noise dP/dtheta has for the image beside P itself: |P'|^2 / |P|^2."""
+        return _angular_noise_slope(self.metric, float(theta))
 
     def model_metric_derivative(self, theta: float) -> np.ndarray:
         """dP/dtheta for the model, (k, channels of the appearance)."""
@@ -196,6 +201,19 @@ def _angular_metric(metric: str, theta: float) -> np.ndarray:
     rows = _with_row(metric, METRICS[metric], invariant_row(theta))
     rows.flags.writeable = False
     return rows
+
+
+@lru_cache(maxsize=64)
+def _angular_derivative(metric: str, theta: float) -> np.ndarray:
+    """Derivative of :func:`_angular_metric` by the angle, to be read only."""
+    rows = _with_row(metric, np.zeros_like(METRICS[metric]), invariant_row_derivative(theta))
+    rows.flags.writeable = False
+    return rows
+
+
+@lru_cache(maxsize=64)
+def _angular_noise_slope(metric: str, theta: float) -> float:
+    return float(np.square(_angular_derivative(metric, theta)).sum() / np.square(_angular_metric(metric, theta)).sum())
 
 
 def _with_row(metric: str, rows: np.ndarray, invariant: np.ndarray) -> np.ndarray:

@@ -96,17 +96,6 @@ def _positive_factor(matrix: np.ndarray) -> np.ndarray | None:
     return factor if safe else None
 
 
-def solve_symmetric(matrix: np.ndarray, right: np.ndarray) -> np.ndarray | None:
-    """Solve by a symmetric matrix, positive but for rounding, (n,); None where it is singular."""
-    solution, failed = _lapack("posv")(matrix, right, lower=1)[1:]
-    if not failed:
-        return solution
-    try:
-        return np.linalg.solve(matrix, right)
-    except np.linalg.LinAlgError:
-        return None
-
-
 def solve_lifted(base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift: float, damping: float) -> np.ndarray:
     """Solve by a symmetric matrix that is nowhere flatter than a share of another one, and damped by that.
 

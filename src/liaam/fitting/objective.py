@@ -12,6 +12,7 @@ model's own, or those of a :class:`Trust` worked out between iterations.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from math import isfinite
 
 import numpy as np
 
@@ -114,7 +115,7 @@ class Linearisation:
         if self.last is None:
             return self.weighed
         look = self.last.before.look
-        return Look(look.values, self.last.taken(look.residual), look.steep, look.by_angles, look.weights)
+        return look.with_residual(self.last.taken(look.residual))
 
     @cached_property
     def equations(self) -> NormalEquations:
@@ -130,7 +131,7 @@ class Linearisation:
 
     def with_gradient(self, gradient: np.ndarray) -> NormalEquations:
         """Normal equations with another gradient, (n_pixels, k, 2), in the place of the picture's."""
-        look = Look(self.look.values, self.look.residual, gradient, self.look.by_angles, self.look.weights)
+        look = Look(self.look.values, self.look.columns, gradient, self.look.weights)
         return self.products(look, self.sums, None)
 
     @property
@@ -213,11 +214,16 @@ class Objective:
     freedom: float = np.inf
     whole: "Objective | None" = None
 
+    @cached_property
+    def prior_of_all(self) -> np.ndarray:
+        """The prior's precision of p and of the free angles, which have none, (n_q,) float64."""
+        return np.concatenate([self.prior, np.zeros(self.n_q - len(self.prior))])
+
     def unit(self, equations: Sums) -> float:
         """Variance, correlation included, that a residual of weight 1 stands for: the weights' own, or the cost's."""
-        if np.isfinite(equations.unit):
+        if isfinite(equations.unit):
             return equations.unit
-        return self.tied * equations.cost if np.isfinite(equations.cost) else 0.0
+        return self.tied * equations.cost if isfinite(equations.cost) else 0.0
 
     @property
     def of_all_pixels(self) -> "Objective":
@@ -290,9 +296,11 @@ class Objective:
         """Derivative of the fitted appearance, as the picture shows it, by the place: (n_pixels, k, 2) float32."""
         packed, (n, c) = self._slopes, self.appearance.mean.shape
         n_own = len(packed.steps) - 1
-        scale = 1.0 + (state.lam[n_own] if self.method.gain else 0.0)  # a gain's mode is the mean
-        coordinates = np.concatenate([[scale], state.lam[:n_own]])
-        slopes = get_kernel(self.kernel).less(np.zeros((n, 2, c), np.float32), packed, -coordinates)
+        coordinates = np.ones(n_own + 1)
+        coordinates[1:] = state.lam[:n_own]
+        if self.method.gain:  # its mode is the mean
+            coordinates[0] += state.lam[n_own]
+        slopes = get_kernel(self.kernel).combined(packed, coordinates).reshape(n, 2, c)
         if self.method.projects_appearance:
             slopes = slopes @ self.method.model_metric(state.angles[0]).T.astype(np.float32)
         return self.warp.pulled(slopes, state.p)
@@ -320,43 +328,67 @@ class Objective:
         trust : Trust, optional
             Of :meth:`trust` at an earlier state, for methods that re-weigh.
         """
-        return self.weighed(self.look(problem, state, trust), state, trust)
+        look, values = self._beside_mean(problem, state, trust)
+        return self._weighed(look, state, trust, values, state.lam if state.lam.any() else None)
 
     def look(self, problem: FitProblem, state: State, trust: Trust | None = None) -> Look:
         """Residual and derivatives at a state, before they are weighed; of a trust only its gain and offset count."""
+        look, values = self._beside_mean(problem, state, trust)
+        packed = self.design(state.angles[0]).packed
+        look.columns[-1] = get_kernel(self.kernel).less(values, packed, state.lam).reshape(-1)
+        return look
+
+    def _beside_mean(self, problem: FitProblem, state: State, trust: Trust | None) -> tuple[Look, np.ndarray]:
+        """What a picture shows, its residual yet to be written, and P E(I) - P A0, of which that is what is left."""
         design, metric = self.design(state.angles[0]), self.method.image_metric(state.angles[1])
         gain, offset = (1.0, 0.0) if trust is None else (trust.gain, trust.offset)
-        points = self.warp.points(state.p, problem.pose)
+        places = self.warp.places(state.p, problem.pose)
         turn = problem.pose.matrix if gain == 1.0 else gain * problem.pose.matrix
         kernel = get_kernel(self.kernel)
-        values, projected, steep, weights = kernel.steepest(problem.patch.channels, points, turn, metric)
-        residual = kernel.less(projected - design.mean, design.packed, state.lam)
+        values, projected, steep, weights = kernel.steepest(problem.patch.channels, places, turn, metric)
         if (gain, offset) != (1.0, 0.0):  # rows of P see a common offset by their sum
-            residual += (gain - 1.0) * projected + (offset * metric.sum(axis=1)).astype(np.float32)
-        return Look(values, residual, steep, self._by_angles(state, values), weights)
+            projected = gain * projected + (offset * metric.sum(axis=1)).astype(np.float32)
+        beside = np.subtract(projected, design.mean, out=projected)
+        return Look(values, self._angle_columns(state, values), steep, weights), beside
 
     def moved(self, seen: Linearisation, state: State, step: np.ndarray) -> Linearisation:
         """The same after a step of lambda."""
         packed = self.design(state.angles[0]).packed
         taken = partial(get_kernel(self.kernel).less, packed=packed, factors=step)
-        return replace(seen, sums=seen.sums.after_lambda_step(step), last=LambdaStep(seen, step, taken))
+        sums = seen.sums.after_lambda_step(step)
+        return Linearisation(sums, seen.weighed, seen.products, LambdaStep(seen, step, taken), seen.bends)
 
     def weighed(self, look: Look, state: State, trust: Trust | None = None) -> Linearisation:
         """Weigh what is seen at a state, under weights worked out at this or an earlier one."""
+        return self._weighed(look, state, trust)
+
+    def _weighed(
+        self,
+        look: Look,
+        state: State,
+        trust: Trust | None,
+        values: np.ndarray | None = None,
+        lam: np.ndarray | None = None,
+    ) -> Linearisation:
+        """Weigh what is seen; a residual that is yet to be written is what lambda's modes leave of some values."""
         own_root, slope = self._root_weights(state.angles[1], trust)
         design = self.design(state.angles[0])
-        known = self._weighted_of(design, own_root, trust)
+        weighted = self._weighted_of(design, own_root, trust)
         kernel = get_kernel(self.kernel)
-        root, ar, rr, weight = kernel.residual_sums(look.residual, design.packed, own_root, look.weights)
-        aa, inverse = known.aa, known.inverse
-        blind = np.flatnonzero(look.weights == 0)
-        if len(blind):
+        root, all_seen, weight, by_modes, by_columns = kernel.column_sums(
+            look.columns, design.packed, own_root, look.weights, values, lam
+        )
+        aa, inverse = weighted.aa, weighted.inverse
+        if not all_seen:
+            blind = np.flatnonzero(look.weights == 0)
             entries = (blind[:, None] * root.shape[1] + np.arange(root.shape[1])).ravel()
-            unseen = kernel.weighted_gram(design.modes.take(entries, axis=1), known.root[blind])
+            unseen = kernel.weighted_gram(design.modes.take(entries, axis=1), weighted.root[blind])
             aa, inverse = aa - unseen, None
         unit = trust.unit if trust is not None and self.method.soft else np.nan
+        ar, rr = by_modes[-1], float(by_columns[-1, -1])
         sums = Sums(aa=aa, ar=ar, rr=rr, weight=weight, inverse=inverse, unit=unit)
-        products = partial(self._equations, state.p, design, root, slope)
+        known = _ColumnProducts(look.columns, by_modes, by_columns)
+        products = partial(self._equations, state.p, design, root, slope, known)
         return Linearisation(sums, look, products, bends=slope is not None)
 
     def _weighted_of(self, design: _Design, own_root: np.ndarray, trust: Trust | None) -> Weighted:
@@ -379,27 +411,31 @@ class Objective:
         design: _Design,
         root: np.ndarray,
         slope: np.ndarray | None,
+        known: "_ColumnProducts",
         look: Look,
         sums: Sums,
         expected: np.ndarray | None,
     ) -> NormalEquations:
         """Normal equations of (p, angles) and lambda at the warp's parameters p."""
-        turning, right = self._turning(look, slope), look.residual.reshape(1, -1)
-        right = np.concatenate([turning, right]) if len(turning) else right
-        jj, aj, rj = self._warp_products(look.steep, expected, root, design, right, p)
-        n, jr = len(right) - 1, rj[-1]
+        columns = self._turning(look, slope)
+        jj, aj, rj = self._warp_products(look.steep, expected, root, design, columns, p)
+        n, jr = len(columns) - 1, rj[-1]
         if n:  # the angles' rows and columns
-            mixed, own = get_kernel(self.kernel).column_products(right, n, design.packed, root)
-            jj = np.concatenate([np.concatenate([jj, rj[:n]]), np.concatenate([rj[:n].T, own[:n]])], axis=1)
-            aj, jr = np.concatenate([aj, mixed], axis=1), np.concatenate([jr, own[n]])
+            if columns is not known.columns:
+                kernel = get_kernel(self.kernel)
+                known = _ColumnProducts(columns, *kernel.column_sums(columns, design.packed, root, look.weights)[3:])
+            jj = _bordered(jj, rj[:n], known.by_columns[:n, :n])
+            aj = np.concatenate([aj, known.by_modes[:n].T], axis=1)
+            jr = np.concatenate([jr, known.by_columns[n, :n]])
         return NormalEquations.of(sums, jj, jr, aj)
 
     def _turning(self, look: Look, slope: np.ndarray | None) -> np.ndarray:
-        """Derivative of the weighted residual by the free angles, over the root of the weights."""
+        """The look's columns, with derivatives of the *weighted* residual, over the root of the weights."""
         if slope is None:
-            return look.by_angles
-        directions = self.method.angle_directions[1].astype(np.float32)
-        return look.by_angles + directions[:, None] * (slope * look.residual).reshape(1, -1)
+            return look.columns
+        columns, directions = look.columns.copy(), self.method.angle_directions[1].astype(np.float32)
+        columns[:-1] += directions[:, None] * (slope * look.residual).reshape(1, -1)
+        return columns
 
     def _warp_products(
         self,
@@ -423,8 +459,7 @@ class Objective:
         look = self.look(problem, state, trust)
         own_root, slope = self._root_weights(state.angles[1], trust)
         root = own_root * look.weights[:, None]
-        own = np.concatenate([self._turning(look, slope).T, look.residual.reshape(-1, 1)], axis=1)
-        own *= root.reshape(-1, 1)
+        own = self._turning(look, slope).T * root.reshape(-1, 1)
         return np.concatenate([_rows_of(look.steep, root, self.warp.jacobian(state.p)).T, own], axis=1)
 
     def _root_weights(self, theta: float, trust: Trust | None) -> tuple[np.ndarray, np.ndarray | None]:
@@ -522,18 +557,46 @@ class Objective:
         metric = self.method.model_metric(theta)
         return np.einsum("kc,ncd,kd->n", metric, unexplained, metric, optimize=True) / len(metric)
 
-    def _by_angles(self, state: State, values: np.ndarray) -> np.ndarray:
-        """dr/d(free angles), (n_free, n_pixels * k): the angle terms of paper eq 10."""
-        if not self.method.angle_directions.size:
-            return np.empty((0, len(values) * self.method.n_rows), np.float32)
+    def _angle_columns(self, state: State, values: np.ndarray) -> np.ndarray:
+        """dr/d(free angles), the angle terms of paper eq 10, and room for the residual, (n_free + 1, n_pixels * k)."""
         directions = self.method.angle_directions.astype(np.float32)
-        by_image = values @ self.method.image_metric_derivative(state.angles[1]).T.astype(np.float32)
-        columns = directions[1][:, None] * by_image.reshape(1, -1)
-        if directions[0].any():
-            texture = self.appearance.texture(state.lam[: self.appearance.n_modes])
-            by_model = texture @ self.method.model_metric_derivative(state.angles[0]).T.astype(np.float32)
-            columns -= directions[0][:, None] * by_model.reshape(1, -1)
+        n, k = len(values), self.method.n_rows
+        columns = np.empty((directions.shape[1] + 1, n * k), np.float32)
+        if len(columns) == 1:
+            return columns
+        across = self.method.image_metric_derivative(state.angles[1]).T.astype(np.float32)
+        if not self._turns:  # the image's angle alone is free
+            np.matmul(values, across, out=columns[0].reshape(n, k))
+            return columns
+        texture = self.appearance.texture(state.lam[: self.appearance.n_modes])
+        by_model = texture @ self.method.model_metric_derivative(state.angles[0]).T.astype(np.float32)
+        of_model, of_image = directions[..., None]
+        columns[:-1] = of_image * (values @ across).reshape(1, -1) - of_model * by_model.reshape(1, -1)
         return columns
+
+
+@dataclass(frozen=True, eq=False)
+class _ColumnProducts:
+    """Weighted products of a look's columns.
+
+    Attributes
+    ----------
+    columns : (n_free + 1, n_pixels * k) float32
+    by_modes : (n_free + 1, m) float64
+    by_columns : (n_free + 1, n_free + 1) float64
+    """
+
+    columns: np.ndarray
+    by_modes: np.ndarray
+    by_columns: np.ndarray
+
+
+def _bordered(inner: np.ndarray, border: np.ndarray, corner: np.ndarray) -> np.ndarray:
+    """Matrix (n + b, n + b) of an inner one, rows (b, n) below it, the same beside it, and a corner."""
+    n = len(inner)
+    whole = np.empty((n + len(border), n + len(border)))
+    whole[:n, :n], whole[n:, :n], whole[:n, n:], whole[n:, n:] = inner, border, border.T, corner
+    return whole
 
 
 def _rows_of(steep: np.ndarray, root: np.ndarray, jacobian: np.ndarray) -> np.ndarray:

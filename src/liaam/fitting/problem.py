@@ -165,18 +165,37 @@ class Look:
     ----------
     values : (n_pixels, c) float32
         Encoded samples of the image.
-    residual : (n_pixels, k) float32
-        P E(I) - P A.
+    columns : (n_free + 1, n_pixels * k) float32
+        Derivatives of the residual by the free angles, and the residual P E(I) - P A itself in the last row.
     steep : (n_pixels, k, 2) float32
         Derivative of the residual by the place, x and y in the model's pixels.
-    by_angles : (n_free, n_pixels * k) float32
-        Derivative of the residual by the free angles.
     weights : (n_pixels,) float32
         Image weight in {0, 1}.
     """
 
     values: np.ndarray
-    residual: np.ndarray
+    columns: np.ndarray
     steep: np.ndarray
-    by_angles: np.ndarray
     weights: np.ndarray
+
+    @classmethod
+    def of(
+        cls, values: np.ndarray, residual: np.ndarray, steep: np.ndarray, by_angles: np.ndarray, weights: np.ndarray
+    ) -> "Look":
+        """Make it of a residual (n_pixels, k) and derivatives by the free angles (n_free, n_pixels * k)."""
+        own = residual.reshape(1, -1)
+        return cls(values, np.concatenate([by_angles, own]) if len(by_angles) else own, steep, weights)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """P E(I) - P A, (n_pixels, k) float32."""
+        return self.columns[-1].reshape(self.steep.shape[:2])
+
+    @property
+    def by_angles(self) -> np.ndarray:
+        """Derivative of the residual by the free angles, (n_free, n_pixels * k) float32."""
+        return self.columns[:-1]
+
+    def with_residual(self, residual: np.ndarray) -> "Look":
+        """Give the same with another residual."""
+        return Look.of(self.values, residual, self.steep, self.by_angles, self.weights)

@@ -10,18 +10,21 @@ Steps are made with the picture's own gradient (:func:`_own_step`) or, by ``soft
 weigh by noise, with the one that the model expects (:func:`_expected_step`); the loop is the same (:func:`_iterate`).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from math import isfinite
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.fitting.normal_equations import NormalEquations, Sums, on_diagonal, solve_lifted, solve_symmetric
+from liaam.fitting.normal_equations import NormalEquations, Sums, on_diagonal, solve_lifted
 from liaam.fitting.objective import Linearisation, Objective, State
 from liaam.fitting.prior import next_scale_of_one
 from liaam.fitting.problem import FitProblem
 from liaam.fitting.trust import Trust
+from liaam.kernels import get_kernel
 
 ELIMINATIONS = ("varpro", "joint")
 ANGLE_STARTS = ("best", "model")
@@ -156,8 +159,7 @@ REFUSED_DAMPING = 1.0
 """Damping after the first refused step with the expected gradient, relative to the expected curvature."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
+class _Run(NamedTuple):  # made anew twice an iteration: of a tuple that takes a quarter of a dataclass's time
     """Where an iteration stands: fields as those of :class:`Solution`.
 
     Attributes
@@ -218,10 +220,10 @@ def solve(objective: Objective, problem: FitProblem, start: State, options: Solv
     most = min(options.scoring or (SCORING_STEPS if objective.method.noise_weights else 0), options.max_iterations)
     if not most or run.flat:
         return run.solution
-    start_of_scoring = replace(run, damping=0.0, before=None)
+    start_of_scoring = run._replace(damping=0.0, before=None)
     scored = _iterate(objective, problem, start_of_scoring, options, most, _expected_step, weighs=options.scoring > 0)
     good = scored.last.cost <= EXPECTED_RISE * run.last.cost
-    return (replace(scored, settled=run.settled, flat=False) if good else run).solution
+    return (scored._replace(settled=run.settled, flat=False) if good else run).solution
 
 
 def _iterate(
@@ -234,47 +236,47 @@ def _iterate(
     weighs: bool = True,
 ) -> _Run:
     """Step on, at most so many times, until steps are too small to matter; weigh pixels anew on the way, or do not."""
-    run = replace(run, least=np.inf, settled=False)
+    run = run._replace(least=np.inf, settled=False)
     for _ in range(most):
         tried = propose(objective, run, options)
         if tried is None:
-            return replace(run, flat=True)
-        run = replace(run, n_iterations=run.n_iterations + 1, scale=tried.scale, **tried.expected)
+            return run._replace(flat=True)
+        now: dict[str, Any] = {"n_iterations": run.n_iterations + 1, "scale": tried.scale, **tried.expected}
         stepped = objective.update(run.state, tried.step, tried.lambda_step)
         if tried.unnoticed:
-            return replace(run, state=stepped, path=(*run.path, (run.last.cost, stepped)), settled=True)
+            return run._replace(state=stepped, path=(*run.path, (run.last.cost, stepped)), settled=True, **now)
         new, there = _evaluate(objective, problem, stepped, options, run.trust)
         merit = _merit(there.sums, new, tried.precision)
         least = min(run.least, _merit(run.last.sums, run.state, tried.precision))
         if not merit <= tried.rise * least and tried.refused is not None:
             if tried.small or run.damping >= DAMPING_RANGE[1]:
-                return replace(run, settled=True)
-            run = replace(run, damping=min(tried.refused, DAMPING_RANGE[1]))
+                return run._replace(settled=True, **now)
+            run = run._replace(damping=min(tried.refused, DAMPING_RANGE[1]), **now)
             continue
         trust = run.trust
         if weighs and not (_averages(objective) and _moved(objective, tried.step) < STILL):
             new, there, trust = _weigh_anew(objective, problem, new, there, options, trust)
         settled = tried.small and tried.accepted <= TRUSTED_DAMPING  # small of itself, not by damping
-        run = replace(
-            run,
+        if trust is not run.trust:
+            now["curvature"] = None  # of weights that were
+        now["least"] = min(merit, least) if trust is run.trust else np.inf
+        run = run._replace(
             state=new,
             last=there,
             trust=trust,
             free=_free_directions(objective, new, there, options.observable),
             damping=tried.accepted,
             path=(*run.path, (there.cost, new)),
-            least=min(merit, least) if trust is run.trust else np.inf,
-            curvature=run.curvature if trust is run.trust else None,
             before=tried.step,
             settled=settled,
+            **now,
         )
-        if settled or not np.isfinite(there.cost):
+        if settled or not isfinite(there.cost):
             break
     return run
 
 
-@dataclass(frozen=True, eq=False)
-class _Tried:
+class _Tried(NamedTuple):
     """A step to be tried.
 
     Attributes
@@ -307,7 +309,7 @@ class _Tried:
     rise: float
     accepted: float
     refused: float | None
-    expected: dict[str, Any] = field(default_factory=dict)
+    expected: Mapping[str, Any] = MappingProxyType({})
 
 
 _Proposes = Callable[[Objective, _Run, SolverOptions], _Tried | None]
@@ -317,7 +319,7 @@ def _own_step(objective: Objective, run: _Run, options: SolverOptions) -> _Tried
     """Gauss-Newton step with the picture's own gradient (paper eq 10), damped; None where there is nothing to see."""
     state, equations = run.state, run.last.equations
     scale, precision = _prior(objective, run, equations.reduced()[0], options)
-    steps = _step(equations, state, precision, run.free, run.damping)
+    steps = _step(objective, equations, state, precision, run.free, run.damping)
     if steps is None:
         return None
     damped = options.damping > 0
@@ -343,7 +345,8 @@ def _expected_step(objective: Objective, run: _Run, options: SolverOptions) -> _
     scale, precision = _prior(objective, run, curvature, options)
     equations = run.last.expecting(gradient)
     metric = curvature.copy()
-    on_diagonal(metric)[:] += precision
+    diagonal = on_diagonal(metric)  # a view
+    diagonal += precision
     step = _guarded_step(equations, metric, state, precision, run.free, run.lift, run.damping)
     if step is None:
         return None
@@ -400,8 +403,13 @@ def _evaluate(
     objective: Objective, problem: FitProblem, state: State, options: SolverOptions, trust: Trust | None
 ) -> tuple[State, Linearisation]:
     """Linearise at a state; variable projection also solves lambda there."""
-    seen = objective.linearise(problem, state, trust)
-    return (state, seen) if options.elimination == "joint" else _solve_lambda(objective, state, seen)
+    if options.elimination == "joint":
+        return state, objective.linearise(problem, state, trust)
+    if objective.method.soft:
+        # From nothing, which is one pass over the modes less. Other methods judge steps by differences of costs that
+        # sums about the mean appearance would drown in rounding.
+        state = State(state.p, state.angles, np.zeros_like(state.lam))
+    return _solve_lambda(objective, state, objective.linearise(problem, state, trust))
 
 
 def _solve_lambda(objective: Objective, state: State, seen: Linearisation) -> tuple[State, Linearisation]:
@@ -445,8 +453,8 @@ def _matters(
     """
     moved, unnoticed = _moved(objective, step), False
     small = moved < options.tolerance
-    if np.isfinite(unit):
-        information = step @ hessian @ step + precision @ np.square(step)
+    if isfinite(unit):
+        information = step @ (hessian @ step + precision * step)
         unnoticed = bool(information < options.notice**2 * len(step) * unit)
     return small or unnoticed, unnoticed and moved < LONGEST_UNSEEN and damping <= TRUSTED_DAMPING
 
@@ -457,42 +465,34 @@ def _prior(objective: Objective, run: _Run, hessian: np.ndarray, options: Solver
     The scale is 1 where shapes do not come near and far; angles have no precision.
     """
     strength, unit, scale = options.shape_prior, objective.unit(run.last.sums), 1.0
-    if np.isfinite(objective.freedom) and strength > 0:
+    if isfinite(objective.freedom) and strength > 0:
         scale = next_scale_of_one(hessian, run.state.p, strength * objective.prior, unit, objective.freedom, run.scale)
-    precision = np.zeros(objective.n_q)
-    precision[: objective.warp.n_parameters] = strength / scale * unit * objective.prior
-    return scale, precision
+    return scale, strength / scale * unit * objective.prior_of_all
 
 
 def _merit(equations: Sums, state: State, precision: np.ndarray) -> float:
     """Give what an accepted step must not raise: mean squared residual plus the prior's share."""
-    prior = float(precision[: len(state.p)] @ np.square(state.p))
+    prior = float(precision[: len(state.p)] @ (state.p * state.p))
     return equations.cost + (prior / equations.weight if equations.weight > 0 else 0.0)
 
 
 def _step(
-    equations: NormalEquations, state: State, precision: np.ndarray, free: np.ndarray, damping: float
+    objective: Objective,
+    equations: NormalEquations,
+    state: State,
+    precision: np.ndarray,
+    free: np.ndarray,
+    damping: float,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Damped Gauss-Newton step of q and its lambda step; None where there is nothing to see."""
-    if not equations.weight > 0 or not np.isfinite(equations.rr):
-        return None
-    hessian, gradient = equations.reduced()
+    n_p, (hessian, gradient) = len(state.p), equations.reduced()
     # Neither the prior nor an angle makes up for a picture that is flat under the model.
-    if not hessian.diagonal()[: len(state.p)].max() > 1e-10 * equations.weight:
+    if not (isfinite(equations.rr) and hessian.diagonal()[:n_p].max() > 1e-10 * equations.weight > 0):
         return None
-    gradient = gradient.copy()  # the equations keep theirs
-    gradient[: len(state.p)] += precision[: len(state.p)] * state.p
-    hessian = hessian.copy() if free.all() else hessian[np.ix_(free, free)]
-    diagonal = on_diagonal(hessian)  # a view
-    diagonal += precision[free]
-    floor = 1e-9 * diagonal.max()
-    diagonal += damping * np.maximum(diagonal, floor) + floor
-    step = np.zeros(len(free))
-    own = solve_symmetric(hessian, -gradient[free])
-    if own is None:
-        return None
-    step[free] = own
-    return step, equations.lambda_step(step)
+    pulled = gradient.copy()  # the equations keep theirs
+    pulled[:n_p] += precision[:n_p] * state.p
+    step = get_kernel(objective.kernel).damped_step(hessian, pulled, precision, free, damping)
+    return None if step is None else (step, equations.lambda_step(step))
 
 
 def _goes_back(step: np.ndarray, before: np.ndarray | None, metric: np.ndarray) -> bool:
@@ -512,19 +512,18 @@ def _guarded_step(
     damping: float,
 ) -> np.ndarray | None:
     """Step to the zero of a gradient, by a Hessian no flatter than a share of another one, prior included."""
-    if not equations.weight > 0 or not np.isfinite(equations.rr):
-        return None
-    hessian, gradient = equations.reduced()
-    if not np.isfinite(hessian.sum() + base.sum()):
+    n_p, (hessian, gradient) = len(state.p), equations.reduced()
+    steepest = np.abs(hessian.diagonal()[:n_p]).max()  # what is no number anywhere is none on the diagonal
+    if not (isfinite(equations.rr) and isfinite(steepest) and isfinite(base.trace())):
         return None
     # A picture that is flat under the model has no gradient of its own, whatever is expected.
-    if not np.abs(hessian.diagonal()[: len(state.p)]).max() > 1e-10 * equations.weight:
+    if not steepest > 1e-10 * equations.weight > 0:
         return None
     gradient, hessian = gradient.copy(), hessian.copy()  # the equations keep theirs
-    gradient[: len(state.p)] += precision[: len(state.p)] * state.p
+    gradient[:n_p] += precision[:n_p] * state.p
     diagonal = on_diagonal(hessian)  # a view
     diagonal += precision
-    if free.all():
+    if len(free) == n_p or free.all():
         return -solve_lifted(base, hessian, gradient, lift, damping)
     step, own = np.zeros(len(free)), np.ix_(free, free)
     step[free] = -solve_lifted(base[own], hessian[own], gradient[free], lift, damping)
@@ -548,15 +547,13 @@ def _free_directions(objective: Objective, state: State, last: Linearisation, ob
 
 def _observable_angles(objective: Objective, state: State, equations: NormalEquations, observable: float) -> list[bool]:
     """Whether each free angle of the method can be told."""
-    n_p, metric = objective.warp.n_parameters, objective.method
+    n_p, method = objective.warp.n_parameters, objective.method
     hessian = equations.reduced()[0][n_p:, n_p:]
-    theta = state.angles[1]
-    slope = np.square(metric.image_metric_derivative(theta)).sum() / np.square(metric.image_metric(theta)).sum()
-    noise = max(equations.rr, 0.0) * slope + 1e-12 * equations.weight
+    noise = max(equations.rr, 0.0) * method.noise_slope(state.angles[1]) + 1e-12 * equations.weight
     limit = min(OBSERVABLE_APART, observable)  # 0 holds nothing, as in the paper
-    if metric.free_angles == "image":
+    if method.free_angles == "image":
         return [bool(hessian[0, 0] > limit * noise)]
-    if metric.free_angles == "shared":
+    if method.free_angles == "shared":
         return [bool(hessian[0, 0] > observable * noise)]
     # In coordinates (theta_1 = theta_2 turned together, theta_2 alone), with the second eliminated from the first.
     apart, mixed = hessian[1, 1], hessian[:, 1].sum()

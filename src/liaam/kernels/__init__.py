@@ -5,6 +5,7 @@ Both kernels keep one contract, that of :mod:`liaam.kernels.reference`. ``fast``
 (:mod:`liaam.kernels.backends`).
 """
 
+from functools import lru_cache
 from types import ModuleType
 
 from liaam.errors import MethodError
@@ -12,6 +13,7 @@ from liaam.errors import MethodError
 KERNELS = ("fast", "reference")
 
 
+@lru_cache(maxsize=len(KERNELS))
 def get_kernel(name: str = "fast") -> ModuleType:
     """Module of a kernel by name (imported when first asked for: numba is slow to import)."""
     if name == "fast":

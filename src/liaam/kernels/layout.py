@@ -95,3 +95,34 @@ class MeshPixels:
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Corners of a triangle, two by two."""
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """Places of a mesh's pixels, told by those of its vertices: x0 + beta_1 (x1 - x0) + beta_2 (x2 - x0).
+
+    Attributes
+    ----------
+    vertices : (n_vertices, 2) float64
+    mesh : MeshPixels
+    """
+
+    vertices: np.ndarray
+    mesh: MeshPixels
+
+    def __len__(self) -> int:
+        return len(self.mesh.beta)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """The places, (n, 2) float64."""
+        triangles = np.repeat(self.mesh.triangles, np.diff(self.mesh.starts), axis=0)
+        first, *others = (self.vertices[triangles[:, i]] for i in range(3))
+        beta = self.mesh.beta.astype(np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):  # vertices of a diverging fit need not be numbers
+            return first + sum(beta[:, i, None] * (other - first) for i, other in enumerate(others, 1))
+
+
+def points_of(places: np.ndarray | Carried) -> np.ndarray:
+    """Places as they are, (n, 2) float64."""
+    return places.points if isinstance(places, Carried) else places

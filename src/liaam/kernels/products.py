@@ -132,7 +132,7 @@ def _mode_sums(rows: int | None) -> Any:
 _squares_of_one, _squares_of_two, _squares_of_three, _squares = (_square_sums(rows) for rows in (1, 2, 3, None))
 _modes_of_one, _modes_of_two, _modes_of_three, _modes = (_mode_sums(rows) for rows in (1, 2, 3, None))
 
-BLOCK = 512
+BLOCK = 2048
 """Residuals whose products are summed in float32 before they are added up in float64."""
 
 
@@ -176,27 +176,44 @@ def weighted_gram(modes: np.ndarray, roots: np.ndarray) -> np.ndarray:
 
 
 @_jit
-def _less(values, steps, factors):
-    m, n = steps.shape
-    for begin in range(0, n, BLOCK):
-        end = min(begin + BLOCK, n)
-        out = values[begin:end]
-        for j in range(0, m, 4):  # four at a time: what is left is fetched and stored less often
-            a, b = steps[j, begin:end], steps[min(j + 1, m - 1), begin:end]
-            c, d = steps[min(j + 2, m - 1), begin:end], steps[min(j + 3, m - 1), begin:end]
-            p, q, r, s = factors[j], factors[j + 1], factors[j + 2], factors[j + 3]
-            for e in range(end - begin):
-                out[e] -= p * _F(a[e]) + q * _F(b[e]) + r * _F(c[e]) + s * _F(d[e])
+def _take_off(steps, sizes, factors, begin, end, out):
+    """Take a stretch of combined rows off what stands there."""
+    m = len(steps)
+    for j in range(0, m, 4):  # four at a time: what is left is fetched and stored less often
+        a, b = steps[j, begin:end], steps[min(j + 1, m - 1), begin:end]
+        c, d = steps[min(j + 2, m - 1), begin:end], steps[min(j + 3, m - 1), begin:end]
+        p, q = _F(factors[j] * sizes[j]), _F(factors[j + 1] * sizes[j + 1] if j + 1 < m else 0.0)
+        r = _F(factors[j + 2] * sizes[j + 2] if j + 2 < m else 0.0)
+        s = _F(factors[j + 3] * sizes[j + 3] if j + 3 < m else 0.0)
+        for e in range(end - begin):
+            out[e] -= p * _F(a[e]) + q * _F(b[e]) + r * _F(c[e]) + s * _F(d[e])
+
+
+@_jit
+def _less(values, steps, sizes, factors, left):
+    for begin in range(0, steps.shape[1], BLOCK):
+        end = min(begin + BLOCK, steps.shape[1])
+        out = left[begin:end]
+        if len(values):
+            out[:] = values[begin:end]
+        else:
+            out[:] = _F(0.0)
+        _take_off(steps, sizes, factors, begin, end, out)
 
 
 def less(values: np.ndarray, packed: Packed, factors: np.ndarray) -> np.ndarray:
     """See :func:`liaam.kernels.reference.less`."""
-    left = np.array(values, dtype=np.float32, order="C")
-    filled = np.zeros(len(factors) + 3, np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):  # a fit that blows up; its cost says so
-        np.multiply(factors, packed.sizes, out=filled[: len(factors)], casting="unsafe")
-    _less(left.reshape(-1), packed.steps, filled)
+    values = np.ascontiguousarray(values, dtype=_F)
+    left = np.empty_like(values)
+    _less(values.reshape(-1), packed.steps, packed.sizes, np.asarray(factors, np.float64), left.reshape(-1))
     return left
+
+
+def combined(packed: Packed, factors: np.ndarray) -> np.ndarray:
+    """See :func:`liaam.kernels.reference.combined`."""
+    total = np.empty(packed.steps.shape[1], _F)
+    _less(total[:0], packed.steps, packed.sizes, -np.asarray(factors, np.float64), total)
+    return total
 
 
 @_jit
@@ -215,61 +232,64 @@ def _add_products(steps, begin, end, line, total):
 
 
 @_jit
-def _residual_sums(residual, steps, own, weights, roots, ar):
-    n, k = residual.shape
-    for i in range(n):
-        for r in range(k):
-            roots[i, r] = own[i, r] * weights[i]
-    line, by_root, flat = np.empty(BLOCK, np.float32), roots.reshape(-1), residual.reshape(-1)
-    rr = weight = 0.0
-    for begin in range(0, n * k, BLOCK):
-        end = min(begin + BLOCK, n * k)
-        # Slices rather than indices in the inner loops: only then does the compiler see that they never wrap around.
-        root, part = by_root[begin:end], flat[begin:end]
-        squares = total = _F(0.0)
-        for e in range(end - begin):
-            square = root[e] * root[e]
-            line[e] = square * part[e]
-            squares += line[e] * part[e]
-            total += square
-        rr += squares
-        weight += total
-        _add_products(steps, begin, end, line, ar)
-    return rr, weight
-
-
-def residual_sums(
-    residual: np.ndarray, packed: Packed, own: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """See :func:`liaam.kernels.reference.residual_sums`."""
-    roots, ar = np.empty(own.shape, np.float32), np.zeros(len(packed.steps))
-    rr, weight = _residual_sums(residual, packed.steps, own, weights, roots, ar)
-    return roots, ar * packed.sizes, float(rr), float(weight)
+def _unseen(weights):
+    """Count of noughts."""
+    count = 0
+    for i in range(len(weights)):
+        count += weights[i] == _F(0.0)
+    return count
 
 
 @_jit
-def _column_products(right, count, steps, root, ac, cc):
-    size, line = len(root), np.empty(BLOCK, np.float32)
-    for begin in range(0, size, BLOCK):
-        end = min(begin + BLOCK, size)
-        part = root[begin:end]
-        for c in range(count):
-            column = right[c, begin:end]
+def _column_sums(values, steps, sizes, factors, root, columns, by_modes, by_columns):
+    line, last, weight = np.empty(BLOCK, np.float32), len(columns) - 1, 0.0
+    for begin in range(0, len(root), BLOCK):
+        end = min(begin + BLOCK, len(root))
+        # Slices rather than indices in the inner loops: only then does the compiler see that they never wrap around.
+        own, total = root[begin:end], _F(0.0)
+        if len(values):
+            columns[last, begin:end] = values[begin:end]
+            if len(factors):  # while the same stretch of the modes is at hand
+                _take_off(steps, sizes, factors, begin, end, columns[last, begin:end])
+        for e in range(end - begin):
+            total += own[e] * own[e]
+        weight += total
+        for c in range(last + 1):
+            column = columns[c, begin:end]
             for e in range(end - begin):
-                line[e] = part[e] * part[e] * column[e]
-            for b in range(len(right)):
-                other, product = right[b, begin:end], _F(0.0)
+                line[e] = own[e] * own[e] * column[e]
+            for b in range(c + 1):
+                other, product = columns[b, begin:end], _F(0.0)
                 for e in range(end - begin):
                     product += other[e] * line[e]
-                cc[b, c] += product
-            _add_products(steps, begin, end, line, ac[c])
+                by_columns[c, b] += product
+            _add_products(steps, begin, end, line, by_modes[c])
+    for c in range(last + 1):
+        for j in range(len(sizes)):
+            by_modes[c, j] *= sizes[j]
+        for b in range(c):
+            by_columns[b, c] = by_columns[c, b]
+    return weight
 
 
-def column_products(right: np.ndarray, count: int, packed: Packed, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """See :func:`liaam.kernels.reference.column_products`."""
-    ac, cc = np.zeros((count, len(packed.steps))), np.zeros((len(right), count))
-    _column_products(right, count, packed.steps, root.reshape(-1), ac, cc)
-    return (ac * packed.sizes).T, cc
+def column_sums(
+    columns: np.ndarray,
+    packed: Packed,
+    own: np.ndarray,
+    weights: np.ndarray,
+    values: np.ndarray | None = None,
+    factors: np.ndarray | None = None,
+) -> tuple[np.ndarray, bool, float, np.ndarray, np.ndarray]:
+    """See :func:`liaam.kernels.reference.column_sums`."""
+    n_columns = len(columns)
+    by_modes, by_columns = np.zeros((n_columns, len(packed.steps))), np.zeros((n_columns, n_columns))
+    all_seen = not _unseen(weights)
+    roots = own if all_seen else own * weights[:, None]
+    values = columns[0, :0] if values is None else np.ascontiguousarray(values, dtype=_F).reshape(-1)
+    off = by_modes[0, :0] if factors is None else np.asarray(factors, np.float64)
+    flat = values, packed.steps, packed.sizes, off, roots.reshape(-1)
+    weight = _column_sums(*flat, columns, by_modes, by_columns)
+    return roots, all_seen, float(weight), by_modes, by_columns
 
 
 @_jit
@@ -315,8 +335,8 @@ def _mesh_products(steep, expected, root, lines, right, beta, starts, triangles,
     for t in range(len(triangles)):
         longest = max(longest, starts[t + 1] - starts[t])
     corners, roots, columns = beta.reshape(-1), root.reshape(-1), lines.reshape(-1)
-    slopes, theirs = expected.reshape(-1), steep.reshape(-1)
-    squares, sums, fours = np.empty((9, 8), np.float32), np.empty((6, wide), np.float32), np.empty(4 * longest * k, _F)
+    slopes, theirs, flat = expected.reshape(-1), steep.reshape(-1), total.reshape(-1)
+    squares, sums, fours = np.empty(72, _F), np.empty(6 * wide, _F), np.empty(4 * longest * k, _F)
     by_edge = np.zeros((len(edges), 4))
     for t in range(len(triangles)):
         first, n = starts[t], starts[t + 1] - starts[t]
@@ -324,19 +344,19 @@ def _mesh_products(steep, expected, root, lines, right, beta, starts, triangles,
             continue
         for c in range(0, n_right, 2):  # two further columns at a time
             one, other = right[c], right[min(c + 1, n_right - 1)]
-            _sum_squares(corners, slopes, theirs, roots, one, other, first, n, k, fours, squares.reshape(-1))
+            _sum_squares(corners, slopes, theirs, roots, one, other, first, n, k, fours, squares)
             for r in range(6):
-                line = total[2 * triangles[t, r // 2] + r % 2]
+                line = 2 * triangles[t, r // 2] + r % 2
                 for side in range(min(2, n_right - c)):
-                    line[n_p + c + side] += squares[6 + r // 2, 4 + 2 * side + r % 2]
+                    total[line, n_p + c + side] += squares[8 * (6 + r // 2) + 4 + 2 * side + r % 2]
         for pair in range(6):
             for q in range(4):
-                by_edge[sides[t, pair], q] += squares[pair, q]
-        _sum_modes(corners, fours, columns, first, n, k, wide, sums.reshape(-1))
+                by_edge[sides[t, pair], q] += squares[8 * pair + q]
+        _sum_modes(corners, fours, columns, first, n, k, wide, sums)
         for r in range(6):
-            line, own = total[2 * triangles[t, r // 2] + r % 2, n_p + n_right :], sums[r]
-            for j in range(wide):
-                line[j] += own[j]
+            begin = (2 * triangles[t, r // 2] + r % 2) * total.shape[1] + n_p + n_right
+            for j in range(wide):  # no sign, no wrapping around: see above, of lines too short for slices to pay
+                flat[np.uint64(begin + j)] += sums[np.uint64(r * wide + j)]
     _add_edges(by_edge, edges, basis, total)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from array_api_compat import array_namespace
 from array_api_compat import device as device_of
 
-from liaam.kernels.layout import MeshPixels, Packed
+from liaam.kernels.layout import Carried, MeshPixels, Packed, points_of
 
 Array = Any
 """An array of any library of the array API standard."""
@@ -252,7 +252,7 @@ def steepest_batch(
 
 
 def steepest(
-    channels: np.ndarray, points: np.ndarray, turn: np.ndarray, metric: np.ndarray
+    channels: np.ndarray, points: np.ndarray | Carried, turn: np.ndarray, metric: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Sample an encoded image, project it by a metric, and differentiate by the place: :func:`steepest_batch` of one.
 
@@ -260,7 +260,7 @@ def steepest(
     ----------
     channels : (h, w, c + 1) float32
         Encoded image, at least 2 pixels high and wide.
-    points : (n, 2) float64
+    points : (n, 2) float64, or Carried
         W(x; p) in the image's pixels.
     turn : (2, 2) float
         Linear part of the similarity from the model's to the image's pixels.
@@ -278,7 +278,7 @@ def steepest(
     weights : (n,) float32
         Image weight in {0, 1} of each pixel.
     """
-    arguments = (np.asarray(array, dtype=np.float64)[None] for array in (channels, points, turn, metric))
+    arguments = (np.asarray(array, dtype=np.float64)[None] for array in (channels, points_of(points), turn, metric))
     with np.errstate(invalid="ignore"):  # points of a diverging fit need not be numbers
         values, projected, steep, weights = steepest_batch(*arguments)
     return values[0], projected[0], steep[0], weights[0]
@@ -321,60 +321,54 @@ def less(values: np.ndarray, packed: Packed, factors: np.ndarray) -> np.ndarray:
         return (values - taken.reshape(values.shape)).astype(np.float32)
 
 
-def residual_sums(
-    residual: np.ndarray, packed: Packed, own: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """What a weighted residual sums up to.
+def combined(packed: Packed, factors: np.ndarray) -> np.ndarray:
+    """Rows A (m, n * k) combined by factors (m,): factors A, (n * k,) float32."""
+    return less(np.zeros(packed.steps.shape[1], np.float32), packed, -np.asarray(factors))
+
+
+def column_sums(
+    columns: np.ndarray,
+    packed: Packed,
+    own: np.ndarray,
+    weights: np.ndarray,
+    values: np.ndarray | None = None,
+    factors: np.ndarray | None = None,
+) -> tuple[np.ndarray, bool, float, np.ndarray, np.ndarray]:
+    """Weighted products of the residual and of derivatives by angles, among themselves and with the modes.
 
     Parameters
     ----------
-    residual : (n, k) float32
-        r, unweighted.
+    columns : (b, n * k) float32
+        Derivatives by the free angles, and the residual in the last row; unweighted. Where values are given, that row
+        is written to: with what is left of them (:func:`less`).
     packed : Packed
         A (m, n * k), unweighted.
     own : (n, k) float32
         Roots of the weights.
     weights : (n,) float32
         The image's weights in {0, 1}.
+    values : (n, k) float32, optional
+    factors : (m,) float, optional
+        Of the modes that are taken off the values; none are if left out.
 
     Returns
     -------
     roots : (n, k) float32
         Roots of the weights, the image's included.
-    ar : (m,) float64
-        A'r.
-    rr : float
-        r'r.
+    all_seen : bool
+        Whether the image has a weight at every pixel.
     weight : float
         Sum of all weights.
+    by_modes : (b, m) float64
+    by_columns : (b, b) float64
     """
+    if values is not None:
+        columns[-1] = (values if factors is None else less(values, packed, factors)).reshape(-1)
     roots = own * weights[:, None]
-    squares = np.square(roots.astype(np.float64))
-    weighted = (squares * residual).reshape(-1)
-    return roots, packed.rows @ weighted, float(weighted @ residual.reshape(-1)), float(squares.sum())
-
-
-def column_products(right: np.ndarray, count: int, packed: Packed, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted products of the first few of some columns with the appearance and with all of the columns.
-
-    Parameters
-    ----------
-    right : (b, n * k) float32
-        Columns, unweighted: of the angles, and the residual.
-    count : int
-        How many of them to multiply with.
-    packed : Packed
-        A (m, n * k), unweighted.
-    root : (n, k) float32
-        Root of the weights, the image's included.
-
-    Returns
-    -------
-    ac : (m, count) float64
-    cc : (b, count) float64
-    """
-    weighted = (np.square(root.astype(np.float64)).reshape(-1) * right[:count]).T
-    return packed.rows @ weighted, right @ weighted
+    squares = np.square(roots.astype(np.float64)).reshape(-1)
+    weighted = (columns * squares).T
+    all_seen = bool((weights > 0).all())
+    return roots, all_seen, float(squares.sum()), (packed.rows @ weighted).T, columns @ weighted
 
 
 def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -705,3 +699,37 @@ def best_peaks(picture: np.ndarray, count: int, least: float, reach: int) -> tup
     values = picture[places[:, 0], places[:, 1]]
     order = np.argsort(-values, kind="stable")[:count]
     return places[order], values[order]
+
+
+def damped_step(
+    hessian: np.ndarray, gradient: np.ndarray, precision: np.ndarray, free: np.ndarray, damping: float
+) -> np.ndarray | None:
+    """Levenberg's step: (H + damping diag H) step = -gradient, H the Hessian and a prior's precision.
+
+    Parameters
+    ----------
+    hessian : (n, n) float64
+        Symmetric, positive but for rounding.
+    gradient : (n,) float64
+        Prior included.
+    precision : (n,) float64
+        Of the prior.
+    free : (n,) bool
+        Entries that may move; the others' steps are 0.
+    damping : float
+        As a share of the diagonal.
+
+    Returns
+    -------
+    (n,) float64, or None where the system is singular
+    """
+    own = hessian[np.ix_(free, free)] + np.diag(precision[free])
+    diagonal = own.diagonal().copy()
+    floor = 1e-9 * diagonal.max(initial=0.0)
+    own[np.diag_indices_from(own)] += damping * np.maximum(diagonal, floor) + floor
+    step = np.zeros(len(free))
+    try:
+        step[free] = np.linalg.solve(own, -gradient[free])
+    except np.linalg.LinAlgError:
+        return None
+    return step

@@ -6,6 +6,7 @@ the same takes channel by channel.
 """
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from numba.extending import intrinsic
 from liaam.jit import F as _F
 from liaam.jit import jit as _jit
 from liaam.kernels.lanes import Lanes
+from liaam.kernels.layout import Carried, points_of
 
 _AT = types.intp  # where something lies, or how much there is of it
 
@@ -67,18 +69,38 @@ def _steepest(channels, points, turn, metric, values, projected, steep, weights)
 
 
 @_jit
-def _place(points, begin, n, height, width, at, u, v, keep):
+def _carry(vertices, beta, starts, triangles, t, begin, end, x, y):
+    """Where a stretch of a mesh's pixels lie, from triangle ``t`` on; gives the triangle of the last of them."""
+    at = begin
+    while at < end:
+        while starts[t + 1] <= at:
+            t += 1
+        stop = min(starts[t + 1], end)
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay = vertices[a, 0], vertices[a, 1]
+        bx, by, cx, cy = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[c, 0] - ax, vertices[c, 1] - ay
+        # Slices rather than indices in the loops: only then does the compiler see that they never wrap around.
+        own, to_x, to_y = beta[at:stop], x[at - begin : stop - begin], y[at - begin : stop - begin]
+        for i in range(stop - at):
+            to_x[i] = ax + np.float64(own[i, 1]) * bx + np.float64(own[i, 2]) * cx
+        for i in range(stop - at):
+            to_y[i] = ay + np.float64(own[i, 1]) * by + np.float64(own[i, 2]) * cy
+        at = stop
+    return t
+
+
+@_jit
+def _place(x, y, height, width, at, u, v, keep):
     """Number of the first of points' four pixels, where they lie between them, and whether they are inside."""
-    # Slices rather than indices in the loop: only then does the compiler see that they never wrap around.
-    part, right, below = points[2 * begin : 2 * (begin + n)], width - 2, height - 2
-    for i in range(n):
-        px, py = part[2 * i], part[2 * i + 1]
+    right, below = width - 2, height - 2
+    for i in range(len(x)):
+        px, py = x[i], y[i]
         # Written so that NaN counts as outside.
         inside = (px >= 0.0) & (py >= 0.0) & (px <= width - 1) & (py <= height - 1)
         px, py = px if inside else 0.0, py if inside else 0.0
-        x, y = min(np.floor(px), float(right)), min(np.floor(py), float(below))
-        at[i] = np.int32(y * width + x)
-        u[i], v[i], keep[i] = _F(px - x), _F(py - y), _F(1.0) if inside else _F(0.0)
+        column, row = min(np.floor(px), float(right)), min(np.floor(py), float(below))
+        at[i] = np.int32(row * width + column)
+        u[i], v[i], keep[i] = _F(px - column), _F(py - row), _F(1.0) if inside else _F(0.0)
 
 
 def _interpolated(lanes: Lanes, own: int, corner: Callable[[Any], Any], first: Any, right: Any, below: Any) -> Any:
@@ -204,29 +226,60 @@ def _put_twelve(lanes: Lanes, vector: Any, array: int, i: Any, each: int) -> Non
 _four_of_one, _two_of_soft = _intrinsic_of(_write_one), _intrinsic_of(_write_soft)
 
 
+@_jit
+def _room():
+    """Room for where a block's points lie, their first pixels, where between those, and whether inside.
+
+    One by one: rows of one array are not known to be without gaps once it has been taken apart, and loops over them
+    stay scalar, at four times the time.
+    """
+    x, y, at = np.empty(BLOCK), np.empty(BLOCK), np.zeros(BLOCK, np.int64)
+    return x, y, at, np.zeros(BLOCK, _F), np.zeros(BLOCK, _F), np.zeros(BLOCK, _F)
+
+
+NO_POINTS = np.empty((0, 2))
+NO_MESH = NO_POINTS, np.empty((0, 3), np.float32), np.zeros(1, np.int64), np.empty((0, 3), np.int64)
+
+
+@_jit
+def _fetch(points, vertices, beta, starts, triangles, t, begin, end, x, y):
+    """Fetch a stretch of points, given or carried by a mesh from its triangle ``t`` on; gives the last one's."""
+    if not len(points):
+        return _carry(vertices, beta, starts, triangles, t, begin, end, x, y)
+    x[: end - begin] = points[begin:end, 0]
+    y[: end - begin] = points[begin:end, 1]
+    return t
+
+
 # Two loops that differ in what they call: in one, with a branch around either, both take a quarter longer.
 @_jit
-def _steepest_one(channels, points, turn, factors, values, projected, steep, weights):
+def _steepest_one(
+    channels, points, vertices, beta, starts, triangles, turn, factors, values, projected, steep, weights
+):
     height, width, stride = channels.shape
-    at, (u, v, keep) = np.zeros(BLOCK, np.int64), np.zeros((3, BLOCK), np.float32)
-    flat, places, by_row, below = channels.reshape(-1), points.reshape(-1), turn.reshape(-1), stride * width
+    flat, by_row, below = channels.reshape(-1), turn.reshape(-1), stride * width
     outer = values.reshape(-1), projected.reshape(-1), steep.reshape(-1), weights
-    for begin in range(0, len(points), BLOCK):
-        n = min(BLOCK, len(points) - begin)
-        _place(places, begin, n, height, width, at, u, v, keep)
+    (x, y, at, u, v, keep), n_pixels, t = _room(), max(len(points), len(beta)), 0
+    for begin in range(0, n_pixels, BLOCK):
+        n = min(BLOCK, n_pixels - begin)
+        t = _fetch(points, vertices, beta, starts, triangles, t, begin, begin + n, x, y)
+        _place(x[:n], y[:n], height, width, at, u, v, keep)
         for i in range(0, n, 4):
             _four_of_one(flat, at, u, v, keep, factors, by_row, *outer, i, begin + i, stride, below)
 
 
 @_jit
-def _steepest_soft(channels, points, turn, factors, values, projected, steep, weights):
+def _steepest_soft(
+    channels, points, vertices, beta, starts, triangles, turn, factors, values, projected, steep, weights
+):
     height, width, stride = channels.shape
-    at, (u, v, keep) = np.zeros(BLOCK, np.int64), np.zeros((3, BLOCK), np.float32)
-    flat, places, by_row, below = channels.reshape(-1), points.reshape(-1), turn.reshape(-1), stride * width
+    flat, by_row, below = channels.reshape(-1), turn.reshape(-1), stride * width
     outer = values.reshape(-1), projected.reshape(-1), steep.reshape(-1), weights
-    for begin in range(0, len(points), BLOCK):
-        n = min(BLOCK, len(points) - begin)
-        _place(places, begin, n, height, width, at, u, v, keep)
+    (x, y, at, u, v, keep), n_pixels, t = _room(), max(len(points), len(beta)), 0
+    for begin in range(0, n_pixels, BLOCK):
+        n = min(BLOCK, n_pixels - begin)
+        t = _fetch(points, vertices, beta, starts, triangles, t, begin, begin + n, x, y)
+        _place(x[:n], y[:n], height, width, at, u, v, keep)
         for i in range(0, n, 2):
             _two_of_soft(flat, at, u, v, keep, factors, by_row, *outer, i, begin + i, stride, below)
 
@@ -237,12 +290,19 @@ SOFT = np.array([[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 1, 1, 0]], bo
 
 def _loop_for(metric: np.ndarray) -> tuple[Callable, np.ndarray]:
     """Loop for a metric, and the metric as the loop wants it."""
-    if metric.shape == (1, 3):
+    return _loop_for_entries(metric.shape, metric.astype(np.float64).tobytes())
+
+
+@lru_cache(maxsize=16)
+def _loop_for_entries(shape: tuple[int, int], entries: bytes) -> tuple[Callable, np.ndarray]:
+    """The same for a metric that is kept: fits ask for one again and again."""
+    metric = np.frombuffer(entries).reshape(shape)
+    if shape == (1, 3):
         return _steepest_one, np.array([*metric[0], 0, 0, 0, 0, 1], np.float32)
-    if metric.shape == SOFT.shape and not metric[~SOFT].any():
+    if shape == SOFT.shape and not metric[~SOFT].any():
         a, b, (c, d, e) = metric[0, 0], metric[1, 1], metric[2, 2:5]
         return _steepest_soft, np.array([a, b, c, d, 0, e, 0, 0], np.float32)
-    return _steepest, np.ascontiguousarray(metric, np.float32)
+    return _steepest, metric.astype(np.float32)
 
 
 MOST_AT_A_TIME = 4
@@ -250,15 +310,22 @@ MOST_AT_A_TIME = 4
 
 
 def steepest(
-    channels: np.ndarray, points: np.ndarray, turn: np.ndarray, metric: np.ndarray
+    channels: np.ndarray, points: np.ndarray | Carried, turn: np.ndarray, metric: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """See :func:`liaam.kernels.reference.steepest`."""
-    n, (k, c) = len(points), metric.shape
+    (loop, factors), (k, c) = _loop_for(metric), metric.shape
+    if loop is _steepest:
+        places = (np.ascontiguousarray(points_of(points), np.float64),)
+    elif isinstance(points, Carried):
+        mesh = points.mesh
+        places = NO_POINTS, np.ascontiguousarray(points.vertices), mesh.beta, mesh.starts, mesh.triangles
+    else:
+        places = np.ascontiguousarray(points, np.float64), *NO_MESH
+    n = len(points)
     room = n + MOST_AT_A_TIME - 1  # the last pixels are written together with what is beyond them
     values, projected = np.empty((room, c), np.float32), np.empty((room, k), np.float32)
     steep, weights = np.empty((room, k, 2), np.float32), np.empty(room, np.float32)
-    loop, factors = _loop_for(metric)
     # The instructions above look at memory as it is.
-    points, turn = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(turn, np.float32)
-    loop(np.ascontiguousarray(channels, np.float32), points, turn, factors, values, projected, steep, weights)
+    channels, turn = np.ascontiguousarray(channels, np.float32), np.ascontiguousarray(turn, np.float32)
+    loop(channels, *places, turn, factors, values, projected, steep, weights)
     return values[:n], projected[:n], steep[:n], weights[:n]

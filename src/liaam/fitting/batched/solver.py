@@ -547,7 +547,7 @@ class _Record:
                 inverse=equations.inverse[i],
                 unit=float(equations.unit[i]),
             )
-            seen = Linearisation.of(own, OneLook(*(array[i] for array in last.look)))
+            seen = Linearisation.of(own, OneLook.of(*(array[i] for array in last.look)))
             self._ends[int(item)] = (seen, *(end[i].item() for end in ends), bool(held[i]))
 
     def solutions(self) -> list[Solution]:
