@@ -9,7 +9,7 @@ import pytest
 from liaam import cli_video
 from liaam.evaluation import ranges_of
 from liaam.io import VideoFrame, VideoReader, video_writer, write_landmarks
-from liaam.tracking import Tracker, stretches
+from liaam.tracking import Tracker, TrackingOptions, stretches
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +63,21 @@ def test_starts_of_all_kinds(run, model_file, clip, moving, tmp_path):
         assert run("track", model_file, clip, *options)[0] == 0
     with np.load(tmp_path / "t.npz", allow_pickle=False) as track:
         assert np.isfinite(track["theta"]).all()
+
+
+def test_reviews_are_as_often_as_asked_for(run, model_file, clip, tmp_path, monkeypatch):
+    asked = []
+
+    class Told(Tracker):
+        def __init__(self, model, method, camera, options):
+            asked.append(options.review)
+            super().__init__(model, method, camera, options)
+
+    monkeypatch.setattr("liaam.tracking.Tracker", Told)
+    for options in ((), ("--review", 12), ("--review", 0)):
+        assert run("track", model_file, clip, "-o", tmp_path / "t.csv", "--frames", 1, *options)[0] == 0
+    assert asked == [TrackingOptions().review, 12, 0]
+    assert run("track", model_file, clip, "-o", tmp_path / "t.csv", "--review", -1)[0] == 2
 
 
 def test_frames_without_the_object_are_told(run, model_file, moving, tmp_path):

@@ -54,6 +54,14 @@ def track(
     smooth: Annotated[
         bool, typer.Option(help="Smooth the landmarks over time, as far as their covariance lets them.")
     ] = True,
+    review: Annotated[
+        int | None,
+        typer.Option(
+            help="Frames from one fit from the mean shape to the next, which puts a track right that has gone astray: "
+            "fewer are slower; 0 for none, 48 if left out.",
+            min=0,
+        ),
+    ] = None,
     ellipses: Annotated[
         bool, typer.Option("--ellipses", help="Draw the ellipse that holds each landmark with 95 % probability.")
     ] = False,
@@ -88,7 +96,8 @@ def track(
     check_outputs(output, annotated, shading_free, source)
     model = load_model(model_file)
     camera = camera_for([], camera_file, response, model.camera)
-    tracker = Tracker(model, method, camera, TrackingOptions(smooth=smooth))
+    options = TrackingOptions(smooth=smooth) if review is None else TrackingOptions(smooth=smooth, review=review)
+    tracker = Tracker(model, method, camera, options)
     counts, reader = Counts(), VideoReader(source, start, stop)
     task = Task(reader, tracker, start, stop, init, jobs)
     with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as tell:
