@@ -9,6 +9,7 @@ from liaam.fitting.normal_equations import (
     BLOCK,
     NormalEquations,
     Sums,
+    _negative_count,
     diagonal_of_inverse,
     gram,
     positive_inverse,
@@ -110,7 +111,11 @@ def test_without_pixels_the_cost_is_infinite():
     assert Sums(aa=np.zeros((2, 2)), ar=np.zeros(2), rr=0.0, weight=0.0).cost == np.inf
 
 
-@pytest.mark.parametrize("ratios", [(2.0, 0.1, 1.0, -3.0, 0.6, 0.2), (2.0, 0.7, 1.0, 3.0, 0.6, 0.9)])
+@pytest.mark.parametrize(
+    "ratios",
+    [(2.0, 0.1, 1.0, -3.0, 0.6, 0.2), (2.0, -0.1, 1.0, 3.0, 0.6, 0.9), (2.0, 0.7, 1.0, 3.0, 0.6, 0.9)],
+    ids=["many", "one", "none"],
+)
 @pytest.mark.parametrize("rank", [6, 4])
 def test_a_lifted_solution_is_nowhere_flatter_than_the_base(rng, rank, ratios):
     """Curvature below the lift is lifted to it, more is kept, and a base that is flat somewhere is no fault."""
@@ -123,6 +128,16 @@ def test_a_lifted_solution_is_nowhere_flatter_than_the_base(rng, rank, ratios):
     expected = 1.0 / ((np.maximum(ratios, lift) + damping) * np.arange(1.0, n + 1))
     np.testing.assert_allclose((turn.T @ found)[:rank], expected[:rank], rtol=1e-8)
     assert np.isfinite(found).all()
+
+
+@given(n=st.integers(1, 8), zeros=st.booleans(), seed=st.integers(0, 99))
+def test_negative_eigenvalues_are_counted(n, zeros, seed):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(n, n))
+    matrix += matrix.T
+    if zeros:  # on the diagonal: pivots of 2 by 2
+        np.fill_diagonal(matrix, 0.0)
+    assert _negative_count(matrix) == np.count_nonzero(np.linalg.eigvalsh(matrix) < 0)
 
 
 def test_what_is_steep_by_rounding_only_is_lifted():
