@@ -33,9 +33,9 @@ IMAGE_SIZE = (480, 640)  # rows, columns
 BARS = {"li": 1.3, "soft-li": 2.5 * 1.3}  # times the yardstick
 ROUNDS, WARM_UP = 300, 20
 SOLVE_STEPS = 10
-# Damping under which the loop hardly moves, so that each of its steps costs the same; li refuses steps so short that
-# rounding hides what they gain, and soft-li leaves damping out once it is small.
-HEAVY = {"li": 1e3, "soft-li": 1e9}
+# Damping to begin with: under it li's steps are short and never refused, though each divides it by ten; those of
+# soft-li are taken as they come, and all but short ones ask whether pixels are to be weighed anew.
+DAMPING = {"li": 1e3, "soft-li": 1e-3}
 
 Parts = dict[str, Callable[[], object]]
 
@@ -166,10 +166,16 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
     def products() -> None:
         objective.weighed(last.look, state, trust).equations  # noqa: B018
 
+    own = None if objective.method.soft else last.equations  # a step with the expected gradient asks for none
+
     def solves() -> None:
         known = replace(last)
-        known.__dict__["equations"] = replace(last.equations)
+        if own is not None:
+            known.__dict__["equations"] = replace(own)
         propose(objective, run._replace(last=known), options)
+
+    def weigh() -> None:
+        solver._weigh_anew(objective, problem, state, last, options, None)
 
     parts: Parts = {
         "iteration": whole,
@@ -180,7 +186,7 @@ def make_iteration(objective: Objective, problem: FitProblem) -> tuple[Parts, St
         "products": products,
         "solve": solves,
     }
-    return parts, state
+    return (parts | {"weigh": weigh} if objective.method.reweighs else parts), state
 
 
 def make_yardstick(rng: np.random.Generator, n_columns: int) -> Callable[[], object]:
@@ -200,7 +206,7 @@ def make_loops(objective: Objective, problem: FitProblem, state: State) -> Parts
     """The solver itself over one iteration and over SOLVE_STEPS more; the difference is theirs alone."""
 
     def loop(n: int) -> Callable[[], object]:
-        options = SolverOptions(max_iterations=n, tolerance=0.0, notice=0.0, damping=HEAVY[objective.method.name])
+        options = SolverOptions(max_iterations=n, tolerance=0.0, notice=0.0, damping=DAMPING[objective.method.name])
         solution = solver.solve(objective, problem, state, options)
         assert len(solution.path) == n + 1, "a step was refused: the loop's time is not that of its iterations"
         return lambda: solver.solve(objective, problem, state, options)

@@ -143,3 +143,14 @@ def test_unknown_options_are_listed(model, scenes):
         fit(model, scenes[0].image, scenes[0].landmarks, max_iteration=3)
     with pytest.raises(MethodError, match="finite"):
         fit(model, scenes[0].image, scenes[0].landmarks, tolerance=float("nan"))
+
+
+def test_noise_of_the_angle_is_that_of_the_metrics_rows():
+    theta = 0.5
+    for name in ("li", "soft-li"):
+        method, step = get_method(name), 1e-6
+        ahead, behind = method.image_metric(theta + step), method.image_metric(theta - step)
+        expected = np.square((ahead - behind) / (2 * step)).sum() / np.square(method.image_metric(theta)).sum()
+        assert method.noise_slope(theta) == pytest.approx(expected, rel=1e-6)
+    for name in ("grey", "rgb", "igo", "chroma"):
+        assert get_method(name).noise_slope(theta) == 0.0

@@ -113,7 +113,7 @@ def test_without_pixels_the_cost_is_infinite():
 
 @pytest.mark.parametrize(
     "ratios",
-    [(2.0, 0.1, 1.0, -3.0, 0.6, 0.2), (2.0, -0.1, 1.0, 3.0, 0.6, 0.9), (2.0, 0.7, 1.0, 3.0, 0.6, 0.9)],
+    [(2.0, 0.1, 1.0, -3.0, 0.6, 0.2), (2.0, 0.4, 1.0, 3.0, 0.6, 0.9), (2.0, 0.7, 1.0, 3.0, 0.6, 0.9)],
     ids=["many", "one", "none"],
 )
 @pytest.mark.parametrize("rank", [6, 4])

@@ -1,15 +1,18 @@
 """The solver: it descends, it stops, both eliminations agree, and what cannot be seen is not moved."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from liaam.errors import MethodError
-from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
+from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method, solver
 from liaam.fitting.levels import prepare_level
-from liaam.fitting.objective import Objective
-from liaam.shape import diagonal_of
+from liaam.fitting.normal_equations import NormalEquations
+from liaam.fitting.objective import Objective, State, make_objectives
+from liaam.fitting.problem import FitProblem
+from liaam.shape import align, diagonal_of
 from setups import disturb, model_pixels
 
 EXACT = {"tolerance": 1e-4, "max_iterations": 300, "shape_prior": 0.0}
@@ -66,6 +69,45 @@ def test_iterations_are_never_exceeded(model, lit_scene, damping):
     result = Fitter(model, "li", options).fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert result.n_iterations <= 3 * len(model.levels)
     assert result.status == FitStatus.MAX_ITERATIONS
+
+
+def made_up_equations(rng):
+    rows = rng.normal(size=(40, 9))
+    aa, jj, aj = rows[:, :3].T @ rows[:, :3], rows[:, 3:8].T @ rows[:, 3:8], rows[:, :3].T @ rows[:, 3:8]
+    residual = rows[:, 8]
+    ar, jr = rows[:, :3].T @ residual, rows[:, 3:8].T @ residual
+    return NormalEquations(jj=jj, jr=jr, aj=aj, aa=aa, ar=ar, rr=float(residual @ residual), weight=40.0)
+
+
+@pytest.mark.parametrize("fault", ["no gradient is expected", "what is expected is no number", "no number", "no pixel"])
+def test_no_step_is_made_of_nothing(rng, fault):
+    equations, base = made_up_equations(rng), np.eye(5)
+    state, nothing = State(np.zeros(4), np.zeros(2), np.zeros(3)), np.zeros(5)  # the last is an angle
+    if fault == "no gradient is expected":
+        base[:4] = 0.0
+    elif fault == "what is expected is no number":
+        base[0, 1] = np.nan
+    elif fault == "no number":
+        equations.jj[0, 1] = np.inf
+    else:
+        equations = replace(equations, weight=0.0)
+    assert solver._guarded_step(equations, base, state, nothing, nothing == 0, 0.5, 0.0) is None
+    fine = solver._guarded_step(made_up_equations(rng), np.eye(5), state, nothing, nothing == 0, 0.5, 0.0)
+    assert fine is not None and np.isfinite(fine).all()
+
+
+def test_lambda_stays_where_nothing_is_seen(model, lit_scene):
+    """A soft fit that has left the picture keeps the appearance that it had."""
+    (objective,) = make_objectives(model, get_method("soft-li"))[-1:]
+    level = model.levels_of("soft")[-1]
+    pose = align(objective.warp.rest, lit_scene.landmarks)
+    problem = FitProblem.at(lit_scene.image, lit_scene.landmarks, pose, objective.method, "srgb", level.blur)
+    away = objective.start(np.zeros(objective.warp.n_parameters))
+    away.p[-2:] = 1e6
+    away.lam[:] = 1.0
+    new, seen = solver._evaluate(objective, problem, away, SolverOptions(), None)
+    assert seen.cost == np.inf
+    np.testing.assert_array_equal(new.lam, away.lam)
 
 
 def test_without_iterations_the_start_comes_back(model, lit_scene):

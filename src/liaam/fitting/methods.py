@@ -180,14 +180,14 @@ class Method:
         return self.appearance not in ("invariant", "orientation", "soft")
 
     def image_metric_derivative(self, theta: float) -> np.ndarray:
-        """dP/dtheta for the image, (k, channels of the encoding)."""
+        """dP/dtheta for the image, (k, channels of the encoding); may not be written to."""
         return (
             _angular_derivative(self.metric, float(theta)) if self.has_angles else np.zeros_like(METRICS[self.metric])
         )
 
     def noise_slope(self, theta: float) -> float:
-        """How much noise dP/dtheta has for the image beside P itself: |P'|^2 / |P|^2."""
-        return _angular_noise_slope(self.metric, float(theta))
+        """How much noise dP/dtheta has for the image beside P itself, |P'|^2 / |P|^2; 0 where there is no angle."""
+        return _angular_noise_slope(self.metric, float(theta)) if self.has_angles else 0.0
 
     def model_metric_derivative(self, theta: float) -> np.ndarray:
         """dP/dtheta for the model, (k, channels of the appearance)."""

@@ -102,7 +102,7 @@ def solve_lifted(base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift:
     Parameters
     ----------
     base : (n, n) float64
-        Positive, but for rounding.
+        Positive, but for rounding; nought as a whole it may not be.
     hessian : (n, n) float64
     right : (n,) float64
     lift, damping : float

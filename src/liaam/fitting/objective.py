@@ -329,7 +329,7 @@ class Objective:
             Of :meth:`trust` at an earlier state, for methods that re-weigh.
         """
         look, values = self._beside_mean(problem, state, trust)
-        return self._weighed(look, state, trust, values, state.lam if state.lam.any() else None)
+        return self.weighed(look, state, trust, values, state.lam if state.lam.any() else None)
 
     def look(self, problem: FitProblem, state: State, trust: Trust | None = None) -> Look:
         """Residual and derivatives at a state, before they are weighed; of a trust only its gain and offset count."""
@@ -358,19 +358,19 @@ class Objective:
         sums = seen.sums.after_lambda_step(step)
         return Linearisation(sums, seen.weighed, seen.products, LambdaStep(seen, step, taken), seen.bends)
 
-    def weighed(self, look: Look, state: State, trust: Trust | None = None) -> Linearisation:
-        """Weigh what is seen at a state, under weights worked out at this or an earlier one."""
-        return self._weighed(look, state, trust)
-
-    def _weighed(
+    def weighed(
         self,
         look: Look,
         state: State,
-        trust: Trust | None,
+        trust: Trust | None = None,
         values: np.ndarray | None = None,
         lam: np.ndarray | None = None,
     ) -> Linearisation:
-        """Weigh what is seen; a residual that is yet to be written is what lambda's modes leave of some values."""
+        """Weigh what is seen at a state, under weights worked out at this or an earlier one.
+
+        Where values (n_pixels, k) are given the look's residual is yet to be written: as what lambda's modes leave of
+        them, if there is a lambda.
+        """
         own_root, slope = self._root_weights(state.angles[1], trust)
         design = self.design(state.angles[0])
         weighted = self._weighted_of(design, own_root, trust)

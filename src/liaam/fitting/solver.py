@@ -405,11 +405,13 @@ def _evaluate(
     """Linearise at a state; variable projection also solves lambda there."""
     if options.elimination == "joint":
         return state, objective.linearise(problem, state, trust)
-    if objective.method.soft:
-        # From nothing, which is one pass over the modes less. Other methods judge steps by differences of costs that
-        # sums about the mean appearance would drown in rounding.
-        state = State(state.p, state.angles, np.zeros_like(state.lam))
-    return _solve_lambda(objective, state, objective.linearise(problem, state, trust))
+    if not objective.method.soft:
+        return _solve_lambda(objective, state, objective.linearise(problem, state, trust))
+    # From nothing, which is one pass over the modes less. Other methods judge steps by differences of costs that sums
+    # about the mean appearance would drown in rounding.
+    bare = State(state.p, state.angles, np.zeros_like(state.lam))
+    seen = objective.linearise(problem, bare, trust)
+    return _solve_lambda(objective, bare, seen) if seen.sums.weight > 0 else (state, seen)
 
 
 def _solve_lambda(objective: Objective, state: State, seen: Linearisation) -> tuple[State, Linearisation]:
@@ -513,11 +515,12 @@ def _guarded_step(
 ) -> np.ndarray | None:
     """Step to the zero of a gradient, by a Hessian no flatter than a share of another one, prior included."""
     n_p, (hessian, gradient) = len(state.p), equations.reduced()
-    steepest = np.abs(hessian.diagonal()[:n_p]).max()  # what is no number anywhere is none on the diagonal
-    if not (isfinite(equations.rr) and isfinite(steepest) and isfinite(base.trace())):
+    if not (isfinite(equations.rr) and isfinite(hessian.sum() + base.sum())):
         return None
-    # A picture that is flat under the model has no gradient of its own, whatever is expected.
-    if not steepest > 1e-10 * equations.weight > 0:
+    # A picture that is flat under the model has no gradient of its own, whatever is expected; nor is there a step where
+    # none is expected, as where the model lies folded to nothing.
+    seen, expected = np.abs(hessian.diagonal()[:n_p]).max(), base.diagonal()[:n_p].max()
+    if not (seen > 1e-10 * equations.weight > 0 and expected > 0):
         return None
     gradient, hessian = gradient.copy(), hessian.copy()  # the equations keep theirs
     gradient[:n_p] += precision[:n_p] * state.p

@@ -12,6 +12,7 @@ from liaam.kernels.products import (  # noqa: F401 (of the contract)
     weighted_gram,
 )
 from liaam.kernels.reference import FLAT, ON_EDGE
+from liaam.kernels.soft_weights import soft_roots, soft_variances  # noqa: F401 (of the contract)
 from liaam.kernels.steepest import SOFT, steepest  # noqa: F401 (of the contract)
 from liaam.kernels.steps import damped_step  # noqa: F401 (of the contract)
 
@@ -104,114 +105,6 @@ def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -
     owner, weights = np.full((height, width), -1, np.int32), np.zeros((height, width, 3))
     _raster(np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(triangles), owner, weights)
     return owner, weights
-
-
-@_jit
-def _exp(x):
-    """Exponential of logarithms of light, to a few millionths between -8 and 8, and no branch in it."""
-    y = min(max(x, _F(-20.0)), _F(20.0)) * _F(1 / 32)
-    high = _F(1 / 6) + y * (_F(1 / 24) + y * (_F(1 / 120) + y * _F(1 / 720)))
-    y = _F(1.0) + y * (_F(1.0) + y * (_F(1 / 2) + y * high))
-    for _ in range(5):
-        y *= y
-    return y
-
-
-@_jit
-def _soft_noise(values, relative, first, steps, left, floor, brightness, unknown, most, colours, noise):
-    top = len(relative) - 2
-    for i in range(len(values)):
-        known, spread, total = colours and values[i, 5] >= _F(0.99), _F(0.0), floor
-        for c in range(3):
-            value = values[i, 2 + c]
-            at = min(max((value - first) * steps, _F(0.0)), _F(top + 1))
-            below = min(int(at), top)
-            deviation = relative[below] + (at - _F(below)) * (relative[below + 1] - relative[below])
-            linear = brightness[c] * _exp(value)
-            total += linear
-            spread += (deviation * linear) * (deviation * linear)
-            square = deviation * deviation
-            noise[i, 2 + c] = left[0] * square + _F(0.25) * square * square if known else unknown
-        x, y = values[i, 0] * values[i, 0], values[i, 1] * values[i, 1]
-        rest = max(_F(1.0) - x - y, _F(0.0))
-        slope = left[1] * spread * rest / (total * total)
-        noise[i, 0] = min(slope * (_F(1.0) - x * (_F(1.0) + rest)), most)
-        noise[i, 1] = min(slope * (_F(1.0) - y * (_F(1.0) + rest)), most)
-        noise[i, 5] = _F(0.0)
-
-
-@_jit
-def _beyond_noise(noise, squared, residual, weights, limit, by_noise, sums):
-    n, k = residual.shape
-    for r in range(k):
-        s0, s1, s2, s3, s4 = squared[r, 0], squared[r, 1], squared[r, 2], squared[r, 3], squared[r, 4]
-        for start in range(0, n, 1024):
-            count = squares = beyond = _F(0.0)
-            for i in range(start, min(start + 1024, n)):
-                own = s0 * noise[i, 0] + s1 * noise[i, 1] + s2 * noise[i, 2] + s3 * noise[i, 3] + s4 * noise[i, 4]
-                by_noise[i, r] = own
-                counts = weights[i] > _F(0.0) and own < limit
-                square = residual[i, r] * residual[i, r]
-                count += _F(1.0) if counts else _F(0.0)
-                squares += square if counts else _F(0.0)
-                beyond += square - own if counts else _F(0.0)
-            sums[r, 0] += count
-            sums[r, 1] += squares
-            sums[r, 2] += beyond
-
-
-def soft_variances(
-    values: np.ndarray,
-    residual: np.ndarray,
-    weights: np.ndarray,
-    squared: np.ndarray,
-    relative: np.ndarray,
-    span: tuple[float, float],
-    left: tuple[float, float],
-    softness: float,
-    floor: float,
-    brightness: np.ndarray,
-    unknown: float,
-    most: float,
-    colours: bool,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """See :func:`liaam.kernels.reference.soft_variances`."""
-    noise, by_noise, sums = np.empty_like(values), np.empty_like(residual), np.zeros((residual.shape[1], 3))
-    steps = (len(relative) - 1) / (span[1] - span[0])
-    shares = np.array([left[0] ** 2, (left[1] / softness) ** 2], np.float32)
-    table, brightness = relative.astype(np.float32), brightness.astype(np.float32)
-    numbers = _F(floor), brightness, _F(unknown), _F(most), colours
-    _soft_noise(values, table, _F(span[0]), _F(steps), shares, *numbers, noise)
-    _beyond_noise(noise, squared.astype(np.float32), residual, weights, _F(0.5 * unknown), by_noise, sums)
-    return noise, by_noise, sums
-
-
-@_jit
-def _soft_roots(by_noise, model, tied, own, weights, roots):
-    n, k = by_noise.shape
-    count, total = 0, 0.0
-    for start in range(0, n, 256):
-        part = _F(0.0)
-        for i in range(start, min(start + 256, n)):
-            if weights[i] * own[i, 0] > _F(0.0):
-                count += 1
-                for r in range(k):
-                    part += _F(1.0) / (tied * by_noise[i, r] + model[r])
-        total += part
-    unit = count * k / total if count else np.nan
-    for i in range(n):
-        for r in range(k):
-            roots[i, r] = own[i, r] * np.sqrt(_F(unit) / (tied * by_noise[i, r] + model[r]))
-    return unit
-
-
-def soft_roots(
-    by_noise: np.ndarray, model: np.ndarray, tied: float, own: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """See :func:`liaam.kernels.reference.soft_roots`."""
-    roots = np.empty_like(by_noise)
-    unit = _soft_roots(by_noise, model.astype(np.float32), _F(tied), own, weights, roots)
-    return roots, float(unit)
 
 
 @_jit

@@ -295,14 +295,17 @@ def _loop_for(metric: np.ndarray) -> tuple[Callable, np.ndarray]:
 
 @lru_cache(maxsize=16)
 def _loop_for_entries(shape: tuple[int, int], entries: bytes) -> tuple[Callable, np.ndarray]:
-    """The same for a metric that is kept: fits ask for one again and again."""
+    """The same for a metric's float64 entries: fits ask for the same again and again."""
     metric = np.frombuffer(entries).reshape(shape)
     if shape == (1, 3):
-        return _steepest_one, np.array([*metric[0], 0, 0, 0, 0, 1], np.float32)
-    if shape == SOFT.shape and not metric[~SOFT].any():
+        loop, factors = _steepest_one, np.array([*metric[0], 0, 0, 0, 0, 1], np.float32)
+    elif shape == SOFT.shape and not metric[~SOFT].any():
         a, b, (c, d, e) = metric[0, 0], metric[1, 1], metric[2, 2:5]
-        return _steepest_soft, np.array([a, b, c, d, 0, e, 0, 0], np.float32)
-    return _steepest, metric.astype(np.float32)
+        loop, factors = _steepest_soft, np.array([a, b, c, d, 0, e, 0, 0], np.float32)
+    else:
+        loop, factors = _steepest, metric.astype(np.float32)
+    factors.flags.writeable = False
+    return loop, factors
 
 
 MOST_AT_A_TIME = 4

@@ -454,6 +454,7 @@ class BatchSolver:
         seen = xp.max(xp.abs(xp.linalg.diagonal(hessian)[:, :n_p]), axis=-1) > 1e-10 * equations.weight
         sees = (equations.weight > 0) & xp.isfinite(equations.rr) & seen
         sees = sees & xp.all(xp.isfinite(hessian) & xp.isfinite(base), axis=(1, 2))
+        sees = sees & (xp.max(xp.linalg.diagonal(base)[:, :n_p], axis=-1) > 0)
         rest = xp.zeros_like(gradient[:, n_p:])
         gradient = gradient + xp.concat([precision * run.state.p, rest], axis=-1)
         moves, unit = run.free & sees[:, None], identity(hessian)
