@@ -114,7 +114,7 @@ def solve_lifted(base: np.ndarray, hessian: np.ndarray, right: np.ndarray, lift:
     """
     potrf, potrs, sygst = (_lapack(name) for name in ("potrf", "potrs", "sygst"))
     flat = _negative_count(hessian - (lift + FLATTEST) * base)
-    if not flat:
+    if not flat:  # as near the end
         damped = hessian + damping * base
         factor, failed = potrf(damped, lower=1)
         # What is steep by rounding only is no slope to go down on.
