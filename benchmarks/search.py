@@ -16,6 +16,7 @@ from benchmarks.metrics import report
 from liaam.datasets import Dataset, load_folder
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.fitting import Finder
+from liaam.photometry import is_grey
 from liaam.shape import diagonal_of
 from liaam.training import train
 
@@ -41,8 +42,9 @@ def scenes() -> tuple[list[Picture], list[Picture]]:
 
 
 def half_sets(folder: Path, letters: int) -> list[tuple[Dataset, Dataset]]:
-    """Part a folder by the person, into what to train on and what to search, both ways round."""
+    """Part a folder's colour pictures by the person, into what to train on and what to search, both ways round."""
     data = load_folder(folder)
+    data = data.select(lambda sample: not is_grey(sample.read_image()))
     persons = sorted({sample.name[:letters] for sample in data})
 
     def half(which: int) -> Dataset:
