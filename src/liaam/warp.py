@@ -181,7 +181,7 @@ class PiecewiseAffineWarp:
             self._corners[1].astype(np.float32),
             np.searchsorted(self._owners, np.arange(len(triangles) + 1)).astype(np.int64),
             triangles,
-            np.ascontiguousarray(self._vertex_modes.reshape(self.n_parameters, -1).T),
+            np.ascontiguousarray(self._by_parameters.T),
         )
 
     def every(self, spacing: float) -> np.ndarray:

@@ -257,9 +257,8 @@ def _iterate(
         if weighs and not (_averages(objective) and _moved(objective, tried.step) < STILL):
             new, there, trust = _weigh_anew(objective, problem, new, there, options, trust)
         settled = tried.small and tried.accepted <= TRUSTED_DAMPING  # small of itself, not by damping
-        if trust is not run.trust:
-            now["curvature"] = None  # of weights that were
-        now["least"] = min(merit, least) if trust is run.trust else np.inf
+        # Neither holds under other weights.
+        now |= {"least": min(merit, least)} if trust is run.trust else {"least": np.inf, "curvature": None}
         run = run._replace(
             state=new,
             last=there,
@@ -491,10 +490,16 @@ def _step(
     # Neither the prior nor an angle makes up for a picture that is flat under the model.
     if not (isfinite(equations.rr) and hessian.diagonal()[:n_p].max() > 1e-10 * equations.weight > 0):
         return None
-    pulled = gradient.copy()  # the equations keep theirs
-    pulled[:n_p] += precision[:n_p] * state.p
+    pulled = _pulled(gradient, state, precision)
     step = get_kernel(objective.kernel).damped_step(hessian, pulled, precision, free, damping)
     return None if step is None else (step, equations.lambda_step(step))
+
+
+def _pulled(gradient: np.ndarray, state: State, precision: np.ndarray) -> np.ndarray:
+    """Gradient (n_q,) with the prior's pull on p; a copy."""
+    pulled, n_p = gradient.copy(), len(state.p)
+    pulled[:n_p] += precision[:n_p] * state.p
+    return pulled
 
 
 def _goes_back(step: np.ndarray, before: np.ndarray | None, metric: np.ndarray) -> bool:
@@ -522,8 +527,7 @@ def _guarded_step(
     seen, expected = np.abs(hessian.diagonal()[:n_p]).max(), base.diagonal()[:n_p].max()
     if not (seen > 1e-10 * equations.weight > 0 and expected > 0):
         return None
-    gradient, hessian = gradient.copy(), hessian.copy()  # the equations keep theirs
-    gradient[:n_p] += precision[:n_p] * state.p
+    gradient, hessian = _pulled(gradient, state, precision), hessian.copy()  # the equations keep theirs
     diagonal = on_diagonal(hessian)  # a view
     diagonal += precision
     if len(free) == n_p or free.all():

@@ -164,8 +164,9 @@ def _soft_roots(by_noise, models, tied, own, weights, k, roots):
         variance, root, out = by_noise[begin:end], own[begin:end], roots[begin:end]
         first, kept = root[::k], weights[begin // k : end // k]
         for i in range(len(kept)):
-            used[i] = _F(1.0) if kept[i] * first[i] > _F(0.0) else _F(0.0)
-            count += k if kept[i] * first[i] > _F(0.0) else 0
+            counted = kept[i] * first[i] > _F(0.0)
+            used[i] = _F(1.0) if counted else _F(0.0)
+            count += k if counted else 0
         for r in range(k):
             _copy(used[: len(kept)], counts[r : end - begin : k])
         part = _F(0.0)
