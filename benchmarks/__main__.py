@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from benchmarks import batch, batched, fit, iteration, metrics, peers, relight, search, studio, track
+from benchmarks import batch, fit, iteration, many, metrics, peers, relight, search, studio, track
 from benchmarks.metrics import Metrics
 from liaam.errors import LiaamError
 
@@ -15,7 +15,7 @@ BENCHMARKS = {
     "track": track.main,
     "studio": studio.main,
     "batch": batch.main,
-    "batched": batched.main,
+    "many": many.main,
     "relight": relight.main,
 }
 """Benchmark by name; each reports its metrics."""

@@ -96,22 +96,24 @@ def measure_growth() -> None:
 
 
 def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray) -> Callable[[], object]:
-    """Ten linearisations at the sharpest level."""
+    """Ten looks at the sharpest level, each with the Hessian and the gradient there."""
     from liaam.fitting.problem import FitProblem
     from liaam.shape import align
 
     pose = align(objective.warp.rest, shape)
     problem = FitProblem.at(image, shape, pose, objective.method, "srgb", fitter.model.levels[-1].blur)
     state = objective.start(objective.warp.parameters(pose.inverse()(shape)))
-    return lambda: [objective.linearise(problem, state) for _ in range(10)]
+    return lambda: [objective.equations(objective.look(problem, state)) for _ in range(10)]
 
 
 def measure_modes() -> None:
     """Exponent of an iteration's time in the number of appearance modes, at a fixed number of pixels."""
     for method in BARS:
-        whole = {n: iteration.make_iteration(*iteration.make_fit(method, n))[0]["iteration"] for n in MODES}
-        times = in_turn({str(n): [call] for n, call in whole.items()}, MODES_ROUNDS, warm_up=3)
-        medians = [float(np.median(own)) for own in times.values()]
+        loops = {n: iteration.make_loops(*iteration.make_fit(method, n)) for n in MODES}
+        calls = {f"{n} {name}": [call] for n, loop in loops.items() for name, call in loop.items()}
+        times = in_turn(calls, MODES_ROUNDS, warm_up=3)
+        more = [times[f"{n} more"] - times[f"{n} one"] for n in MODES]
+        medians = [float(np.median(own)) / iteration.STEPS for own in more]
         exponent = np.polyfit(np.log(MODES), np.log(medians), 1)[0]
         last = np.log(medians[-1] / medians[-2]) / np.log(MODES[-1] / MODES[-2])
         told = ", ".join(f"{n}: {t:.2f} ms" for n, t in zip(MODES, medians, strict=True))

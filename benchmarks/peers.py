@@ -181,7 +181,7 @@ def _near(points: np.ndarray | None, shape: np.ndarray) -> bool:
 def floor_bytes(objective: Objective, problem: FitProblem) -> int:
     """Bytes that an iteration has to move: the table in benchmarks/README.md."""
     n, m, k = len(objective.appearance.mean), objective.n_lambda, objective.method.n_rows
-    c = problem.patch.channels.shape[-1] - 1  # the last one is the weight
+    c = problem.patch.n_channels
     seen = round(n * abs(np.linalg.det(problem.pose.matrix)))
     points = (12 + 16) * n
     sample = 4 * (c + 1) * seen + 4 * (c + 3 * k + 1) * n
@@ -219,11 +219,11 @@ def liaam_rows() -> list[Row]:
         what = f"whole fit from a box, {model.n_pixels} pixels, {steps} iterations, {error:.2f} px off"
         rows.append(Row(f"peers_liaam_{word}", what, fit.fits(fitter, pictures)))
         objective, problem = iteration.make_fit(method)
-        parts, _ = iteration.make_iteration(objective, problem)
+        loops = iteration.make_loops(objective, problem)
         what = f"one iteration, {iteration.N_PIXELS} pixels, rows: {objective.method.n_rows}"
-        rows.append(
-            Row(f"peers_liaam_{word}_iteration", what, [parts["iteration"]] * REPEATS, beside="peers_floor_blas")
-        )
+        more, less = ([loops[name]] * REPEATS for name in ("more", "one"))
+        name = f"peers_liaam_{word}_iteration"
+        rows.append(Row(name, what, more, less, iteration.STEPS, beside="peers_floor_blas"))
     return rows
 
 

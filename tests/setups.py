@@ -18,6 +18,8 @@ from liaam.datasets.scenes import (
     render,
 )
 from liaam.fitting import get_method
+from liaam.fitting.kernel import get_kernel
+from liaam.fitting.level import Work
 from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.problem import FitProblem
 from liaam.io import write_image, write_landmarks
@@ -26,6 +28,19 @@ from liaam.shape import align, diagonal_of
 from liaam.training import train
 
 MOVING_FRAMES = 24
+
+
+class Kernel:
+    """Functions of a kernel, as its namespace has them, under a name that is fit to be read."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __getattr__(self, function: str):
+        return getattr(get_kernel(self.name), function)
+
+    def __repr__(self) -> str:
+        return self.name
 
 
 def moving_scene(time: float, lights=DIFFUSE) -> Scene:
@@ -39,7 +54,7 @@ def train_on(scenes: list[Scene], **options) -> AAM:
     """Train on scenes with what is true of their camera, and on the shapes as they are: the scenes' span is known."""
     pairs = [(scene.image, scene.landmarks) for scene in scenes]
     camera = {"theta": scenes[0].theta, "response": "linear"}
-    return train(pairs, **{**camera, "prior": "sample", "soft_prior": "sample", "leave_out": False, **options})
+    return train(pairs, **{**camera, "prior": "sample", "leave_out": False, **options})
 
 
 def between(a, b):
@@ -65,12 +80,38 @@ def make_problem(
     """One image ready for an objective, and the warp parameters of the start."""
     pose = align(model.shape_model.mean, start)
     problem = FitProblem.at(image, start, pose, objective.method, model.response, blur)
-    return problem, model.shape_of(objective.method.appearance).parameters(pose.inverse()(start))
+    return problem, model.views[objective.method.view].shape_model.parameters(pose.inverse()(start))
+
+
+def look_again(objective: Objective, problem: FitProblem, work: Work, solves: bool = False) -> Work:
+    """Look at a picture from where a fit stands, under its weights; with the appearance that fits best, if asked to."""
+    kernel = get_kernel(objective.kernel)
+    own = objective.template, objective.picture(problem), work
+    template, picture, record = map(kernel.by_reference, own)
+    kernel.look(template, picture, objective.row, record, solves)
+    kernel.settle(template, objective.row, record, False, solves)
+    return work
+
+
+def differentiate(objective: Objective, work: Work, expects: bool = False) -> Work:
+    """Work out Hessian and gradient of what is seen, by the picture's own gradient or by the one that is expected."""
+    kernel = get_kernel(objective.kernel)
+    template, record = kernel.by_reference(objective.template), kernel.by_reference(work)
+    if expects:
+        kernel.expect(template, record)
+    kernel.differentiate(template, objective.row, record, work.steep, work.expected if expects else work.steep)
+    return work
 
 
 def finest_objective(model: AAM, method, kernel: str = "fast") -> Objective:
     """Objective of a method at the model's sharpest level."""
     return make_objectives(model, get_method(method), kernel)[-1]
+
+
+def stands_light(method: str) -> bool:
+    """Tell whether a method has a minimum worth the name under another light; rounding decides where others go."""
+    row = get_method(method)
+    return row.encoding != "value" and row.metric != "chromaticity"
 
 
 def write_person(folder: Path, person: int, conditions: str = "123456") -> None:

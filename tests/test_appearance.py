@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from liaam.appearance import train_appearance_model, train_illumination, unexplained_by_others
-from liaam.pca import principal_components
+from liaam.appearance import Textures, train_appearance_model, train_illumination
+from liaam.pca import principal_components, unexplained_by_others
 
 
 def test_unusable_pixels_are_filled_in_not_learnt(rng):
@@ -13,12 +13,12 @@ def test_unusable_pixels_are_filled_in_not_learnt(rng):
     textures = (rng.normal(size=(n, 2)) * [4.0, 2.0]) @ modes + rng.normal(size=n_pixels * 3)
     textures = textures.reshape(n, n_pixels, 3).astype(np.float32)
     usable = np.ones((n, n_pixels), np.float32)
-    clean = train_appearance_model(textures, usable, 2)
+    clean = train_appearance_model(Textures.of(textures, usable), 2)
     blotted = textures.copy()
     for i in range(4):  # a dark patch in a third of the images
         usable[i, 20 * i : 20 * i + 30] = 0
         blotted[i, 20 * i : 20 * i + 30] = -7.0
-    model = train_appearance_model(blotted, usable, 2)
+    model = train_appearance_model(Textures.of(blotted, usable), 2)
     np.testing.assert_allclose(model.mean, clean.mean, atol=0.02)
     np.testing.assert_allclose(model.eigenvalues, clean.eigenvalues, rtol=0.05)
     overlap = np.linalg.svd(model.modes.reshape(2, -1) @ clean.modes.reshape(2, -1).T, compute_uv=False)
@@ -30,7 +30,7 @@ def test_pixels_no_image_shows_keep_a_value_and_weigh_nothing(rng):
     textures = rng.normal(size=(5, 30, 3)).astype(np.float32)
     usable = np.ones((5, 30), np.float32)
     usable[:, 7] = 0
-    model = train_appearance_model(textures, usable, 0.9)
+    model = train_appearance_model(Textures.of(textures, usable), 0.9)
     assert model.usable[7] == 0
     assert np.isfinite(model.mean).all()
     assert np.isfinite(model.modes).all()
@@ -74,7 +74,7 @@ def test_the_covariance_counts_images_that_show_the_pixel(rng):
     usable = np.ones((6, 25), np.float32)
     usable[2:, 4] = 0
     usable[:, 9] = 0
-    model = train_appearance_model(textures, usable, 0)
+    model = train_appearance_model(Textures.of(textures, usable), 0)
     # With no modes kept, an image differs from the mean of the others.
     residuals = 6 / 5 * (textures - textures.mean(axis=0))
     covariance = np.einsum("inc,ind->ncd", residuals, residuals) / 6
@@ -91,10 +91,10 @@ def test_illumination_is_what_the_identity_does_not_explain(rng):
     n_pixels = 60
     faces = rng.normal(size=(5, n_pixels, 3)).astype(np.float32)
     ones = np.ones((5, n_pixels), np.float32)
-    values = train_appearance_model(faces, ones, 1.0)
+    values = train_appearance_model(Textures.of(faces, ones), 1.0)
     light = rng.normal(size=(2, n_pixels, 3)).astype(np.float32)
     lit = faces[:4] + light[[0, 0, 1, 1]] * np.array([1.0, 2.0, 1.0, -1.0], np.float32)[:, None, None]
-    basis = train_illumination(values, lit, ones[:4], 1.0)
+    basis = train_illumination(values, Textures.of(lit, ones[:4]), 1.0)
     assert basis.n_modes == 2
     flat = basis.modes.reshape(2, -1)
     np.testing.assert_allclose(flat @ flat.T, np.eye(2), atol=1e-5)

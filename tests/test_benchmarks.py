@@ -3,7 +3,7 @@
 from itertools import islice
 
 import pytest
-from benchmarks import batch, batched, fit, iteration, relight, search, track
+from benchmarks import batch, fit, iteration, many, relight, search, track
 
 from liaam.experiments.relit import lit_pairs
 
@@ -45,13 +45,15 @@ def test_the_benchmark_of_tracking_says_what_it_lacks(tmp_path, capsys, monkeypa
     assert "left out" in capsys.readouterr().out
 
 
-def test_the_benchmark_of_batched_fits_runs(monkeypatch, capsys):
-    for name, value in {"N_TRAINING": 4, "N_SCENES": 1, "N_PICTURES": 2, "BATCH_SIZES": (2,), "DIAGONAL": 60.0}.items():
-        monkeypatch.setattr(batched, name, value)
-    monkeypatch.setattr(batched, "METHODS", ("li",))
-    monkeypatch.setattr(batched, "BACKENDS", {"numpy": "NumPy"})
-    batched.main()
-    assert "li_numpy_cpu_batch_2_per_second" in capsys.readouterr().out
+def test_the_benchmark_of_many_fits_runs(head_model, moving, monkeypatch, capsys):
+    for name, value in {"N_PICTURES": 2, "ROUNDS": 1, "METHODS": ("grey",)}.items():
+        monkeypatch.setattr(many, name, value)
+    monkeypatch.setattr(many, "make_model", lambda: head_model)
+    monkeypatch.setattr(many, "make_set", lambda *_, **__: moving[: many.N_SCENES])
+    many.main()
+    out = capsys.readouterr().out
+    assert "many_grey_rate_2" in out
+    assert "many_grey_speedup" in out
 
 
 def test_the_benchmark_of_relighting_runs(head_model, capsys, monkeypatch):

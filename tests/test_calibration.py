@@ -8,14 +8,14 @@ import pytest
 from liaam.calibration import align_pictures, homographies_between, theta_from_fits
 from liaam.datasets.scenes import narrow_band_camera, photograph, poster, uneven_light
 from liaam.errors import CameraError
-from liaam.fitting import FitStatus
+from liaam.fitting import FitStatus, get_method
 from liaam.photometry import CameraModel, theta_from_scene
 
 SIZE = (120, 160)
 
 
 def fits(angles_deg, status=FitStatus.CONVERGED, method="li-pcs"):
-    return [SimpleNamespace(theta=np.deg2rad(a), status=status, method=method) for a in angles_deg]
+    return [SimpleNamespace(theta=np.deg2rad(a), status=status, method=get_method(method)) for a in angles_deg]
 
 
 def test_angles_of_fits_are_pooled_and_a_lost_fit_does_no_harm(rng):

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from liaam import cli
 from liaam.cli_inputs import unique_stems
 from liaam.datasets.scenes import Head, lateral, make_set, render
 from liaam.io import read_image, read_landmarks, write_image, write_landmarks
@@ -50,6 +51,35 @@ def test_train_info_show(run, portraits, tmp_path):
     assert "5 colour images" in out
     assert run("show", model)[0] == 0
     assert read_image(tmp_path / "m_model.png").shape[2] == 3
+
+
+def test_training_that_is_stopped_leaves_one_line_and_no_file(run, portraits, tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("liaam.training.train_appearance_model", stop)
+    code, _, err = run("train", portraits[0], "-o", tmp_path / "m.liaam", "--images", "face[0-4]*", "--diagonal", 40)
+    assert (code, err) == (130, "stopped\n")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("given", "priors"),
+    [
+        ([], None),
+        (["smooth"], {"mesh": "smooth", "surroundings": "smooth"}),
+        (["surroundings=sample"], {"surroundings": "sample"}),
+        (["shrunk", "mesh=sample"], {"mesh": "sample", "surroundings": "shrunk"}),
+    ],
+)
+def test_priors_are_for_all_views_or_for_one(given, priors):
+    assert cli.parse_prior(given) == priors
+
+
+def test_a_prior_of_no_view_is_refused(run, portraits, tmp_path):
+    code, _, err = run("train", portraits[0], "-o", tmp_path / "m.liaam", "--prior", "ears=smooth")
+    assert code == 1
+    assert "view 'ears' does not exist; there are mesh, surroundings" in err
 
 
 def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 
 from liaam.datasets.scenes import lateral
 from liaam.io import read_image, write_image, write_landmarks
+from liaam.model import MESH
 from setups import moving_scene
 
 SIDE = lateral("left", ambient_strength=0.4)
@@ -112,7 +113,8 @@ def test_grey_models_are_refused(run, files, head_model, tmp_path):
         replace(level, appearances={k: v for k, v in level.appearances.items() if k != "invariant"})
         for level in head_model.levels
     )
-    replace(head_model, levels=levels, soft_levels=()).save(tmp_path / "grey.liaam")
+    grey = replace(head_model.views[MESH], levels=tuple(levels))
+    replace(head_model, views={MESH: grey}).save(tmp_path / "grey.liaam")
     code, _, err = run("relight", tmp_path / "grey.liaam", files / "lit.png", "-o", tmp_path / "out.png")
     assert code == 1
     assert "grey.liaam: the model is of grey pictures" in err

@@ -24,6 +24,7 @@ LAYERS = (
     ("training", "fitting"),
     ("model",),
     ("warp", "sampling", "appearance", "label_faults"),
+    ("bilinear",),
     ("mesh", "shape"),
     ("shape_prior",),
     ("pca",),
@@ -31,7 +32,7 @@ LAYERS = (
     ("datasets",),
     ("photometry",),
     ("io",),
-    ("evaluation", "workers"),
+    ("evaluation", "progress", "workers"),
     ("errors", "jit"),
 )
 """Units from high to low. Units of one row may import each other, but not in a circle."""

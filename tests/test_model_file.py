@@ -16,7 +16,7 @@ from safetensors.numpy import save
 
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting import Fitter
-from liaam.model import AAM, load_model
+from liaam.model import AAM, MESH, SURROUNDINGS, load_model
 from liaam.training import train
 from setups import disturb
 
@@ -37,7 +37,7 @@ def tiny_file(tmp_path_factory) -> Path:
     shapes = np.array([[20, 20], [50, 20], [50, 50], [20, 50.0]]) + rng.normal(0, 1, (4, 4, 2))
     images = rng.integers(40, 200, (4, 70, 70, 3), dtype=np.uint8)
     path = tmp_path_factory.mktemp("tiny") / "tiny.liaam"
-    train(zip(images, shapes, strict=True), diagonal=16, blurs=(0.0,), variance=1).save(path)
+    train(zip(images, shapes, strict=True), diagonal=16, blurs={MESH: (0.0,)}, variance=1).save(path)
     return path
 
 
@@ -71,27 +71,33 @@ def test_a_loaded_model_is_the_saved_one(model, model_file):
     np.testing.assert_array_equal(loaded.shape_model.basis, model.shape_model.basis)
 
 
-def test_the_shapes_of_the_soft_appearance_are_kept(model, tmp_path):
-    own = replace(model.shape_of("soft"), freedom=5.0)
-    replace(model, soft_shape=own).save(tmp_path / "own.liaam")
+def test_each_view_keeps_its_own_shapes(model, tmp_path):
+    view = model.views[SURROUNDINGS]
+    own = replace(view.shape_model, modes=view.shape_model.modes[:2], eigenvalues=np.array([3.0, 1.0]), freedom=5.0)
+    model.with_view(SURROUNDINGS, warp=replace(view.warp, shape_model=own)).save(tmp_path / "own.liaam")
     loaded = load_model(tmp_path / "own.liaam")
-    assert loaded.soft_shape is not None
-    assert loaded.soft_shape.freedom == 5.0
-    for name in ("mean", "modes", "eigenvalues", "unexplained"):
-        np.testing.assert_array_equal(getattr(loaded.soft_shape, name), getattr(own, name))
+    assert loaded.views.keys() == {MESH, SURROUNDINGS}
+    for name in ("mean", "modes", "eigenvalues", "unexplained", "freedom"):
+        np.testing.assert_array_equal(getattr(loaded.views[SURROUNDINGS].shape_model, name), getattr(own, name))
     assert loaded.shape_model.freedom == np.inf
     np.testing.assert_array_equal(loaded.shape_model.modes, model.shape_model.modes)
-    replace(model, soft_shape=None).save(tmp_path / "one.liaam")
-    loaded = load_model(tmp_path / "one.liaam")
-    assert loaded.soft_shape is None
-    assert loaded.shape_of("soft") is loaded.shape_model
+
+
+def test_a_model_of_the_mesh_alone_is_kept(model, tmp_path, lit_scene):
+    replace(model, views={MESH: model.views[MESH]}).save(tmp_path / "mesh.liaam")
+    loaded = load_model(tmp_path / "mesh.liaam")
+    assert list(loaded.views) == [MESH]
+    assert Fitter(loaded, "li").fit(lit_scene.image, disturb(lit_scene.landmarks)).status.ok
+    with pytest.raises(MethodError, match=r"soft-li: the model has no view surroundings; train it again, or .*'li'"):
+        Fitter(loaded)
 
 
 @pytest.mark.parametrize("freedom", [0.0, -1.0, float("nan"), "many", None])
 def test_degrees_of_freedom_that_make_no_sense_are_refused(model_file, tmp_path, freedom):
     header, tensors = parts(model_file)
+    header["views"][MESH]["freedom"] = freedom
     with pytest.raises(ModelFileError, match="contradicts itself"):
-        load_model(forge(tmp_path / "forged.liaam", header | {"shape_freedom": freedom}, tensors))
+        load_model(forge(tmp_path / "forged.liaam", header, tensors))
 
 
 @pytest.mark.parametrize("method", ["li", "rgb", "li-lit"])
@@ -211,18 +217,18 @@ def test_a_safetensors_file_of_another_kind_is_refused(tmp_path):
     assert_refused(path, "is no liaam model")
 
 
-@pytest.mark.parametrize("schema", [0, 1, 99, None, "2"])
+@pytest.mark.parametrize("schema", [0, 1, 2, 99, None, "3"])
 def test_another_schema_version_is_refused(tiny_file, tmp_path, schema):
     header, tensors = parts(tiny_file)
     path = forge(tmp_path / "old.liaam", header | {"schema": schema}, tensors)
-    assert_refused(path, f"schema version {schema}, this liaam reads version 2")
+    assert_refused(path, f"schema version {schema}, this liaam reads version 3; train the model again")
 
 
 @pytest.mark.parametrize("size", [10**12, 2**62, 2**64 - 1])
 def test_a_forged_size_is_refused_without_asking_for_the_memory(tmp_path, size):
     header = {
-        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 2})},
-        "shape.mean": {"dtype": "F64", "shape": [size // 16, 2], "data_offsets": [0, size]},
+        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 3})},
+        "mean": {"dtype": "F64", "shape": [size // 16, 2], "data_offsets": [0, size]},
     }
     text = json.dumps(header).encode()
     path = tmp_path / "huge.liaam"
@@ -241,27 +247,27 @@ def test_a_forged_header_length_is_refused(tmp_path):
 
 
 def grown(header, tensors):
-    tensors["shape.mean"] = tensors["shape.mean"] * 1e9 / 16
+    tensors["mean"] = tensors["mean"] * 1e9 / 16
 
 
 def holed(header, tensors):
-    tensors["level0.log.mean"][3, 1] = np.nan
+    tensors["mesh/0/log.mean"][3, 1] = np.nan
 
 
 def other_type(header, tensors):
-    tensors["shape.modes"] = tensors["shape.modes"].astype(np.float32)
+    tensors["mesh/shape.modes"] = tensors["mesh/shape.modes"].astype(np.float32)
 
 
 def other_shape(header, tensors):
-    tensors["level0.log.modes"] = tensors["level0.log.modes"][:, :-1]
+    tensors["mesh/0/log.modes"] = tensors["mesh/0/log.modes"][:, :-1]
 
 
 def lost(header, tensors):
-    del tensors["level0.value.usable"]
+    del tensors["mesh/0/value.usable"]
 
 
 def lost_appearance(header, tensors):
-    del tensors["level0.log.mean"]
+    del tensors["mesh/0/log.mean"]
 
 
 def beyond(header, tensors):
@@ -285,19 +291,19 @@ def infinite_contour(header, tensors):
 
 
 def no_level(header, tensors):
-    header["blurs"] = []
+    header["views"][MESH]["blurs"] = []
 
 
 def missing_level(header, tensors):
-    header["blurs"] = [3.0, 0.5]
+    header["views"][MESH]["blurs"] = [3.0, 0.5]
 
 
 def many_levels(header, tensors):
-    header["blurs"] = [1.0] * 100000
+    header["views"][MESH]["blurs"] = [1.0] * 100000
 
 
 def endless_blur(header, tensors):
-    header["blurs"] = [float("inf")]
+    header["views"][MESH]["blurs"] = [float("inf")]
 
 
 def no_theta(header, tensors):
@@ -313,7 +319,7 @@ def many_images(header, tensors):
 
 
 def other_pixels(header, tensors):
-    header["n_pixels"] += 1
+    header["views"][SURROUNDINGS]["n_pixels"] += 1
 
 
 def no_name(header, tensors):
@@ -321,24 +327,68 @@ def no_name(header, tensors):
 
 
 def overweight(header, tensors):
-    tensors["level0.log.usable"][:] = -1.0
+    tensors["mesh/0/log.usable"][:] = -1.0
 
 
 def bad_eigenvalue(header, tensors):
-    tensors["shape.eigenvalues"][:] = -1.0
+    tensors["mesh/shape.eigenvalues"][:] = -1.0
 
 
 def other_covariance(header, tensors):
-    tensors["level0.log.unexplained"] = tensors["level0.log.unexplained"][:, :2]
+    tensors["mesh/0/log.unexplained"] = tensors["mesh/0/log.unexplained"][:, :2]
+
+
+def many_shape_modes(header, tensors):
+    """Modes of nothing, which take 56 bytes each in the file and their number squared in a fit."""
+    tensors["surroundings/shape.modes"] = np.zeros((60_000, 8))
+    tensors["surroundings/shape.eigenvalues"] = np.zeros(60_000)
+
+
+def many_appearance_modes(header, tensors):
+    tensors["mesh/0/log.modes"] = np.repeat(tensors["mesh/0/log.modes"][:1], 5, axis=0)
+    tensors["mesh/0/log.eigenvalues"] = np.zeros(5)
+
+
+def odd_camera(header, tensors):
+    header["camera"] = [1]
+
+
+def odd_views(header, tensors):
+    header["views"] = [1]
+
+
+def odd_view(header, tensors):
+    header["views"][SURROUNDINGS] = [1]
+
+
+def other_view(header, tensors):
+    header["views"]["ears"] = header["views"][SURROUNDINGS]
+
+
+def no_mesh(header, tensors):
+    del header["views"][MESH]
+
+
+def empty_view(header, tensors):
+    for key in [key for key in tensors if key.startswith("surroundings/0/")]:
+        del tensors[key]
 
 
 FORGERIES = [
+    (many_shape_modes, "60000 shape modes of 4 landmarks"),
+    (many_appearance_modes, "0/log has 5 modes, of 4 at most"),
+    (odd_camera, r"camera \[1\]"),
+    (odd_views, "there is no view mesh"),
+    (odd_view, r"view surroundings is described by \[1\]"),
+    (other_view, "view 'ears' is not known; there are mesh, surroundings"),
+    (no_mesh, "there is no view mesh"),
+    (empty_view, "an appearance is missing"),
     (grown, "reference frame of"),
-    (holed, "level0.log.mean has values that are not numbers"),
+    (holed, "0/log.mean has values that are not numbers"),
     (other_type, "shape.modes has type float32"),
-    (other_shape, "level0.log.modes has type"),
-    (other_covariance, "level0.log.unexplained has type"),
-    (lost, "level0.value.usable"),
+    (other_shape, "0/log.modes has type"),
+    (other_covariance, "0/log.unexplained has type"),
+    (lost, "0/value.usable"),
     (lost_appearance, "an appearance is missing"),
     (beyond, "the mesh does not belong to the landmarks"),
     (negative, "the mesh does not belong to the landmarks"),
@@ -354,7 +404,7 @@ FORGERIES = [
     (many_images, "infinity"),
     (other_pixels, "does not match its pixels"),
     (no_name, "name"),
-    (overweight, "level0.log.usable"),
+    (overweight, "0/log.usable"),
     (bad_eigenvalue, "shape.eigenvalues"),
 ]
 
@@ -373,7 +423,7 @@ def test_an_unforged_model_is_not_refused(tiny_file, tmp_path):
 @pytest.mark.parametrize("text", ["[" * 100_000, "null", "3", '"liaam-aam"', '{"format": "liaam-aam"', ""])
 def test_a_header_that_is_no_header_is_refused(tmp_path, text):
     path = tmp_path / "forged.liaam"
-    path.write_bytes(save({"shape.mean": np.zeros((3, 2))}, {"liaam": text}))
+    path.write_bytes(save({"mean": np.zeros((3, 2))}, {"liaam": text}))
     assert_refused(path, "is no liaam model")
 
 
@@ -381,8 +431,8 @@ def test_a_header_that_is_no_header_is_refused(tmp_path, text):
 def test_types_that_numpy_lacks_are_refused(tmp_path, dtype):
     n_bytes = 12 if dtype == "BF16" else 6
     header = {
-        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 2})},
-        "shape.mean": {"dtype": dtype, "shape": [3, 2], "data_offsets": [0, n_bytes]},
+        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 3})},
+        "mean": {"dtype": dtype, "shape": [3, 2], "data_offsets": [0, n_bytes]},
     }
     text = json.dumps(header).encode()
     path = tmp_path / "forged.liaam"
@@ -392,6 +442,6 @@ def test_types_that_numpy_lacks_are_refused(tmp_path, dtype):
 
 def test_numbers_that_overflow_are_refused(tiny_file, tmp_path):
     header, tensors = parts(tiny_file)
-    tensors["shape.mean"][0] = 1e308
-    tensors["shape.mean"][1] = -1e308
+    tensors["mean"][0] = 1e308
+    tensors["mean"][1] = -1e308
     assert_refused(forge(tmp_path / "forged.liaam", header, tensors))

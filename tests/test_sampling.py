@@ -1,11 +1,15 @@
 """Patches: a region of the image at about the model's resolution, with coordinates that fit."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from liaam.sampling import make_patch, sample_texture
+from liaam import bilinear
+from liaam.kernels import reference
+from liaam.sampling import Light, block_size, make_patch, sample_texture
 from liaam.shape import Similarity
 
 BOX = np.array([[60.0, 50.0], [110.0, 50.0], [110.0, 100.0], [60.0, 100.0]])
@@ -67,3 +71,59 @@ def test_outside_the_patch_nothing_is_usable():
     values, usable = sample_texture(patch, np.array([[-1.0, 5.0], [199.5, 80.0], [80.0, 80.0]]))
     assert usable.tolist() == [0, 0, 1]
     assert not values[:2].any()
+
+
+@pytest.mark.parametrize(("encoding", "n"), [("value", 3), ("log", 3), ("orientation", 3), ("soft", 6)])
+def test_patches_are_as_wide_for_all_encodings(encoding, n, rng):
+    image = rng.integers(0, 256, (160, 200, 3), dtype=np.uint8)
+    patch = make_patch(image, BOX, at_scale(1.5), encoding=encoding, response="srgb", blur=1.0, margin=0.2)
+    assert (patch.channels.shape[2], patch.channels.dtype, patch.n_channels) == (8, np.float32, n)
+    assert patch.channels.flags.c_contiguous and patch.channels.flags.writeable
+    assert not patch.channels[..., n:7].any()
+    assert set(np.unique(patch.channels[..., 7])) <= {0.0, 1.0}
+    pixel = at_scale(1.0) if encoding != "soft" else patch.from_image.inverse()
+    assert sample_texture(patch, pixel(np.array([[3.0, 4.0]])))[0].shape == (1, n)
+
+
+@pytest.mark.parametrize("encoding", ["log", "soft"])
+@pytest.mark.parametrize("kind", [np.uint8, np.float32])
+def test_patches_of_light_averaged_once_are_those_of_the_picture(encoding, kind, rng):
+    image = rng.integers(60, 200, (160, 200, 3), dtype=np.uint8)
+    image[70, 80] = 0
+    image = image if kind == np.uint8 else (image / 255).astype(np.float32)
+    if kind == np.float32:
+        image[90:93, 100] = np.nan
+    pose = at_scale(2.3)
+    options: dict[str, Any] = {"encoding": encoding, "response": "srgb"}
+    light = Light.around(image, BOX, pose, blurs=(4.0, 2.0, 1.0), margin=0.4, **options)
+    for blur, margin, moved in ((4.0, 0.4, 0.0), (2.0, 0.1, 2.5), (1.0, 0.1, -4.0)):
+        alone, shared = (
+            make_patch(of, BOX + moved, pose, blur=blur, margin=margin, **options) for of in (image, light)
+        )
+        np.testing.assert_allclose(shared.from_image.offset, alone.from_image.offset)
+        np.testing.assert_allclose(shared.channels, alone.channels, atol=1e-4)
+        size = block_size(encoding, 2.3, blur)
+        assert light.blocks_of(np.array([50, 40]), np.array([110, 100]), size, **options) is not None
+
+
+def test_patches_elsewhere_are_made_of_the_picture_itself(rng):
+    image = rng.integers(60, 200, (300, 400, 3), dtype=np.uint8)
+    options: dict[str, Any] = {"encoding": "soft", "response": "srgb"}
+    light = Light.around(image, BOX, at_scale(2.0), blurs=(2.0, 1.0), margin=0.1, **options)
+    for shape, scale in ((BOX + 150.0, 2.0), (BOX, 3.1)):  # beyond what was averaged; and much larger than thought
+        alone, shared = (
+            make_patch(of, shape, at_scale(scale), blur=1.0, margin=0.1, **options) for of in (image, light)
+        )
+        assert np.array_equal(shared.channels, alone.channels)
+
+
+def test_compiled_samples_are_those_of_the_reference(rng):
+    channels = rng.normal(size=(7, 9, 8)).astype(np.float32)
+    channels[..., -1] = rng.random((7, 9)) > 0.2
+    edges = [[0.0, 0.0], [8.0, 6.0], [8.0, 3.2], [-1e-9, 2.0], [8.001, 2.0], [2.0, np.nan], [np.nan, 1.0], [4.0, 5.0]]
+    points = np.concatenate([rng.uniform(-1, 9, (200, 2)), edges])
+    values, usable = bilinear.sample(channels, points)
+    expected, _, weights = reference.sample(channels, points)
+    np.testing.assert_allclose(values, expected[:, :7], atol=1e-6)
+    np.testing.assert_array_equal(usable, weights)
+    assert 0 < usable.sum() < len(points)

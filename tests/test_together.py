@@ -7,6 +7,7 @@ import pytest
 
 from liaam.datasets.scenes import Head
 from liaam.experiments.relit import train_on_flat_light
+from liaam.model import MESH
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.carrying import averaged
@@ -108,7 +109,9 @@ def test_without_a_prior_there_is_an_answer(faces, rng):
 def test_models_without_pictures_left_out_will_do(faces, rng):
     level = faces.levels[-1]
     known = replace(level.appearances["log"], unexplained=None)
-    plain = replace(faces, levels=(*faces.levels[:-1], replace(level, appearances={**level.appearances, "log": known})))
+    plain = faces.with_view(
+        MESH, levels=(*faces.levels[:-1], replace(level, appearances={**level.appearances, "log": known}))
+    )
     _, truth = a_face(faces, rng)
     found, _ = appearance_in_light(plain, seen_as(plain, truth + one_lamp(plain)), first_guess(plain))
     assert rms(found.log_rgb - truth) < 0.3 * rms(first_guess(plain).log_rgb - truth)

@@ -10,6 +10,7 @@ from liaam.errors import ImageError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
 from liaam.io import Contour, Landmarks
 from liaam.mesh import delaunay, signed_areas
+from liaam.model import SURROUNDINGS
 from liaam.photometry import CameraModel, invariant
 from liaam.training import _folds, train
 from setups import disturb, model_pixels, train_on
@@ -91,13 +92,19 @@ def test_landmarks_just_beyond_the_border_are_no_fault(scenes):
 def test_progress_is_told(pairs):
     seen = []
     train(pairs, diagonal=40.0, response="linear", progress=lambda *step: seen.append(step))
-    assert seen[:4] == [(0, 3, "image 1"), (1, 3, "image 2"), (2, 3, "image 3"), (3, 3, "appearance")]
-    assert seen[4:] == [*((i, 3, f"leaving out image {i + 1}") for i in range(3)), (3, 3, "reliability")]
+    done, total, what = zip(*seen, strict=True)
+    assert what[:5] == ("image 1", "image 2", "image 3", "appearance of the mesh", "appearance of the mesh")
+    assert what[8:] == (
+        *(step for i in (1, 2, 3) for step in (f"leaving out part {i} of 3", f"fitting image {i}")),
+        "trained",
+    )
+    assert len(set(total)) == 1
+    assert done[0] == 0 and done[-1] == total[0] and (np.diff(done) > 0).all()
 
 
 def test_every_method_has_its_appearance(model):
     for method in METHODS.values():
-        levels = model.levels_of(method.appearance)
+        levels = model.views[method.view].levels
         assert levels
         assert all(method.appearance in level.appearances for level in levels)
 
@@ -315,58 +322,73 @@ def test_pictures_left_out_are_given_as_they_are(pairs, monkeypatch):
     for left_out, (image, points) in zip(seen, pairs, strict=True):
         np.testing.assert_array_equal(left_out.image, image)
         np.testing.assert_array_equal(left_out.points, points)
-        assert len(left_out.model.soft_levels) == 3
+        assert len(left_out.model.views[SURROUNDINGS].levels) == 3
 
 
 @pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth"])
 def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, monkeypatch, prior):
     seen = []
     monkeypatch.setattr("liaam.training.calibrate", lambda model, pictures: seen.extend(pictures))
-    options = {"diagonal": 40.0, "soft_blurs": (1.0,), "blurs": (0.0,), "prior": prior}
+    options = {"diagonal": 40.0, "blurs": (1.0,), "prior": prior}
     model = train_on(scenes[:5], variance=3, leave_out=True, **options)
-    assert len(model.shape_of("soft").modes) == 3
+    assert len(model.views[SURROUNDINGS].shape_model.modes) == 3
     assert len(seen) == 5
-    parts = [left_out.model.shape_of("soft") for left_out in seen]
+    parts = [left_out.model.views[SURROUNDINGS].shape_model for left_out in seen]
     assert {len(part.modes) for part in parts} == {3}
-    assert all(np.abs(part.modes - model.shape_of("soft").modes).max() > 1e-3 for part in parts)
+    assert all(np.abs(part.modes - model.views[SURROUNDINGS].shape_model.modes).max() > 1e-3 for part in parts)
 
 
 def test_modes_are_counted_by_evidence_of_shapes_and_appearances_alike(scenes, monkeypatch):
     seen = []
     monkeypatch.setattr("liaam.training.calibrate", lambda model, pictures: seen.extend(pictures))
-    options = {"diagonal": 40.0, "soft_blurs": (1.0,), "blurs": (0.0,)}
+    options = {"diagonal": 40.0, "blurs": (1.0,)}
     model = train_on(scenes, variance="auto", leave_out=True, **options)
-    for count in (len(model.shape_model.modes), model.soft_levels[0].appearances["soft"].n_modes):
+    for count in (len(model.shape_model.modes), model.views[SURROUNDINGS].levels[0].appearances["soft"].n_modes):
         assert 0 <= count < len(scenes) - 1  # fewer than there are: some of the variance is noise
-    assert len(seen[0].model.shape_of("soft").modes) <= len(model.shape_of("soft").modes)
+    assert len(seen[0].model.views[SURROUNDINGS].shape_model.modes) <= len(model.views[SURROUNDINGS].shape_model.modes)
 
 
 def test_a_smooth_prior_knows_more_shapes_than_the_pictures_show(pairs):
-    options = {"diagonal": 40.0, "response": "linear", "blurs": (0.0,), "soft_blurs": (1.0,), "leave_out": False}
-    sample, smooth = (train(pairs, prior=prior, soft_prior=prior, **options) for prior in ("sample", "smooth"))
+    options = {"diagonal": 40.0, "response": "linear", "blurs": (1.0,), "leave_out": False}
+    sample, smooth = (train(pairs, prior=prior, **options) for prior in ("sample", "smooth"))
     assert len(sample.shape_model.modes) == 2
     assert len(smooth.shape_model.modes) > 5
     assert smooth.shape_model.left_out_bound < sample.shape_model.left_out_bound
-    assert sample.soft_shape is None and smooth.soft_shape is None  # one will do
-    both = train(pairs, **options)
-    assert both.soft_shape is not None
-    np.testing.assert_array_equal(both.shape_model.modes, sample.shape_model.modes)
-    np.testing.assert_array_equal(both.soft_shape.modes, smooth.shape_model.modes)
-    assert both.shape_of("log") is both.shape_model
-    assert both.shape_of("soft") is both.surrounded.shape_model is both.soft_shape
+    assert smooth.views[SURROUNDINGS].shape_model is smooth.shape_model  # one will do
+    for prior in (None, {SURROUNDINGS: "smooth"}):
+        both = train(pairs, prior=prior, **options)
+        np.testing.assert_array_equal(both.shape_model.modes, sample.shape_model.modes)
+        np.testing.assert_array_equal(both.views[SURROUNDINGS].shape_model.modes, smooth.shape_model.modes)
 
 
-@pytest.mark.parametrize("options", [{"variance": 1.0}, {"prior": "shrunk"}, {"soft_prior": "sample"}])
-def test_soft_li_has_no_other_shapes_where_that_is_asked(pairs, options):
-    model = train(pairs, diagonal=40.0, blurs=(0.0,), soft_blurs=(1.0,), leave_out=False, **options)
-    assert model.soft_shape is None
+def test_the_views_share_one_mean_shape(pairs):
+    model = train(pairs, diagonal=40.0, blurs=(1.0,), leave_out=False)
+    mesh, around = (view.shape_model for view in model.views.values())
+    assert mesh is not around
+    np.testing.assert_array_equal(mesh.mean, around.mean)
+
+
+@pytest.mark.parametrize("options", [{"variance": 1.0}, {"prior": "shrunk"}, {"prior": {SURROUNDINGS: "sample"}}])
+def test_the_views_share_their_shapes_where_that_is_asked(pairs, options):
+    model = train(pairs, diagonal=40.0, blurs=(1.0,), leave_out=False, **options)
+    assert model.views[SURROUNDINGS].shape_model is model.shape_model
+
+
+def test_each_view_has_its_own_levels(pairs):
+    options = {"diagonal": 40.0, "leave_out": False}
+    both = train(pairs, blurs=(2.0,), **options)
+    assert [[level.blur for level in view.levels] for view in both.views.values()] == [[2.0], [2.0]]
+    one = train(pairs, blurs={SURROUNDINGS: (2.0,)}, **options)
+    assert [[level.blur for level in view.levels] for view in one.views.values()] == [[3.0, 0.5], [2.0]]
+    refused(pairs, "blurs: view 'ears' does not exist; there are mesh, surroundings", blurs={"ears": (1.0,)})
 
 
 def test_many_landmarks_have_no_smooth_deformations_unasked(pairs, monkeypatch):
     monkeypatch.setattr("liaam.training.MOST_SMOOTH", len(pairs[0][1]) - 1)
-    assert train(pairs, diagonal=40.0, blurs=(0.0,), soft_blurs=(1.0,), leave_out=False).soft_shape is None
+    model = train(pairs, diagonal=40.0, blurs=(1.0,), leave_out=False)
+    assert model.views[SURROUNDINGS].shape_model is model.shape_model
 
 
 def test_a_prior_that_does_not_exist_is_refused(pairs):
-    for name in ("prior", "soft_prior"):
-        refused(pairs, "prior 'flat' does not exist; there are sample, shrunk, smooth", **{name: "flat"})
+    for prior in ("flat", {SURROUNDINGS: "flat"}):
+        refused(pairs, "prior 'flat' does not exist; there are sample, shrunk, smooth", prior=prior)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from finite_differences import assert_jacobian
+from liaam.model import SURROUNDINGS
 from liaam.shape import align
 from liaam.warp import GENERATORS, HomographyWarp, apply_homography
 
@@ -61,16 +62,32 @@ def test_pixels_so_far_apart_lie_in_the_order_of_their_triangles(model, rng, spa
     np.testing.assert_array_equal(warp.points(p), model.warp.points(p)[kept])
     np.testing.assert_allclose(warp.jacobian(p), model.warp.jacobian(p)[kept], atol=1e-6)
     assert (np.diff(model.frame.owners[kept]) >= 0).all()
-    assert model.warp.mesh_pixels() is None  # in raster order
+    with pytest.raises(AssertionError):  # in raster order
+        model.warp.mesh()
 
 
-def test_where_pixels_lie_in_the_mesh_gives_their_jacobian(model):
-    warp = model.warp.at(model.warp.every(1.5))
-    mesh = warp.mesh_pixels()
+def test_a_mesh_says_what_the_warp_does(model, rng):
+    warp, p, step = model.warp.at(model.warp.every(1.5)), *rng.normal(size=(2, model.warp.n_parameters))
+    mesh = warp.mesh()
+    vertices = mesh.rest + (mesh.basis @ p).reshape(-1, 2)
+    np.testing.assert_allclose(vertices, warp.shape(p), atol=1e-9)
     owners = np.repeat(np.arange(len(mesh.triangles)), np.diff(mesh.starts))
-    modes = mesh.basis.reshape(-1, 2, warp.n_parameters)[mesh.triangles[owners]]
-    carried = np.einsum("nv,nvai->nai", mesh.beta, modes)
-    np.testing.assert_allclose(carried, warp.jacobian(np.zeros(warp.n_parameters)), atol=1e-5)
+    corners = mesh.triangles[owners]
+    np.testing.assert_allclose(np.einsum("nv,nva->na", mesh.beta, vertices[corners]), warp.points(p), atol=1e-4)
+    modes = mesh.basis.reshape(-1, 2, warp.n_parameters)[corners]
+    np.testing.assert_allclose(np.einsum("nv,nvai->nai", mesh.beta, modes), warp.jacobian(p), atol=1e-5)
+    assert mesh.movement * np.linalg.norm(step) == pytest.approx(warp.movement(step))
+
+
+def test_a_mesh_has_vertices_that_are_no_landmarks(model, rng):
+    warp = model.views[SURROUNDINGS].warp
+    warp, p = warp.at(warp.every(1.5)), rng.normal(size=warp.n_parameters)
+    mesh = warp.mesh()
+    assert len(mesh.rest) > model.n_points
+    vertices = mesh.rest + (mesh.basis @ p).reshape(-1, 2)
+    owners = np.repeat(np.arange(len(mesh.triangles)), np.diff(mesh.starts))
+    carried = np.einsum("nv,nva->na", mesh.beta, vertices[mesh.triangles[owners]])
+    np.testing.assert_allclose(carried, warp.points(p), atol=1e-4)
 
 
 @pytest.fixture(params=sorted(GENERATORS))

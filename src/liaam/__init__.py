@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from liaam.datasets import Dataset, Sample, load_folder
     from liaam.errors import LiaamError
-    from liaam.fitting import METHODS, Candidate, FitResult, FitStatus, Fitter, Method, SolverOptions, find, fit
+    from liaam.fitting import (
+        METHODS,
+        Candidate,
+        FitResult,
+        FitStatus,
+        Fitter,
+        Method,
+        SolverOptions,
+        find,
+        fit,
+        fit_many,
+    )
     from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
     from liaam.label_faults import LabelFault, find_label_faults
     from liaam.model import AAM, load_model
@@ -43,6 +54,7 @@ __all__ = [
     "find",
     "find_label_faults",
     "fit",
+    "fit_many",
     "invariant_image",
     "load_camera",
     "load_folder",
@@ -61,7 +73,18 @@ __all__ = [
 _HOMES = {
     "datasets": ("Dataset", "Sample", "load_folder"),
     "errors": ("LiaamError",),
-    "fitting": ("METHODS", "Candidate", "FitResult", "FitStatus", "Fitter", "Method", "SolverOptions", "find", "fit"),
+    "fitting": (
+        "METHODS",
+        "Candidate",
+        "FitResult",
+        "FitStatus",
+        "Fitter",
+        "Method",
+        "SolverOptions",
+        "find",
+        "fit",
+        "fit_many",
+    ),
     "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
     "label_faults": ("LabelFault", "find_label_faults"),
     "model": ("AAM", "load_model"),

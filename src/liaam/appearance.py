@@ -1,27 +1,35 @@
 """Appearance models: PCA of textures sampled on the reference frame (paper eq 4)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from liaam.pca import Components, principal_components, unexplained_by_others
+from liaam.pca import (
+    centred,
+    chunks,
+    components_by,
+    explained_by_others,
+    gram_about,
+    principal_components,
+    strongest,
+)
 
 CHANNELS = {"value": 3, "log": 3, "orientation": 2, "soft": 3, "invariant": 1, "varied": 3, "illumination": 3}
 """Appearances a model may hold, and their channels.
 
 ``value``, ``log`` and ``orientation``: in the encoding of that name. ``soft``: the two components of the softly
-normalised gradient and L(theta) . log RGB, on the mesh and its surroundings. ``invariant``: L(theta) . log RGB,
-projected before the PCA (the paper's LIT). ``varied``: values under the training light and the lights of further
-pictures in one PCA (training with lighting variation, the paper's [11]). ``illumination``: what those further
-pictures show that ``value`` cannot explain, as modes to be added to it (the illumination basis of AIA, the paper's
-[6]).
+normalised gradient and L(theta) . log RGB. ``invariant``: L(theta) . log RGB, projected before the PCA (the paper's
+LIT). ``varied``: values under the training light and the lights of further pictures in one PCA (training with lighting
+variation, the paper's [11]). ``illumination``: what those further pictures show that ``value`` cannot explain, as modes
+to be added to it (the illumination basis of AIA, the paper's [6]).
 """
 
 APPEARANCES = tuple(name for name in CHANNELS if name != "illumination")
 """Those that a method can be compared with on their own."""
 
-SURROUNDED = ("soft",)
-"""Those learnt on the mesh with its surroundings (:class:`liaam.mesh.Surroundings`); the others on the mesh alone."""
+LIGHT_APPEARANCES = ("varied", "illumination")
+"""Those learnt from pictures under other lights, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,78 +82,149 @@ FILLING_PASSES = 5
 """Passes of PCA and filling in; the filled values hardly move after the third."""
 
 
-def _fill(vectors: np.ndarray, seen: np.ndarray, variance: float | int) -> tuple[np.ndarray, Components]:
-    """Vectors some of whose entries say nothing, filled in, and their principal components.
+@dataclass(frozen=True, eq=False)
+class Textures:
+    """Textures to learn from, some of whose entries say nothing.
 
-    Unseen entries start at the mean of those seen and are then filled in by the components of all (iterated
-    PCA), so that a dark speckle or a border in one image is no mode of the model.
+    Attributes
+    ----------
+    values : (n, n_pixels, c) float32
+    seen : (n, n_pixels, c) bool
+        Which of them say something.
+    usable : (n, n_pixels) float32 in {0, 1}
+        Pixels that count as usable: of which any channel is.
     """
-    if seen.all():
-        return vectors, principal_components(vectors, variance)
-    counts = seen.sum(axis=0)
-    means = np.where(seen, vectors, 0).sum(axis=0, dtype=np.float64) / np.maximum(counts, 1)
-    # What no image shows keeps its mean value as it is; its weight in a fit is 0.
-    means = np.where(counts > 0, means, vectors.mean(axis=0, dtype=np.float64))
-    filled = np.where(seen, vectors, means.astype(np.float32))
-    components = principal_components(filled, variance)
-    for _ in range(FILLING_PASSES):
-        coordinates = (filled - components.mean) @ components.modes.T
-        explained = (components.mean + coordinates @ components.modes).astype(np.float32)
-        filled = np.where(seen, vectors, explained)
-        components = principal_components(filled, variance)
-    return filled, components
+
+    values: np.ndarray
+    seen: np.ndarray
+    usable: np.ndarray
+
+    @classmethod
+    def of(cls, values: np.ndarray, usable: np.ndarray) -> "Textures":
+        """Textures whose usable entries are told by pixel (n, n_pixels), or by channel (n, n_pixels, c)."""
+        if usable.ndim == 3:
+            return cls(values, usable > 0, usable.max(axis=2).astype(np.float32))
+        return cls(values, np.broadcast_to((usable > 0)[..., None], values.shape), usable)
+
+    @property
+    def vectors(self) -> np.ndarray:
+        """Values as one vector each, (n, d)."""
+        return self.values.reshape(len(self.values), -1)
+
+    @cached_property
+    def _holes(self) -> np.ndarray:
+        """Numbers of the entries that not all textures show."""
+        return np.flatnonzero(~self.seen.all(axis=0))
+
+    @cached_property
+    def _partial(self) -> tuple[np.ndarray, np.ndarray]:
+        """Values at those entries, (n, h) float32, and which say something, bool."""
+        if not len(self._holes):
+            nothing = np.zeros((len(self.values), 0), np.float32)
+            return nothing, nothing > 0
+        return self.vectors[:, self._holes], self.seen.reshape(len(self.values), -1)[:, self._holes]
+
+    @cached_property
+    def _products(self) -> np.ndarray:
+        """Scalar products of the textures where all show something; the filling in does not change these."""
+        about = self.vectors.mean(axis=0, dtype=np.float64)
+        whole = self.vectors if not len(self._holes) else np.delete(self.vectors, self._holes, axis=1)
+        return gram_about(whole, about if not len(self._holes) else np.delete(about, self._holes))
+
+    def filled(self, variance: float | int, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Textures, all or some, with what says nothing filled in.
+
+        Unseen entries start at the mean of those seen and are then filled in by the components of all (iterated PCA),
+        so that a dark speckle or a border in one image is no mode of the model. Components are combinations of the
+        textures, so that only entries that some texture does not show are ever looked at again.
+
+        Returns
+        -------
+        vectors : (n, d) float32
+        products : (n, n) float64
+            Their scalar products as seen from their mean.
+        """
+        rows = np.arange(len(self.values)) if kept is None else kept
+        vectors, (partial, seen) = self.vectors, (part[rows] for part in self._partial)
+        products = self._products[np.ix_(rows, rows)]
+        if seen.all():
+            return vectors[rows] if kept is not None else vectors, centred(products + _gram(partial))
+        counts = seen.sum(axis=0)
+        means = np.where(seen, partial, 0).sum(axis=0, dtype=np.float64) / np.maximum(counts, 1)
+        # What no image shows keeps its mean value as it is; its weight in a fit is 0.
+        means = np.where(counts > 0, means, partial.mean(axis=0, dtype=np.float64))
+        filled = np.where(seen, partial, means.astype(np.float32))
+        for _ in range(FILLING_PASSES):
+            # In single precision, as the values are that come of it.
+            mean = filled.mean(axis=0, dtype=np.float64).astype(np.float32)
+            part = strongest(centred(products + gram_about(filled, mean)), variance)[1].astype(np.float32)
+            filled = np.where(seen, partial, mean + part @ (part.T @ (filled - mean)))
+        vectors = vectors[rows] if kept is not None else vectors.copy()
+        vectors[:, self._holes] = filled
+        return vectors, centred(products + _gram(filled))
+
+
+def _gram(vectors: np.ndarray) -> np.ndarray:
+    return gram_about(vectors, vectors.mean(axis=0, dtype=np.float64))
 
 
 def train_appearance_model(
-    textures: np.ndarray, usable: np.ndarray, variance: float | int, leave_out: bool = True
+    textures: Textures, variance: float | int, kept: np.ndarray | None = None, leave_out: bool = True
 ) -> AppearanceModel:
     """Learn an appearance model.
 
     Parameters
     ----------
-    textures : (n_images, n_pixels, c) float32
-    usable : (n_images, n_pixels) or (n_images, n_pixels, c) float32 in {0, 1}
-        Where channels differ, a pixel counts as usable where any of them is.
+    textures : Textures
     variance : float or int
         Fraction of variance or number of modes to keep.
+    kept : (m,) int, optional
+        Which of the textures to learn from; all if left out.
     leave_out : bool
         Find out what each image has that the others do not explain.
     """
-    n, n_pixels, c = textures.shape
-    if usable.ndim == 2:
-        seen = np.repeat(usable > 0, c, axis=1).reshape(n, -1)
-    else:
-        seen, usable = (usable > 0).reshape(n, -1), usable.max(axis=2)
-    filled, components = _fill(textures.reshape(n, -1), seen, variance)
+    _, n_pixels, c = textures.values.shape
+    usable = textures.usable if kept is None else textures.usable[kept]
+    vectors, products = textures.filled(variance, kept)
+    components = components_by(vectors, vectors.mean(axis=0, dtype=np.float64), products, variance)
     return AppearanceModel(
         mean=components.mean.reshape(n_pixels, c).astype(np.float32),
         modes=components.modes.reshape(-1, n_pixels, c).astype(np.float32),
         eigenvalues=components.eigenvalues,
         usable=usable.mean(axis=0).astype(np.float32),
-        unexplained=_covariance(unexplained_by_others(filled, variance).reshape(textures.shape), usable)
-        if leave_out
-        else None,
+        unexplained=_unexplained(vectors, explained_by_others(products, variance), usable) if leave_out else None,
     )
 
 
-def _covariance(residuals: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Second moments (n_pixels, c, c) of residuals (n, n_pixels, c) over the images in which a pixel was usable."""
-    moments = np.einsum("in,inc,ind->ncd", usable, residuals, residuals, optimize=True)
-    return (moments / np.maximum(usable.sum(axis=0), 1)[:, None, None]).astype(np.float32)
+def _unexplained(vectors: np.ndarray, explained: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Second moments (n_pixels, c, c) of what is not explained of vectors, where they are usable (n, n_pixels).
+
+    ``explained``: the combination of other vectors that stands for each, (n, n).
+    """
+    n, n_pixels = usable.shape
+    if n < 2:
+        explained = np.eye(n)
+    left, c = (np.eye(n) - explained).astype(np.float32), vectors.shape[1] // n_pixels
+    moments = np.empty((n_pixels, c, c), np.float32)
+    for part in chunks(n_pixels):
+        own = vectors[:, part.start * c : part.stop * c]
+        residuals = (left @ (own - own.mean(axis=0))).reshape(n, -1, c)
+        weighed = residuals * usable[:, part, None]
+        for a in range(c):
+            for b in range(a, c):
+                moments[part, a, b] = moments[part, b, a] = np.einsum("in,in->n", weighed[..., a], residuals[..., b])
+    return moments / np.maximum(usable.sum(axis=0), 1)[:, None, None]
 
 
-def train_illumination(
-    values: AppearanceModel, lit: np.ndarray, usable: np.ndarray, variance: float | int
-) -> AppearanceModel:
+def train_illumination(values: AppearanceModel, lit: Textures, variance: float | int) -> AppearanceModel:
     """Learn an illumination basis: what pictures under other lights show beyond an appearance model.
 
     Parameters
     ----------
     values : AppearanceModel
         The identity's appearance, learnt under one light.
-    lit : (n_images, n_pixels, c) float32
-        Textures under other lights.
-    usable : (n_images, n_pixels) float32 in {0, 1}
+    lit : Textures
+        Under other lights.
     variance : float or int
         Fraction of variance or number of modes to keep.
 
@@ -155,10 +234,10 @@ def train_illumination(
         Mean zero; modes orthogonal to those of ``values`` and to its mean, so that identity, gain and
         illumination do not trade off (Kahraman et al., CVPR 2007, orthogonalise likewise).
     """
-    n, n_pixels, c = lit.shape
+    _, n_pixels, c = lit.values.shape
     identity = np.concatenate([values.mean[None], values.modes]).reshape(-1, n_pixels * c).astype(np.float64)
     identity = np.linalg.qr(identity.T)[0]
-    filled, _ = _fill(lit.reshape(n, -1), np.repeat(usable > 0, c, axis=1).reshape(n, -1), variance)
+    filled, _ = lit.filled(variance)
     beyond = filled - (filled @ identity) @ identity.T
     # Around zero, not around their mean: the mean change of light is a mode like any other.
     components = principal_components(np.concatenate([beyond, -beyond]), variance)
@@ -166,5 +245,5 @@ def train_illumination(
         mean=np.zeros((n_pixels, c), np.float32),
         modes=components.modes.reshape(-1, n_pixels, c).astype(np.float32),
         eigenvalues=components.eigenvalues,
-        usable=usable.mean(axis=0).astype(np.float32),
+        usable=lit.usable.mean(axis=0).astype(np.float32),
     )

@@ -145,7 +145,7 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
         If the fits do not estimate a free angle.
     """
     results, nan = list(results), float("nan")
-    if any(not result.method.startswith("li-pc") for result in results):
+    if any(result.method.free_angles not in ("both", "shared") for result in results):
         raise CameraError(
             "to pool a camera's angle, fit with method li-pcs (one camera) or li-pc (another one trained)"
         )

@@ -30,7 +30,7 @@ from liaam.cli_relight import relight
 from liaam.cli_studio import studio
 from liaam.cli_video import track
 from liaam.errors import LiaamError
-from liaam.terminal import complain, console, progress_bar, say, table_of
+from liaam.terminal import complain, console, progress_bar, say, stoppable_progress, table_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -91,17 +91,12 @@ def train(
         str | None, typer.Option(help="The same for the appearance; as --variance if left out.")
     ] = None,
     prior: Annotated[
-        str,
+        list[str] | None,
         typer.Option(
             help="What shapes may look like besides those of the pictures: sample (nothing else), smooth (smooth "
-            "deformations too, with which methods other than soft-li lose), or shrunk (variances of shapes left out)."
-        ),
-    ] = "sample",
-    soft_prior: Annotated[
-        str | None,
-        typer.Option(
-            help="The same for soft-li alone, the default method; if left out smooth, or as --prior where that is not "
-            "sample, all of the variance is kept, or there are more than 200 landmarks."
+            "deformations too), or shrunk (variances of shapes left out); for one of the model's views alone as "
+            "surroundings=sample (soft-li, the default method) or mesh=smooth (all others). Repeatable. If left out "
+            "sample, and smooth for soft-li unless all of the variance is kept or there are more than 200 landmarks."
         ),
     ] = None,
     diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
@@ -122,7 +117,7 @@ def train(
     leave_out: Annotated[
         bool,
         typer.Option(
-            help="Leave pictures out in turn and fit them, to learn how far fits can be trusted; several times as slow."
+            help="Leave pictures out in turn and fit them, to learn how far fits can be trusted; takes twice as long."
         ),
     ] = True,
     name: Annotated[str | None, typer.Option(help="What the model shows, for 'liaam info'.")] = None,
@@ -134,6 +129,7 @@ def train(
     import numpy as np
 
     from liaam.datasets import load_folder
+    from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
     from liaam.training import train as train_model
 
@@ -155,11 +151,10 @@ def train(
     if others is not None:
         say(f"other lights: {others.report()}")
     warn_of_faults(data, folder)
-    with progress_bar() as tell:
+    with stoppable_progress(counted=False) as tell:
         model = train_model(
             data,
-            prior=prior,
-            soft_prior=soft_prior,
+            prior=parse_prior(prior or []),
             diagonal=diagonal,
             lit=others,
             name=name or folder.name,
@@ -170,13 +165,25 @@ def train(
     model.save(output)
     modes = f"{_count_modes(model)} shape and {model.levels[-1].appearances['value'].n_modes} appearance modes"
     say(f"{output}: {modes} from {model.n_images} images, {model.n_pixels} pixels")
-    bound = model.shape_of("soft").left_out_bound
+    view = model.views[METHODS[DEFAULT_METHOD].view]
+    bound = view.shape_model.left_out_bound
     say(
         f"left-out bound: even a perfect fit to a new picture is {bound:.1f} pixels off "
         f"({bound / model.diagonal:.1%} of the object's size)"
     )
-    if leave_out and model.reliability is None:
+    if leave_out and view.reliability is None:
         complain("too few fits to pictures left out were right to tell right fits from wrong ones: give more pictures")
+
+
+def parse_prior(given: list[str]) -> dict[str, str] | None:
+    """Read priors of views: ``smooth`` for all, or ``mesh=smooth`` for one; None where nothing is given."""
+    from liaam.model import VIEWS
+
+    priors = {}
+    for text in given:
+        view, _, prior = text.rpartition("=")
+        priors |= {view: prior} if view else dict.fromkeys(VIEWS, prior)
+    return priors or None
 
 
 def parse_variance(text: str) -> float | int | Literal["auto"]:
@@ -221,7 +228,7 @@ def fit(
     from liaam.fitting import Fitter, SolverOptions
     from liaam.io import make_folder
     from liaam.model import load_model
-    from liaam.workers import one_blas_thread
+    from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
 
     if every and init is not None:
         raise LiaamError("--all searches for all objects, and --init says where one is; leave one of them out")
@@ -232,14 +239,24 @@ def fit(
     table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
     advice: dict[str, list[str]] = {}
     failed = 0
-    with one_blas_thread(), progress_bar() as tell:
-        for i, (image, stem) in enumerate(zip(images, unique_stems(images), strict=True)):
+    writing = Writing(output, history, ellipses)
+
+    def results_of(named: tuple[Path, str]) -> "list[FitResult] | LiaamError":
+        try:
+            return fit_file(fitter, named[0], init, every, writing, named[1])
+        except LiaamError as error:
+            return error
+
+    threads = min(len(images), all_cores())
+    # The search of a single picture may have all cores.
+    with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as tell:
+        tell(0, len(images), images[0].name)
+        done = in_order(results_of, zip(images, unique_stems(images), strict=True), threads)
+        for i, (image, results) in enumerate(zip(images, done, strict=True), 1):
             tell(i, len(images), image.name)
-            try:
-                results = fit_file(fitter, image, init, every, Writing(output, history, ellipses), stem)
-            except LiaamError as error:
+            if isinstance(results, LiaamError):
                 failed += 1
-                complain(f"error: {error}")
+                complain(f"error: {results}")
                 continue
             for result in results:
                 table.add_row(escape(image.name), *row_of(result))
@@ -377,9 +394,10 @@ def info(
 
 
 def _count_modes(model: "AAM") -> str:
-    """Shape modes, and those of ``soft-li`` where it has its own."""
-    own = "" if model.soft_shape is None else f" ({len(model.soft_shape.modes)} of soft-li)"
-    return f"{len(model.shape_model.modes)}{own}"
+    """Shape modes, and those of views with others than the mesh."""
+    counts = {name: len(view.shape_model.modes) for name, view in model.views.items()}
+    others = [f"{count} of {name}" for name, count in counts.items() if count != len(model.shape_model.modes)]
+    return f"{len(model.shape_model.modes)}" + (f" ({', '.join(others)})" if others else "")
 
 
 def describe(model: "AAM", path: Path) -> dict[str, str]:

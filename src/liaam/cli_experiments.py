@@ -32,7 +32,7 @@ Solver = Annotated[
     str,
     typer.Option(
         help="liaam: as 'liaam fit' does; liaam-smooth: so, trained with --prior smooth; liaam-sample: with "
-        "--soft-prior sample; paper: pure Gauss-Newton, one level, as the paper writes it; paper-90, paper-100px, "
+        "--prior sample; paper: pure Gauss-Newton, one level, as the paper writes it; paper-90, paper-100px, "
         "paper-theta1: as paper, but for one choice."
     ),
 ]

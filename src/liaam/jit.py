@@ -1,9 +1,55 @@
 """How loops over pixels are compiled."""
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numba
 import numpy as np
+from numba.core.caching import FunctionCache
 
-# fastmath without "no NaNs": images are finite by contract, but points of a diverging fit need not be. nogil: others
-# draw and write videos meanwhile.
-jit = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 F = np.float32
+
+_njit: Any = numba.njit
+
+_OPTIONS: dict[str, Any] = {
+    # Others draw and write videos meanwhile, or fit other pictures.
+    "nogil": True,
+    # Without "no NaNs": images are finite by contract, but points of a diverging fit need not be.
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+    "error_model": "numpy",
+}
+
+
+def _state_of_sources() -> tuple[tuple[str, int, int], ...]:
+    """Names, sizes and times of the package's modules that hold compiled code."""
+    package = Path(__file__).parent
+    files = [
+        path for folder in ("", "fitting", "kernels", "photometry") for path in sorted((package / folder).glob("*.py"))
+    ]
+    return tuple((str(path.relative_to(package)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
+
+
+_SOURCES = _state_of_sources()
+
+
+class _Cache(FunctionCache):
+    """Numba's cache on disk, but for machine code of other sources: functions hold the code of those that they call."""
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple:
+        return (*super()._index_key(sig, codegen), _SOURCES)
+
+
+def jit(function: Callable) -> Any:
+    """Compile a function when it is first called, once for a machine."""
+    made = _njit(no_cfunc_wrapper=True, **_OPTIONS)(function)
+    made._cache = _Cache(made.py_func)
+    return made
+
+
+def spliced(function: Callable) -> Any:
+    """Write a function into the one place that calls it, before that is compiled.
+
+    Code that is linked into its callers is compiled again with each of them: a loop of five layers took half a minute.
+    """
+    return _njit(inline="always", **_OPTIONS)(function)

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from liaam.errors import TrainingError
+from liaam.kernels.reference import raster
 
 FOLD_TOLERANCE = 0.15
 """Share of the mesh's area that may be turned over before a shape counts as folded. Landmarks of lips
@@ -188,9 +189,7 @@ class ReferenceFrame:
     @cached_property
     def _raster(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pixel indices (row, column), triangle and weights of every pixel inside the mesh."""
-        from liaam.kernels import fast  # numba: imported when first needed
-
-        owner, weights = fast.raster(self.points - self.origin, self.triangles, *self.size)
+        owner, weights = raster(self.points - self.origin, self.triangles, *self.size)
         rows, columns = np.nonzero(owner >= 0)
         return np.column_stack([rows, columns]), owner[rows, columns], weights[rows, columns]
 

@@ -2,20 +2,20 @@
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from liaam.appearance import CHANNELS, SURROUNDED, AppearanceModel
+from liaam.appearance import CHANNELS, LIGHT_APPEARANCES, AppearanceModel
 from liaam.errors import LiaamError, ModelFileError
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.photometry import CameraModel, Response, camera_from, describe_response, parse_response
 from liaam.shape import ShapeModel, diagonal_of
-from liaam.warp import PiecewiseAffineWarp, surrounded_warp
+from liaam.warp import PiecewiseAffineWarp, mesh_warp, surrounded_warp
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Version of the model file; raised whenever its meaning changes."""
 
 MAX_DIAGONAL = 2000.0
@@ -23,6 +23,13 @@ MAX_DIAGONAL = 2000.0
 
 FORMAT = "liaam-aam"
 
+MESH, SURROUNDINGS = "mesh", "surroundings"
+
+VIEWS: dict[str, Callable[[ShapeModel, np.ndarray], PiecewiseAffineWarp]] = {
+    MESH: mesh_warp,
+    SURROUNDINGS: surrounded_warp,
+}
+"""What a view may show, by its name: the warp that carries its pixels, made of shapes and triangles."""
 
 LITTLE = 2 / 3
 """Share of the log odds at :attr:`Reliability.ordinary` that are little. Measured on strangers of IMM, 924 fits under
@@ -39,7 +46,7 @@ class Level:
     blur : float
         Standard deviation of the Gaussian blur of the encoded images, pixels of the reference frame.
     appearances : dict of str to AppearanceModel
-        By name of :data:`liaam.appearance.CHANNELS`, all on the same pixels. ``invariant`` is absent from
+        By name of :data:`liaam.appearance.CHANNELS`, all on the pixels of the view. ``invariant`` is absent from
         a model trained on grey pictures; ``varied`` and ``illumination`` from one trained under one light.
     """
 
@@ -49,7 +56,7 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """What fits of the default method to pictures left out of training tell of those to come.
+    """What fits of the default method to pictures left out of training tell of those to come by the same method.
 
     Attributes
     ----------
@@ -82,17 +89,50 @@ class Reliability:
 
 
 @dataclass(frozen=True, eq=False)
+class View:
+    """What a method fits with: shapes, pixels, and the appearances on these.
+
+    Attributes
+    ----------
+    warp : PiecewiseAffineWarp
+        Of the mesh, or of the mesh and its surroundings; it holds the shapes.
+    levels : tuple of Level
+        Appearances from coarse to fine.
+    reliability : Reliability, optional
+        What tells right fits from wrong ones, where training has found out.
+    """
+
+    warp: PiecewiseAffineWarp
+    levels: tuple[Level, ...]
+    reliability: Reliability | None = None
+
+    @property
+    def shape_model(self) -> ShapeModel:
+        """Shapes in pixels of the reference frame; those of all views have the same mean."""
+        return self.warp.shape_model
+
+
+def make_view(
+    name: str,
+    shape_model: ShapeModel,
+    triangles: np.ndarray,
+    levels: tuple[Level, ...] = (),
+    reliability: Reliability | None = None,
+) -> View:
+    """View of one of the names :data:`VIEWS`."""
+    return View(VIEWS[name](shape_model, triangles), levels, reliability)
+
+
+@dataclass(frozen=True, eq=False)
 class AAM:
     """An active appearance model.
 
     Attributes
     ----------
-    shape_model : ShapeModel
-        Shapes in pixels of the reference frame.
+    views : dict of str to View
+        By name of :data:`VIEWS`; a method says which it fits with. ``mesh`` is always there.
     triangles : (t, 3) int32
         The mesh.
-    levels : tuple of Level
-        Appearance from coarse to fine.
     camera : CameraModel
         The training camera.
     n_images : int
@@ -101,27 +141,21 @@ class AAM:
         Lines between landmarks, for drawing.
     name : str
         What the model was trained on, for people.
-    soft_levels : tuple of Level
-        The ``soft`` appearance, coarse to fine, on the pixels of ``surrounded``; none in files of earlier versions.
-    reliability : Reliability, optional
-        What tells right fits from wrong ones, where training has found out.
-    soft_shape : ShapeModel, optional
-        Shapes as ``soft`` appearances are fitted with, about the same mean; ``shape_model`` if there is none.
     """
 
-    shape_model: ShapeModel
+    views: dict[str, View]
     triangles: np.ndarray
-    levels: tuple[Level, ...]
     camera: CameraModel
     n_images: int
     contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
     name: str = ""
-    soft_levels: tuple[Level, ...] = ()
-    reliability: Reliability | None = None
-    soft_shape: ShapeModel | None = None
 
     def __repr__(self) -> str:
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
+
+    def with_view(self, name: str, **changes) -> "AAM":
+        """Give the same model with some fields of a view changed."""
+        return replace(self, views={**self.views, name: replace(self.views[name], **changes)})
 
     @property
     def theta(self) -> float:
@@ -133,33 +167,25 @@ class AAM:
         """Response of the training camera."""
         return self.camera.response
 
-    @cached_property
+    @property
+    def shape_model(self) -> ShapeModel:
+        """Shapes of the view ``mesh``."""
+        return self.views[MESH].shape_model
+
+    @property
+    def warp(self) -> PiecewiseAffineWarp:
+        """Warp of the view ``mesh``."""
+        return self.views[MESH].warp
+
+    @property
     def frame(self) -> ReferenceFrame:
         """Pixels of the mean shape."""
-        return ReferenceFrame(self.shape_model.mean, self.triangles)
+        return self.warp.frame
 
-    @cached_property
-    def warp(self) -> PiecewiseAffineWarp:
-        """Piecewise-affine warp of the mesh under the shape model."""
-        return PiecewiseAffineWarp(self.frame, self.shape_model)
-
-    @cached_property
-    def surrounded(self) -> PiecewiseAffineWarp:
-        """Warp of the mesh and what surrounds it; its ``frame`` has the pixels of ``soft`` appearances."""
-        return surrounded_warp(self.shape_of("soft"), self.triangles)
-
-    def levels_of(self, appearance: str) -> tuple[Level, ...]:
-        """Levels that hold an appearance, coarse to fine."""
-        return self.soft_levels if appearance in SURROUNDED else self.levels
-
-    def shape_of(self, appearance: str) -> ShapeModel:
-        """Shapes that an appearance is fitted with."""
-        own = self.soft_shape if appearance in SURROUNDED else None
-        return self.shape_model if own is None else own
-
-    def warp_of(self, appearance: str) -> PiecewiseAffineWarp:
-        """Warp whose pixels an appearance lives on."""
-        return self.surrounded if appearance in SURROUNDED else self.warp
+    @property
+    def levels(self) -> tuple[Level, ...]:
+        """Levels of the view ``mesh``, coarse to fine."""
+        return self.views[MESH].levels
 
     @property
     def n_points(self) -> int:
@@ -207,40 +233,40 @@ def _header(model: AAM) -> dict:
         "theta": model.theta,
         "response": describe_response(model.response),
         "camera": model.camera.describe(),
-        "blurs": [level.blur for level in model.levels],
-        "soft_blurs": [level.blur for level in model.soft_levels],
+        "views": {name: _view_header(view) for name, view in model.views.items()},
         "n_images": model.n_images,
-        "n_pixels": model.n_pixels,
         "contours": [[list(indices), closed] for indices, closed in model.contours],
         "name": model.name,
-        **{f"{key}_freedom": shape.freedom for key, shape in _shapes(model).items() if np.isfinite(shape.freedom)},
     }
 
 
-def _shapes(model: AAM) -> dict[str, ShapeModel]:
-    """Shape models by their key in the file."""
-    own = {} if model.soft_shape is None else {"soft_shape": model.soft_shape}
-    return {"shape": model.shape_model, **own}
+def _view_header(view: View) -> dict:
+    freedom = view.shape_model.freedom
+    return {
+        "blurs": [level.blur for level in view.levels],
+        "n_pixels": view.warp.frame.n_pixels,
+        **({"freedom": freedom} if np.isfinite(freedom) else {}),
+    }
 
 
 def _tensors(model: AAM) -> dict[str, np.ndarray]:
-    tensors = {"shape.mean": model.shape_model.mean, "triangles": model.triangles}
-    for key, shape in _shapes(model).items():
-        for field in ("modes", "eigenvalues", "unexplained"):
-            if getattr(shape, field) is not None:
-                tensors[f"{key}.{field}"] = getattr(shape, field)
-    if model.reliability is not None:
-        tensors["reliability.landmarks"] = model.reliability.landmarks
-        tensors["reliability.weights"] = model.reliability.weights
-        tensors["reliability.understated"] = np.array([model.reliability.understated])
-        tensors["reliability.ordinary"] = np.array([model.reliability.ordinary])
-    for prefix, levels in (("level", model.levels), ("soft_level", model.soft_levels)):
-        for i, level in enumerate(levels):
-            for name, appearance in level.appearances.items():
-                for field in ("mean", "modes", "eigenvalues", "usable", "unexplained"):
-                    if getattr(appearance, field) is not None:
-                        tensors[f"{prefix}{i}.{name}.{field}"] = getattr(appearance, field)
-    return {key: np.ascontiguousarray(value) for key, value in tensors.items()}
+    tensors = {"mean": model.shape_model.mean, "triangles": model.triangles}
+    for name, view in model.views.items():
+        tensors |= {f"{name}/{key}": value for key, value in _view_tensors(view).items()}
+    return {key: np.ascontiguousarray(value) for key, value in tensors.items() if value is not None}
+
+
+def _view_tensors(view: View) -> dict[str, np.ndarray | None]:
+    """Tensors of a view by their key in it; None where it lacks what is optional."""
+    tensors = {f"shape.{field}": getattr(view.shape_model, field) for field in ("modes", "eigenvalues", "unexplained")}
+    if view.reliability is not None:
+        for field in ("landmarks", "weights", "understated", "ordinary"):
+            tensors[f"reliability.{field}"] = np.atleast_1d(np.asarray(getattr(view.reliability, field), np.float64))
+    for i, level in enumerate(view.levels):
+        for name, appearance in level.appearances.items():
+            for field in ("mean", "modes", "eigenvalues", "usable", "unexplained"):
+                tensors[f"{i}/{name}.{field}"] = getattr(appearance, field)
+    return tensors
 
 
 def load_model(path: str | os.PathLike) -> AAM:
@@ -294,13 +320,13 @@ def _checked_header(path: Path, text: str) -> dict:
     if header.get("schema") != SCHEMA_VERSION:
         raise ModelFileError(
             f"{path}: the model has schema version {header.get('schema')}, this liaam reads version {SCHEMA_VERSION}; "
-            "train the model again, or use the liaam that wrote it"
+            "train the model again ('liaam train FOLDER -o MODEL'), or use the liaam that wrote it"
         )
     return header
 
 
 def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
-    mean = _tensor(tensors, "shape.mean", np.float64, (None, 2))
+    mean = _tensor(tensors, "mean", np.float64, (None, 2))
     n = len(mean)
     triangles = _tensor(tensors, "triangles", np.int32, (None, 3))
     if n < 3 or not len(triangles) or triangles.min() < 0 or triangles.max() >= n:
@@ -311,43 +337,65 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     area = float(np.abs(signed_areas(mean, triangles)).sum())
     if len(triangles) > 2 * n or area > 1.001 * float(np.prod(np.ptp(mean, axis=0))):
         raise ValueError("the mesh overlaps itself")
-    frame = ReferenceFrame(mean, triangles)
-    if frame.n_pixels != header["n_pixels"]:
-        raise ValueError("its reference frame does not match its pixels")
-    shape_model = _shape_model(header, tensors, "shape", mean)
+    n_images = int(header["n_images"])
     return AAM(
-        shape_model=shape_model,
-        soft_shape=_shape_model(header, tensors, "soft_shape", mean) if "soft_shape.modes" in tensors else None,
+        views=_views(header["views"], tensors, mean, triangles, n_images),
         triangles=triangles,
-        levels=tuple(_level(tensors, i, blur, frame.n_pixels) for i, blur in enumerate(_blurs(header["blurs"]))),
-        soft_levels=_soft_levels(tensors, header.get("soft_blurs", []), shape_model, triangles),
-        reliability=_reliability(tensors, n),
         camera=_camera(header),
-        n_images=int(header["n_images"]),
+        n_images=n_images,
         contours=_contours(header["contours"], n),
         name=str(header["name"]),
     )
 
 
-def _shape_model(header: dict, tensors: dict[str, np.ndarray], key: str, mean: np.ndarray) -> ShapeModel:
-    """One of the shape models, about the mean of all."""
+def _views(
+    known: dict, tensors: dict[str, np.ndarray], mean: np.ndarray, triangles: np.ndarray, n_images: int
+) -> dict[str, View]:
+    if not isinstance(known, dict) or MESH not in known:
+        raise ValueError(f"there is no view {MESH}")
+    return {name: _view(name, about, tensors, mean, triangles, n_images) for name, about in known.items()}
+
+
+def _view(
+    name: str, about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray, triangles: np.ndarray, n_images: int
+) -> View:
+    """One of the views, about the mean shape of all."""
+    if name not in VIEWS:
+        raise ValueError(f"view {name!r} is not known; there are {', '.join(VIEWS)}")
+    if not isinstance(about, dict):
+        raise ValueError(f"view {name} is described by {about!r}")
+    tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
+    blurs, n = _blurs(about["blurs"]), len(mean)
+    view = make_view(name, _shape_model(about, tensors, mean), triangles, (), _reliability(tensors, n))
+    n_pixels = view.warp.frame.n_pixels
+    if n_pixels != about["n_pixels"]:
+        raise ValueError("its reference frame does not match its pixels")
+    levels = tuple(Level(blur, _appearances(tensors, i, n_pixels, n_images)) for i, blur in enumerate(blurs))
+    needed = {"value", "log"} if name == MESH else set()
+    if not all(level.appearances and needed <= set(level.appearances) for level in levels):
+        raise ValueError("an appearance is missing")
+    return replace(view, levels=levels)
+
+
+def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
     n = len(mean)
-    modes = _tensor(tensors, f"{key}.modes", np.float64, (None, 2 * n))
-    eigenvalues = _tensor(tensors, f"{key}.eigenvalues", np.float64, (len(modes),))
-    unexplained = None  # absent from files of earlier versions
-    if f"{key}.unexplained" in tensors:
-        unexplained = _tensor(tensors, f"{key}.unexplained", np.float64, (n, 2, 2))
-        if (np.diagonal(unexplained, axis1=1, axis2=2) < 0).any():
-            raise ValueError(f"{key}.unexplained has variances below 0")
-    freedom = _finite(header[f"{key}_freedom"]) if f"{key}_freedom" in header else np.inf
+    modes = _tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
+    if len(modes) > 2 * n - 4:  # they are orthogonal to each other and to the four similarity vectors
+        raise ValueError(f"{len(modes)} shape modes of {n} landmarks")
+    eigenvalues = _tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
+    unexplained = None
+    if "shape.unexplained" in tensors:
+        unexplained = _covariances(tensors, "shape.unexplained", np.float64, (n, 2, 2))
+    freedom = _finite(about["freedom"]) if "freedom" in about else np.inf
     if not freedom > 0:
-        raise ValueError(f"{key}_freedom {freedom:g}")
+        raise ValueError(f"freedom {freedom:g}")
     return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)
 
 
 def _camera(header: dict) -> CameraModel:
-    """The training camera; files of earlier versions know its angle and response only."""
-    known = camera_from(header["camera"]) if "camera" in header else CameraModel()
+    if not isinstance(header["camera"], dict):
+        raise ValueError(f"camera {header['camera']!r}")
+    known = camera_from(header["camera"])
     # The angle itself, to the last digit, is what the appearance was learnt with.
     return replace(known, theta=_finite(header["theta"]), response=parse_response(header["response"]))
 
@@ -359,52 +407,38 @@ def _blurs(blurs: list) -> list[float]:
     return blurs
 
 
-def _level(tensors: dict[str, np.ndarray], i: int, blur: float, n_pixels: int) -> Level:
-    names = [name for name in CHANNELS if f"level{i}.{name}.mean" in tensors]
-    if "value" not in names or "log" not in names:
-        raise ValueError("an appearance is missing")
-    return Level(blur, {name: _appearance(tensors, f"level{i}.{name}", name, n_pixels) for name in names})
-
-
 def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     if "reliability.weights" not in tensors:
         return None
-    landmarks = _tensor(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
-    if (np.diagonal(landmarks, axis1=1, axis2=2) < 0).any():
-        raise ValueError("reliability.landmarks has variances below 0")
+    landmarks = _covariances(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
     understated = float(_tensor(tensors, "reliability.understated", np.float64, (1,))[0])
     if understated < 1.0:
         raise ValueError("reliability.understated is below 1")
-    weights = _tensor(tensors, "reliability.weights", np.float64, (3,))
-    if "reliability.ordinary" not in tensors:  # files of earlier versions
-        return Reliability(landmarks, weights, understated)
     ordinary = float(_tensor(tensors, "reliability.ordinary", np.float64, (1,))[0])
     if not 0.0 <= ordinary <= 1.0:
         raise ValueError("reliability.ordinary is no probability")
+    weights = _tensor(tensors, "reliability.weights", np.float64, (3,))
     return Reliability(landmarks, weights, understated, ordinary)
 
 
-def _soft_levels(
-    tensors: dict[str, np.ndarray], blurs: list, shape_model: ShapeModel, triangles: np.ndarray
-) -> tuple[Level, ...]:
-    """Levels of the ``soft`` appearance; none in files of earlier versions."""
-    if not blurs:
-        return ()
-    n_pixels = surrounded_warp(shape_model, triangles).frame.n_pixels
-    return tuple(
-        Level(blur, {"soft": _appearance(tensors, f"soft_level{i}.soft", "soft", n_pixels)})
-        for i, blur in enumerate(_blurs(blurs))
-    )
+def _appearances(tensors: dict[str, np.ndarray], i: int, n_pixels: int, n_images: int) -> dict[str, AppearanceModel]:
+    """All appearances of a level."""
+    names = [name for name in CHANNELS if f"{i}/{name}.mean" in tensors]
+    return {name: _appearance(tensors, f"{i}/{name}", name, n_pixels, n_images) for name in names}
 
 
-def _appearance(tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int) -> AppearanceModel:
+def _appearance(
+    tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int, n_images: int
+) -> AppearanceModel:
     channels = CHANNELS[name]
     modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
-    unexplained = None  # absent from an illumination basis and from the files of earlier versions
+    # Modes of few images need no more room than their own squares: those are what fits work with.
+    most = n_pixels * channels if name in LIGHT_APPEARANCES else min(n_pixels * channels, n_images)
+    if len(modes) > most:
+        raise ValueError(f"{prefix} has {len(modes)} modes, of {most} at most")
+    unexplained = None  # absent from an illumination basis
     if f"{prefix}.unexplained" in tensors:
-        unexplained = _tensor(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels))
-        if (np.diagonal(unexplained, axis1=1, axis2=2) < 0).any():
-            raise ValueError(f"{prefix}.unexplained has variances below 0")
+        unexplained = _covariances(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels))
     return AppearanceModel(
         mean=_tensor(tensors, f"{prefix}.mean", np.float32, (n_pixels, channels)),
         modes=modes,
@@ -412,6 +446,14 @@ def _appearance(tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels
         usable=_tensor(tensors, f"{prefix}.usable", np.float32, (n_pixels,)),
         unexplained=unexplained,
     )
+
+
+def _covariances(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
+    """Tensor of matrices whose diagonals are variances."""
+    covariances = _tensor(tensors, key, dtype, shape)
+    if (np.diagonal(covariances, axis1=1, axis2=2) < 0).any():
+        raise ValueError(f"{key} has variances below 0")
+    return covariances
 
 
 def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:

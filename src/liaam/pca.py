@@ -43,6 +43,15 @@ def check_variance(variance: Variance) -> None:
     )
 
 
+CHUNK = 4096
+"""Columns of long vectors that are worked on at once, in double precision."""
+
+
+def chunks(length: int, size: int = CHUNK) -> Iterator[slice]:
+    """Parts of a length, one after the other."""
+    return (slice(first, min(first + size, length)) for first in range(0, length, size))
+
+
 def principal_components(vectors: np.ndarray, variance: Variance) -> Components:
     """Principal components of row vectors by their Gram matrix (few vectors, many dimensions).
 
@@ -54,21 +63,75 @@ def principal_components(vectors: np.ndarray, variance: Variance) -> Components:
         :func:`count_by_evidence` with each vector left out alone, or in few folds.
     """
     check_variance(variance)
-    vectors = np.asarray(vectors, dtype=np.float64)
-    n = len(vectors)
+    vectors = np.asarray(vectors)
     if variance == "auto":
-        variance = count_by_evidence(vectors, some_folds(n))
-    mean = vectors.mean(axis=0)
-    deviations = vectors - mean
-    squares, combinations = np.linalg.eigh(deviations @ deviations.T)
+        variance = count_by_evidence(vectors, some_folds(len(vectors)))
+    mean = vectors.mean(axis=0, dtype=np.float64)
+    return components_by(vectors, mean, gram_about(vectors, mean), variance)
+
+
+def gram_about(vectors: np.ndarray, about: np.ndarray) -> np.ndarray:
+    """Scalar products, (n, n) float64, of vectors (n, d) as seen from a point (d,).
+
+    Chunks of columns are multiplied in the precision of the point, and added up in double precision.
+    """
+    products = np.zeros((len(vectors), len(vectors)))
+    for part in chunks(vectors.shape[1]):
+        away = vectors[:, part] - about[part]
+        products += away @ away.T
+    return products
+
+
+def centred(products: np.ndarray) -> np.ndarray:
+    """Scalar products of vectors as seen from their mean, by those as seen from any point."""
+    means = products.mean(axis=0)
+    return products - means - means[:, None] + means.mean()
+
+
+def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Principal components by the scalar products (n, n) of vectors as seen from their mean.
+
+    Returns
+    -------
+    squares : (m,) float64
+        Sums of squares along the components, strongest first.
+    combinations : (n, m) float64
+        Of the vectors less their mean, orthonormal: those of the components times the roots of ``squares``.
+    total : float
+        Sum of squares of all directions together.
+    """
+    squares, combinations = np.linalg.eigh(products)
     squares, combinations = squares[::-1], combinations[:, ::-1]
     kept = count_modes(squares, variance)
-    modes = combinations[:, :kept].T @ deviations
-    # Orthonormalise once more: the Gram matrix squares the condition number.
-    modes = np.ascontiguousarray(np.linalg.qr(modes.T)[0].T) if kept else modes
-    largest = np.abs(modes).argmax(axis=1) if kept else np.zeros(0, dtype=int)
-    modes *= np.sign(modes[np.arange(kept), largest])[:, None]
-    return Components(mean, modes, squares[:kept] / max(n - 1, 1), float(squares.clip(0).sum()) / max(n - 1, 1))
+    return squares[:kept], combinations[:, :kept], float(squares.clip(0).sum())
+
+
+def components_by(vectors: np.ndarray, mean: np.ndarray, products: np.ndarray, variance: float | int) -> Components:
+    """Principal components of vectors (n, d) by their mean (d,) and their scalar products (n, n) as seen from it."""
+    squares, combinations, total = strongest(products, variance)
+    modes = _orthonormal(vectors, mean, (combinations / np.sqrt(squares)).T)
+    divisor = max(len(vectors) - 1, 1)
+    return Components(mean, modes, squares / divisor, total / divisor)
+
+
+def _orthonormal(vectors: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted sums (m, d) of vectors less their mean, which are nearly orthonormal, made so."""
+    modes = np.empty((len(weights), vectors.shape[1]))
+    if not len(weights):
+        return modes
+    products = np.zeros((len(weights), len(weights)))
+    for part in chunks(vectors.shape[1]):
+        modes[:, part] = weights @ (vectors[:, part] - mean[part])
+        products += modes[:, part] @ modes[:, part].T
+    # Once more: the Gram matrix squares the condition number (Cholesky QR).
+    back = np.linalg.inv(np.linalg.cholesky(products))
+    largest = np.zeros(len(weights))
+    for part in chunks(vectors.shape[1]):
+        modes[:, part] = back @ modes[:, part]
+        own = np.take_along_axis(modes[:, part], np.abs(modes[:, part]).argmax(axis=1)[:, None], axis=1)[:, 0]
+        largest = np.where(np.abs(own) > np.abs(largest), own, largest)
+    modes *= np.sign(largest)[:, None]
+    return modes
 
 
 def count_modes(squares: np.ndarray, variance: float | int) -> int:
@@ -97,20 +160,30 @@ def unexplained_by_others(
     """What the principal components of the other vectors leave of each vector, (n, d) float32.
 
     The vectors of a fold are left out together.
-
-    Worked out on the vectors' Gram matrix: the components of a fold are combinations of vectors, so the
-    long vectors are touched twice in all.
     """
     n = len(vectors)
     if n < 2:
         return np.zeros_like(vectors, dtype=np.float32)
-    centred = vectors - vectors.mean(axis=0, dtype=np.float64).astype(vectors.dtype)
-    products = np.asarray(centred @ centred.T, dtype=np.float64)
-    explained = np.zeros((n, n))  # row: the combination of vectors that stands for each
+    mean = vectors.mean(axis=0, dtype=np.float64)
+    explained = explained_by_others(gram_about(vectors, mean), variance, folds)
+    away = vectors - mean
+    return (away - explained @ away).astype(np.float32)
+
+
+def explained_by_others(
+    products: np.ndarray, variance: float | int, folds: Sequence[np.ndarray] | None = None
+) -> np.ndarray:
+    """Combinations of the other vectors that stand for each, a row of (n, n) float64 each, summing to 1.
+
+    Worked out on the vectors' scalar products (n, n), seen from any point: the components of the vectors outside a fold
+    are combinations of them.
+    """
+    n = len(products)
+    explained = np.zeros((n, n))
     for fold in some_folds(n) if folds is None else folds:
         others = np.setdiff1d(np.arange(n), fold)
         explained[np.ix_(fold, others)] = _combinations(products, others, fold, variance)
-    return (centred - explained.astype(vectors.dtype) @ centred).astype(np.float32)
+    return explained
 
 
 def _combinations(products: np.ndarray, others: np.ndarray, fold: np.ndarray, variance: float | int) -> np.ndarray:
@@ -135,11 +208,10 @@ def _components_of(
         Scalar products of the fold's vectors less the mean; times ``axes`` they are coordinates.
     """
     within = products[np.ix_(others, others)]
-    centring = np.eye(len(others)) - 1.0 / len(others)
-    squares, axes = np.linalg.eigh(centring @ within @ centring)
+    squares, axes = np.linalg.eigh(centred(within))
     squares, axes = squares[::-1], axes[:, ::-1]
     rank = count_modes(squares, 1.0)
-    axes = centring @ axes[:, :rank] / np.sqrt(squares[:rank])
+    axes = (axes - axes.mean(axis=0))[:, :rank] / np.sqrt(squares[:rank])
     return squares[:rank], axes, products[np.ix_(fold, others)] - within.mean(axis=0)
 
 
@@ -165,8 +237,7 @@ class LeftOutCoordinates:
 def leave_out(vectors: np.ndarray, folds: Sequence[np.ndarray]) -> Iterator[LeftOutCoordinates]:
     """Leave the vectors (n, d) of each fold out in turn; those of one object belong into one fold."""
     vectors = np.asarray(vectors)
-    centred = vectors - vectors.mean(axis=0, dtype=np.float64).astype(vectors.dtype)
-    products = np.asarray(centred @ centred.T, dtype=np.float64)
+    products = gram_about(vectors, vectors.mean(axis=0, dtype=np.float64))
     for fold in folds:
         others = np.setdiff1d(np.arange(len(vectors)), fold)
         if len(others) < 2:

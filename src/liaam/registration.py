@@ -15,7 +15,7 @@ from liaam.fitting.fitter import covariance
 from liaam.fitting.levels import Stage, Target, is_sane, solve_levels
 from liaam.fitting.objective import Objective
 from liaam.fitting.picture import load_picture
-from liaam.fitting.problem import slope_left, tied_together
+from liaam.fitting.problem import correlated_pixels, slope_left
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.sampling import make_patch
@@ -186,6 +186,8 @@ def register(
     a, name_a = load_picture(a, "first picture")
     b, name_b = load_picture(b, "second picture")
     method = _with_constants(get_method(method))
+    if options.scoring and method.step == "own":
+        method = replace(method, step="scored")
     if group not in GENERATORS:
         raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GENERATORS)}")
     for picture, name in ((a, name_a), (b, name_b)):
@@ -241,7 +243,7 @@ def _levels(
     luminance, noise = _luminance_and_noise(a, size)
     levels = []
     for patch, (blur, stride) in zip(patches, LEVELS, strict=True):
-        kept = (patch.channels[..., 3] > 0) & wanted
+        kept = (patch.channels[..., -1] > 0) & wanted
         stands_out = _significance(luminance, noise, blur)
         significant = stands_out[kept & (stands_out > SIGNIFICANT)]
         if blur < SHARP and not (significant.size and np.median(significant) > CLEAR):
@@ -258,9 +260,8 @@ def _levels(
         blank = np.zeros((0, *mean.shape), np.float32)
         appearance = AppearanceModel(mean, blank, np.zeros(0), np.ones(len(mean), np.float32))
         warp = HomographyWarp(kept, from_a(corners), float(stride), group)
-        levels.append(
-            (Objective(method, warp, appearance, theta, np.zeros(warp.n_parameters), tied=tied_together(blur)), blur)
-        )
+        own = method, warp, appearance, theta, np.zeros(warp.n_parameters)
+        levels.append((Objective(*own, kernel="reference", correlated=correlated_pixels(blur)), blur))
     return levels, from_a.inverse()
 
 
@@ -291,8 +292,7 @@ def _judged(
     """Homography in pictures' pixels, and whether it can be believed."""
     stage = stages[-1]
     objective, solution = stage.objective, stage.solution
-    state, last, has_angle = solution.state, solution.last, objective.method.has_angles
-    warp = objective.warp
+    state, has_angle, warp = solution.state, objective.method.has_angles, objective.warp
     assert isinstance(warp, HomographyWarp)
     matrix = _matrix(stage.pose) @ warp.matrix(state.p) @ np.linalg.inv(_matrix(to_a))
     points = warp.points(state.p, stage.pose)
@@ -303,7 +303,7 @@ def _judged(
         status=_status(stage, start, inside, correlation),
         correlation=correlation,
         theta=float(state.angles[1]) if has_angle else float("nan"),
-        cost=last.cost,
+        cost=float(solution.costs[-1]),
         n_iterations=sum(s.solution.n_iterations for s in stages),
         corner_deviation=_corner_deviation(stage),
         size=size,
@@ -319,24 +319,24 @@ def _status(stage: Stage, start: np.ndarray, inside: np.ndarray, correlation: fl
         return FitStatus.DIVERGED
     if inside.mean() < LEAST_OVERLAP:
         return FitStatus.LEFT_IMAGE
-    if solution.last.weights[inside].mean() < LEAST_OVERLAP:
+    if solution.work.usable[inside].mean() < LEAST_OVERLAP:
         return FitStatus.TOO_DARK
     if not correlation >= LEAST_CORRELATION:
         return FitStatus.DIVERGED
     if not solution.settled:
         return FitStatus.MAX_ITERATIONS
-    return FitStatus.LIGHT_UNOBSERVABLE if solution.angles_held else FitStatus.CONVERGED
+    return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
 
 
 def _correlation(stage: Stage) -> float:
     """Correlation of what is compared, over all pixels that count in both pictures; 0 where there are none."""
-    objective, last = stage.objective, stage.solution.last
-    metric = objective.method.image_metric(stage.solution.state.angles[1]).T
-    seen = last.weights > 0
+    objective, work = stage.objective, stage.solution.work
+    metric = objective.method.image_metric(work.angles[1]).T
+    seen = work.usable > 0
     if not seen.any():
         return 0.0
-    ours = objective.design(float(stage.solution.state.angles[0])).mean[seen].astype(np.float64)
-    theirs = last.values[seen] @ metric
+    ours = work.rows[0].reshape(len(seen), -1)[seen].astype(np.float64)
+    theirs = work.values.reshape(len(seen), -1)[seen, : len(metric)] @ metric
     ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
     scale = np.sqrt(np.square(ours).sum() * np.square(theirs).sum())
     return float((ours * theirs).sum() / scale) if scale > 0 else 0.0
@@ -345,9 +345,9 @@ def _correlation(stage: Stage) -> float:
 def _corner_deviation(stage: Stage) -> np.ndarray:
     warp, p = stage.objective.warp, stage.solution.state.p
     n, step = warp.n_parameters, 1e-4
-    if not stage.solution.last.weights.any():
+    if not stage.solution.work.usable.any():
         return np.full(4, np.inf)
-    spread = covariance(stage.objective, stage.solution)[:n, :n]
+    spread = covariance(stage)[:n, :n]
     slopes = np.stack([(warp.shape(p + step * e) - warp.shape(p - step * e)) / (2 * step) for e in np.eye(n)], axis=-1)
     variances = np.einsum("cai,ij,caj->c", slopes, spread, slopes)
     return stage.pose.scale * np.sqrt(np.maximum(variances, 0.0))

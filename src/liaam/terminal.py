@@ -29,15 +29,20 @@ def table_of(*header: str) -> Table:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """Show a bar; it appears on terminals only and leaves nothing behind."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+def progress_bar(counted: bool = True) -> Iterator[Progress]:
+    """Show a bar, with the time that remains; it appears on terminals only and leaves nothing behind.
+
+    Steps that are not things to be counted are told as a share.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     columns = (
         BarColumn(),
-        MofNCompleteColumn(),
+        MofNCompleteColumn() if counted else TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
         TextColumn("{task.description}", markup=False),
     )
     with Bar(*columns, console=complaints, transient=True, disable=not complaints.is_terminal) as bar:
@@ -50,10 +55,10 @@ def progress_bar() -> Iterator[Progress]:
 
 
 @contextmanager
-def stoppable_progress() -> Iterator[Progress]:
+def stoppable_progress(counted: bool = True) -> Iterator[Progress]:
     """Show a progress bar; a Ctrl-C becomes one line and exit status 130."""
     try:
-        with progress_bar() as tell:
+        with progress_bar(counted) as tell:
             yield tell
     except KeyboardInterrupt as stop:
         complain(str(stop) or "stopped")

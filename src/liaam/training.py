@@ -2,14 +2,16 @@
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from liaam.appearance import CHANNELS, SURROUNDED, AppearanceModel, train_appearance_model, train_illumination
+from liaam.appearance import CHANNELS, AppearanceModel, Textures, train_appearance_model, train_illumination
 from liaam.errors import TrainingError
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.fitting.reliability import LeftOut, calibrate
 from liaam.mesh import (
     FOLD_TOLERANCE,
@@ -19,20 +21,23 @@ from liaam.mesh import (
     signed_areas,
     triangles_from_edges,
 )
-from liaam.model import AAM, MAX_DIAGONAL, Level, Reliability
+from liaam.model import AAM, MAX_DIAGONAL, MESH, SURROUNDINGS, VIEWS, Level, Reliability, make_view
 from liaam.pca import Variance, check_variance, count_by_evidence
-from liaam.photometry import ENCODINGS, CameraModel, Response, exposure_faults, invariant_row, is_grey, parse_response
+from liaam.photometry import CameraModel, Response, exposure_faults, invariant_row, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
 from liaam.sampling import make_patch, sample_texture
-from liaam.shape import Recipe, ShapeModel, align, check_prior, choose_recipe, scaled_mean, shape_model_on
-from liaam.warp import PiecewiseAffineWarp, surrounded_warp
+from liaam.shape import Recipe, align, check_prior, choose_recipe, scaled_mean, shape_model_on
+from liaam.warp import PiecewiseAffineWarp
 
-BLURS_DEFAULT = (3.0, 0.5)
-"""Blur of the levels from coarse to fine, standard deviation in pixels of the reference frame."""
+ENCODINGS_OF = {MESH: ("value", "log", "orientation"), SURROUNDINGS: ("soft",)}
+"""What pictures are sampled in for each view."""
 
-SOFT_BLURS = (4.0, 2.0, 1.0)
-"""The same for ``soft`` appearances. Measured with persons that a model has not seen: one level more than two, and 1
-pixel at the end rather than 0.5, lose fewer fits; gradients of JPEG's blocks are no better sharp."""
+BLURS = {MESH: (3.0, 0.5), SURROUNDINGS: (4.0, 2.0, 1.0)}
+"""Blur of the levels of each view from coarse to fine, standard deviation in pixels of the reference frame. Of the
+surroundings measured with persons that a model has not seen: one level more than two, and 1 pixel at the end rather
+than 0.5, lose fewer fits; gradients of JPEG's blocks are no better sharp."""
+
+Blurs = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -49,14 +54,12 @@ def train(
     *,
     variance: Variance = 0.98,
     appearance_variance: Variance | None = None,
-    prior: str = "sample",
-    soft_prior: str | None = None,
+    prior: str | Mapping[str, str] | None = None,
     diagonal: float = 150.0,
     theta: float | None = None,
     response: Response | None = None,
     camera: CameraModel | None = None,
-    blurs: tuple[float, ...] = BLURS_DEFAULT,
-    soft_blurs: tuple[float, ...] = SOFT_BLURS,
+    blurs: Blurs | Mapping[str, Blurs] | None = None,
     triangles: np.ndarray | None = None,
     lit: Iterable | None = None,
     leave_out: bool = True,
@@ -75,16 +78,14 @@ def train(
         pictures left out (those of one object together, where names tell) are most likely.
     appearance_variance : float, int or "auto", optional
         The same for appearances; as ``variance`` if left out.
-    prior : {"sample", "smooth", "shrunk"}
-        How the shapes' covariance is learnt. ``sample`` is the covariance of the shapes as they are (the paper).
-        ``smooth``, for shapes that no training picture shows, draws it towards smooth deformations, and
-        learns from the mirrored shapes too, as far as shapes left out are likelier so. ``shrunk`` takes the variances
-        of shapes left out for eigenvalues.
-    soft_prior : {"sample", "smooth", "shrunk"}, optional
-        The same for ``soft-li``, which fits with shapes of its own where it differs. If left out: ``smooth`` where
-        ``prior`` is ``sample``, not all of the variance is kept (which asks for the pictures' shapes and no others) and
-        there are at most 200 landmarks (many take minutes), else as ``prior``. The other methods, which know less of
-        what their errors weigh, lose by ``smooth``.
+    prior : {"sample", "smooth", "shrunk"} or mapping of views to these, optional
+        How the shapes' covariance is learnt, for all views or by name of :data:`liaam.model.VIEWS`. ``sample`` is the
+        covariance of the shapes as they are (the paper). ``smooth``, for shapes that no training picture shows, draws
+        it towards smooth deformations, and learns from the mirrored shapes too, as far as shapes left out are likelier
+        so. ``shrunk`` takes the variances of shapes left out for eigenvalues. If left out: ``sample`` for the view
+        ``mesh``, whose methods know less of what their errors weigh and lose by ``smooth``; for ``surroundings``
+        (``soft-li``) ``smooth``, unless all of the variance is kept (which asks for the pictures' shapes and no others)
+        or there are more than 200 landmarks (which take minutes).
     diagonal : float
         Diagonal of the mean shape in the reference frame, pixels. More is slower and finer.
     theta : float, optional
@@ -93,11 +94,9 @@ def train(
         How the pictures' values relate to linear light; the camera's if left out.
     camera : CameraModel, optional
         What is known of the training camera; 122 degrees and sRGB if nothing is.
-    blurs : tuple of float
-        Blur of the levels a fit goes through, from coarse to fine, pixels of the reference frame; of all methods but
-        ``soft-li``.
-    soft_blurs : tuple of float
-        The same for ``soft-li``, the default method.
+    blurs : tuple of float or mapping of views to these, optional
+        Blur of the levels a fit goes through, from coarse to fine, pixels of the reference frame; :data:`BLURS` of the
+        views that are left out.
     triangles : (t, 3) int, optional
         The mesh. If left out: the files' connectivity where it is a mesh, else Delaunay of the mean shape.
     lit : Dataset or iterable, optional
@@ -105,11 +104,11 @@ def train(
         does (``varied``, ``aia``). Shapes and all other appearances are learnt from ``data`` alone.
     leave_out : bool
         Leave pictures out in turn and fit them, to learn how far the default method's fits can be trusted
-        (``FitResult.quality`` and ``landmark_covariances``). Without it training is several times as fast.
+        (``FitResult.quality`` and ``landmark_covariances``). Without it training takes half the time.
     name : str
         What the model shows, for people.
     progress : callable, optional
-        Called with (done, total, name) before each image.
+        Called with (done, total, what) before each step, and at the end; in units of about the same time.
 
     Returns
     -------
@@ -122,65 +121,106 @@ def train(
         The message names the sample.
     """
     camera = _camera_of(camera, theta, response)
-    _check_options(variance, appearance_variance, diagonal, blurs, soft_blurs)
-    for asked in (prior, prior if soft_prior is None else soft_prior):
-        check_prior(asked)
+    blurs = _by_view("blurs", blurs, BLURS)
+    _check_options(variance, appearance_variance, diagonal, blurs)
     entries, contours, edges = _entries(data)
+    priors = _by_view("prior", prior, _usual_priors(variance, len(entries[0].points)))
+    for asked in priors.values():
+        check_prior(asked)
     shapes, folds = np.array([entry.points for entry in entries]), _folds([entry.name for entry in entries])
     mean = scaled_mean(shapes, diagonal)
-    soft_prior = _soft_prior(prior, variance, len(mean)) if soft_prior is None else soft_prior
-    recipe = choose_recipe(mean, shapes, prior, folds)
-    shape_model = shape_model_on(mean, shapes, variance, recipe, folds)
-    soft_shape = None
-    if soft_prior != prior:
-        recipe = choose_recipe(mean, shapes, soft_prior, folds)
-        soft_shape = shape_model_on(mean, shapes, variance, recipe, folds)
-    triangles = _triangles(shape_model.mean, triangles, edges)
-    frame = ReferenceFrame(shape_model.mean, triangles)
-    for entry in entries:
-        _check_fold(entry, frame)
-    sampled = _sample_all(entries, shape_model, frame, camera, _blurs_by_encoding(blurs, soft_blurs), progress)
-    lit_sampled = None
-    if lit is not None:
-        by_encoding = dict.fromkeys(LIT_ENCODINGS, blurs)
-        lit_sampled = _sample_lit(lit, entries, shape_model, frame, camera, by_encoding, progress, sampled.grey)
-    kept = variance if appearance_variance is None else appearance_variance
+    recipes = {asked: choose_recipe(mean, shapes, asked, folds) for asked in dict.fromkeys(priors.values())}
+    learnt = {asked: shape_model_on(mean, shapes, variance, recipe, folds) for asked, recipe in recipes.items()}
+    triangles = _triangles(mean, triangles, edges)
     model = AAM(
-        shape_model=shape_model,
+        views={view: make_view(view, learnt[priors[view]], triangles) for view in VIEWS},
         triangles=triangles,
-        levels=tuple(
-            Level(float(blur), _appearances(sampled, lit_sampled, i, camera.theta, kept, folds))
-            for i, blur in enumerate(blurs)
-        ),
-        soft_levels=tuple(
-            Level(float(blur), {"soft": _soft_appearance(sampled.textures["soft"][i], camera.theta, kept, folds)})
-            for i, blur in enumerate(soft_blurs)
-        ),
         camera=camera,
         n_images=len(entries),
         contours=contours,
         name=name,
-        soft_shape=soft_shape,
     )
-    if not leave_out:
-        return model
-    return replace(model, reliability=_reliability(model, entries, shapes, sampled, (recipe, variance, kept), progress))
+    for entry in entries:
+        _check_fold(entry, model.frame)
+    others = [] if lit is None else _lit_entries(lit, entries, model.frame)
+    told = _Progress(progress, _work(len(entries), len(others), blurs, folds if leave_out else []))
+    sampled = _sample_all(entries, model, _blurs_by_encoding(blurs), told)
+    lit_sampled = _sample_lit(others, entries, model, blurs[MESH], told, sampled.grey) if others else None
+    kept = variance if appearance_variance is None else appearance_variance
+    learn = {
+        MESH: lambda i: _appearances(sampled, lit_sampled, i, camera.theta, kept, folds),
+        SURROUNDINGS: lambda i: {"soft": _soft_appearance(sampled.textures["soft"][i], kept, folds)},
+    }
+    for view in VIEWS:
+        levels = []
+        for i, blur in enumerate(blurs[view]):
+            told.step(f"appearance of the {view}", _learning(len(entries)))
+            levels.append(Level(float(blur), learn[view](i)))
+        model = model.with_view(view, levels=tuple(levels))
+    if leave_out:
+        judged = METHODS[DEFAULT_METHOD].view
+        how = (recipes[priors[judged]], variance, kept)
+        reliability = _reliability(model, entries, shapes, sampled, how, folds, told)
+        model = model.with_view(judged, reliability=reliability)
+    told.step("trained", 0)
+    return model
+
+
+FITTED = 6
+"""How many times as long as sampling a picture it takes to fit one that was left out, from near and far."""
+
+
+def _learning(n: int) -> int:
+    """How many times as long as sampling one of n pictures it takes to learn a level's appearances of them."""
+    return max(1, n // 10)
+
+
+def _work(n: int, n_lit: int, blurs: dict[str, Blurs], folds: list[np.ndarray]) -> int:
+    """How many times as long as sampling a picture it takes to train on n pictures and those under other lights."""
+    learning = _learning(n) * (sum(map(len, blurs.values())) + len(folds))
+    return n + n_lit + learning + FITTED * sum(len(_fitted(fold, folds)) for fold in folds)
+
+
+@dataclass
+class _Progress:
+    """Tells of all that training does on one scale."""
+
+    tell: Callable[[int, int, str], None] | None
+    total: int
+    done: int = 0
+
+    def step(self, what: str, cost: int = 1) -> None:
+        """Tell what comes next, and how many times as long as sampling a picture it takes."""
+        if self.tell:
+            self.tell(self.done, self.total, what)
+        self.done += cost
 
 
 LIT_ENCODINGS: tuple[str, ...] = ("value", "log")
 """What pictures under other lights are sampled in: to learn from, and to tell whether they show enough."""
 
 
-def _blurs_by_encoding(blurs: tuple[float, ...], soft_blurs: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
-    return {encoding: soft_blurs if encoding == "soft" else blurs for encoding in ENCODINGS}
+def _blurs_by_encoding(blurs: dict[str, Blurs]) -> dict[str, Blurs]:
+    return {encoding: blurs[view] for view, encodings in ENCODINGS_OF.items() for encoding in encodings}
+
+
+def _by_view(option: str, given: Any, usual: Mapping[str, Any]) -> dict[str, Any]:
+    """Value of an option for each view: one for all, or by name, and the usual ones where none is given."""
+    if given is None:
+        return dict(usual)
+    if not isinstance(given, Mapping):
+        return dict.fromkeys(usual, given)
+    unknown = [view for view in given if view not in usual]
+    if unknown:
+        raise TrainingError(f"{option}: view {unknown[0]!r} does not exist; there are {', '.join(usual)}")
+    return {**usual, **given}
 
 
 def _check_options(
     variance: Variance,
     appearance_variance: Variance | None,
     diagonal: float,
-    blurs: tuple[float, ...],
-    soft_blurs: tuple[float, ...],
+    blurs: dict[str, Blurs],
 ) -> None:
     check_variance(variance)
     if appearance_variance is not None:
@@ -189,20 +229,22 @@ def _check_options(
         raise TrainingError(
             f"diagonal {diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels"
         )
-    for name, given in (("blurs", blurs), ("soft_blurs", soft_blurs)):
+    for view, given in blurs.items():
         if not given or list(given) != sorted(given, reverse=True) or not 0 <= given[-1] <= given[0] <= 10:
-            raise TrainingError(f"{name} {given}: give 0 to 10 pixels of the reference frame, from coarse to fine")
+            raise TrainingError(
+                f"blurs {given} of the view {view}: give 0 to 10 pixels of the reference frame, from coarse to fine"
+            )
 
 
 MOST_SMOOTH = 200
-"""Landmarks up to which soft-li has smooth deformations unasked: learning them takes seconds at 200, half a minute at
+"""Landmarks up to which there are smooth deformations unasked: learning them takes seconds at 200, half a minute at
 1000, and grows with the third power."""
 
 
-def _soft_prior(prior: str, variance: Variance, n_points: int) -> str:
-    """Prior of soft-li's shapes where nobody asks for one."""
+def _usual_priors(variance: Variance, n_points: int) -> dict[str, str]:
+    """Priors of the views' shapes where nobody asks for any."""
     whole = isinstance(variance, float) and variance == 1.0
-    return prior if prior != "sample" or whole or n_points > MOST_SMOOTH else "smooth"
+    return {MESH: "sample", SURROUNDINGS: "sample" if whole or n_points > MOST_SMOOTH else "smooth"}
 
 
 def _camera_of(camera: CameraModel | None, theta: float | None, response: Response | None) -> CameraModel:
@@ -299,78 +341,61 @@ def _check_fold(entry: _Entry, frame: ReferenceFrame) -> None:
 
 
 @dataclass(frozen=True)
-class _Texture:
-    """All samples in one encoding at one blur: values (n, n_pixels, c) and usable (n, n_pixels), float32."""
-
-    values: np.ndarray
-    usable: np.ndarray
-
-
-@dataclass(frozen=True)
 class _Sampled:
     """Textures of all samples by encoding, one per blur, and whether all pictures are grey."""
 
-    textures: dict[str, list[_Texture]]
+    textures: dict[str, list[Textures]]
     grey: bool
 
 
-def _sample_all(
-    entries: list[_Entry],
-    shape_model: ShapeModel,
-    frame: ReferenceFrame,
-    camera: CameraModel,
-    blurs: dict[str, tuple[float, ...]],
-    progress: Callable | None,
-) -> _Sampled:
+def _sample_all(entries: list[_Entry], model: AAM, blurs: dict[str, Blurs], told: _Progress) -> _Sampled:
     """Sample the textures of all entries in every encoding asked for, at each of its blurs."""
-    plain = PiecewiseAffineWarp(frame, shape_model)
-    around = surrounded_warp(shape_model, frame.triangles) if set(SURROUNDED) & set(blurs) else plain
-    warps = {encoding: around if encoding in SURROUNDED else plain for encoding in blurs}
-    textures: dict[str, list[_Texture]] = {
-        encoding: [_empty(len(entries), warps[encoding], encoding) for _ in blurs[encoding]] for encoding in blurs
-    }
+    camera, view_of = model.camera, {encoding: view for view, known in ENCODINGS_OF.items() for encoding in known}
+    warps = {encoding: model.views[view_of[encoding]].warp for encoding in blurs}
+    room = {encoding: [_room(len(entries), warps[encoding], encoding) for _ in blurs[encoding]] for encoding in blurs}
     grey = []
     for i, entry in enumerate(entries):
-        if progress:
-            progress(i, len(entries), entry.name)
+        told.step(entry.name)
         image = as_colour(entry.read_image(), entry.name)
         _check_inside(entry, image)
         grey.append(is_grey(image))
         image = camera.flatten(image)
         for encoding, warp in warps.items():
-            for texture, blur in zip(textures[encoding], blurs[encoding], strict=True):
-                values, usable = sample_appearance(image, entry.points, warp, encoding, camera.response, blur)
-                texture.values[i], texture.usable[i] = values[:, : texture.values.shape[2]], usable
-        _check_light(entry, image, plain.interpolate(entry.points), textures["log"][-1].usable[i])
-    if progress:
-        progress(len(entries), len(entries), "appearance")
+            for (values, usable), blur in zip(room[encoding], blurs[encoding], strict=True):
+                found = sample_appearance(image, entry.points, warp, encoding, camera.response, blur)
+                values[i], usable[i] = _learnt(encoding, *found, camera.theta)
+        _check_light(entry, image, model.warp.interpolate(entry.points), room["log"][-1][1][i])
     if any(grey) and not all(grey):
         name = entries[grey.index(True)].name
         raise TrainingError(
             f"{name} is grey (three equal channels) but others are in colour; leave the grey images out, "
             "or make all grey"
         )
+    textures = {encoding: [Textures.of(*each) for each in by_blur] for encoding, by_blur in room.items()}
     return _Sampled(textures, all(grey))
 
 
-def _empty(n: int, warp: PiecewiseAffineWarp, encoding: str) -> _Texture:
-    # What is sampled of ``soft`` is more than what is learnt: log RGB and its weight make one row of the metric.
-    channels = 6 if encoding == "soft" else CHANNELS[encoding]
-    n_pixels = warp.frame.n_pixels
-    return _Texture(np.empty((n, n_pixels, channels), np.float32), np.empty((n, n_pixels), np.float32))
+def _room(n: int, warp: PiecewiseAffineWarp, encoding: str) -> tuple[np.ndarray, np.ndarray]:
+    """Room for the values of n textures in an encoding, and for what is usable of them."""
+    shape = (n, warp.frame.n_pixels, CHANNELS[encoding])
+    # Of ``soft``, gradient and invariant are usable each for itself.
+    return np.empty(shape, np.float32), np.empty(shape if encoding == "soft" else shape[:2], np.float32)
 
 
-def _sample_lit(
-    lit: Iterable,
-    entries: list[_Entry],
-    shape_model: ShapeModel,
-    frame: ReferenceFrame,
-    camera: CameraModel,
-    blurs: dict[str, tuple[float, ...]],
-    progress: Callable | None,
-    grey: bool,
-) -> _Sampled:
-    """Sample the pictures under other lights, which have to have the landmarks of the rest."""
+def _learnt(encoding: str, values: np.ndarray, usable: np.ndarray, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    """What is learnt of samples in an encoding, (n_pixels, c), and what is usable of it.
+
+    Of ``soft``, which is log RGB and how far it is known besides the gradient, the invariant is learnt.
+    """
+    if encoding != "soft":
+        return values[:, : CHANNELS[encoding]], usable
+    direction, log_rgb, known = np.split(values, [2, 5], axis=1)
+    rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=1)
+    return rows, np.column_stack([usable, usable, usable * (known[:, 0] > 0.99)])
+
+
+def _lit_entries(lit: Iterable, entries: list[_Entry], frame: ReferenceFrame) -> list[_Entry]:
+    """Checked pictures under other lights, which have to have the landmarks of the rest."""
     others, *_ = _entries(lit, at_least=1)
     for entry in others:
         if len(entry.points) != len(entries[0].points):
@@ -379,7 +404,14 @@ def _sample_lit(
                 f"{len(entries[0].points)}; every image needs the same points in the same order"
             )
         _check_fold(entry, frame)
-    sampled = _sample_all(others, shape_model, frame, camera, blurs, progress)
+    return others
+
+
+def _sample_lit(
+    others: list[_Entry], entries: list[_Entry], model: AAM, blurs: Blurs, told: _Progress, grey: bool
+) -> _Sampled:
+    """Sample the pictures under other lights, which have to be in colour as the rest."""
+    sampled = _sample_all(others, model, dict.fromkeys(LIT_ENCODINGS, blurs), told)
     if sampled.grey != grey:
         raise TrainingError(
             f"the pictures under other lights are {'in colour' if grey else 'grey (three equal channels)'}, unlike "
@@ -453,42 +485,31 @@ def _counted(values: np.ndarray, variance: Variance, folds: list[np.ndarray]) ->
 def _appearances(
     sampled: _Sampled, lit: _Sampled | None, level: int, theta: float, asked: Variance, folds: list[np.ndarray]
 ) -> dict[str, AppearanceModel]:
-    """All appearances of one level but the soft one."""
-    textures = {name: by_blur[level] for name, by_blur in sampled.textures.items() if name != "soft"}
-    appearances = {
-        name: train_appearance_model(texture.values, texture.usable, _counted(texture.values, asked, folds))
-        for name, texture in textures.items()
-    }
+    """All appearances of one level of the view ``mesh``."""
+    textures = {name: sampled.textures[name][level] for name in ENCODINGS_OF[MESH]}
     if not sampled.grey:
         # LIT: project first, then learn (paper section 4).
-        projected = textures["log"].values @ invariant_row(theta).T.astype(np.float32)
-        kept = _counted(projected, asked, folds)
-        appearances["invariant"] = train_appearance_model(projected, textures["log"].usable, kept)
+        log = textures["log"]
+        textures["invariant"] = Textures.of(log.values @ invariant_row(theta).T.astype(np.float32), log.usable)
+    appearances = {
+        name: train_appearance_model(each, _counted(each.values, asked, folds)) for name, each in textures.items()
+    }
     if lit is not None:
         # How many other lights ask for, the pictures under one light cannot tell.
         variance = 0.98 if asked == "auto" else asked
-        other = lit.textures["value"][level]
-        appearances["varied"] = train_appearance_model(
-            np.concatenate([textures["value"].values, other.values]),
-            np.concatenate([textures["value"].usable, other.usable]),
-            variance,
-        )
-        appearances["illumination"] = train_illumination(appearances["value"], other.values, other.usable, variance)
+        value, other = textures["value"], lit.textures["value"][level]
+        values, usable = (np.concatenate(pair) for pair in ((value.values, other.values), (value.usable, other.usable)))
+        appearances["varied"] = train_appearance_model(Textures.of(values, usable), variance)
+        appearances["illumination"] = train_illumination(appearances["value"], other, variance)
     return appearances
 
 
 def _soft_appearance(
-    texture: _Texture, theta: float, variance: Variance, folds: list[np.ndarray], kept: np.ndarray | None = None
+    textures: Textures, variance: Variance, folds: list[np.ndarray], kept: np.ndarray | None = None
 ) -> AppearanceModel:
     """Learn gradient and invariant together, from all or the samples kept: what changes one changes the other."""
-    values, usable = (texture.values, texture.usable) if kept is None else (texture.values[kept], texture.usable[kept])
-    direction, log_rgb, known = np.split(values, [2, 5], axis=2)
-    rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=2)
-    seen = np.repeat(usable[..., None], 3, axis=2)
-    seen[..., 2:] *= known > 0.99
-    if not seen[..., 2].any():  # grey pictures: nothing to compare, and not by rounding either
-        rows[..., 2] = 0.0
-    return train_appearance_model(rows, seen, _counted(rows, variance, folds), leave_out=kept is None)
+    values = textures.values if kept is None else textures.values[kept]
+    return train_appearance_model(textures, _counted(values, variance, folds), kept, leave_out=kept is None)
 
 
 LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
@@ -501,32 +522,30 @@ def _reliability(
     shapes: np.ndarray,
     sampled: _Sampled,
     learnt: tuple[Recipe, Variance, Variance],
-    progress: Callable | None,
+    folds: list[np.ndarray],
+    told: _Progress,
 ) -> Reliability | None:
     """Fit models of some of the samples to others, to learn what right and wrong fits look like.
 
     Pictures whose names say that they show the same object are left out together: one would give the others away.
     """
-    folds = _folds([entry.name for entry in entries])
-    each = max(1, LEFT_OUT_PICTURES // len(folds))
-    total = sum(min(each, len(fold)) for fold in folds)
 
     def pictures() -> Iterator[LeftOut]:
         """Give some pictures of each fold with the model of the others, one model at a time."""
-        done = 0
-        for fold in folds:
+        for i, fold in enumerate(folds):
+            told.step(f"leaving out part {i + 1} of {len(folds)}", _learning(len(entries)))
             part = _without(model, fold, shapes, sampled, learnt)
-            for i in fold[np.linspace(0, len(fold) - 1, min(each, len(fold))).astype(int)]:
-                if progress:
-                    progress(done, total, f"leaving out {entries[i].name}")
-                done += 1
-                image = as_colour(entries[i].read_image(), entries[i].name)
-                yield LeftOut(part, image, shapes[i])
+            for j in _fitted(fold, folds):
+                told.step(f"fitting {entries[j].name}", FITTED)
+                yield LeftOut(part, as_colour(entries[j].read_image(), entries[j].name), shapes[j])
 
-    found = calibrate(model, pictures())
-    if progress:
-        progress(total, total, "reliability")
-    return found
+    return calibrate(model, pictures())
+
+
+def _fitted(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
+    """Pictures of a fold that are fitted when it is left out."""
+    each = max(1, LEFT_OUT_PICTURES // len(folds))
+    return fold[np.linspace(0, len(fold) - 1, min(each, len(fold))).astype(int)]
 
 
 def _folds(names: list[str]) -> list[np.ndarray]:
@@ -549,14 +568,14 @@ def _without(
 ) -> AAM:
     """Model of all samples but a fold's, on the frame of the model of all, learnt in the same way.
 
-    ``learnt``: how the shapes of ``soft-li`` were learnt, and how much was asked for of shapes and of appearances.
+    ``learnt``: how the shapes of the view were learnt, and how much was asked for of shapes and of appearances.
     """
     recipe, variance, appearance_variance = learnt
-    others = np.setdiff1d(np.arange(len(shapes)), fold)
-    levels = []
-    for level, texture in zip(model.soft_levels, sampled.textures["soft"], strict=True):
+    others, name = np.setdiff1d(np.arange(len(shapes)), fold), METHODS[DEFAULT_METHOD].view
+    view, levels = model.views[name], []
+    for level, textures in zip(view.levels, sampled.textures["soft"], strict=True):
         kept = level.appearances["soft"].n_modes if appearance_variance == "auto" else appearance_variance
-        levels.append(Level(level.blur, {"soft": _soft_appearance(texture, model.theta, kept, [], others)}))
-    modes = len(model.shape_of("soft").modes) if variance == "auto" else variance
-    part = shape_model_on(model.shape_model.mean, shapes[others], modes, recipe)
-    return replace(model, soft_shape=part, soft_levels=tuple(levels))
+        levels.append(Level(level.blur, {"soft": _soft_appearance(textures, kept, [], others)}))
+    modes = len(view.shape_model.modes) if variance == "auto" else variance
+    part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)
+    return model.with_view(name, warp=replace(view.warp, shape_model=part), levels=tuple(levels))

@@ -7,11 +7,10 @@ own coordinates; the fitting problem adds the constant similarity between model 
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from liaam.kernels.layout import Carried, MeshPixels
 from liaam.mesh import ReferenceFrame, surroundings
 from liaam.shape import ShapeModel, Similarity
 
@@ -45,10 +44,6 @@ class Warp(Protocol):
         """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""
         ...
 
-    def places(self, p: np.ndarray, pose: Similarity) -> np.ndarray | Carried:
-        """The points as kernels take them: those of a mesh need not be worked out before they are looked at."""
-        ...
-
     def jacobian(self, p: np.ndarray) -> np.ndarray:
         """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32, C-contiguous."""
         ...
@@ -65,9 +60,22 @@ class Warp(Protocol):
         """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2), model pixels."""
         ...
 
-    def mesh_pixels(self) -> MeshPixels | None:
-        """Where the pixels lie in a mesh; None if they do not move with one, or not in the order of its triangles."""
-        ...
+
+class Mesh(NamedTuple):
+    """Piecewise-affine warp (paper eq 3), its pixels in the order of their triangles."""
+
+    beta: np.ndarray
+    """(n, 3) float32: barycentric weights of each pixel."""
+    starts: np.ndarray
+    """(t + 1,) int64: first pixel of each triangle, and the end."""
+    triangles: np.ndarray
+    """(t, 3) int64: its vertices."""
+    rest: np.ndarray
+    """(v, 2) float64: vertices at rest, model pixels."""
+    basis: np.ndarray
+    """(2 v, n_p) float64: derivative of the vertices, x and y in turn, by p."""
+    movement: float
+    """Root mean square movement of the landmarks by a step of p of unit length, model pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,18 +130,10 @@ class PiecewiseAffineWarp:
         # Barycentric weights sum to 1, so carrying the few landmarks carries all pixels.
         return self.interpolate(landmarks if pose is None else pose(landmarks))
 
-    def places(self, p: np.ndarray, pose: Similarity) -> np.ndarray | Carried:
-        """The points as kernels take them: told by the mesh's vertices where pixels are in the triangles' order."""
-        mesh = self._mesh_pixels
-        if mesh is None:
-            return self.points(p, pose)
-        return Carried(pose(self._vertices_of(p)), mesh)
-
     def interpolate(self, landmarks: np.ndarray) -> np.ndarray:
         """Carry (n_points, 2) positions of the landmarks to all model pixels, (n_pixels, 2) float64."""
-        from liaam.kernels import fast  # numba: imported when first needed
-
-        return fast.carry(self._vertices(landmarks), *self._corners)
+        corners, beta = self._corners
+        return np.einsum("nv,nva->na", beta, self._vertices(landmarks)[corners])
 
     def _vertices(self, landmarks: np.ndarray) -> np.ndarray:
         """Positions of the frame's vertices, (n_vertices, 2), for those of the landmarks."""
@@ -168,20 +168,17 @@ class PiecewiseAffineWarp:
         modes = self.shape_model.basis.reshape(self.n_parameters, -1, 2)
         return modes if self.extension is None else np.einsum("vn,ina->iva", self.extension, modes, optimize=True)
 
-    def mesh_pixels(self) -> MeshPixels | None:
-        """Where the pixels lie in the mesh; None if they are not in the order of its triangles."""
-        return self._mesh_pixels
-
-    @cached_property
-    def _mesh_pixels(self) -> MeshPixels | None:
-        if (np.diff(self._owners) < 0).any():
-            return None
+    def mesh(self) -> Mesh:
+        """The warp as compiled loops take it; its pixels have to be in the order of the triangles."""
         triangles = self.frame.triangles.astype(np.int64)
-        return MeshPixels(
+        assert not (np.diff(self._owners) < 0).any()
+        return Mesh(
             self._corners[1].astype(np.float32),
             np.searchsorted(self._owners, np.arange(len(triangles) + 1)).astype(np.int64),
             triangles,
+            np.ascontiguousarray(self._resting_vertices, np.float64),
             np.ascontiguousarray(self._by_parameters.T),
+            1.0 / sqrt(self.shape_model.n_points),
         )
 
     def every(self, spacing: float) -> np.ndarray:
@@ -221,11 +218,29 @@ class PiecewiseAffineWarp:
 
         If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Triangles of next to no area give 0.
         """
-        from liaam.kernels import fast  # numba: imported when first needed
+        back = _inverse_slopes(self.frame.points, self._vertices_of(p), self.frame.triangles)[self._owners]
+        return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
 
-        vertices = self._vertices_of(p)
-        inverse = fast.inverse_affinities(self.frame.points, vertices, self.frame.triangles)
-        return fast.pull(np.asarray(slopes, np.float32), inverse, self._owners)
+
+FLAT = 0.05
+"""Share of its area at rest below which a triangle counts as flat."""
+
+
+def _inverse_slopes(rest: np.ndarray, shape: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(dW/dx)^-1 of each triangle, (t, 2, 2) float64; 0 for triangles that are flat."""
+    at_rest, now = (
+        (points[triangles[:, 1:]] - points[triangles[:, :1]]).transpose(0, 2, 1) for points in (rest, shape)
+    )
+    flat = ~(np.abs(np.linalg.det(now)) > FLAT * np.abs(np.linalg.det(at_rest)))
+    now[flat] = np.eye(2)
+    back = at_rest @ np.linalg.inv(now)
+    back[flat] = 0.0
+    return back
+
+
+def mesh_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
+    """Warp of a mesh on the mean shape."""
+    return PiecewiseAffineWarp(ReferenceFrame(shape_model.mean, triangles), shape_model)
 
 
 def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
@@ -320,10 +335,6 @@ class HomographyWarp:
         points = apply_homography(self.matrix(p), self.pixels)
         return points if pose is None else pose(points)
 
-    def places(self, p: np.ndarray, pose: Similarity) -> np.ndarray:
-        """The points as kernels take them."""
-        return self.points(p, pose)
-
     def jacobian(self, p: np.ndarray) -> np.ndarray:
         """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32: (G_12 - W G_3) (x, 1) / N_3."""
         x, upper, last = self._single
@@ -352,10 +363,6 @@ class HomographyWarp:
         moved = np.einsum("iab,nb->ina", self._basis, _homogeneous(self.rest))
         columns = (moved[..., :2] - shape * moved[..., 2:]).reshape(self.n_parameters, -1)
         return np.linalg.lstsq(columns.T, (shape - self.rest).ravel(), rcond=None)[0]
-
-    def mesh_pixels(self) -> MeshPixels | None:
-        """None: the pixels do not move with a mesh."""
-        return None
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
         """Derivatives of per-pixel values (n_pixels, k) along x and y at rest, (n_pixels, 2, k) float32.

@@ -1,9 +1,10 @@
-"""Work in many processes: started safely, bounded in what is under way, ended with their parent."""
+"""Work in many processes or threads: started safely, bounded in what is under way, ended with their parent."""
 
 import multiprocessing
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -17,6 +18,12 @@ Result = TypeVar("Result")
 
 AHEAD = 2
 """Items under way for each worker: one that it does, and the next."""
+
+BEHIND = 8
+"""Items for each thread that may wait, done or not, for one before them that takes long (:func:`in_order`)."""
+
+TICK = 0.1
+"""Seconds after which :func:`in_order` looks up from waiting."""
 
 
 class WorkerDied(Exception, Generic[Item]):  # noqa: N818 (it tells what happened; callers say what to do about it)
@@ -172,28 +179,105 @@ def in_threads(perform: Callable[[Item], Result], items: Sequence[Item]) -> list
         return list(pool.map(perform, items))
 
 
+def in_order(
+    perform: Callable[[Item], Result],
+    items: Iterable[Item],
+    threads: int,
+    *,
+    tick: Callable[[], object] = lambda: None,
+) -> Generator[Result, None, None]:
+    """Do items in threads of this process; results come in the items' order, as soon as those before them are there.
+
+    For work that lets go of the interpreter. Items are taken one by one, in the caller's thread: ``AHEAD`` for each
+    thread are under way at most, and ``BEHIND`` with those that wait for one before them. If an item fails, or the
+    caller stops (by a Ctrl-C, say), no other is begun, and those that threads have in hand are waited for.
+
+    Parameters
+    ----------
+    perform : callable
+    items : iterable
+    threads : int
+    tick : callable
+        Called now and then while nothing else happens.
+    """
+    rest, kept = iter(items), deque[Future[Result]]()
+    pool = ThreadPoolExecutor(threads, "liaam", _hold_this_thread)
+    try:
+        while True:
+            under_way = [future for future in kept if not future.done()]
+            room = min(AHEAD * threads - len(under_way), BEHIND * threads - len(kept))
+            begun = [pool.submit(perform, item) for item in islice(rest, max(0, room))]
+            kept += begun
+            if not kept:
+                return
+            if kept[0].done():
+                yield kept.popleft().result()
+            else:
+                # Not for ever: on some systems a Ctrl-C does not end a wait.
+                wait([*under_way, *begun], TICK, FIRST_COMPLETED)
+                tick()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _hold_this_thread() -> None:
+    """Hold OpenMP to one thread for this thread, which has a number of its own."""
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(limits=1, user_api="openmp")
+
+
+class _Hold:
+    """A setting of the process that several threads may hold at once: the last of them to let go restores it."""
+
+    def __init__(self, take: Callable[[], Callable[[], object]]) -> None:
+        self._take, self._turn, self._holders = take, threading.Lock(), 0
+        self._restore: Callable[[], object] = lambda: None
+
+    def __enter__(self) -> None:
+        with self._turn:
+            restore = self._take()  # by each: somebody may have changed it meanwhile
+            if not self._holders:
+                self._restore = restore
+            self._holders += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._turn:
+            self._holders -= 1
+            if not self._holders:
+                self._restore()
+
+
+def _take_blas() -> Callable[[], object]:
+    import scipy.linalg  # noqa: F401 (it brings a BLAS of its own, which has to be there to be held)
+    from threadpoolctl import threadpool_limits
+
+    return threadpool_limits(limits=1).restore_original_limits
+
+
+def _take_opencv() -> Callable[[], object]:
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    return partial(cv2.setNumThreads, before)
+
+
+_blas, _opencv = _Hold(_take_blas), _Hold(_take_opencv)
+
+
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Hold BLAS and OpenMP to one thread: the matrices of a fit are too small for more, which wait in loops.
 
     Sums then come in one order wherever they are made. It holds for the whole process.
     """
-    import scipy.linalg  # noqa: F401 (it brings a BLAS of its own, which has to be there to be held)
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1):
+    with _blas:
         yield
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Hold BLAS, OpenMP and OpenCV to one thread: workers leave each other's cores alone."""
-    import cv2
-
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with one_blas_thread():
-            yield
-    finally:
-        cv2.setNumThreads(before)
+    with _opencv, _blas:
+        yield

@@ -1,13 +1,13 @@
 """The image angle starts at the global minimum on its arc."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from liaam.fitting import SolverOptions
 from liaam.fitting.angles import SEARCH, _minimise_on_arc, best_image_angle
+from liaam.fitting.solver import settle_lambda
 from setups import disturb, finest_objective, make_problem
 
 
@@ -43,9 +43,8 @@ def test_the_start_angle_beats_a_brute_force_search(model, lit_scene, method, at
     state = objective.start(p)
 
     def cost(theta):
-        there = replace(state, angles=np.array([state.angles[0], theta]))
-        equations = objective.linearise(problem, there).equations
-        return equations.after_lambda_step(equations.best_lambda_step()).cost
+        there = state._replace(angles=np.array([state.angles[0], theta]))
+        return settle_lambda(objective, problem, there, SolverOptions()).costs[-1]
 
     grid = state.angles[0] + np.linspace(-SEARCH, SEARCH, 241)
     costs = np.array([cost(theta) for theta in grid])

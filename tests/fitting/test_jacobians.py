@@ -1,4 +1,4 @@
-"""The objective's columns [J | r] are the derivative of its residual, for every method and kernel."""
+"""Residuals and their derivatives, for every method and kernel: finite differences, and dense products of columns."""
 
 from dataclasses import replace
 
@@ -7,21 +7,37 @@ import pytest
 
 from finite_differences import assert_jacobian
 from liaam.fitting import METHODS, get_method
-from liaam.kernels import KERNELS
-from setups import disturb, finest_objective, make_problem
+from liaam.fitting.kernel import KERNELS, get_kernel
+from liaam.fitting.level import Work
+from liaam.fitting.objective import State
+from liaam.fitting.reference import jacobian
+from setups import differentiate, disturb, finest_objective, look_again, make_problem
 
 FREE_SOFT = replace(METHODS["soft-li"], name="soft-li with a free angle", free_angles="image")
-ANGLED = ("li", "li-lit", "li-pc", "li-pcs", "li+noise", "li-pc+noise+huber", "li-pcs+cauchy", FREE_SOFT)
 WEIGHED = (
     "soft-li+tukey",
     "grey+tukey",
+    "grey-norm+huber",
     "rgb+learnt",
     "chroma+noise",
     "li+noise",
+    "li-lit+noise",
     "li-pc+noise+huber",
+    "li-pcs+cauchy",
+    "li-pcs+noise",
     "igo+geman-mcclure",
+    "li+l1",
 )
-ALL = (*METHODS, *WEIGHED)
+ALL = (*METHODS, *WEIGHED, FREE_SOFT)
+ANGLED = tuple(method for method in ALL if get_method(method).free_angles != "none")
+
+
+def name_of(method) -> str:
+    return get_method(method).name
+
+
+every_method = pytest.mark.parametrize("method", ALL, ids=name_of)
+methods_with_angles = pytest.mark.parametrize("method", ANGLED, ids=name_of)
 
 
 @pytest.fixture(params=KERNELS)
@@ -30,42 +46,55 @@ def kernel(request) -> str:
 
 
 class Setting:
-    """An objective away from its minimum: lambda, angles and p all off."""
+    """A fit away from its minimum: lambda, angles and p all off, and weights as they are while it runs."""
 
-    def __init__(self, model, scene, method: str, kernel: str, rng: np.random.Generator) -> None:
-        self.objective = finest_objective(model, method, kernel)
+    def __init__(self, model, scene, method, kernel: str, rng: np.random.Generator) -> None:
+        self.kernel, self.objective = get_kernel(kernel), finest_objective(model, method, kernel)
         self.problem, p = make_problem(model, scene.image, disturb(scene.landmarks), self.objective)
-        state = self.objective.start(p)
-        lam = rng.normal(size=self.objective.n_lambda) * 0.5
-        self.state = replace(state, angles=state.angles + np.array([0.1, -0.2]), lam=lam)
-        self.trust = None
-        for _ in range(2):  # weights as they are while a fit runs
-            seen = self.objective.linearise(self.problem, self.state, trust=self.trust)
-            self.trust = self.objective.trust(self.problem, self.state, seen)
-        assert (self.trust is not None) == get_method(method).reweighs
+        angles = self.objective.start(p).angles + np.array([0.1, -0.2])
+        self.state = State(p, angles, 0.5 * rng.normal(size=self.objective.n_lambda))
+        self.seen = self.objective.look(self.problem, self.state, weigh=2)
+        assert np.ptp(self.seen.weighed) > 0 or not self.objective.method.reweighs or self.objective.method.normalise
 
-    def root(self, theta: float) -> np.ndarray:
-        return self.objective._root_weights(theta, self.trust)[0]
+    def look(self, solves: bool = False, **changes) -> Work:
+        """Look from another state, under the same weights."""
+        return self.look_at(self.problem, solves, **changes)
 
-    def weighted_residual(self, state) -> np.ndarray:
-        return self.objective.columns(self.problem, state, self.trust)[:, -1].astype(np.float64)
+    def look_at(self, problem, solves: bool = False, **changes) -> Work:
+        work = Work(*(array.copy() for array in self.seen))
+        for name, value in self.state._replace(**changes)._asdict().items():
+            getattr(work, name)[:] = value
+        return look_again(self.objective, problem, work, solves)
 
-    def columns(self) -> np.ndarray:
-        return self.objective.columns(self.problem, self.state, self.trust)
+    def weighted_residual(self, **changes) -> np.ndarray:
+        work = self.look(**changes)
+        return work.root.astype(np.float64) * work.residual
+
+    def turned(self, free: np.ndarray) -> np.ndarray:
+        """Angles after a turn of the free ones."""
+        return self.state.angles + self.objective.method.angle_directions @ free
+
+    def angle_columns(self, work: Work) -> np.ndarray:
+        """Columns of the free angles, (n k, n_free)."""
+        columns, template = np.empty_like(work.columns), self.objective.template
+        for column, (by_model, by_image) in zip(columns, self.objective.row.directions.T, strict=True):
+            seen = work.slope, work.values, work.growth, work.residual
+            self.kernel.angle_column(by_model, by_image, *seen, template.parts, work.angles[0], work.lam, column)
+        return columns.T.astype(np.float64)
 
     def cells(self, p: np.ndarray) -> np.ndarray:
         return np.floor(self.problem.pose(self.objective.warp.points(p)))
 
 
-@pytest.mark.parametrize("method", ALL)
+@every_method
 def test_columns_of_the_warp_parameters(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
-    n_p = setting.objective.warp.n_parameters
+    work, warp = setting.look(), setting.objective.warp
     # Between pixel lines the samples are quadratic along any line: central differences are exact.
-    movement = np.abs(setting.objective.warp.jacobian(setting.state.p)).max(axis=(0, 1))
+    movement = np.abs(warp.jacobian(setting.state.p)).max(axis=(0, 1))
     assert_jacobian(
-        lambda p: setting.weighted_residual(replace(setting.state, p=p)),
-        setting.columns()[:, :n_p],
+        lambda p: setting.weighted_residual(p=p),
+        work.root[:, None] * jacobian(warp, setting.state.p, work.steep),
         setting.state.p,
         steps=0.04 / movement,
         tolerance=1e-3,
@@ -75,96 +104,135 @@ def test_columns_of_the_warp_parameters(model, lit_scene, method, kernel, rng):
     )
 
 
-@pytest.mark.parametrize("method", ANGLED)
+@methods_with_angles
 def test_columns_of_the_angles(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
-    n_p, directions = setting.objective.warp.n_parameters, get_method(method).angle_directions
-    at = np.zeros(directions.shape[1])
+    work = setting.look()
+    assert bool(len(work.growth)) == (setting.objective.method.weights == "noise")
     assert_jacobian(
-        lambda free: setting.weighted_residual(replace(setting.state, angles=setting.state.angles + directions @ free)),
-        setting.columns()[:, n_p:-1],
-        at,
+        lambda free: setting.weighted_residual(angles=setting.turned(free)),
+        work.root[:, None] * setting.angle_columns(work),
+        np.zeros(len(work.columns)),
         steps=1e-2,
         tolerance=1e-3,
     )
 
 
-@pytest.mark.parametrize("method", ALL)
+@every_method
 def test_columns_of_lambda(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
-    objective = setting.objective
-    weights = objective.linearise(setting.problem, setting.state).weights
-    root = setting.root(setting.state.angles[1]) * weights[:, None]
-    modes = objective.design(float(setting.state.angles[0])).modes
+    work = setting.look()
     assert_jacobian(
-        lambda lam: setting.weighted_residual(replace(setting.state, lam=lam)),
-        -modes.T * root.reshape(-1, 1),
+        lambda lam: setting.weighted_residual(lam=lam),
+        -(work.rows[1:] * work.root).T.astype(np.float64),
         setting.state.lam,
         steps=1.0,
         tolerance=1e-3,
     )
 
 
-@pytest.mark.parametrize("method", ALL)
-def test_columns_carry_the_root_of_the_weights(model, lit_scene, method, kernel, rng):
+@every_method
+def test_the_residual_is_that_of_the_picture_and_the_model(model, lit_scene, method, kernel, rng):
+    """P(theta_2) E(I) - P(theta_1) (A0 + lambda A), its squares under the weights, and none where nothing is seen."""
+    setting = Setting(model, lit_scene, method, kernel, rng)
+    work, objective = setting.look(), setting.objective
+    metric = objective.method.image_metric(setting.state.angles[1])
+    seen = work.values.reshape(-1, 8)[:, : metric.shape[1]] @ metric.T
+    if objective.method.normalise:
+        seen = work.scales[1] * seen + work.scales[2] * metric.sum(axis=1)
+    # What is projected before it is learnt does not turn.
+    theta = setting.state.angles[0] if objective.method.angle_directions[0].any() else model.theta
+    shown = np.tensordot(setting.state.lam[: objective.appearance.n_modes], objective.appearance.modes, axes=1)
+    shown = (objective.appearance.mean + shown) @ objective.method.model_metric(theta).T
+    extra = setting.state.lam[objective.appearance.n_modes :] @ work.rows[1 + objective.appearance.n_modes :]
+    expected = seen - shown - extra.reshape(shown.shape)
+    np.testing.assert_allclose(work.residual, expected.ravel(), atol=3e-5 * max(1.0, np.abs(seen).max()))
+    weighted = work.root.astype(np.float64) * work.residual
+    assert work.sums[0] == pytest.approx(weighted @ weighted, rel=1e-5)
+    assert work.sums[1] == pytest.approx(np.square(work.root.astype(np.float64)).sum(), rel=1e-5)
+    np.testing.assert_array_equal(work.root, work.own * np.repeat(work.usable, objective.method.n_rows))
+
+
+def half_blind(problem):
+    """The same picture, whose upper half says nothing."""
+    channels = problem.patch.channels.copy()
+    channels[: len(channels) // 2, :, -1] = 0
+    return replace(problem, patch=replace(problem.patch, channels=channels))
+
+
+def dense(objective, work, by_angles, expects: bool) -> tuple[np.ndarray, ...]:
+    """A'A, A'J, the Hessian and the gradient from columns formed in full, and A."""
+    root, p = work.root.astype(np.float64), work.p
+    by_place = work.expected if expects else work.steep
+    J, E = (
+        root[:, None] * np.hstack([jacobian(objective.warp, p, steep), by_angles]) for steep in (work.steep, by_place)
+    )
+    A, r = (work.rows[1:] * root).T, root * work.residual
+    inverse, aj = np.linalg.inv(A.T @ A + np.diag(objective.template.ridge)), A.T @ J
+    hessian, n_p = E.T @ J, len(p)
+    hessian[n_p:, :n_p] = hessian[:n_p, n_p:].T  # with the angles' columns what is expected counts
+    hessian -= aj.T @ inverse @ aj
+    return A.T @ A, aj, 0.5 * (hessian + hessian.T), E.T @ r - aj.T @ inverse @ (A.T @ r)
+
+
+@pytest.mark.parametrize(
+    ("method", "expects"),
+    [(method, expects) for method in ALL for expects in sorted({False, get_method(method).expects})],
+    ids=lambda value: "expected" if value is True else "own" if value is False else name_of(value),
+)
+def test_equations_are_those_of_dense_columns_where_half_of_the_picture_is_blind(
+    model, lit_scene, method, kernel, expects, rng
+):
+    setting = Setting(model, lit_scene, method, kernel, rng)
+    objective, work = setting.objective, setting.look_at(half_blind(setting.problem))
+    assert 0.05 < (work.usable == 0).mean() < 0.95
+    differentiate(objective, work, expects)
+    aa, aj, hessian, gradient = dense(objective, work, setting.angle_columns(work), expects)
+    factor = np.tril(work.factor)
+    held = aa + np.diag(setting.objective.template.ridge)
+    np.testing.assert_allclose(factor @ factor.T, held, atol=2e-5 * np.abs(aa).max(initial=0.0))
+    np.testing.assert_allclose(work.aj, aj, atol=1e-5 * np.abs(aj).max(initial=0.0))
+    np.testing.assert_allclose(work.hessian, hessian, atol=3e-5 * np.abs(hessian).max())
+    np.testing.assert_allclose(work.gradient, gradient, atol=1e-4 * np.abs(gradient).max())
+    np.testing.assert_array_equal(work.hessian, work.hessian.T)
+
+
+@every_method
+def test_the_appearance_at_its_best_leaves_nothing_to_gain(model, lit_scene, method, kernel, rng):
+    """Its lambda is that of least squares over the columns, and the residual is that of another look with it."""
+    setting = Setting(model, lit_scene, method, kernel, rng)
+    work = setting.look(solves=True)
+    again = setting.look(lam=work.lam)
+    np.testing.assert_allclose(work.residual, again.residual, atol=1e-5 * max(1.0, np.abs(again.residual).max()))
+    assert again.sums[0] == pytest.approx(work.sums[0], rel=1e-4, abs=1e-6)
+    A, r = (again.rows[1:] * again.root).T.astype(np.float64), again.root.astype(np.float64) * again.residual
+    best = np.linalg.lstsq(A, r, rcond=1e-9)[0]
+    left = r - A @ best
+    # A ridge holds modes that the metric hardly sees.
+    assert r @ r <= (left @ left) * (1 + 1e-3) + 1e-9
+    assert not work.ar.any()
+
+
+@methods_with_angles
+def test_the_reduced_gradient_is_that_of_the_cost_with_lambda_at_its_best(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
     objective = setting.objective
-    columns = setting.columns()
-    seen = objective.linearise(setting.problem, setting.state, setting.trust)
-    root = setting.root(setting.state.angles[1]) * seen.weights[:, None]
-    np.testing.assert_allclose(columns[:, -1], (root * seen.residual).ravel(), rtol=1e-6)
-    assert not columns[np.repeat(seen.weights == 0, objective.method.n_rows)].any()
-    rr = np.square(columns[:, -1].astype(np.float64)).sum()
-    assert seen.equations.rr == pytest.approx(rr, rel=1e-5)
+
+    def reduced(free):
+        return setting.look(solves=True, angles=setting.turned(free))
+
+    at = np.zeros(objective.n_q - objective.warp.n_parameters)
+    gradient = differentiate(objective, reduced(at)).gradient[objective.warp.n_parameters :]
+    assert_jacobian(lambda free: np.array([reduced(free).sums[0]]), 2 * gradient[None], at, steps=1e-2, tolerance=2e-2)
 
 
-@pytest.mark.parametrize("method", ALL)
-def test_gram_matrices_leave_out_pixels_without_weight(model, lit_scene, method, rng):
-    setting = Setting(model, lit_scene, method, "fast", rng)
-    objective = setting.objective
-    channels = setting.problem.patch.channels.copy()
-    channels[: len(channels) // 2, :, -1] = 0
-    problem = replace(setting.problem, patch=replace(setting.problem.patch, channels=channels))
-    columns = objective.columns(problem, setting.state, setting.trust)
-    seen = objective.linearise(problem, setting.state, setting.trust)
-    assert 0.05 < (seen.weights == 0).mean() < 0.95
-    weights = np.repeat(seen.weights, objective.method.n_rows)[:, None].astype(np.float64)
-    root = setting.root(setting.state.angles[1]).reshape(-1, 1)
-    A = objective.design(float(setting.state.angles[0])).modes.T * root * weights
-    J = columns[:, :-1].astype(np.float64)
-    scale = np.abs(A.T @ A).max()
-    np.testing.assert_allclose(seen.equations.aa, A.T @ A, rtol=1e-5, atol=1e-5 * scale)
-    np.testing.assert_allclose(seen.equations.aj, A.T @ J, atol=1e-5 * np.abs(A.T @ J).max())
-    np.testing.assert_allclose(seen.equations.jj, J.T @ J, rtol=1e-4, atol=1e-5 * np.abs(J.T @ J).max())
-
-
-@pytest.mark.parametrize("method", ALL)
-def test_equations_after_a_step_of_lambda_are_those_of_another_look(model, lit_scene, method, rng):
-    setting = Setting(model, lit_scene, method, "fast", rng)
-    seen = setting.objective.linearise(setting.problem, setting.state, setting.trust)
-    step = rng.normal(size=setting.objective.n_lambda) * np.abs(seen.sums.best_lambda_step())
-    moved = setting.objective.moved(seen, setting.state, step)
-    there = setting.objective.linearise(
-        setting.problem, replace(setting.state, lam=setting.state.lam + step), setting.trust
-    )
-    np.testing.assert_allclose(moved.residual, there.residual, atol=1e-5 * np.abs(there.residual).max())
-    direct = moved.products(moved.look, moved.sums, None)
-    for name in ("jj", "aj", "jr"):
-        own, other = getattr(moved.equations, name), getattr(direct, name)
-        np.testing.assert_allclose(own, other, atol=1e-5 * np.abs(other).max(), err_msg=name)
-    assert moved.cost == pytest.approx(there.cost, rel=1e-4)
-
-
-@pytest.mark.parametrize("method", ANGLED)
-def test_the_reduced_gradient_is_that_of_the_cost_with_lambda_at_its_best(model, lit_scene, method, rng):
-    setting = Setting(model, lit_scene, method, "fast", rng)
-    directions, n_p = get_method(method).angle_directions, setting.objective.warp.n_parameters
-
-    def reduced_cost(free):
-        state = replace(setting.state, angles=setting.state.angles + directions @ free)
-        equations = setting.objective.linearise(setting.problem, state, trust=setting.trust).equations
-        return np.array([equations.after_lambda_step(equations.best_lambda_step()).rr])
-
-    at = setting.objective.linearise(setting.problem, setting.state, trust=setting.trust)
-    gradient = at.equations.reduced()[1][n_p:]
-    assert_jacobian(reduced_cost, 2 * gradient[None], np.zeros(directions.shape[1]), steps=1e-2, tolerance=2e-2)
+@pytest.mark.parametrize("method", ["li", "li-pc", "li-lit", "li+noise", "chroma"])
+def test_a_constant_grey_bias_is_a_null_vector(model, lit_scene, method, kernel, rng):
+    """L(theta) (1, 1, 1) = 0: light of another strength does not move a residual, whatever the angle."""
+    setting = Setting(model, lit_scene, method, kernel, rng)
+    patch = setting.problem.patch
+    channels = patch.channels.copy()
+    channels[..., :3] += 1.5
+    brighter = setting.look_at(replace(setting.problem, patch=replace(patch, channels=channels)))
+    np.testing.assert_allclose(brighter.residual, setting.look().residual, atol=1e-5)
+    np.testing.assert_allclose(brighter.steep, setting.look().steep, atol=1e-5)

@@ -50,7 +50,9 @@ def test_an_appearance_that_is_already_projected_fixes_theta_1(free):
         Method("x", "", "log", "invariant", "invariant", free_angles=free)
 
 
-@pytest.mark.parametrize("field", ["encoding", "appearance", "metric", "free_angles", "bias"])
+@pytest.mark.parametrize(
+    "field", ["encoding", "appearance", "metric", "free_angles", "bias", "weights", "step", "view"]
+)
 def test_an_unknown_choice_lists_those_that_exist(field):
     with pytest.raises(MethodError, match=f"{field} 'nonsense' does not exist; there are .*, "):
         replace(METHODS["li"], **{field: "nonsense"})
@@ -99,13 +101,13 @@ def test_terms_that_do_not_suit_are_refused(changes, match):
 
 def test_suffixes_change_a_method():
     method = get_method("li+noise+huber")
-    assert (method.name, method.noise_weights, method.loss, method.metric) == (
+    assert (method.name, method.weights, method.loss, method.metric) == (
         "li+noise+huber",
-        True,
+        "noise",
         "huber",
         "invariant",
     )
-    assert method.reweighs
+    assert method.reweighs and method.weighs_noise and method.expects
     assert not get_method("li").reweighs
 
 
@@ -123,9 +125,29 @@ def test_noise_weights_are_for_logarithms(name):
         get_method(name)
 
 
-def test_the_models_errors_are_not_counted_twice():
+def test_weights_by_rows_are_for_soft_directions():
+    with pytest.raises(MethodError, match="weights by rows are for encoding soft"):
+        replace(METHODS["li"], weights="rows")
+
+
+@pytest.mark.parametrize("name", ["li+noise+learnt", "soft-li+learnt"])
+def test_the_models_errors_are_not_counted_twice(name):
     with pytest.raises(MethodError, match="leave learnt out"):
-        get_method("li+noise+learnt")
+        get_method(name)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_what_a_row_needs_follows_from_what_it_does(name):
+    method = METHODS[name]
+    assert method.weighs_noise == (method.weights != "model")
+    assert method.expects == (method.step == "expected")
+
+
+def test_weights_by_noise_end_with_steps_by_the_expected_gradient():
+    assert get_method("li+noise").step == "own"
+    assert get_method("li+noise").expects
+    assert replace(METHODS["li"], step="scored").expects
+    assert not METHODS["li"].expects
 
 
 def test_spaces_around_suffixes_do_not_matter():
@@ -145,12 +167,8 @@ def test_unknown_options_are_listed(model, scenes):
         fit(model, scenes[0].image, scenes[0].landmarks, tolerance=float("nan"))
 
 
-def test_noise_of_the_angle_is_that_of_the_metrics_rows():
-    theta = 0.5
-    for name in ("li", "soft-li"):
-        method, step = get_method(name), 1e-6
-        ahead, behind = method.image_metric(theta + step), method.image_metric(theta - step)
-        expected = np.square((ahead - behind) / (2 * step)).sum() / np.square(method.image_metric(theta)).sum()
-        assert method.noise_slope(theta) == pytest.approx(expected, rel=1e-6)
-    for name in ("grey", "rgb", "igo", "chroma"):
-        assert get_method(name).noise_slope(theta) == 0.0
+def test_rows_are_compared_by_what_they_do():
+    copy = replace(METHODS["soft-li"], name="mine", summary="a copy")
+    assert copy == METHODS["soft-li"] and hash(copy) == hash(METHODS["soft-li"])
+    assert replace(copy, loss="huber") != METHODS["soft-li"]
+    assert len(set(METHODS.values())) == len(METHODS)

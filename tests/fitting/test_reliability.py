@@ -8,9 +8,9 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from liaam.errors import ModelFileError
-from liaam.fitting import FitStatus, Fitter
+from liaam.fitting import METHODS, FitStatus, Fitter
 from liaam.fitting.reliability import MOST_UNDERSTATED, _landmarks, _logistic, _surprise, _understated, _weights
-from liaam.model import load_model
+from liaam.model import SURROUNDINGS, load_model
 from liaam.shape import diagonal_of
 from setups import disturb
 
@@ -53,12 +53,12 @@ def test_other_methods_have_no_quality(judged, lit_scene):
 
 def test_it_is_kept_in_the_model_file(judged, tmp_path):
     judged.save(tmp_path / "m.liaam")
-    loaded = load_model(tmp_path / "m.liaam").reliability
+    loaded = load_model(tmp_path / "m.liaam").views[SURROUNDINGS].reliability
     assert loaded is not None
-    np.testing.assert_array_equal(loaded.landmarks, judged.reliability.landmarks)
-    np.testing.assert_array_equal(loaded.weights, judged.reliability.weights)
-    assert loaded.understated == judged.reliability.understated
-    assert loaded.ordinary == judged.reliability.ordinary
+    np.testing.assert_array_equal(loaded.landmarks, judged.views[SURROUNDINGS].reliability.landmarks)
+    np.testing.assert_array_equal(loaded.weights, judged.views[SURROUNDINGS].reliability.weights)
+    assert loaded.understated == judged.views[SURROUNDINGS].reliability.understated
+    assert loaded.ordinary == judged.views[SURROUNDINGS].reliability.ordinary
     assert 0.5 < loaded.little < loaded.ordinary < 1.0
 
 
@@ -67,15 +67,28 @@ def rewritten(judged, path, **tensors):
     judged.save(path)
     with safe_open(path, framework="numpy") as file:
         header, known = file.metadata(), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    known |= {f"reliability.{name}": value for name, value in tensors.items()}
+    known |= {f"surroundings/reliability.{name}": value for name, value in tensors.items()}
     save_file({key: value for key, value in known.items() if value is not None}, path, header)
     return path
 
 
-def test_a_file_that_does_not_know_what_is_ordinary_is_read(judged, tmp_path):
-    loaded = load_model(rewritten(judged, tmp_path / "m.liaam", ordinary=None)).reliability
-    assert loaded is not None
-    assert (loaded.ordinary, loaded.little) == (0.5, 0.5)
+def test_a_copy_of_the_method_under_another_name_is_judged_alike(judged, lit_scene):
+    copy, start = replace(METHODS["soft-li"], name="mine", summary="a copy"), disturb(lit_scene.landmarks)
+    ours, theirs = (Fitter(judged, method).fit(lit_scene.image, start) for method in ("soft-li", copy))
+    assert theirs.method.name == "mine"
+    assert 0.0 < ours.quality == theirs.quality
+    np.testing.assert_array_equal(theirs.covariance, ours.covariance)
+    np.testing.assert_array_equal(theirs.landmark_covariances, ours.landmark_covariances)
+
+
+def test_another_row_on_the_same_view_has_no_quality(judged, lit_scene):
+    other = replace(METHODS["soft-li"], loss="huber")
+    assert np.isnan(Fitter(judged, other).fit(lit_scene.image, disturb(lit_scene.landmarks)).quality)
+
+
+def test_a_file_that_does_not_know_what_is_ordinary_is_refused(judged, tmp_path):
+    with pytest.raises(ModelFileError, match="ordinary"):
+        load_model(rewritten(judged, tmp_path / "m.liaam", ordinary=None))
 
 
 @pytest.mark.parametrize("ordinary", [-0.1, 1.1, np.nan])
@@ -86,16 +99,17 @@ def test_an_ordinary_quality_that_is_no_probability_is_refused(judged, tmp_path,
 
 @pytest.mark.parametrize(("ordinary", "little"), [(0.5, 0.5), (0.9, 0.8123), (0.99, 0.9554), (0.0, 0.0), (1.0, 1.0)])
 def test_little_is_two_thirds_of_the_log_odds(judged, ordinary, little):
-    assert replace(judged.reliability, ordinary=ordinary).little == pytest.approx(little, abs=1e-3)
+    assert replace(judged.views[SURROUNDINGS].reliability, ordinary=ordinary).little == pytest.approx(little, abs=1e-3)
 
 
 def test_nearly_all_right_fits_are_ordinary(judged, scenes):
     fits = [Fitter(judged).fit(scene.image, disturb(scene.landmarks)) for scene in scenes]
-    assert np.mean([fit.quality >= judged.reliability.ordinary for fit in fits]) >= 0.8
+    assert np.mean([fit.quality >= judged.views[SURROUNDINGS].reliability.ordinary for fit in fits]) >= 0.8
 
 
 def test_variances_grow_by_what_fits_understate(judged, lit_scene):
-    models = (replace(judged, reliability=replace(judged.reliability, understated=k)) for k in (1.0, 2.0))
+    known = judged.views[SURROUNDINGS].reliability
+    models = (judged.with_view(SURROUNDINGS, reliability=replace(known, understated=k)) for k in (1.0, 2.0))
     one, two = (Fitter(model).fit(lit_scene.image, disturb(lit_scene.landmarks)) for model in models)
     np.testing.assert_allclose(two.covariance, 2 * one.covariance)
     grown = np.linalg.eigvalsh(two.landmark_covariances - one.landmark_covariances)

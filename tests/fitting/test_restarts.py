@@ -9,26 +9,29 @@ from liaam.fitting import Fitter, SolverOptions, fitter
 from liaam.fitting.fitter import SLOW
 from liaam.fitting.levels import is_sane
 from liaam.fitting.restarts import APART, other_starts
+from liaam.model import SURROUNDINGS
 from liaam.shape import diagonal_of
 from liaam.tracking import Tracker
 from setups import disturb, model_pixels, train_on
 
-FAR = ((0.7, (0.12, -0.04)), (1.2, (-0.15, 0.1)), (1.35, (0.02, 0.16)), (0.8, (-0.2, -0.05)), (1.35, (0.15, 0.1)))
+FAR = ((0.7, (0.12, -0.04)), (1.2, (-0.15, 0.1)))
 """Scales and shifts of starts from which single fits are lost."""
 
 
 @pytest.fixture(scope="module")
 def both(judged, lit_scene):
     """Give the fits from far starts without and with restarts."""
-    starts = [disturb(lit_scene.landmarks, *far) for far in FAR]
+    rng = np.random.default_rng(5)
+    far = [(np.exp(rng.uniform(np.log(0.7), np.log(1.35))), tuple(rng.uniform(-0.2, 0.2, 2))) for _ in range(20)]
+    starts = [disturb(lit_scene.landmarks, *by) for by in far]
     return [[Fitter(judged, restarts=on).fit(lit_scene.image, start) for start in starts] for on in (False, True)]
 
 
 def test_fits_from_far_starts_are_saved(judged, lit_scene, both):
     once, again = ([model_pixels(judged, fit.shape, lit_scene.landmarks) for fit in fits] for fits in both)
     lost = np.array(once) > 3.0
-    assert lost.sum() >= 3, "these starts are no longer far"
-    assert np.sum(np.array(again)[lost] < 1.0) >= 2
+    assert lost.sum() >= 8, "these starts are no longer far"
+    assert np.mean(np.array(again)[lost] < 1.0) >= 0.4
 
 
 def test_no_fit_ends_with_less_quality(both):
@@ -79,8 +82,8 @@ def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(judged, 
     [(0.3, 10, True), (0.3, 40, True), (0.7, 40, True), (0.7, 10, False), (0.85, 40, False), (np.nan, 40, False)],
 )
 def test_doubtful_fits_are_begun_again_and_slow_ones_of_little_quality(judged, lit_scene, quality, steps, again):
-    own = replace(judged.reliability, ordinary=0.9)  # 0.81 is little then
-    ours = Fitter(replace(judged, reliability=own))
+    own = replace(judged.views[SURROUNDINGS].reliability, ordinary=0.9)  # 0.81 is little then
+    ours = Fitter(judged.with_view(SURROUNDINGS, reliability=own))
     made = Fitter(judged, restarts=False).fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert ours._falls_short(replace(made, quality=quality, n_iterations=steps)) is again
     few = replace(ours, options=SolverOptions(max_iterations=SLOW))
@@ -122,12 +125,13 @@ def test_trackers_search_instead(judged):
     assert not tracker._near.restarts
 
 
-def test_other_starts_lie_apart_and_within_reason(judged, lit_scene):
-    start = disturb(lit_scene.landmarks, *FAR[0])
+@pytest.mark.parametrize(("far", "least"), [(FAR[0], 1), (FAR[1], 2)])
+def test_other_starts_lie_apart_and_within_reason(judged, lit_scene, far, least):
+    start = disturb(lit_scene.landmarks, *far)
     own = Fitter(judged)
     target, _ = own.target(lit_scene.image, start)
-    shapes = other_starts(own.objectives[0], judged.soft_levels[0].blur, target, SolverOptions(), kept=4)
-    assert 2 <= len(shapes) <= 4
+    shapes = other_starts(own.objectives[0], judged.views[SURROUNDINGS].levels[0].blur, target, SolverOptions(), kept=4)
+    assert least <= len(shapes) <= 4
     for i, shape in enumerate(shapes):
         assert is_sane(shape, start)
         distances = [np.sqrt(np.square(shape - other).sum(axis=1).mean()) for other in shapes[:i]]
@@ -139,7 +143,7 @@ def test_models_of_few_modes_are_bent_as_far_as_they_go(scenes, lit_scene, n_mod
     model = train_on(scenes[:1] * 3 if n_modes == 0 else scenes, diagonal=60.0, variance=max(n_modes, 1))
     own = Fitter(model)
     target, _ = own.target(lit_scene.image, disturb(lit_scene.landmarks, *FAR[1]))
-    assert len(model.shape_of("soft").eigenvalues) == n_modes
-    shapes = other_starts(own.objectives[0], model.soft_levels[0].blur, target, SolverOptions())
+    assert len(model.views[SURROUNDINGS].shape_model.eigenvalues) == n_modes
+    shapes = other_starts(own.objectives[0], model.views[SURROUNDINGS].levels[0].blur, target, SolverOptions())
     assert all(np.isfinite(shape).all() for shape in shapes)
     assert shapes

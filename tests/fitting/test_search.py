@@ -1,7 +1,6 @@
 """Finding the object without a start: by the model's own directions of gradients, in generated scenes."""
 
 from copy import copy
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -24,7 +23,7 @@ from liaam.fitting.search import (
     shrink,
     soft_directions,
 )
-from liaam.model import AAM, Level
+from liaam.model import AAM, MESH, Level
 from liaam.shape import diagonal_of, rotation
 from liaam.workers import one_thread
 from setups import model_pixels
@@ -360,7 +359,7 @@ def without_orientations(model: AAM) -> AAM:
         Level(level.blur, {name: kept for name, kept in level.appearances.items() if name != "orientation"})
         for level in model.levels
     )
-    return replace(model, levels=levels)
+    return model.with_view(MESH, levels=levels)
 
 
 def test_the_small_model_is_the_model_made_small(model):

@@ -1,21 +1,20 @@
 """The solver: it descends, it stops, both eliminations agree, and what cannot be seen is not moved."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from liaam.errors import MethodError
-from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method, solver
+from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
+from liaam.fitting.kernel import get_kernel
 from liaam.fitting.levels import prepare_level
-from liaam.fitting.normal_equations import NormalEquations
-from liaam.fitting.objective import Objective, State, make_objectives
-from liaam.fitting.problem import FitProblem
-from liaam.shape import align, diagonal_of
-from setups import disturb, model_pixels
+from liaam.fitting.solver import solve
+from liaam.model import SURROUNDINGS
+from liaam.shape import diagonal_of
+from setups import disturb, finest_objective, make_problem, model_pixels
 
-EXACT = {"tolerance": 1e-4, "max_iterations": 300, "shape_prior": 0.0}
+EXACT = {"tolerance": 1e-4, "hurry": 0.0, "max_iterations": 300, "shape_prior": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -24,6 +23,9 @@ EXACT = {"tolerance": 1e-4, "max_iterations": 300, "shape_prior": 0.0}
         ({"elimination": "magic"}, "'magic' does not exist; there are varpro, joint"),
         ({"max_iterations": -1}, "may not be negative"),
         ({"tolerance": -0.1}, "may not be negative"),
+        ({"hurry": -0.1}, "may not be negative"),
+        ({"hurry": np.nan}, "finite"),
+        ({"notice": np.inf}, "finite"),
         ({"damping": -1.0}, "may not be negative"),
         ({"shape_prior": -1.0}, "may not be negative"),
     ],
@@ -40,7 +42,7 @@ def test_the_cost_never_rises_within_a_level(model, lit_scene, method, eliminati
     result = Fitter(model, method, options).fit(lit_scene.image, disturb(lit_scene.landmarks, 1.08, (0.05, 0.03)))
     steps = [(a.cost, b.cost) for a, b in pairwise(result.history) if a.level == b.level]
     assert len(steps) > 3
-    assert all(after <= before for before, after in steps)
+    assert all(after <= before * (1 + 2e-6) for before, after in steps)  # but for rounding
 
 
 @pytest.mark.parametrize("method", ["li", "rgb", "li-pc"])
@@ -65,49 +67,41 @@ def test_pure_gauss_newton_reaches_the_minimum_too(fine_model, lit_scene):
 
 @pytest.mark.parametrize("damping", [0.0, 1e-3])
 def test_iterations_are_never_exceeded(model, lit_scene, damping):
-    options = SolverOptions(max_iterations=3, tolerance=0.0, damping=damping)
+    options = SolverOptions(max_iterations=3, tolerance=0.0, hurry=0.0, damping=damping)
     result = Fitter(model, "li", options).fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert result.n_iterations <= 3 * len(model.levels)
     assert result.status == FitStatus.MAX_ITERATIONS
 
 
-def made_up_equations(rng):
-    rows = rng.normal(size=(40, 9))
-    aa, jj, aj = rows[:, :3].T @ rows[:, :3], rows[:, 3:8].T @ rows[:, 3:8], rows[:, :3].T @ rows[:, 3:8]
-    residual = rows[:, 8]
-    ar, jr = rows[:, :3].T @ residual, rows[:, 3:8].T @ residual
-    return NormalEquations(jj=jj, jr=jr, aj=aj, aa=aa, ar=ar, rr=float(residual @ residual), weight=40.0)
+@pytest.mark.parametrize("method", ["soft-li", "li"])
+def test_a_step_within_the_tolerance_is_the_last(model, lit_scene, method):
+    fitter = Fitter(model, method, SolverOptions(tolerance=100.0, hurry=0.0, notice=0.0))
+    result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
+    assert result.n_iterations == len(fitter.objectives)
 
 
-@pytest.mark.parametrize("fault", ["no gradient is expected", "what is expected is no number", "no number", "no pixel"])
-def test_no_step_is_made_of_nothing(rng, fault):
-    equations, base = made_up_equations(rng), np.eye(5)
-    state, nothing = State(np.zeros(4), np.zeros(2), np.zeros(3)), np.zeros(5)  # the last is an angle
-    if fault == "no gradient is expected":
-        base[:4] = 0.0
-    elif fault == "what is expected is no number":
-        base[0, 1] = np.nan
-    elif fault == "no number":
-        equations.jj[0, 1] = np.inf
-    else:
-        equations = replace(equations, weight=0.0)
-    assert solver._guarded_step(equations, base, state, nothing, nothing == 0, 0.5, 0.0) is None
-    fine = solver._guarded_step(made_up_equations(rng), np.eye(5), state, nothing, nothing == 0, 0.5, 0.0)
-    assert fine is not None and np.isfinite(fine).all()
+@pytest.mark.parametrize("method", ["soft-li", "li", "rgb"])
+def test_a_fit_that_sees_nothing_stays_where_it_is(model, lit_scene, method):
+    objective = finest_objective(model, method)
+    problem, p = make_problem(model, lit_scene.image, lit_scene.landmarks, objective)
+    p[-2:] = 1e6
+    start = objective.start(p)
+    solution = solve(objective, problem, start._replace(lam=start.lam + 1.0), SolverOptions())
+    assert solution.flat
+    assert not solution.settled
+    assert solution.costs.tolist() == [np.inf]
+    np.testing.assert_array_equal(solution.state.p, p)
+    assert not solution.state.lam.any()  # the mean appearance
 
 
-def test_lambda_stays_where_nothing_is_seen(model, lit_scene):
-    """A soft fit that has left the picture keeps the appearance that it had."""
-    (objective,) = make_objectives(model, get_method("soft-li"))[-1:]
-    level = model.levels_of("soft")[-1]
-    pose = align(objective.warp.rest, lit_scene.landmarks)
-    problem = FitProblem.at(lit_scene.image, lit_scene.landmarks, pose, objective.method, "srgb", level.blur)
-    away = objective.start(np.zeros(objective.warp.n_parameters))
-    away.p[-2:] = 1e6
-    away.lam[:] = 1.0
-    new, seen = solver._evaluate(objective, problem, away, SolverOptions(), None)
-    assert seen.cost == np.inf
-    np.testing.assert_array_equal(new.lam, away.lam)
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_start_that_is_no_number_ends_at_once(model, lit_scene, bad):
+    objective = finest_objective(model, "li")
+    problem, p = make_problem(model, lit_scene.image, lit_scene.landmarks, objective)
+    p[0] = bad
+    solution = solve(objective, problem, objective.start(p), SolverOptions())
+    assert solution.flat
+    assert solution.n_iterations == 0
 
 
 def test_without_iterations_the_start_comes_back(model, lit_scene):
@@ -129,13 +123,12 @@ def test_history_runs_from_the_start_to_the_result(model, lit_scene):
 
 
 def test_the_result_describes_itself(model, lit_scene):
-    result = Fitter(model, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
+    fitter = Fitter(model, "li")
+    result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
     np.testing.assert_allclose(result.pose(model.shape_model.shape(result.p)), result.shape)
-    usable = result.usable > 0
-    assert not result.residual[~usable].any()
-    weights = model.levels[-1].appearances["log"].usable * result.usable
-    cost = (weights * np.square(result.residual[:, 0])).sum() / weights.sum()
-    assert result.cost == pytest.approx(cost, rel=1e-3)
+    residual, usable = fitter.residual(lit_scene.image, result)
+    assert residual.shape == (model.n_pixels, 1) and usable.shape == (model.n_pixels,)
+    assert not residual[usable == 0].any()
     values = np.linalg.eigvalsh(result.covariance)
     assert (values > 0).all()
     assert len(result.covariance) == len(result.p) + 1
@@ -177,7 +170,7 @@ def test_the_result_does_not_depend_on_the_pose_of_the_start(fine_model, same_li
 def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
     start = disturb(lit_scene.landmarks)
     patient, sparing = (
-        Fitter(fine_model, "soft-li", SolverOptions(notice=notice)).fit(lit_scene.image, start)
+        Fitter(fine_model, "soft-li", SolverOptions(notice=notice, hurry=0.0)).fit(lit_scene.image, start)
         for notice in (0.0, 0.03)
     )
     assert sparing.n_iterations < patient.n_iterations
@@ -186,26 +179,24 @@ def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
 
 
 def test_a_last_step_that_nobody_can_tell_is_taken_without_another_look(fine_model, lit_scene, monkeypatch):
-    looks, linearise = [], Objective.linearise
-    monkeypatch.setattr(Objective, "linearise", lambda *args: looks.append(args) or linearise(*args))
-    fitter = Fitter(fine_model, "soft-li", SolverOptions(tolerance=0.0))
-    result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
-    assert result.status.ok
-    # One for the start of each level, and one for each step but the last.
-    assert len(looks) == result.n_iterations
-    costs = [step.cost for step in result.history if step.level == len(fitter.objectives) - 1]
-    assert costs[-1] == costs[-2] == result.cost
-    assert not np.array_equal(result.history[-1].shape, result.history[-2].shape)
-
-
-def test_a_result_may_go_without_its_residual(fine_model, lit_scene):
-    start = disturb(lit_scene.landmarks)
-    whole, without = (Fitter(fine_model, residuals=wanted).fit(lit_scene.image, start) for wanted in (True, False))
-    assert whole.residual.shape == (fine_model.surrounded.frame.n_pixels, 3)
-    assert without.residual.shape == (0, 3) and without.usable.shape == (0,)
-    np.testing.assert_array_equal(without.shape, whole.shape)
-    np.testing.assert_array_equal(without.covariance, whole.covariance)
-    assert (without.status, without.quality) == (whole.status, whole.quality)
+    """Where another level follows; at the sharpest one the result is what is seen there."""
+    looks, names = [], get_kernel("reference").solve_level.__globals__
+    look = names["look"]
+    objective = finest_objective(fine_model, "soft-li", "reference")
+    problem, p = make_problem(fine_model, lit_scene.image, disturb(lit_scene.landmarks), objective, blur=1.0)
+    monkeypatch.setitem(names, "look", lambda *args: looks.append(args) or look(*args))
+    options = SolverOptions(tolerance=0.0, hurry=0.0)
+    sparing = solve(objective, problem, objective.start(p), options, look=False)
+    # One for the start, and one for each step but the last.
+    assert sparing.settled
+    assert len(looks) == sparing.n_iterations
+    assert sparing.costs[-1] == sparing.costs[-2]
+    assert not np.array_equal(sparing.path[-1], sparing.path[-2])
+    looks.clear()
+    whole = solve(objective, problem, objective.start(p), options, look=True)
+    assert len(looks) == whole.n_iterations + 1
+    assert whole.costs[-1] != whole.costs[-2]
+    np.testing.assert_array_equal(whole.path, sparing.path)
 
 
 def test_a_patch_reaches_as_far_as_it_is_asked_to(fine_model, lit_scene):
@@ -228,7 +219,9 @@ def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):
     assert fitter.objectives[0].density < 0.1
     few, all_of_them = (each.fit(lit_scene.image, start) for each in (fitter, dense))
     assert model_pixels(fine_model, few.shape, all_of_them.shape) < 0.2
-    assert few.residual.shape == all_of_them.residual.shape == (fine_model.surrounded.frame.n_pixels, 3)
+    n_pixels = fine_model.views[SURROUNDINGS].warp.frame.n_pixels
+    for each, result in ((fitter, few), (dense, all_of_them)):
+        assert each.residual(lit_scene.image, result)[0].shape == (n_pixels, 3)
 
 
 def test_directions_are_looked_at_everywhere(fine_model):
@@ -239,9 +232,10 @@ def test_directions_are_looked_at_everywhere(fine_model):
 
 @pytest.mark.parametrize("method", ["grey", "grey-norm", "rgb", "li"])
 def test_the_residual_is_that_of_the_cost(fine_model, same_light_scene, method):
-    image = (0.6 * same_light_scene.image).astype(np.float32)
-    result = Fitter(fine_model, method).fit(image, disturb(same_light_scene.landmarks))
+    image, fitter = (0.6 * same_light_scene.image).astype(np.float32), Fitter(fine_model, method)
+    result = fitter.fit(image, disturb(same_light_scene.landmarks))
+    residual, usable = fitter.residual(image, result)
     appearance = fine_model.levels[-1].appearances[get_method(method).appearance]
-    weights = np.repeat((appearance.usable * result.usable)[:, None], result.residual.shape[1], axis=1)
-    mean = float(np.average(np.square(result.residual), weights=weights))
+    weights = np.repeat((appearance.usable * usable)[:, None], residual.shape[1], axis=1)
+    mean = float(np.average(np.square(residual), weights=weights))
     assert mean == pytest.approx(result.cost, rel=0.05, abs=1e-9)

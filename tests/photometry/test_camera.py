@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from liaam.errors import CameraError
 from liaam.photometry import AngleEstimate, CameraModel, NoiseModel, ResponseCurve, load_camera
+from liaam.photometry.encoding import SATURATED
 
 KNOWN = CameraModel(
     theta=np.deg2rad(121.25),
@@ -106,7 +107,7 @@ def test_flattening_undoes_vignetting_and_leaves_dark_and_clipped_pixels_what_th
     odd[0, 0], odd[0, 1], odd[0, 2] = 1.0, 0.01, np.nan
     flat = camera.flatten(odd)
     assert flat[0, 0].min() == 1.0 and flat[0, 1].max() < 0.02 and np.isnan(flat[0, 2]).all()
-    assert np.nanmax(flat[1:]) <= 250 / 255
+    assert np.nanmax(flat[1:]) <= SATURATED
     assert CameraModel().flatten(odd) is odd
 
 

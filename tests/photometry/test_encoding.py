@@ -6,8 +6,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from liaam.errors import ImageError, MethodError
-from liaam.photometry import ENCODINGS, averaging, encode, exposure_faults, invariant, is_grey, srgb_to_linear
-from liaam.photometry.encoding import ALL, LOG_FLOOR, SOFTNESS, as_colour
+from liaam.photometry import ENCODINGS, encode, exposure_faults, invariant, is_grey, srgb_to_linear
+from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS, as_colour
 from liaam.training import sample_appearance
 
 
@@ -126,23 +126,6 @@ def test_reduction_averages_linear_light_and_drops_the_rest():
     assert reduced.shape == (8, 9, 4)
     np.testing.assert_allclose(reduced[..., :3], np.log(0.4), atol=1e-6)
     assert reduced[..., 3].all()
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("grey", [False, True])
-def test_light_of_single_pixels_is_that_of_blocks_of_one(rng, dtype, grey):
-    top = np.iinfo(dtype).max
-    image = rng.integers(0, top + 1, (9, 7, 3)).astype(dtype)
-    image[0] = rng.integers(top // 4, top // 2, (7, 3))
-    table = srgb_to_linear(np.arange(top + 1) / top).astype(np.float32)
-    usable, settings = (top // 30, top - top // 30), (grey, np.array([0.3, 0.3, 0.4]), 1e-3, 1e-4)
-    means = averaging.stored_means(image, table, usable, (0.0, 0.0), 1.0, image.shape[:2])
-    for part in (slice(None), slice(0, 1)):  # with pixels that say nothing, and without
-        expected = averaging.soft_light(means[part], ALL, *settings)
-        found = averaging.stored_light(image[part], table, usable, *settings)
-        np.testing.assert_allclose(found[0], expected[0], rtol=1e-6)
-        np.testing.assert_array_equal(found[1], expected[1])
-        assert found[2] == expected[2]
 
 
 def test_a_block_with_one_unusable_pixel_is_unusable():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from liaam.io import Landmarks, write_image, write_landmarks
+from liaam.model import SURROUNDINGS
 from liaam.studio.folder import STATE
 from liaam.studio.model_store import (
     ModelStore,
@@ -171,7 +172,7 @@ def test_of_a_first_training_that_is_stopped_the_quick_model_stays_as_such(setti
     again, store = Project(project.root), ModelStore()
     load_studio_model(again, store)
     for current in (models.current, store.current):
-        assert current.model.reliability is None
+        assert current.model.views[SURROUNDINGS].reliability is None
         told_of = shown(current, again)
         assert (told_of["careful"], told_of["stale"]) == (False, 4)
     assert not (project.root / STATE / "model.liaam").exists()

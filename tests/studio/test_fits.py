@@ -16,7 +16,7 @@ from liaam.datasets.scenes import Scene
 from liaam.fitting import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks, decode_image, read_landmarks, write_image, write_landmarks
-from liaam.model import AAM
+from liaam.model import AAM, SURROUNDINGS
 from liaam.photometry import to_linear
 from liaam.shape import diagonal_of
 from liaam.studio import layers
@@ -199,12 +199,13 @@ class TestLayers:
         assert np.array_equal(drawn[far], scene.image[far])
 
     def test_residual_shows_the_row_that_tells_most(self, fits, fitted):
-        result, seen = fitted.result, fitted.residual
-        power = np.square(result.residual).sum(axis=0)
+        seen = fitted.residual
+        residual, _ = fitted.fitter.residual(fits.pictures.pixels(fitted.source), fitted.result)
+        power = np.square(residual).sum(axis=0)
         assert seen.what == ("gradient across", "gradient down", "invariant")[int(power.argmax())]
-        whole = fitted.model.surrounded.frame.picture(result.residual[:, int(power.argmax())])
+        whole = fitted.model.views[SURROUNDINGS].warp.frame.picture(residual[:, int(power.argmax())])
         own = fitted.model.frame.picture(seen.values[:, 0])
-        offset = (fitted.model.frame.origin - fitted.model.surrounded.frame.origin)[::-1].astype(int)
+        offset = (fitted.model.frame.origin - fitted.model.views[SURROUNDINGS].warp.frame.origin)[::-1].astype(int)
         rows, columns = fitted.model.frame.pixels.T
         assert np.array_equal(own[rows, columns], whole[rows + offset[0], columns + offset[1]])
         for method in ("grey", "rgb", "li", "chroma", "igo"):

@@ -5,6 +5,7 @@ import pytest
 
 from liaam.fitting import Fitter
 from liaam.fitting.fitter import fitted_covariances
+from liaam.model import SURROUNDINGS
 from liaam.shape import rotation
 from liaam.tracking.motion import LARGEST, Motion, landmark_covariances, rescaled
 from setups import disturb
@@ -12,7 +13,7 @@ from setups import disturb
 
 @pytest.fixture(scope="module")
 def motion(head_model):
-    return Motion(head_model.shape_of("soft"))
+    return Motion(head_model.views[SURROUNDINGS].shape_model)
 
 
 def posed(motion: Motion, rng: np.random.Generator) -> np.ndarray:
@@ -50,7 +51,11 @@ def test_covariances_of_a_fit_survive_the_way_there_and_back(motion, head_model,
     result = Fitter(head_model).fit(scene.image, disturb(scene.landmarks))
     _, covariance, basis = motion.measured(result)
     back = landmark_covariances(basis, covariance)
-    own = result.pose.matrix @ fitted_covariances(head_model.shape_of("soft"), result.covariance) @ result.pose.matrix.T
+    own = (
+        result.pose.matrix
+        @ fitted_covariances(head_model.views[SURROUNDINGS].shape_model, result.covariance)
+        @ result.pose.matrix.T
+    )
     np.testing.assert_allclose(back, own, atol=0.05 * own.max())
     assert np.linalg.eigvalsh(covariance)[0] > 0
     assert np.trace(covariance) < LARGEST

@@ -8,6 +8,7 @@ import pytest
 from liaam.datasets.scenes import lateral
 from liaam.errors import MethodError
 from liaam.fitting import Fitter
+from liaam.model import MESH
 from liaam.relighting.painting import blended, soft_edge
 from liaam.tracking import Tracker
 from liaam.tracking.shading import ShadingRemover, filtered
@@ -117,7 +118,7 @@ def test_grey_is_refused(head_model, moving):
     grey = np.full_like(moving[0].image, 90)
     with pytest.raises(MethodError, match="grey"):
         ShadingRemover(tracker.fitter).remove(grey, tracker.result, frame.landmarks)
-    assert not replace(head_model, levels=tuple(without_colour(head_model))).is_colour
+    assert not head_model.with_view(MESH, levels=tuple(without_colour(head_model))).is_colour
 
 
 def without_colour(model):

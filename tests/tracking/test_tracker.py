@@ -9,6 +9,7 @@ import pytest
 from liaam.datasets.scenes import lateral
 from liaam.errors import ImageError, MethodError, StartError, VideoError
 from liaam.fitting import Candidate, FitStatus, Fitter
+from liaam.model import SURROUNDINGS
 from liaam.shape import align, diagonal_of
 from liaam.tracking import Tracker, TrackingOptions, TrackStatus, track_video
 from liaam.tracking.tracker import sharpest
@@ -111,7 +112,7 @@ def test_searches_become_rare(head_model, moving, monkeypatch):
         return [Candidate(moving[0].landmarks, 0.0, 0.0, 1.0)]
 
     monkeypatch.setattr(Fitter, "find", find)
-    tracker = Tracker(replace(head_model, reliability=None), options=TrackingOptions(longest_wait=8))
+    tracker = Tracker(head_model.with_view(SURROUNDINGS, reliability=None), options=TrackingOptions(longest_wait=8))
     for _ in range(40):
         assert not tracker.update(blank(moving[0])).ok
     assert searched == [0, 1, 3, 7, 15, 23, 31, 39]
@@ -230,8 +231,10 @@ def test_frames_of_another_size_are_followed(head_model, moving):
 def stills(head_model, moving):
     # With the sample's shapes, whose span holds the head: what is asked is what the filter makes of the fits' noise.
     # Smooth deformations have twice as many modes and let more of it through.
+    warp = replace(head_model.views[SURROUNDINGS].warp, shape_model=head_model.shape_model)
+
     def follow(seed):
-        rng, tracker = np.random.default_rng(seed), Tracker(replace(head_model, soft_shape=None))
+        rng, tracker = np.random.default_rng(seed), Tracker(head_model.with_view(SURROUNDINGS, warp=warp))
         return [tracker.update(noisy(moving[0].image, rng)) for _ in range(30)]
 
     return [follow(seed) for seed in (12, 13, 14)]
@@ -348,5 +351,5 @@ def test_no_video_no_track(head_model, tmp_path):
 
 def test_the_sharpest_levels_stay(head_model):
     part = sharpest(head_model, 1)
-    assert part.soft_levels == head_model.soft_levels[-1:]
+    assert part.views[SURROUNDINGS].levels == head_model.views[SURROUNDINGS].levels[-1:]
     assert len(sharpest(head_model, 99).levels) == len(head_model.levels)

@@ -131,7 +131,7 @@ class Job:
         settings = self.settings
         camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
         options = SolverOptions(max_iterations=settings.iterations)
-        return Fitter(self.model, settings.method, options, camera=camera, residuals=False)
+        return Fitter(self.model, settings.method, options, camera=camera)
 
     def absolute(self, path: str) -> str:
         """Path of a file, or the text itself if there is no such file (it may be numbers)."""

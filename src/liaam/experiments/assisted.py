@@ -22,6 +22,7 @@ from liaam.experiments.runner import Experiment, Row
 from liaam.experiments.solvers import check_trials
 from liaam.experiments.spot import EYES, facts_of, find_persons, percent
 from liaam.fitting import FitResult, Fitter
+from liaam.model import SURROUNDINGS
 from liaam.plotting import figure_of_bars
 from liaam.shape import diagonal_of
 from liaam.training import train
@@ -30,11 +31,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RECIPES: dict[str, dict[str, Any]] = {
-    "sample": {"soft_prior": "sample"},
-    "shrunk": {"soft_prior": "shrunk"},
-    "smooth": {"soft_prior": "smooth"},
-    "smooth-auto": {"soft_prior": "smooth", "variance": "auto", "appearance_variance": 0.98},
-    "smooth-auto-both": {"soft_prior": "smooth", "variance": "auto"},
+    "sample": {"prior": {SURROUNDINGS: "sample"}},
+    "shrunk": {"prior": {SURROUNDINGS: "shrunk"}},
+    "smooth": {"prior": {SURROUNDINGS: "smooth"}},
+    "smooth-auto": {"prior": {SURROUNDINGS: "smooth"}, "variance": "auto", "appearance_variance": 0.98},
+    "smooth-auto-both": {"prior": {SURROUNDINGS: "smooth"}, "variance": "auto"},
 }
 """Ways to train by name: options of :func:`liaam.train`."""
 

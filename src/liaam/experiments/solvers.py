@@ -1,13 +1,13 @@
 """The two ways of solving that experiments compare: liaam's own, and the paper's to the letter."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from liaam.errors import MethodError
 from liaam.fitting import Fitter, SolverOptions, get_method
-from liaam.model import AAM
-from liaam.training import BLURS_DEFAULT, train
+from liaam.model import AAM, MESH
+from liaam.training import BLURS, Blurs, train
 
 MAX_ITERATIONS = 50
 
@@ -21,53 +21,50 @@ class Solver:
     summary : str
         For people.
     options : SolverOptions
-    blurs : tuple of float
+    blurs : mapping of views to tuples of float
         Levels of the model.
     variance : float
         Share of the variance kept in person-specific models of the simulated experiments.
     diagonal : float
         Of the reference frame, pixels.
-    prior, soft_prior : str
-        How the shapes' covariance is learnt, of all methods and of ``soft-li`` (as ``liaam train`` chooses if left
-        out), where not all modes are kept: a model that is to hold its pictures exactly, and nothing else, is learnt
-        from the sample.
+    prior : str, optional
+        How the shapes' covariance is learnt, of all views (as ``liaam train`` chooses if left out), where not all modes
+        are kept: a model that is to hold its pictures exactly, and nothing else, is learnt from the sample.
     """
 
     summary: str
     options: SolverOptions
-    blurs: tuple[float, ...]
+    blurs: Mapping[str, Blurs]
     variance: float = 1.0
     diagonal: float = 150.0
-    prior: str = "sample"
-    soft_prior: str | None = None
+    prior: str | None = None
 
     def train(self, data: Iterable, **options: Any) -> AAM:
         """Train a model as this solver wants it; ``options`` are those of :func:`liaam.train`."""
         own = {"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal, "leave_out": False}
         options = {**own, **options}
         whole = options["variance"] == 1.0
-        priors = {"prior": "sample"} if whole else {"prior": self.prior, "soft_prior": self.soft_prior}
-        return train(data, **{**priors, **options})
+        return train(data, **{"prior": "sample" if whole else self.prior, **options})
 
 
 PAPER = Solver(
     "pure Gauss-Newton on shape, appearance and angle together, one level",
     SolverOptions(max_iterations=MAX_ITERATIONS, damping=0.0, shape_prior=0.0, elimination="joint", observable=0.0),
-    BLURS_DEFAULT[-1:],
-    soft_prior="sample",
+    {MESH: BLURS[MESH][-1:]},
+    prior="sample",
 )
 
 LIAAM = Solver(
     "damped steps, a prior on the shape, appearance eliminated, two levels of blur",
     SolverOptions(max_iterations=MAX_ITERATIONS),
-    BLURS_DEFAULT,
+    BLURS,
 )
 
 SOLVERS = {
     "liaam": LIAAM,
     "liaam-smooth": replace(LIAAM, summary=f"{LIAAM.summary}; all methods with smooth deformations", prior="smooth"),
     "liaam-sample": replace(
-        LIAAM, summary=f"{LIAAM.summary}; soft-li without smooth deformations, too", soft_prior="sample"
+        LIAAM, summary=f"{LIAAM.summary}; soft-li without smooth deformations, too", prior="sample"
     ),
     "paper": PAPER,
     "paper-90": replace(PAPER, summary=f"{PAPER.summary}; modes of 90 % of the variance", variance=0.9),

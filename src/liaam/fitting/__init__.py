@@ -1,6 +1,7 @@
 """Fitting: the table of methods, the one objective, the one solver."""
 
 from liaam.fitting.fitter import Fitter, fit
+from liaam.fitting.many import fit_each, fit_many
 from liaam.fitting.methods import METHODS, Method, get_method
 from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.search import Candidate, Finder, find
@@ -18,5 +19,7 @@ __all__ = [
     "SolverOptions",
     "find",
     "fit",
+    "fit_each",
+    "fit_many",
     "get_method",
 ]

@@ -4,8 +4,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.fitting.methods import get_method
-from liaam.fitting.normal_equations import gram, regular_inverse
 from liaam.fitting.objective import Objective, State
 from liaam.fitting.problem import FitProblem
 
@@ -16,6 +14,10 @@ SEARCH = np.deg2rad(60.0)
 """How far from the model's angle the start may lie. Physical cameras lie in 90-135 degrees; far from the
 object the global minimum over the full circle is often an inverted image (measured on the spot protocol:
 most lost fits of ``li`` started near 250 degrees)."""
+
+
+RIDGE = 1e-6
+"""As :data:`liaam.fitting.residual.RIDGE`."""
 
 
 def best_image_angle(objective: Objective, problem: FitProblem, state: State) -> float:
@@ -39,14 +41,14 @@ def best_image_angle(objective: Objective, problem: FitProblem, state: State) ->
     float
         theta_2, radians; the state's own where no pixel counts.
     """
-    seen = objective.linearise(problem, state)
-    root = objective.root_weights[:, 0] * seen.weights
-    log_r, log_g, log_b = seen.values.T
-    design = objective.design(float(state.angles[0]))
-    columns = np.stack([log_r - log_b, log_g - log_b, design.mean[:, 0]]) * root
-    modes = design.modes * root
-    cross = gram(modes, columns)
-    inner = gram(columns, columns) - cross.T @ regular_inverse(gram(modes, modes)) @ cross
+    seen, template = objective.look(problem, state), objective.template
+    root = seen.root.astype(np.float64)
+    log_r, log_g, log_b = seen.values.reshape(-1, 8)[:, :3].astype(np.float64).T
+    columns = np.stack([log_r - log_b, log_g - log_b, template.rows[0]]) * root
+    modes = template.rows[1:] * root
+    gram, cross = modes @ modes.T, modes @ columns.T
+    gram += RIDGE * max(gram.diagonal().max(initial=0.0), 1e-300) * np.eye(len(gram))
+    inner = columns @ columns.T - cross.T @ np.linalg.solve(gram, cross)
     if not np.isfinite(inner).all() or inner[0, 0] + inner[1, 1] <= 0:
         return float(state.angles[1])
     return _minimise_on_arc(inner[:2, :2], inner[:2, 2], float(state.angles[0]), SEARCH)
@@ -68,5 +70,5 @@ def _minimise_on_arc(S: np.ndarray, b: np.ndarray, centre: float, reach: float) 
 
 def angle_degrees(result: "FitResult") -> float | None:
     """Estimated angle of the image's camera in degrees, or None for methods without one."""
-    estimated = get_method(result.method).free_angles != "none"
+    estimated = result.method.free_angles != "none"
     return float(np.rad2deg(result.theta)) if estimated and np.isfinite(result.theta) else None

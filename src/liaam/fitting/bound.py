@@ -5,16 +5,16 @@ The Fisher information is that of the Gauss-Newton Hessian with each pixel white
 taken at the truth of a picture without noise.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting.methods import Method, get_method
-from liaam.fitting.normal_equations import NormalEquations, Sums, gram
 from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.problem import FitProblem
-from liaam.kernels import get_kernel
+from liaam.fitting.reference import angle_column, jacobian
+from liaam.fitting.solver import SolverOptions
 from liaam.mesh import signed_areas
 from liaam.model import AAM
 from liaam.photometry import Response, from_linear, log_slope, srgb_to_linear
@@ -57,6 +57,9 @@ class Bound:
 UNSEEN = 1e-9
 """Information about an angle, relative to that of the image's part before nuisances are taken out, that is
 rounding."""
+
+RIDGE = 1e-8
+"""Relative ridge on the Gram matrix of the appearance, far below any mode that can be seen."""
 
 
 def cramer_rao_bound(
@@ -106,13 +109,15 @@ def cramer_rao_bound(
             f"method {method.name}: the noise of gradient orientations is not known, so no bound is; "
             "take 'li' or another method of values or logarithms"
         )
-    objective = make_objectives(model, method)[-1].of_all_pixels
-    pose = align(model.shape_model.mean, shape)
+    objective = make_objectives(model, method, "reference")[-1].of_all_pixels
+    shapes = model.views[method.view].shape_model
+    pose = align(shapes.mean, shape)
     problem = FitProblem.at(as_colour(image), shape, pose, method, response, blur=0.0)
-    p = model.shape_model.parameters(pose.inverse()(shape))
+    p = shapes.parameters(pose.inverse()(shape))
     angles = np.array([model.theta, model.theta if theta is None else theta])
-    covariance, n_p = _covariance(objective, problem, p, angles, _pixels_per_sample(model, shape), sigma), len(p)
-    modes = model.shape_model.basis.reshape(n_p, -1, 2) @ pose.matrix.T
+    density = _pixels_per_sample(model, shape)[model.views[method.view].warp.every(0.0)]
+    covariance, n_p = _covariance(objective, problem, p, angles, density, sigma), len(p)
+    modes = shapes.basis.reshape(n_p, -1, 2) @ pose.matrix.T
     if np.isfinite(covariance[:n_p, :n_p]).all():
         # Whatever is infinite is an angle's: landmarks do not depend on it where no light shows it.
         landmarks = np.einsum("inx,ij,jny->nxy", modes, covariance[:n_p, :n_p], modes, optimize=True)
@@ -133,33 +138,36 @@ def _covariance(
     objective: Objective, problem: FitProblem, p: np.ndarray, angles: np.ndarray, density: np.ndarray, sigma: float
 ) -> np.ndarray:
     """Inverse Fisher information of (p, free angles) with the appearance's coordinates marginalised."""
-    method, warp = objective.method, objective.warp
-    n, n_p = len(density), warp.n_parameters
-    values, _, steep, usable = get_kernel(objective.kernel).steepest(
-        problem.patch.channels, warp.points(p, problem.pose), problem.pose.matrix, np.eye(3)
-    )
+    method, n, n_p = objective.method, len(density), objective.warp.n_parameters
+    work, only_look = objective.work(objective.start(p)._replace(angles=angles)), SolverOptions(max_iterations=0)
+    objective.solve(problem, work, only_look.controls(expected=False, reweigh=False, look=True))
+    objective.equations(work)
     metric = method.image_metric(angles[1])
-    whitening = _whitening(_channel_noise(values, method.encoding, problem.response, sigma), metric)
-    whitening *= np.sqrt(density * usable * (objective.appearance.usable > 0))[:, None, None]
-    state = replace(objective.start(p), angles=angles)
-    lam = objective.linearise(problem, state).sums.best_lambda_step()
-    by_angle = objective.look(problem, replace(state, lam=lam)).by_angles.reshape(-1, n, method.n_rows)
-    by_warp = np.einsum("rc,nca,naj->nrj", metric, steep, warp.jacobian(p), optimize=True)
-    modes = objective.design(float(angles[0])).modes
+    noise = _channel_noise(work.values.reshape(n, -1)[:, : metric.shape[1]], method.encoding, problem.response, sigma)
+    whitening = _whitening(noise, metric)
+    whitening *= np.sqrt(density * work.usable * (objective.appearance.usable > 0))[:, None, None]
 
     def whitened(rows: np.ndarray) -> np.ndarray:
-        return np.einsum("nkr,jnr->jnk", whitening, rows, optimize=True).reshape(len(rows), -1)
+        each = rows.reshape(len(rows), n, method.n_rows)
+        return np.einsum("nkr,jnr->jnk", whitening, each, optimize=True).reshape(len(rows), -1)
 
-    J = whitened(np.concatenate([by_warp.transpose(2, 0, 1), by_angle]))
-    A = whitened(modes.reshape(-1, n, method.n_rows))
-    sums = Sums(aa=gram(A, A), ar=np.zeros(len(A)), rr=0.0, weight=1.0)
-    equations = NormalEquations.of(sums, gram(J, J), np.zeros(len(J)), gram(A, J))
-    scale = np.diag(equations.jj).copy()
+    J = whitened(np.concatenate([jacobian(objective.warp, p, work.steep).T, work.columns]))
+    scale = np.square(J).sum(axis=1)
     if scale[n_p:].size:
         # One angle for both cameras: its column is what the light's change shows, which may be rounding only.
-        by_image = whitened((values @ method.image_metric_derivative(angles[1]).T)[None])
-        scale[n_p:] = np.maximum(scale[n_p:], np.square(method.angle_directions[1]) * gram(by_image, by_image)[0, 0])
-    return _inverse(equations.reduced()[0], scale)
+        by_image, none = np.empty((1, len(work.residual))), np.zeros(0)
+        seen = work.values, none, work.residual
+        angle_column(0.0, 1.0, work.slope, *seen, none, float(angles[0]), work.lam, by_image[0])
+        least = np.square(method.angle_directions[1]) * np.square(whitened(by_image)).sum()
+        scale[n_p:] = np.maximum(scale[n_p:], least)
+    return _inverse(_information(J, whitened(work.rows[1:])), scale)
+
+
+def _information(J: np.ndarray, A: np.ndarray) -> np.ndarray:
+    """Products of rows J (n_q, e) once they are projected on the complement of rows A (m, e)."""
+    A = A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300)
+    aj = A @ J.T
+    return J @ J.T - aj.T @ np.linalg.solve(A @ A.T + RIDGE * np.eye(len(A)), aj)
 
 
 def _inverse(information: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -9,9 +9,8 @@ import numpy as np
 from liaam.errors import ImageError, StartError
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.levels import Stage, Target, is_sane, solve_levels, trace
-from liaam.fitting.methods import DEFAULT_METHOD, Method, get_method
-from liaam.fitting.normal_equations import NormalEquations, on_diagonal, positive_inverse
-from liaam.fitting.objective import Objective, make_objectives
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
+from liaam.fitting.objective import Objective, State, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import MARGIN, FitProblem
 from liaam.fitting.restarts import other_starts
@@ -20,7 +19,7 @@ from liaam.fitting.search import DOUBTFUL, Candidate, Finder
 from liaam.fitting.solver import Solution, SolverOptions, settle_lambda
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
-from liaam.model import AAM, Level, Reliability
+from liaam.model import AAM, Level, Reliability, View
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.encoding import stored_values
 from liaam.shape import ShapeModel, Similarity, align
@@ -60,9 +59,6 @@ class Fitter:
         method does not estimate it; the training camera if left out.
     margin : float
         Surroundings of a start that fits may visit, as a share of the object's diagonal: less where starts are near.
-    residuals : bool
-        Whether results hold the residual at all pixels, which takes another look; ``residual`` and ``usable`` of the
-        results have no rows otherwise.
     restarts : bool
         Whether fits that are doubtful, or slow and of little quality (:attr:`liaam.model.Reliability.little`), are
         begun again from elsewhere (:func:`liaam.fitting.restarts.other_starts`), of which the one of most quality is
@@ -81,7 +77,6 @@ class Fitter:
     kernel: str = "fast"
     camera: CameraModel | None = None
     margin: float = MARGIN
-    residuals: bool = True
     restarts: bool = True
 
     def __post_init__(self) -> None:
@@ -172,7 +167,7 @@ class Fitter:
 
     def _falls_short(self, result: FitResult) -> bool:
         """Whether a fit may be wrong for want of a better start; cut short, it says nothing about its start."""
-        known = self.model.reliability
+        known = self.reliability
         if known is None or result.status.unusable or self.options.max_iterations <= SLOW:
             return False
         slow = result.n_iterations > SLOW
@@ -180,7 +175,7 @@ class Fitter:
 
     def _fit_again(self, target: Target, first: FitResult) -> FitResult:
         """Best of a fit and of those from other starts, by their quality; the first ordinary one ends the search."""
-        known, best, n_starts = self.model.reliability, first, 1
+        known, best, n_starts = self.reliability, first, 1
         for start in other_starts(self.objectives[0], self._levels[0].blur, target, self.options):
             other, n_starts = self._fit_from(target._replace(start=start)), n_starts + 1
             if other.quality > best.quality and is_sane(other.shape, target.start):
@@ -206,43 +201,85 @@ class Fitter:
         picture = camera.flatten(image)
         return Target(picture, start, camera.response, camera.noise, camera.theta, self.margin), found
 
-    def equations_at(self, image, result: FitResult) -> tuple[Objective, NormalEquations, np.ndarray]:
-        """Normal equations of the sharpest level at a result, with the appearance's coordinates solved there.
+    def settled_at(self, image, result: FitResult) -> tuple[Objective, Solution]:
+        """Look at a result with all pixels of the sharpest level, and the appearance that fits best there.
 
         Parameters
         ----------
         image : (h, w, 3) array or path
             The picture that was fitted.
         result : FitResult
+            Of this or another method.
 
         Returns
         -------
         objective : Objective
-        equations : NormalEquations
-        lam : (m,) float64
+        solution : Solution
+            Its state has the appearance's coordinates.
         """
+        objective, problem, state = self._end_of(result, image)
+        if self._method.free_angles == "image" and not np.isfinite(result.theta):
+            state = state._replace(angles=np.array([state.angles[0], best_image_angle(objective, problem, state)]))
+        return objective, settle_lambda(objective, problem, state, self.options)
+
+    def residual(self, image, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
+        """Image minus model, in the method's own terms, at all pixels of the sharpest level (paper eq 9).
+
+        Parameters
+        ----------
+        image : (h, w, 3) array or path
+            The picture that was fitted.
+        result : FitResult
+            Of this fitter.
+
+        Returns
+        -------
+        residual : (n_pixels, k) float32
+            In the raster order of the frame of :attr:`view`; 0 where the image says nothing.
+        usable : (n_pixels,) float32
+            1 where it does, else 0.
+        """
+        kept, k = self.view.warp.every(0.0), self._method.n_rows
+        residual, usable = np.zeros((len(kept), k), np.float32), np.zeros(len(kept), np.float32)
+        if np.isfinite(result.shape).all():
+            objective, problem, state = self._end_of(result, image)
+            if len(result.lam) == objective.n_lambda:  # else the fit did not come to the sharpest level
+                state = state._replace(lam=result.lam)
+            work = objective.look(problem, state, weigh=int(self._method.normalise))
+            usable[kept] = work.usable
+            residual[kept] = np.where(work.usable[:, None] > 0, work.residual.reshape(-1, k), 0.0)
+        return residual, usable
+
+    def _end_of(self, result: FitResult, image) -> tuple[Objective, FitProblem, State]:
+        """All pixels of the sharpest level where a fit ended, with the mean appearance."""
         image, camera = load_picture(image, "image")[0], self._camera
         objective, blur = self.objectives[-1].of_all_pixels, self._levels[-1].blur
-        problem = FitProblem.at(
-            camera.flatten(image), result.shape, result.pose, self._method, camera.response, blur, camera.noise
-        )
+        picture = camera.flatten(image), result.shape, result.pose
+        problem = FitProblem.at(*picture, self._method, camera.response, blur, camera.noise)
         # By the shape: p belongs to the shapes of the method that was fitted, which need not be this one's.
         state = objective.start(self.shapes.parameters(result.pose.inverse()(result.shape)))
         if self._method.has_angles and np.isfinite(result.theta):
-            state = replace(state, angles=np.array([result.theta_model, result.theta]))
-        elif self._method.free_angles == "image":
-            state = replace(state, angles=np.array([state.angles[0], best_image_angle(objective, problem, state)]))
-        state, seen = settle_lambda(objective, problem, state, self.options)
-        return objective, seen.equations, state.lam
+            state = state._replace(angles=np.array([result.theta_model, result.theta]))
+        return objective, problem, state
 
     @property
     def _levels(self) -> tuple[Level, ...]:
-        return self.model.levels_of(self._method.appearance)
+        return self.view.levels
+
+    @property
+    def view(self) -> View:
+        """The model's view that the method fits with."""
+        return self.model.views[self._method.view]
 
     @property
     def shapes(self) -> ShapeModel:
         """Shapes that the method fits with."""
-        return self.model.shape_of(self._method.appearance)
+        return self.view.shape_model
+
+    @property
+    def reliability(self) -> Reliability | None:
+        """What tells right fits from wrong ones; it is known of the method that training fits with, by any name."""
+        return self.view.reliability if self._method == METHODS[DEFAULT_METHOD] else None
 
     @property
     def _camera(self) -> CameraModel:
@@ -250,60 +287,57 @@ class Fitter:
 
     def judged(self, image: np.ndarray, stages: Sequence[Stage]) -> FitResult:
         """Result of the stages of a fit to an image (flattened), its status and its covariances."""
-        solution, has_angle = stages[-1].solution, self._method.has_angles
-        history = trace(stages)
-        state, last = solution.state, solution.last
-        residual, usable = stages[-1].picture(self.residuals)
-        known = self.model.reliability if self._method.name == DEFAULT_METHOD else None
-        spread = covariance(stages[-1].objective, solution, self.options.shape_prior / solution.scale)
+        stage, has_angle = stages[-1], self._method.has_angles
+        solution, history = stage.solution, trace(stages)
+        known = self.reliability
+        spread = covariance(stage, self.options.shape_prior / solution.scale)
         spread = spread if known is None else known.understated * spread
-        seen = evidence(stages[-1])
-        status = self._status(image, history, stages[-1])
+        seen = evidence(stage)
+        status = self._status(image, history, stage)
         quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
         # Without calibration, too, what explains nothing is no fit.
-        doubtful = quality < LEAST_QUALITY or (self._method.soft and seen[0] <= 0.0)
+        doubtful = quality < LEAST_QUALITY or (self._method.weights == "rows" and seen[0] <= 0.0)
         if status.ok and doubtful:
             status = FitStatus.DOUBTFUL
         return FitResult(
             shape=history[-1].shape,
             status=status,
-            theta=float(state.angles[1]) if has_angle else np.nan,
-            theta_model=float(state.angles[0]) if has_angle else np.nan,
-            p=state.p,
-            pose=stages[-1].pose,
-            lam=state.lam,
-            cost=last.cost,
+            theta=float(solution.state.angles[1]) if has_angle else np.nan,
+            theta_model=float(solution.state.angles[0]) if has_angle else np.nan,
+            p=solution.state.p,
+            pose=stage.pose,
+            lam=solution.state.lam,
+            cost=float(solution.costs[-1]),
             n_iterations=sum(stage.solution.n_iterations for stage in stages),
             history=history,
-            residual=residual,
-            usable=usable,
             covariance=spread,
-            landmark_covariances=landmark_covariances(self.shapes, stages[-1].pose, spread, known),
+            landmark_covariances=landmark_covariances(self.shapes, stage.pose, spread, known),
             evidence=seen,
             quality=quality,
-            method=self._method.name,
+            method=self._method,
         )
 
     def _status(self, image: np.ndarray, history: tuple[Iteration, ...], stage: Stage) -> FitStatus:
         shape, objective, solution = history[-1].shape, stage.objective, stage.solution
         if not is_sane(shape, history[0].shape):
             return FitStatus.DIVERGED
-        if not solution.last.weights.all():  # some pixel is outside, or says nothing
+        usable = solution.work.usable
+        if not usable.all():  # some pixel is outside, or says nothing
             points = stage.pose(objective.warp.points(solution.state.p))
             inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
             if inside.mean() < 0.5:
                 return FitStatus.LEFT_IMAGE
-            if solution.last.weights[inside].mean() < USABLE_LIMIT:
+            if usable[inside].mean() < USABLE_LIMIT:
                 return self._why_unusable(image, points[inside])
-        if folded_share(shape, self.model.triangles) > FOLD_LIMIT or self._strangeness(shape) > SHAPE_LIMIT:
+        if folded_share(shape, self.model.triangles) > FOLD_LIMIT or self._largest_mode(shape) > SHAPE_LIMIT:
             return FitStatus.DIVERGED
         if solution.flat:
             return FitStatus.NO_TEXTURE
         if not solution.settled:
             return FitStatus.MAX_ITERATIONS
-        return FitStatus.LIGHT_UNOBSERVABLE if solution.angles_held else FitStatus.CONVERGED
+        return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
 
-    def _strangeness(self, shape: np.ndarray) -> float:
+    def _largest_mode(self, shape: np.ndarray) -> float:
         """Largest shape mode in standard deviations, under the similarity that suits the shape best."""
         shape_model = self.shapes
         upright = align(shape, shape_model.mean)(shape)
@@ -318,21 +352,17 @@ class Fitter:
         return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED
 
 
-def covariance(objective: Objective, solution: Solution, strength: float = 1.0) -> np.ndarray:
+def covariance(stage: Stage, strength: float = 1.0) -> np.ndarray:
     """Covariance of q by the picture and a prior of some strength; infinite where neither says anything.
 
-    The evidence of the pixels is counted as what they are worth together: a blur ties neighbours, and so do the errors
-    of the model (:meth:`Objective.unit`).
+    The evidence of the pixels is counted as what they are worth together: a blur makes neighbours alike, and so do the
+    errors of the model (:meth:`Objective.unit`).
     """
-    equations = solution.last.equations
-    unit = max(objective.unit(equations), 1e-12)
-    precision = np.nan_to_num(equations.reduced()[0]) / unit
+    objective, solution = stage.objective, stage.solution
+    unit = max(objective.unit(solution.work), 1e-12)
+    precision = np.nan_to_num(solution.work.base) / unit
     n_p = objective.warp.n_parameters
-    diagonal = on_diagonal(precision)  # a view
-    diagonal[:n_p] += strength * objective.prior
-    inverse = positive_inverse(precision)
-    if inverse is not None:
-        return inverse
+    precision[np.arange(n_p), np.arange(n_p)] += strength * objective.prior
     values, vectors = np.linalg.eigh(precision)
     inverse = np.divide(1.0, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
     return (vectors * inverse) @ vectors.T
@@ -341,25 +371,25 @@ def covariance(objective: Objective, solution: Solution, strength: float = 1.0) 
 def evidence(stage: Stage) -> np.ndarray:
     """What tells a right fit from a wrong one, (2,) float64.
 
-    The share of the picture's contrast under the model that the fit explains, at most 1, and how strange its shape is:
-    log(1 + mean squared mode in standard deviations).
+    The share of the picture's contrast under the model that the fit explains, at most 1, and how far its shape is from
+    the mean: log(1 + mean squared mode in standard deviations).
     """
     objective, solution = stage.objective, stage.solution
-    seen, warp = solution.last, objective.warp
-    weights = (seen.weights * objective.appearance.usable).astype(np.float64)
-    rows = slice(0, 2) if objective.method.soft else slice(None)  # of soft methods the gradient, always there
-    metric = objective.method.image_metric(solution.state.angles[1])[rows]
-    samples = (seen.values @ metric.T.astype(np.float32)).astype(np.float64)
-    if objective.method.encoding in ("value", "log"):
-        samples -= np.average(samples, axis=0, weights=weights) if weights.any() else 0.0
+    seen, method = solution.work, objective.method
+    weights = (seen.usable * objective.appearance.usable).astype(np.float64)
+    rows = slice(0, 2) if method.weights == "rows" else slice(None)  # the gradient, which every picture has
+    metric = method.image_metric(solution.state.angles[1])[rows].astype(np.float32)
+    samples = seen.values.reshape(-1, 8)[:, : metric.shape[1]] @ metric.T
+    if method.encoding in ("value", "log"):
+        samples = samples - (weights @ samples / weights.sum() if weights.any() else 0.0)
     contrast = float((weights @ np.square(samples)).sum())
-    left = float((weights @ np.square(seen.residual[:, rows], dtype=np.float64)).sum())
+    left = float((weights @ np.square(seen.residual.reshape(-1, method.n_rows)[:, rows])).sum())
     if not np.isfinite(left):
         return np.array([-1.0, 14.0])
     explained = 1.0 - left / contrast if contrast > 0 else -1.0
     modes = np.square(solution.state.p) * objective.prior
-    strange = modes[: warp.n_parameters - 4].mean() if warp.n_parameters > 4 else 0.0
-    return np.array([max(explained, -1.0), np.log1p(min(strange, 1e6))])
+    far = modes[: objective.warp.n_parameters - 4].mean() if objective.warp.n_parameters > 4 else 0.0
+    return np.array([max(explained, -1.0), np.log1p(min(far, 1e6))])
 
 
 def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:

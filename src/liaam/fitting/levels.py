@@ -13,6 +13,7 @@ from liaam.fitting.problem import MARGIN, NEAR, FitProblem, noise_around
 from liaam.fitting.result import Iteration
 from liaam.fitting.solver import Solution, SolverOptions, solve
 from liaam.photometry import NoiseModel, Response
+from liaam.sampling import Light
 from liaam.shape import Similarity, align, diagonal_of
 
 SCALE_LIMITS = (1 / 3, 3.0)
@@ -37,18 +38,16 @@ class Stage:
         return self.pose(self.objective.warp.shape(state.p))
 
     @property
+    def path(self) -> list[tuple[float, np.ndarray, float]]:
+        """Cost, shape (n, 2) and theta_2 at the start and after every accepted step."""
+        solution = self.solution
+        states = zip(solution.costs, solution.path, solution.angles[:, 1], strict=True)
+        return [(float(cost), self.pose(self.objective.warp.shape(p)), float(theta)) for cost, p, theta in states]
+
+    @property
     def reached(self) -> np.ndarray:
         """Shape of the solution, (n, 2) float64, image pixels."""
         return self.shape(self.solution.state)
-
-    def picture(self, all_pixels: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """Residual (n_pixels, k), and where the image was usable (n_pixels,), at all of the frame's pixels or none."""
-        whole = self.objective.whole
-        if not all_pixels:
-            return np.empty((0, self.objective.method.n_rows), np.float32), np.empty(0, np.float32)
-        solution = self.solution
-        look = solution.last.look if whole is None else whole.look(self.problem, solution.state, solution.trust)
-        return look.residual * look.weights[:, None], look.weights
 
 
 class Target(NamedTuple):
@@ -66,12 +65,23 @@ class Target(NamedTuple):
     """Angle of the image's camera where the method does not estimate it, radians; the model's if left out."""
     margin: float = MARGIN
     """Surroundings of the start that the fit may visit, as a share of the object's diagonal."""
+    light: Light | None = None
+    """The picture, averaged around the start for all levels; each averages for itself, if left out."""
 
     def measured(self, method: Method) -> "Target":
         """Target whose noise is measured in the image where the method weighs by it and nobody knows it."""
         if self.noise is not None or not method.weighs_noise:
             return self
         return self._replace(noise=noise_around(self.image, self.start))
+
+    def averaged(self, levels: Sequence[tuple[Objective, float]]) -> "Target":
+        """Target whose picture is averaged once for all levels (objectives with their blurs)."""
+        objective, blurs = levels[0][0], [blur for _, blur in levels]
+        pose, encoding = align(objective.warp.rest, self.start), objective.method.encoding
+        light = Light.around(
+            self.image, self.start, pose, encoding=encoding, response=self.response, blurs=blurs, margin=self.margin
+        )
+        return self._replace(light=light)
 
 
 def solve_levels(levels: Sequence[tuple[Objective, float]], target: Target, options: SolverOptions) -> list[Stage]:
@@ -89,11 +99,12 @@ def solve_levels(levels: Sequence[tuple[Objective, float]], target: Target, opti
     list of Stage
         Fewer than there are levels where a fit has blown up or collapsed.
     """
-    target, stages = target.measured(levels[0][0].method), []
+    target, stages = target.measured(levels[0][0].method).averaged(levels), []
     for objective, blur in levels:
-        own = options if objective is levels[-1][0] else spare(options)
+        last = objective is levels[-1][0]
+        own = options if last else spare(options)
         problem, state, pose = prepare_level(objective, blur, target, stages, own)
-        stages.append(Stage(objective, problem, pose, solve(objective, problem, state, own)))
+        stages.append(Stage(objective, problem, pose, solve(objective, problem, state, own, look=last)))
         if not is_sane(stages[-1].reached, target.start):
             break
     return stages
@@ -110,12 +121,13 @@ def prepare_level(
     shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, target.margin)
     warp = objective.warp
     pose = align(warp.rest, shape)
-    problem = FitProblem.at(target.image, shape, pose, objective.method, target.response, blur, target.noise, margin)
+    image = target.image if target.light is None else target.light
+    problem = FitProblem.at(image, shape, pose, objective.method, target.response, blur, target.noise, margin)
     state = objective.start(warp.parameters(pose.inverse()(shape)))
     angles = (
         stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options, target.theta)
     )
-    return problem, replace(state, angles=angles), pose
+    return problem, state._replace(angles=np.array(angles, np.float64)), pose
 
 
 def spare(options: SolverOptions) -> SolverOptions:
@@ -128,7 +140,7 @@ def _first_angles(
 ) -> np.ndarray:
     if theta is not None and objective.method.free_angles == "none":
         return np.array([state.angles[0], theta])
-    if objective.method.free_angles != "image" or objective.method.soft or options.angle_start == "model":
+    if objective.method.free_angles != "image" or not objective.method.solves_angle or options.angle_start == "model":
         return state.angles
     return np.array([state.angles[0], best_image_angle(objective, problem, state)])
 
@@ -136,14 +148,9 @@ def _first_angles(
 def trace(stages: Sequence[Stage]) -> tuple[Iteration, ...]:
     """Every accepted state of all levels, each level's start included."""
     return tuple(
-        Iteration(
-            cost,
-            stage.shape(state),
-            float(state.angles[1]) if stage.objective.method.has_angles else np.nan,
-            level,
-        )
+        Iteration(cost, shape, theta if stage.objective.method.has_angles else np.nan, level)
         for level, stage in enumerate(stages)
-        for cost, state in stage.solution.path
+        for cost, shape, theta in stage.path
     )
 
 

@@ -1,14 +1,14 @@
 """The table of methods (DESIGN section 1): every fitting method is one row of one objective."""
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from liaam.appearance import APPEARANCES
 from liaam.errors import MethodError
 from liaam.fitting.losses import LOSSES
-from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE, invariant_row, invariant_row_derivative
+from liaam.model import MESH, SURROUNDINGS, VIEWS
+from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE
 
 METRICS = {
     "luminance": LUMINANCE,
@@ -21,8 +21,8 @@ METRICS = {
 """Rows of P by name, (k, channels of the encoding); those of ``invariant`` are L(theta), and so is the last of ``soft``
 on the channels of log RGB."""
 
-ANGULAR = ("invariant", "soft")
-"""Metrics that depend on the angles."""
+INVARIANT_AT = {"invariant": (0, 0), "soft": (2, 2)}
+"""Metrics that depend on the angles: the row that is L(theta), and the first of its three channels."""
 
 FREE_ANGLES = {
     "none": np.zeros((2, 0)),
@@ -44,6 +44,11 @@ ENCODING_OF = {
 
 BIASES = ("none", "common", "rows")
 
+WEIGHTS = ("model", "noise", "rows")
+"""In the order of :mod:`liaam.fitting.weights`."""
+
+STEPS = ("own", "scored", "expected")
+
 
 @dataclass(frozen=True)
 class Method:
@@ -55,6 +60,8 @@ class Method:
     Attributes
     ----------
     name : str
+        What results and messages call it. Rows are compared without their names and summaries: a copy under another
+        name is the same method.
     summary : str
         One line for people.
     encoding : {"value", "log", "orientation", "soft"}
@@ -74,17 +81,22 @@ class Method:
     normalise : bool
         Bring the image's samples to the mean and deviation of the model's mean before they are compared
         (photometric normalisation, the paper's [1]).
-    noise_weights : bool
-        Weigh each pixel by the inverse variance that the image's noise gives its residual.
-    soft : bool
-        Weigh each row of each pixel by the inverse variance that noise and the model's errors give its residual, both
+    weights : {"model", "noise", "rows"}
+        What pixels are weighed by: as the model says; by the inverse variance that the image's noise gives their
+        residual; or, each row by itself, by the inverse variance that noise and the model's errors give it, both
         estimated from the picture at hand.
+    step : {"own", "scored", "expected"}
+        Whether steps are made with the picture's own gradient, or with the one that the model expects
+        (:mod:`liaam.fitting.steps`); or with the picture's own and then, as many as
+        :attr:`liaam.fitting.SolverOptions.scoring` says, with the expected one.
     loss : str
         "squares", or a robust loss of :data:`liaam.fitting.losses.LOSSES`.
+    view : {"mesh", "surroundings"}
+        Which of the model's views is fitted (:class:`liaam.model.View`): its shapes, pixels and appearances.
     """
 
-    name: str
-    summary: str
+    name: str = field(compare=False)
+    summary: str = field(compare=False)
     encoding: str
     appearance: str
     metric: str
@@ -93,9 +105,10 @@ class Method:
     bias: str = "none"
     illumination: bool = False
     normalise: bool = False
-    noise_weights: bool = False
-    soft: bool = False
+    weights: str = "model"
+    step: str = "own"
     loss: str = "squares"
+    view: str = MESH
 
     def __post_init__(self) -> None:
         _check("encoding", self.encoding, ENCODINGS)
@@ -103,7 +116,10 @@ class Method:
         _check("metric", self.metric, METRICS)
         _check("free_angles", self.free_angles, FREE_ANGLES)
         _check("bias", self.bias, BIASES)
-        if self.metric not in ANGULAR and self.free_angles != "none":
+        _check("weights", self.weights, WEIGHTS)
+        _check("step", self.step, STEPS)
+        _check("view", self.view, VIEWS)
+        if self.metric not in INVARIANT_AT and self.free_angles != "none":
             raise MethodError(f"method {self.name}: metric {self.metric} has no angle to free")
         if self.metric in ("invariant", "chromaticity") and self.bias == "common":
             # L . 1 = 0 (and C . 1 = 0): a grey constant in log space is a null vector.
@@ -116,18 +132,16 @@ class Method:
         for name in ("orientation", "soft"):
             if (self.metric == name) != (self.encoding == name):
                 raise MethodError(f"method {self.name}: metric {self.metric} does not suit encoding {self.encoding}")
-        if self.soft and self.loss == "learnt":
-            raise MethodError(f"method {self.name}: soft weights hold the model's own errors already; leave learnt out")
-        if self.soft and (self.encoding != "soft" or self.noise_weights):
-            raise MethodError(f"method {self.name}: soft weights are for encoding soft, and hold the noise already")
-        if self.noise_weights and self.encoding != "log":
+        if self.weights == "rows" and self.encoding != "soft":
+            raise MethodError(f"method {self.name}: weights by rows are for encoding soft")
+        if self.weights == "noise" and self.encoding != "log":
             raise MethodError(
                 f"method {self.name}: noise weights are for methods that compare logarithms, where dark pixels are the "
                 f"noisy ones; noise of values is alike everywhere"
             )
-        if self.noise_weights and self.loss == "learnt":
+        if self.weights != "model" and self.loss == "learnt":
             raise MethodError(
-                f"method {self.name}: noise weights hold the model's own errors already; leave learnt out"
+                f"method {self.name}: weights by {self.weights} hold the model's own errors already; leave learnt out"
             )
         if (self.illumination or self.normalise) and self.encoding != "value":
             raise MethodError(f"method {self.name}: an illumination basis and normalisation need encoding value")
@@ -148,82 +162,70 @@ class Method:
 
     @property
     def reweighs(self) -> bool:
-        """Whether something is worked out anew between iterations (see :class:`liaam.fitting.trust.Trust`)."""
-        return self.noise_weights or self.soft or self.normalise or self.loss != "squares"
+        """Whether something is worked out anew between iterations (see :mod:`liaam.fitting.weights`)."""
+        return self.weighs_noise or self.normalise or self.loss != "squares"
 
     @property
     def weighs_noise(self) -> bool:
         """Whether the image's noise has to be known."""
-        return self.noise_weights or self.soft
+        return self.weights != "model"
+
+    @property
+    def solves_angle(self) -> bool:
+        """Whether theta_2 and lambda have a global closed form together (:mod:`liaam.fitting.angles`)."""
+        return self.metric == "invariant"
+
+    @property
+    def expects(self) -> bool:
+        """Whether steps with the gradient that the model expects are made, from the start or at the end."""
+        return self.step != "own" or self.weights == "noise"
 
     @property
     def has_angles(self) -> bool:
         """Whether the metric depends on the cameras' angles."""
-        return self.metric in ANGULAR
+        return self.metric in INVARIANT_AT
 
     @property
     def angle_directions(self) -> np.ndarray:
         """D (theta_1, theta_2) / d (free angles), (2, n_free)."""
         return FREE_ANGLES[self.free_angles]
 
-    def image_metric(self, theta: float) -> np.ndarray:
-        """Rows of P for the image (angle theta_2), (k, channels of the encoding)."""
-        return _angular_metric(self.metric, float(theta)) if self.has_angles else METRICS[self.metric]
+    @property
+    def metric_parts(self) -> np.ndarray:
+        """P(theta_2) = parts[0] + cos(theta_2) parts[1] + sin(theta_2) parts[2], (3, k, 8) float64.
+
+        Pictures have 8 channels: those of the encoding, and their weight as the last one.
+        """
+        rows = METRICS[self.metric]
+        parts = np.zeros((3, len(rows), 8))
+        parts[0, :, : rows.shape[1]] = rows
+        if self.has_angles:
+            row, first = INVARIANT_AT[self.metric]
+            parts[0, row] = 0.0
+            # L(theta) = (cos, sin, -cos - sin)
+            parts[1, row, first : first + 3], parts[2, row, first : first + 3] = (1.0, 0.0, -1.0), (0.0, 1.0, -1.0)
+        return parts
+
+    @property
+    def model_metric_parts(self) -> np.ndarray:
+        """The same of P(theta_1), on the channels of the appearance, (3, k, c) float64."""
+        if not self.projects_appearance:
+            return np.stack([np.eye(self.n_rows), *np.zeros((2, self.n_rows, self.n_rows))])
+        return self.metric_parts[:, :, : METRICS[self.metric].shape[1]]
 
     def model_metric(self, theta: float) -> np.ndarray:
         """Rows of P for the model (angle theta_1), (k, channels of the appearance)."""
-        return self.image_metric(theta) if self.projects_appearance else np.eye(self.n_rows)
+        return np.tensordot([1.0, np.cos(theta), np.sin(theta)], self.model_metric_parts, axes=1)
+
+    def image_metric(self, theta: float) -> np.ndarray:
+        """Rows of P for the image (angle theta_2), (k, channels of the encoding)."""
+        parts = self.metric_parts[:, :, : METRICS[self.metric].shape[1]]
+        return np.tensordot([1.0, np.cos(theta), np.sin(theta)], parts, axes=1)
 
     @property
     def projects_appearance(self) -> bool:
         """Whether the model's appearance is yet to be projected; these were before they were learnt."""
         return self.appearance not in ("invariant", "orientation", "soft")
-
-    def image_metric_derivative(self, theta: float) -> np.ndarray:
-        """dP/dtheta for the image, (k, channels of the encoding); may not be written to."""
-        return (
-            _angular_derivative(self.metric, float(theta)) if self.has_angles else np.zeros_like(METRICS[self.metric])
-        )
-
-    def noise_slope(self, theta: float) -> float:
-        """How much noise dP/dtheta has for the image beside P itself, |P'|^2 / |P|^2; 0 where there is no angle."""
-        return _angular_noise_slope(self.metric, float(theta)) if self.has_angles else 0.0
-
-    def model_metric_derivative(self, theta: float) -> np.ndarray:
-        """dP/dtheta for the model, (k, channels of the appearance)."""
-        projected = self.appearance in ("invariant", "soft")
-        return np.zeros((self.n_rows, self.n_rows)) if projected else invariant_row_derivative(theta)
-
-
-@lru_cache(maxsize=64)
-def _angular_metric(metric: str, theta: float) -> np.ndarray:
-    """Rows of an angular metric at an angle, to be read only: a fit asks for the same again and again."""
-    rows = _with_row(metric, METRICS[metric], invariant_row(theta))
-    rows.flags.writeable = False
-    return rows
-
-
-@lru_cache(maxsize=64)
-def _angular_derivative(metric: str, theta: float) -> np.ndarray:
-    """Derivative of :func:`_angular_metric` by the angle, to be read only."""
-    rows = _with_row(metric, np.zeros_like(METRICS[metric]), invariant_row_derivative(theta))
-    rows.flags.writeable = False
-    return rows
-
-
-@lru_cache(maxsize=64)
-def _angular_noise_slope(metric: str, theta: float) -> float:
-    return float(np.square(_angular_derivative(metric, theta)).sum() / np.square(_angular_metric(metric, theta)).sum())
-
-
-def _with_row(metric: str, rows: np.ndarray, invariant: np.ndarray) -> np.ndarray:
-    """Rows of an angular metric with the one (1, 3) on log RGB put in."""
-    if metric == "invariant":
-        return invariant
-    rows = rows.copy()
-    rows[2] = 0.0
-    rows[2, 2:5] = invariant
-    return rows
 
 
 def _check(what: str, value: str, known) -> None:
@@ -240,7 +242,9 @@ METHODS: dict[str, Method] = {
             "soft",
             "soft",
             "soft",
-            soft=True,
+            weights="rows",
+            step="expected",
+            view=SURROUNDINGS,
         ),
         Method(
             "grey",
@@ -353,11 +357,11 @@ def get_method(method: str | Method) -> Method:
         raise MethodError(f"method {method!r} does not exist; there are {', '.join(METHODS)} (see 'liaam methods')")
     changes: dict = {}
     for suffix in suffixes:
-        field, value = ("noise_weights", True) if suffix == NOISE_SUFFIX else ("loss", suffix)
-        if field in changes or (field == "loss" and suffix not in LOSSES):
+        key, value = ("weights", "noise") if suffix == NOISE_SUFFIX else ("loss", suffix)
+        if key in changes or (key == "loss" and suffix not in LOSSES):
             raise MethodError(
                 f"method {method!r}: the suffix +{suffix} does not exist or is one too many; a method takes "
                 f"+{NOISE_SUFFIX} and one of {', '.join(f'+{name}' for name in LOSSES)}"
             )
-        changes[field] = value
+        changes[key] = value
     return replace(METHODS[base], name=method, **changes) if changes else METHODS[base]

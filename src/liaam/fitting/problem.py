@@ -5,9 +5,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from liaam.fitting.level import Picture
 from liaam.fitting.methods import Method
 from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
-from liaam.sampling import Patch, make_patch
+from liaam.sampling import Light, Patch, make_patch
 from liaam.shape import Similarity
 
 MARGIN = 0.4
@@ -55,6 +56,19 @@ class FitProblem:
     slope_left: float = 1.0
     blur: float = 0.0
 
+    def picture(self, correlated: float, noisy: bool) -> Picture:
+        """Picture as the loop takes it; ``correlated`` as there, and whether noise has to be known."""
+        channels = self.patch.channels
+        return Picture(
+            channels.reshape(-1),
+            (channels.shape[0], channels.shape[1]),
+            np.column_stack([self.pose.matrix, self.pose.offset]),
+            self.relative_noise.astype(np.float32) if noisy else np.zeros(2, np.float32),
+            np.array(LOGS),
+            np.array([self.noise_left, self.slope_left], np.float64),
+            float(correlated),
+        )
+
     @cached_property
     def relative_noise(self) -> np.ndarray:
         """Standard deviation of the logarithm by noise, at evenly spaced logarithms over :data:`LOGS`."""
@@ -71,7 +85,7 @@ class FitProblem:
     @classmethod
     def at(
         cls,
-        image: np.ndarray,
+        image: np.ndarray | Light,
         shape: np.ndarray,
         pose: Similarity,
         method: Method,
@@ -84,7 +98,7 @@ class FitProblem:
 
         Parameters
         ----------
-        image : (h, w, 3) uint8, uint16 or float32
+        image : (h, w, 3) uint8, uint16 or float32, or Light
         shape : (n, 2) float
             Start, image pixels.
         pose : Similarity
@@ -105,7 +119,8 @@ class FitProblem:
         if not method.weighs_noise:
             return cls(patch, to_patch, response, blur=blur)
         left, slope_left = _noise_left(to_patch.scale, blur)
-        return cls(patch, to_patch, response, _noise(image, shape, patch, noise), left, slope_left, blur)
+        picture = image.image if isinstance(image, Light) else image
+        return cls(patch, to_patch, response, _noise(picture, shape, patch, noise), left, slope_left, blur)
 
 
 @lru_cache(maxsize=16)
@@ -119,8 +134,8 @@ def _log_slope_of(linear: np.ndarray, response: Response) -> np.ndarray:
     return log_slope(np.maximum(from_linear(linear, response), 1e-3), response)
 
 
-def tied_together(blur: float) -> float:
-    """Pixels that a Gaussian blur ties together to one independent value, 4 pi blur^2 or 1.
+def correlated_pixels(blur: float) -> float:
+    """Pixels that a Gaussian blur makes as one independent value, 4 pi blur^2 or 1.
 
     It is also what the blur divides white noise's variance by.
 
@@ -139,7 +154,7 @@ def slope_left(blur: float) -> float:
 
 def _noise_left(scale: float, blur: float) -> tuple[float, float]:
     """What a blur (model pixels; ``scale`` patch pixels each) leaves of noise, and of its gradient per model pixel."""
-    return 1.0 / np.sqrt(tied_together(scale * blur)), scale * slope_left(scale * blur)
+    return 1.0 / np.sqrt(correlated_pixels(scale * blur)), scale * slope_left(scale * blur)
 
 
 def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel | float | None) -> float | NoiseModel:
@@ -155,47 +170,3 @@ def noise_around(image: np.ndarray, shape: np.ndarray) -> float:
     low = np.maximum(shape.min(axis=0).astype(int), 0)
     high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
     return noise_deviation(image[low[1] : high[1], low[0] : high[0]])
-
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """What a picture shows at a state, before it is weighed.
-
-    Attributes
-    ----------
-    values : (n_pixels, c) float32
-        Encoded samples of the image.
-    columns : (n_free + 1, n_pixels * k) float32
-        Derivatives of the residual by the free angles, and the residual P E(I) - P A itself in the last row.
-    steep : (n_pixels, k, 2) float32
-        Derivative of the residual by the place, x and y in the model's pixels.
-    weights : (n_pixels,) float32
-        Image weight in {0, 1}.
-    """
-
-    values: np.ndarray
-    columns: np.ndarray
-    steep: np.ndarray
-    weights: np.ndarray
-
-    @classmethod
-    def of(
-        cls, values: np.ndarray, residual: np.ndarray, steep: np.ndarray, by_angles: np.ndarray, weights: np.ndarray
-    ) -> "Look":
-        """Make it of a residual (n_pixels, k) and derivatives by the free angles (n_free, n_pixels * k)."""
-        own = residual.reshape(1, -1)
-        return cls(values, np.concatenate([by_angles, own]) if len(by_angles) else own, steep, weights)
-
-    @property
-    def residual(self) -> np.ndarray:
-        """P E(I) - P A, (n_pixels, k) float32."""
-        return self.columns[-1].reshape(self.steep.shape[:2])
-
-    @property
-    def by_angles(self) -> np.ndarray:
-        """Derivative of the residual by the free angles, (n_free, n_pixels * k) float32."""
-        return self.columns[:-1]
-
-    def with_residual(self, residual: np.ndarray) -> "Look":
-        """Give the same with another residual."""
-        return Look.of(self.values, residual, self.steep, self.by_angles, self.weights)

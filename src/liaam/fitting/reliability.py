@@ -12,7 +12,7 @@ import numpy as np
 
 from liaam.evaluation import point_error
 from liaam.fitting.fitter import Fitter, fitted_covariances
-from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.fitting.solver import SolverOptions
 from liaam.model import AAM, Reliability
 from liaam.shape import align, diagonal_of, rotation, shifted_into
@@ -74,7 +74,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
             if not np.isfinite(error) or not np.isfinite(result.evidence).all():
                 continue
             if near and error <= WRONG:  # all that are not lost: those in doubt err, too
-                unposed, shapes = result.pose.inverse(), picture.model.shape_of("soft")
+                unposed, shapes = result.pose.inverse(), fitter.shapes
                 errors.append((picture.points - result.shape) @ unposed.matrix.T)
                 spreads.append(fitted_covariances(shapes, result.covariance))
                 surprises.append(_surprise(shapes.parameters(unposed(picture.points)) - result.p, result.covariance))
@@ -144,7 +144,7 @@ def _widened(moments: np.ndarray, m: int) -> np.ndarray:
 
 def _by_shape(model: AAM) -> np.ndarray:
     """Covariance (n, 2, 2) that shapes left out tell; of pictures whose fits are lost, fits themselves tell nothing."""
-    unexplained = model.shape_of("soft").unexplained
+    unexplained = model.views[METHODS[DEFAULT_METHOD].view].shape_model.unexplained
     nothing = np.zeros((model.n_points, 2, 2))
     return nothing if unexplained is None else _widened(unexplained, model.n_images)
 

@@ -5,7 +5,6 @@ from the mean shape stop half-way, where the outline's far side hangs in the bac
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -70,8 +69,8 @@ def other_starts(
 
     def reached(p: np.ndarray, moved: Sequence[float] = (0.0, 0.0)) -> Stage:
         shape = warp.shape(p) + np.array(moved) * diagonal_of(warp.rest)
-        start = replace(state, p=warp.parameters(shape))
-        return Stage(objective, problem, pose, solve(objective, problem, start, options))
+        start = state._replace(p=warp.parameters(shape))
+        return Stage(objective, problem, pose, solve(objective, problem, start, options, look=False))
 
     mean = state.p.copy()
     mean[:n_modes] = 0.0
@@ -88,7 +87,7 @@ def _best(stages: Sequence[Stage], count: int, start: np.ndarray) -> list[Stage]
     """Stages of least cost that lie apart from each other, best first."""
     best: list[Stage] = []
     apart = APART * diagonal_of(start)
-    for stage in sorted(stages, key=lambda stage: stage.solution.last.cost):
+    for stage in sorted(stages, key=lambda stage: stage.solution.costs[-1]):
         shape = stage.reached
         if len(best) < count and is_sane(shape, start) and all(_distance(shape, b.reached) > apart for b in best):
             best.append(stage)

@@ -5,6 +5,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from liaam.fitting.methods import Method
 from liaam.fitting.search import Candidate
 from liaam.shape import Similarity
 
@@ -125,11 +126,6 @@ class FitResult:
     history : tuple of Iteration
         Each level's start and every accepted step; the last is the result. A last step too short to be noticed has the
         cost of the state before it.
-    residual : (n_pixels, k) float32
-        Image minus model per model pixel and row of the metric, 0 where not usable; no rows if the fitter keeps none;
-        ``model.frame.picture(result.residual)`` is its image (of ``soft-li``: ``model.surrounded.frame.picture``).
-    usable : (n_pixels,) float32
-        1 where the image could be used, else 0; of the pixels of ``residual``.
     covariance : (n_q, n_q) float64
         Covariance of (p, free angles), by the picture and the prior. What blur and (for ``soft-li``) the model's errors
         tie together is counted once, and where left-out pictures have told by how much such variances fall short, they
@@ -142,7 +138,8 @@ class FitResult:
     quality : float
         Probability, 0 to 1, that the fit is right, calibrated on pictures left out of training; 0 where the status says
         that the object is lost. NaN for other methods than ``soft-li`` and for models trained without leaving out.
-    method : str
+    method : Method
+        The row that was fitted.
     found : Candidate, optional
         What the search gave the fit to start from; None where the start was given.
     n_starts : int
@@ -161,18 +158,18 @@ class FitResult:
     cost: float
     n_iterations: int
     history: tuple[Iteration, ...]
-    residual: np.ndarray
-    usable: np.ndarray
     covariance: np.ndarray
     landmark_covariances: np.ndarray
     evidence: np.ndarray
     quality: float
-    method: str
+    method: Method
     found: Candidate | None = None
     n_starts: int = 1
 
     def __repr__(self) -> str:
-        return f"FitResult({self.method}: {self.status}, {len(self.shape)} landmarks, {self.n_iterations} iterations)"
+        return (
+            f"FitResult({self.method.name}: {self.status}, {len(self.shape)} landmarks, {self.n_iterations} iterations)"
+        )
 
     @property
     def message(self) -> str:
@@ -200,7 +197,7 @@ class FitResult:
             "starts_tried": self.n_starts,
             "search_score": None if self.found is None else self.found.score,
             "search_doubtful": None if self.found is None else self.found.doubtful,
-            "method": self.method,
+            "method": self.method.name,
             "status": str(self.status),
             "message": self.message,
             "theta_deg": angle_degrees(self),

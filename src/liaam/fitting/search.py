@@ -20,12 +20,12 @@ from liaam.fitting.objective import THINNING, Objective, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import FitProblem
 from liaam.fitting.solver import Solution, SolverOptions, solve
-from liaam.kernels import get_kernel
 from liaam.mesh import ReferenceFrame, signed_areas
-from liaam.model import AAM, Level
+from liaam.model import AAM, MESH, Level, View
 from liaam.photometry import Response
 from liaam.photometry.encoding import soft_direction, value_luminance
 from liaam.shape import ShapeModel, Similarity, align, diagonal_of, rotation
+from liaam.warp import PiecewiseAffineWarp
 from liaam.workers import in_threads
 
 TEMPLATE = 40.0
@@ -364,7 +364,9 @@ class Finder:
         """
         import cv2  # heavy: imported when first needed
 
-        kernel, pad = get_kernel(), int(PADDING * self.small.diagonal)
+        from liaam.kernels import fast as kernel
+
+        pad = int(PADDING * self.small.diagonal)
         sizes = [(template.field.shape, template.origin) for template in self.templates]
         size = np.maximum(np.array(field.values.shape) + 2 * pad, np.max([shape for shape, _ in sizes], axis=0))
         fast = int(cv2.getOptimalDFTSize(int(size[0]))), int(cv2.getOptimalDFTSize(int(size[1])))
@@ -416,11 +418,11 @@ class Finder:
 
     def _score(self, solution: Solution, strength: np.ndarray) -> float:
         """Cosine between picture and fitted appearance over all of the model's pixels, less for a strange shape."""
-        weights = self.objective.appearance.usable[:, None].astype(np.float64)
-        seen = solution.last.values[:, :2]
-        expected = seen - solution.last.residual
+        weights, work = self.objective.appearance.usable[:, None].astype(np.float64), solution.work
+        seen = work.values.reshape(len(weights), -1)[:, :2]
+        expected = seen - work.residual.reshape(-1, 2)
         # What lies outside the image counts as not explained: else half an object on the border is as good as one.
-        product = float((weights * (solution.last.weights * strength)[:, None] * seen * expected).sum())
+        product = float((weights * (work.usable * strength)[:, None] * seen * expected).sum())
         power = float((weights * np.square(expected)).sum() * weights.sum())
         variance = np.maximum(self.small.shape_model.eigenvalues, 1e-12)
         strange = float((np.square(solution.state.p[:-4]) / variance).mean()) if len(variance) else 0.0
@@ -601,13 +603,12 @@ def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
         eigenvalues=own.eigenvalues[:n_modes],
         usable=np.clip(reduced(own.usable[:, None])[:, 0], 0.0, 1.0),
     )
+    small = ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2)
     return replace(
         model,
-        shape_model=ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2),
-        levels=(Level(level.blur * factor, {"orientation": appearance}),),
-        soft_levels=(),
-        soft_shape=None,
-        reliability=None,
+        views={
+            MESH: View(PiecewiseAffineWarp(frame, small), (Level(level.blur * factor, {"orientation": appearance}),))
+        },
     )
 
 

@@ -1,115 +1,96 @@
 """What is worked out pixel by pixel: block means of any size, and directions of gradients (numba)."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from liaam.jit import F as _F
 from liaam.jit import jit as _jit
 
-
-@_jit
-def _shares(n_in, n_out, start, size):
-    """Give the first block that each pixel belongs to (-1: outside; -2: and so is the next) and its share in that."""
-    first, share = np.empty(n_in, np.int64), np.empty(n_in, np.float32)
-    for i in range(n_in):
-        left = (i - start) / size
-        block = int(np.floor(left))
-        within = min((block + 1) * size + start - i, 1.0)
-        first[i] = block if -1 <= block < n_out else -2
-        share[i] = within / size
-    return first, share
+# Room is made by the callers: to compile np.empty takes as long as a loop.
 
 
 @_jit
-def _add_row(row, means, y, weight):
-    """Add a row of blocks, and one more on each side that does not count, to the means' row y if there is one."""
-    if not 0 <= y < len(means):
-        return
-    line, inner = means[y], row[1:-1]
-    width, channels = inner.shape
-    for x in range(width):
-        for c in range(channels):
-            line[x, c] += weight * inner[x, c]
+def _taps(n_in, start, size, first, shares):
+    """First pixel of each block, and shares in it of that pixel and those that follow, of which some are nought."""
+    for j in range(shares.shape[0]):
+        low = start + j * size
+        high = low + size if low + size < n_in else float(n_in)
+        at = int(low) if low < n_in - 1 else n_in - 1
+        first[j] = at
+        for k in range(shares.shape[1]):
+            left, right = float(at + k), float(at + k + 1)
+            left, right = left if left > low else low, right if right < high else high
+            shares[j, k] = (right - left) / size if right > left else 0.0
+
+
+class _Cuts(NamedTuple):
+    """Shares of pixels in blocks, down and across, and room for sums of rows of pixels."""
+
+    first_x: np.ndarray
+    shares_x: np.ndarray
+    first_y: np.ndarray
+    shares_y: np.ndarray
+    light: np.ndarray
+    sums: np.ndarray
+
+    @classmethod
+    def of(cls, picture: tuple[int, int], start: tuple[float, float], size: float, shape: tuple[int, int]) -> "_Cuts":
+        """For a picture of (rows, columns)."""
+        n_taps, arrays = int(np.ceil(size)) + 1, []
+        for axis in (1, 0):
+            first, shares = np.empty(shape[axis], np.int64), np.empty((shape[axis], n_taps), np.float32)
+            _taps(int(picture[axis]), float(start[1 - axis]), float(size), first, shares)
+            arrays += [first, shares]
+        # Blocks at the border reach for pixels beyond, of which they have no share.
+        return cls(*arrays, *np.zeros((2, 4 * (picture[1] + n_taps)), np.float32))
 
 
 @_jit
-def _stored_means(image, table, low, high, start_x, start_y, size, means):
-    # Rows of pixels are brought to light and added up as they are, which the compiler does many at a time; only what
-    # they add up to, a row of blocks, is cut into blocks.
-    height, width = image.shape[:2]
-    first_x, share_x = _shares(width, means.shape[1], start_x, size)
-    first_y, share_y = _shares(height, means.shape[0], start_y, size)
-    rest, at, left = _F(1.0 / size), -2, _F(0.0)
-    light, usable = np.zeros(3 * width, np.float32), np.zeros(width, np.float32)
-    sums, known = np.zeros(3 * width, np.float32), np.zeros(width, np.float32)
-    blocks = np.empty((means.shape[1] + 2, 4), np.float32)  # one more on each side: no test in the loop
-    for y in range(height):
-        block, share = first_y[y], share_y[y]
-        if block < -1:
-            continue
-        at = block if at < -1 else at
-        while at < block:
-            _cut(sums, known, first_x, share_x, rest, at, blocks, means)
-            _set(sums, left, light)  # the last row's share in the next block
-            _set(known, left, usable)
-            at, left = at + 1, _F(0.0)
-        pixels, left = image[y].reshape(-1), rest - share
-        for i in range(3 * width):
-            light[i] = table[pixels[i]]
-        for x in range(width):
-            r, g, b = pixels[3 * x], pixels[3 * x + 1], pixels[3 * x + 2]
-            usable[x] = _F((low <= min(r, min(g, b))) & (max(r, max(g, b)) <= high))
-        for i in range(3 * width):
-            sums[i] += share * light[i]
-        for x in range(width):
-            known[x] += share * usable[x]
-    _cut(sums, known, first_x, share_x, rest, at, blocks, means)
-    _set(sums, left, light)
-    _set(known, left, usable)
-    _cut(sums, known, first_x, share_x, rest, at + 1, blocks, means)
+def _cut(sums, across, between, known_at, first, shares, means, row):
+    """Cut a sum of rows of pixels into a row of blocks.
+
+    ``across`` is how far pixels lie apart in it, ``between`` how far their colours, and ``known_at`` is where the
+    fourth numbers begin, side by side.
+    """
+    n_taps = shares.shape[1]
+    reds, greens, blues, knowns = sums[0:], sums[between:], sums[2 * between :], sums[known_at:]
+    for j in range(len(first)):
+        at = first[j]
+        red = green = blue = known = _F(0.0)
+        for k in range(n_taps):
+            w, x = shares[j, k], np.uint64(at + k)
+            own = np.uint64(across) * x
+            red += w * reds[own]
+            green += w * greens[own]
+            blue += w * blues[own]
+            known += w * knowns[x]
+        means[0, row, j], means[1, row, j], means[2, row, j], means[3, row, j] = red, green, blue, known
 
 
 @_jit
-def _set(total, share, row):
-    for i in range(len(total)):
-        total[i] = share * row[i]
-
-
-@_jit
-def _cut(sums, known, first_x, share_x, rest, row, blocks, means):
-    """Cut sums of rows of pixels into a row of blocks, if there is one."""
-    if not 0 <= row < len(means):
-        return
-    blocks[:] = _F(0.0)
-    at = -2
-    red = green = blue = usable = _F(0.0)  # of the block at hand, added when the next one begins
-    for x in range(len(known)):
-        block, w = first_x[x], share_x[x]
-        if block < -1:
-            continue
-        if block != at:
-            if at >= -1:
-                _add_to(blocks[at + 1], red, green, blue, usable)
-            at = block
-            red = green = blue = usable = _F(0.0)
-        own_red, own_green, own_blue, own_usable = sums[3 * x], sums[3 * x + 1], sums[3 * x + 2], known[x]
-        red += w * own_red
-        green += w * own_green
-        blue += w * own_blue
-        usable += w * own_usable
-        if w < rest:  # the last pixel of its block has a share in the next
-            w = rest - w
-            _add_to(blocks[block + 2], w * own_red, w * own_green, w * own_blue, w * own_usable)
-    if at >= -1:
-        _add_to(blocks[at + 1], red, green, blue, usable)
-    means[row] = blocks[1:-1]
-
-
-@_jit
-def _add_to(block, red, green, blue, known):
-    block[0] += red
-    block[1] += green
-    block[2] += blue
-    block[3] += known
+def _stored_means(lines, table, low, high, first_x, shares_x, first_y, shares_y, light, sums, means):
+    # Whole rows of pixels are brought to light and added up, which the compiler does many at a time; only what they
+    # add up to is cut into blocks. No slices are written to: each would take a tenth of a second to compile.
+    width, reach, at = lines.shape[1] // 3, len(sums) // 4, -1
+    known = light[3 * reach :]
+    for i in range(len(first_y)):
+        for x in range(4 * reach):
+            sums[x] = _F(0.0)
+        for k in range(shares_y.shape[1]):
+            y, share = first_y[i] + k, shares_y[i, k]
+            if share <= _F(0.0):
+                continue
+            if y != at:  # the last row of a block is the first of the next, where blocks cut through pixels
+                at, row = y, lines[y]
+                for x in range(3 * width):
+                    light[x] = table[row[x]]
+                for x in range(width):
+                    r, g, b = row[3 * x], row[3 * x + 1], row[3 * x + 2]
+                    known[x] = _F((low <= r) & (low <= g) & (low <= b) & (r <= high) & (g <= high) & (b <= high))
+            for x in range(4 * reach):
+                sums[x] += share * light[x]
+        _cut(sums, 3, 1, 3 * reach, first_x, shares_x, means, i)
 
 
 def stored_means(
@@ -138,43 +119,38 @@ def stored_means(
 
     Returns
     -------
-    (rows, columns, 4) float32
+    (4, rows, columns) float32
         Mean R, G, B, and the share of usable pixels.
     """
-    means = np.zeros((*shape, 4), np.float32)
+    means = np.empty((4, *shape), np.float32)
     low, high = (image.dtype.type(value) for value in usable)
-    _stored_means(image, table, low, high, float(start[0]), float(start[1]), float(size), means)
+    lines = np.ascontiguousarray(image).reshape(len(image), -1)
+    _stored_means(lines, table, low, high, *_Cuts.of(image.shape[:2], start, size, shape), means)
     return means
 
 
 @_jit
-def _value_means(values, start_x, start_y, size, means):
-    height, width, channels = values.shape
-    rows, columns = means.shape[:2]
-    first_x, share_x = _shares(width, columns, start_x, size)
-    first_y, share_y = _shares(height, rows, start_y, size)
-    rest = _F(1.0 / size)
-    row = np.empty((columns + 2, channels), np.float32)
-    for y in range(height):
-        block_y = first_y[y]
-        if block_y < -1:
-            continue
-        row[:] = _F(0.0)
-        for x in range(width):
-            block = first_x[x]
-            if block < -1:
+def _value_means(values, first_x, shares_x, first_y, shares_y, sums, means):
+    width, reach = values.shape[2], len(sums) // 4
+    for i in range(len(first_y)):
+        for x in range(4 * reach):
+            sums[x] = _F(0.0)
+        for k in range(shares_y.shape[1]):
+            y, share = first_y[i] + k, shares_y[i, k]
+            if share <= _F(0.0):
                 continue
-            for c in range(channels):
-                row[block + 1, c] += share_x[x] * values[y, x, c]
-                row[block + 2, c] += (rest - share_x[x]) * values[y, x, c]
-        _add_row(row, means, block_y, share_y[y])
-        _add_row(row, means, block_y + 1, rest - share_y[y])
+            for c in range(4):
+                total, row = sums[c * reach :], values[c, y]
+                for x in range(width):
+                    total[x] += share * row[x]
+        _cut(sums, 1, reach, 3 * reach, first_x, shares_x, means, i)
 
 
 def value_means(values: np.ndarray, start: tuple[float, float], size: float, shape: tuple[int, int]) -> np.ndarray:
-    """Average blocks of any channels (h, w, c) float32 as they are; see :func:`stored_means`."""
-    means = np.zeros((*shape, values.shape[2]), np.float32)
-    _value_means(values, float(start[0]), float(start[1]), float(size), means)
+    """Average blocks of four planes (4, h, w) float32 as they are: (4, rows, columns); see :func:`stored_means`."""
+    means = np.empty((4, *shape), np.float32)
+    cuts = _Cuts.of(values.shape[1:], start, size, shape)
+    _value_means(np.ascontiguousarray(values), *cuts[:4], cuts.sums, means)
     return means
 
 
@@ -266,17 +242,14 @@ def stored_luminance(image: np.ndarray, table: np.ndarray, weights: np.ndarray) 
 
 
 @_jit
-def _bent_counts(lines, rows, counts):
+def _bent_counts(lines, rows, bent, sizes, counts):
     n = lines.shape[1]
-    bent, sizes = np.empty(n, np.int16), np.empty(n - 6, np.int16)
     for y in rows:
-        above, own, below = lines[y - 1], lines[y], lines[y + 1]
         for i in range(n):
-            bent[i] = np.int16(above[i]) - np.int16(2) * np.int16(own[i]) + np.int16(below[i])
-        left, middle, right = bent[:-6], bent[3:-3], bent[6:]  # the same channel of the neighbours
-        for i in range(n - 6):
-            sizes[i] = abs(left[i] - np.int16(2) * middle[i] + right[i])
-        for i in range(n - 6):
+            bent[i] = np.int16(lines[y - 1, i]) - np.int16(2) * np.int16(lines[y, i]) + np.int16(lines[y + 1, i])
+        for i in range(3, n - 3):  # three on: the same channel of the neighbour
+            sizes[i] = abs(bent[i - 3] - np.int16(2) * bent[i] + bent[i + 3])
+        for i in range(3, n - 3):
             counts[np.uint64(sizes[i])] += 1
 
 
@@ -295,7 +268,9 @@ def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
         Sizes from 0 on.
     """
     counts = np.zeros(16 * 255 + 1, np.int64)
-    _bent_counts(np.ascontiguousarray(image).reshape(len(image), -1), rows, counts)
+    lines = np.ascontiguousarray(image).reshape(len(image), -1)
+    bent, sizes = np.empty(lines.shape[1], np.int16), np.empty(lines.shape[1], np.int16)
+    _bent_counts(lines, rows, bent, sizes, counts)
     return counts
 
 
@@ -347,174 +322,151 @@ def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> n
 
 
 @_jit
-def _soft_light(means, all_, grey, weights, dark, floor, light, masks):
-    every = True
-    for y in range(means.shape[0]):
-        for x in range(means.shape[1]):
-            red, green, blue = means[y, x, 0], means[y, x, 1], means[y, x, 2]
-            light[y, x, 0] = weights[0] * red + weights[1] * green + weights[2] * blue + dark
-            light[y, x, 1], light[y, x, 2], light[y, x, 3] = max(red, floor), max(green, floor), max(blue, floor)
-            known = means[y, x, 3] > all_ and not grey
-            finite = means.shape[2] < 5 or means[y, x, 4] > all_
-            masks[y, x, 0], masks[y, x, 1] = _F(known), _F(finite)
-            every = every and known and finite
+def _light_planes(means, weights, least, grey, floor, dark, unusable, planes, known):
+    every, by_red, by_green, by_blue = True, weights[0], weights[1], weights[2]
+    for y in range(means.shape[1]):
+        for x in range(means.shape[2]):
+            red, green, blue = means[0, y, x], means[1, y, x], means[2, y, x]
+            planes[0, y, x] = by_red * red + by_green * green + by_blue * blue + dark
+            planes[1, y, x] = red if red > floor else floor
+            planes[2, y, x] = green if green > floor else floor
+            planes[3, y, x] = blue if blue > floor else floor
+            own = (means[3, y, x] > least) & (not grey)
+            known[y, x] = _F(own)
+            planes[4, y, x] = _F(own) + unusable
+            every &= own
     return every
 
 
-def soft_light(
-    means: np.ndarray, least: float, grey: bool, weights: np.ndarray, dark: float, floor: float
+def light_planes(
+    means: np.ndarray, weights: np.ndarray, least: float, grey: bool, floor: float, dark: float, unusable: float
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Light whose logarithms ``soft`` takes, and where they may be used.
+    """Light whose logarithms are taken, and where these say something.
 
     Parameters
     ----------
-    means : (h, w, 5) float32
-        Mean linear R, G, B, and the shares of pixels whose logarithm says something, and of finite ones (all, if left
-        out).
+    means : (4, h, w) float32
+        Mean linear R, G, B, and the share of pixels whose logarithm says something.
+    weights : (3,) float
+        Of R, G and B in brightness.
     least : float
         Share above which all are meant.
     grey : bool
         Whether colours say nothing.
-    weights : (3,) float
-        Of R, G and B in brightness.
-    dark : float
-        Added to brightness.
     floor : float
         Least R, G and B.
+    dark : float
+        Added to brightness.
+    unusable : float
+        Weight in a blur where colour says nothing, beside 1.
 
     Returns
     -------
-    light : (h, w, 4) float32
-        Brightness, R, G, B.
-    masks : (h, w, 2) float32
-        Where colour, and brightness, may be used: 1, else 0.
+    planes : (5, h, w) float32
+        Brightness, R, G, B, and the weight in a blur of the last three.
+    known : (h, w) float32
+        1 where colour says something, else 0.
     every : bool
-        Whether both may be used everywhere.
+        Whether it does everywhere.
     """
-    light, masks = np.empty((*means.shape[:2], 4), np.float32), np.empty((*means.shape[:2], 2), np.float32)
-    numbers = np.float32(least), bool(grey), np.asarray(weights, np.float32), np.float32(dark), np.float32(floor)
-    return light, masks, bool(_soft_light(means, *numbers, light, masks))
+    planes, known = np.empty((5, *means.shape[1:]), np.float32), np.empty(means.shape[1:], np.float32)
+    below, added, weight = np.float32(floor), np.float32(dark), np.float32(unusable)
+    means, weights = np.ascontiguousarray(means), np.asarray(weights, np.float32)
+    every = _light_planes(means, weights, np.float32(least), bool(grey), below, added, weight, planes, known)
+    return planes, known, bool(every)
 
 
 @_jit
-def _stored_light(image, table, low, high, grey, weights, dark, floor, light, masks):
-    every = not grey
-    for y in range(image.shape[0]):
-        pixels, row, own = image[y].reshape(-1), light[y].reshape(-1), masks[y].reshape(-1)
-        for x in range(image.shape[1]):
-            r, g, b = pixels[3 * x], pixels[3 * x + 1], pixels[3 * x + 2]
-            red, green, blue = table[r], table[g], table[b]
-            row[4 * x] = weights[0] * red + weights[1] * green + weights[2] * blue + dark
-            row[4 * x + 1], row[4 * x + 2], row[4 * x + 3] = max(red, floor), max(green, floor), max(blue, floor)
-            known = (low <= min(r, min(g, b))) & (max(r, max(g, b)) <= high) & (not grey)
-            own[2 * x], own[2 * x + 1] = _F(known), _F(1.0)
-            every = every & known
-    return every
+def _blur(planes, taps, line, blurred):
+    # Along columns into a line, which is then blurred along itself. Slices rather than indices that are worked out:
+    # only then does the compiler see that they never wrap around, and does many pixels at a time.
+    reach, height, width = len(taps) - 1, planes.shape[1], planes.shape[2]
+    middle = line[reach:]
+    for p in range(planes.shape[0]):
+        for y in range(height):
+            own, to, tap = planes[p, y], blurred[p, y], taps[0]
+            for x in range(width):
+                middle[x] = tap * own[x]
+            for k in range(1, reach, 2):  # two at a time: the line is read and written half as often
+                near, far = taps[k], taps[k + 1]
+                above, below = planes[p, max(y - k, 0)], planes[p, min(y + k, height - 1)]
+                top, bottom = planes[p, max(y - k - 1, 0)], planes[p, min(y + k + 1, height - 1)]
+                for x in range(width):
+                    middle[x] += near * (above[x] + below[x]) + far * (top[x] + bottom[x])
+            for k in range(reach):
+                line[k], line[reach + width + k] = line[reach], line[reach + width - 1]
+            for x in range(width):
+                to[x] = tap * middle[x]
+            for k in range(1, reach, 2):
+                near, far, left, right = taps[k], taps[k + 1], line[reach - k :], line[reach + k :]
+                first, last = line[reach - k - 1 :], line[reach + k + 1 :]
+                for x in range(width):
+                    to[x] += near * (left[x] + right[x]) + far * (first[x] + last[x])
 
 
-def stored_light(
-    image: np.ndarray,
-    table: np.ndarray,
-    usable: tuple[int, int],
-    grey: bool,
-    weights: np.ndarray,
-    dark: float,
-    floor: float,
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """As :func:`soft_light`, of integer pixels that are not averaged; table and range as of :func:`stored_means`."""
-    light, masks = np.empty((*image.shape[:2], 4), np.float32), np.empty((*image.shape[:2], 2), np.float32)
-    low, high = (image.dtype.type(value) for value in usable)
-    numbers = low, high, bool(grey), np.asarray(weights, np.float32), np.float32(dark), np.float32(floor)
-    return light, masks, bool(_stored_light(np.ascontiguousarray(image), table, *numbers, light, masks))
+REACH = 3.0
+"""Standard deviations at which a blur is cut off."""
 
 
-@_jit
-def _weigh(logs, masks, least, weights):
-    both = weights.shape[2] == 2
-    for y in range(logs.shape[0]):
-        for x in range(logs.shape[1]):
-            known = masks[y, x, 0] + least
-            weights[y, x, 0] = known
-            for c in range(1, 4):
-                logs[y, x, c] *= known
-            if both:
-                weights[y, x, 1] = masks[y, x, 1] + least
-                logs[y, x, 0] *= weights[y, x, 1]
-
-
-def weigh(logs: np.ndarray, masks: np.ndarray, least: float, finite: bool = False) -> np.ndarray:
-    """Multiply log brightness and log RGB, in place, by weights of their masks.
+def blur_planes(planes: np.ndarray, sigma: float, blurred: np.ndarray) -> None:
+    """Gaussian blur of planes (n, h, w) float32; the border's pixels go on beyond it.
 
     Parameters
     ----------
-    logs : (h, w, 4) float32
-    masks : (h, w, 2) float32
-        Of RGB and of brightness.
-    least : float
-        Weight of what is masked, beside 1.
-    finite : bool
-        Whether brightness is masked nowhere, and left as it is.
-
-    Returns
-    -------
-    (h, w, 1 or 2) float32
-        Weights of RGB, and of brightness if it has any.
+    planes : (n, h, w) float32
+    sigma : float
+        Standard deviation, pixels, above 0.
+    blurred : (n, h, w) float32
+        Where they are put.
     """
-    weights = np.empty((*masks.shape[:2], 1 if finite else 2), np.float32)
-    _weigh(logs, masks, np.float32(least), weights)
-    return weights
+    reach = int(np.ceil(REACH * sigma))
+    taps = np.exp(-0.5 * np.square(np.arange(reach + reach % 2 + 1) / sigma))  # of both sides, two at a time
+    taps /= 2.0 * taps.sum() - taps[0]
+    _blur(planes, taps.astype(np.float32), np.empty(planes.shape[2] + 2 * len(taps), np.float32), blurred)
 
 
 @_jit
-def _divide(logs, shares):
-    both = shares.shape[2] == 2
-    for y in range(logs.shape[0]):
-        for x in range(logs.shape[1]):
-            known = _F(1.0) / shares[y, x, 0]
-            for c in range(1, 4):
-                logs[y, x, c] *= known
-            if both:
-                logs[y, x, 0] /= shares[y, x, 1]
-
-
-def divide(logs: np.ndarray, shares: np.ndarray) -> None:
-    """Divide log brightness and log RGB (h, w, 4), in place, by the shares (h, w, 1 or 2) that :func:`weigh` gave."""
-    _divide(logs, shares)
-
-
-@_jit
-def _finish_soft(logs, masks, turn, softness, out):
-    height, width = logs.shape[:2]
-    luminance = np.empty((height, width), np.float32)
+def _lay_out(planes, known, usable, soft, turn, softness, across, down, channels):
+    height, width, nought = known.shape[0], known.shape[1], _F(0.0)
     for y in range(height):
+        if soft:
+            _soft_row(planes[0], y, turn, softness, across, down)
         for x in range(width):
-            luminance[y, x] = logs[y, x, 0]
-    across, down = np.empty(width, np.float32), np.empty(width, np.float32)
-    for y in range(height):
-        _soft_row(luminance, y, turn, softness, across, down)
-        for x in range(width):
-            out[y, x, 0], out[y, x, 1] = across[x], down[x]
-            out[y, x, 2], out[y, x, 3], out[y, x, 4] = logs[y, x, 1], logs[y, x, 2], logs[y, x, 3]
-            out[y, x, 5], out[y, x, 6] = masks[y, x, 0], masks[y, x, 1]
+            own = channels[y, x]
+            red, green, blue = planes[1, y, x], planes[2, y, x], planes[3, y, x]
+            if soft:
+                own[0], own[1], own[2], own[3], own[4], own[5] = across[x], down[x], red, green, blue, known[y, x]
+            else:
+                own[0], own[1], own[2], own[3], own[4], own[5] = red, green, blue, nought, nought, nought
+            own[6], own[7] = nought, usable[y, x]
 
 
-def soft_channels(logs: np.ndarray, masks: np.ndarray, turn: np.ndarray, softness: float) -> np.ndarray:
-    """Lay out the channels of ``soft``: the softly normalised gradient, log R, G, B, and the two masks.
+def lay_out(
+    planes: np.ndarray, known: np.ndarray, usable: np.ndarray, soft: bool, turn: np.ndarray, softness: float
+) -> np.ndarray:
+    """Lay out what kernels sample: eight channels, pixel by pixel.
 
     Parameters
     ----------
-    logs : (h, w, 4) float32
-        Logarithms of brightness, R, G and B.
-    masks : (h, w, 2) float32
+    planes : (4, h, w) float32
+        What directions are taken of, and three colours.
+    known : (h, w) float32
+        How far the colours may be trusted.
+    usable : (h, w) float32
+        How far the pixel may be.
+    soft : bool
+        Whether directions (see :func:`liaam.photometry.encoding.soft_direction`) come first, and what is known of the
+        colours after them; the three colours alone, else.
     turn : (2, 2) float
-        Rotation from the image's to the object's axes.
     softness : float
-        Gradient per pixel at which half of its square is normalised away.
 
     Returns
     -------
-    (h, w, 7) float32
+    (h, w, 8) float32
+        What is usable comes last; noughts are in between.
     """
-    out = np.empty((*logs.shape[:2], 7), np.float32)
-    _finish_soft(logs, masks, np.ascontiguousarray(turn, dtype=np.float32), np.float32(softness), out)
-    return out
+    channels = np.empty((*known.shape, 8), np.float32)
+    turn = np.ascontiguousarray(turn, np.float32)
+    across, down = np.empty(known.shape[1], np.float32), np.empty(known.shape[1], np.float32)
+    _lay_out(planes, known, usable, bool(soft), turn, np.float32(softness), across, down, channels)
+    return channels

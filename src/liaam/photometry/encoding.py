@@ -20,6 +20,12 @@ and sine of the direction of luminance's gradient, third channel zero (Tzimiropo
 "Subspace learning from image gradient orientations", PAMI 2012); ``soft``: the gradient of log brightness, softly
 normalised, log of linear light, and whether that log says anything (six channels, see :func:`encode`)."""
 
+LOGARITHMIC = ("log", "soft")
+"""Those of logarithms, which say nothing in the dark and in highlights."""
+
+WIDTHS = {"value": 3, "log": 3, "orientation": 3, "soft": 6}
+"""Channels of each, the usable weight aside."""
+
 BRIGHTNESS = np.full(3, 1.0 / 3.0)
 """Weights of linear R, G and B in the brightness that ``soft`` takes gradients of. The eye's luminance leans on green
 and throws red and blue away: with equal weights errors by noise are a sixth smaller (generated scenes, efficiency 0.80
@@ -36,11 +42,12 @@ FLAT = 1e-4
 """Gradient of luminance per pixel, in values of [0, 1], below which its direction fades to nothing: a fortieth
 of an 8-bit step. The published orientation has no such limit, and no answer where a picture is flat."""
 
-DARK = 8 / 255
-"""Stored value below which a logarithm says nothing (noise and JPEG rounding), in any channel."""
+DARK = 7.5 / 255
+"""Stored value below which a logarithm says nothing (noise and JPEG rounding), in any channel. Half a step of 8 bits
+off what a picture stores, so that rounding does not decide."""
 
-SATURATED = 250 / 255
-"""Stored value above which a channel is taken as clipped."""
+SATURATED = 250.5 / 255
+"""Stored value above which a channel is taken as clipped; half a step off, too."""
 
 
 def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
@@ -177,95 +184,137 @@ def encode(
         components g / sqrt(|g|^2 + SOFTNESS^2), log R, log G, log B, and how far these three may be trusted (0 to 1);
         the gradient may be used in the dark and in highlights too.
     """
-    if encoding not in ENCODINGS:
-        raise MethodError(f"encoding {encoding!r} does not exist; there are {', '.join(ENCODINGS)}")
-    if encoding == "soft":
-        return _encode_soft(image, response, blur, _Blocks.of(image, reduce, start), turn, pixel)
-    if reduce > 1:
-        means = _block_means(image, encoding, response, _Blocks.of(image, reduce, start))
-        colour, usable = _encode_linear(means[..., :3], encoding, response), means[..., 3] > ALL
-    else:
-        stored, usable = _stored_and_usable(image, encoding)
-        is_integer = image.dtype.kind == "u"
-        colour = (
-            _table(image.dtype.str, encoding, response)[image] if is_integer else _encode(stored, encoding, response)
-        )
-    if blur > 0.0:
-        colour = _blurred(colour, usable, blur)
-    if encoding == "orientation":
-        colour = _orientation(colour @ LUMINANCE[0].astype(np.float32), turn)
-    return np.concatenate([colour, usable[..., None].astype(np.float32)], axis=2)
+    channels = encode_means(
+        block_means(image, encoding, response, reduce, start), encoding, response, blur, turn, pixel
+    )
+    return np.concatenate([channels[..., : WIDTHS[encoding]], channels[..., -1:]], axis=2)
 
 
 ALL = 0.999
 """Share of a block's pixels above which all are meant."""
 
 
-class _Blocks(NamedTuple):
-    """Blocks of pixels to be averaged: where the first begins, their size in pixels, and how many rows and columns."""
+class Means(NamedTuple):
+    """Linear light of blocks of pixels."""
 
-    start: tuple[float, float]
-    size: float
-    shape: tuple[int, int]
+    light: np.ndarray
+    """(4, rows, columns) float32: R, G, B, and the share of pixels that are usable."""
+    finite: np.ndarray | None = None
+    """(rows, columns) float32: the share of finite pixels; all are, if left out."""
+    grey: bool = False
+    """Whether the picture is grey, so that colour says nothing."""
 
-    @classmethod
-    def of(cls, image: np.ndarray, size: float, start: tuple[float, float]) -> "_Blocks":
-        """As many as the image holds."""
-        rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
-        return cls(start, size, (rows, columns))
+    def averaged(self, start: tuple[float, float], size: float, shape: tuple[int, int]) -> "Means":
+        """Averages of blocks of ``size`` by ``size`` of them, the first beginning at ``start`` (x, y)."""
+        if size == 1 and start[0] == int(start[0]) and start[1] == int(start[1]):
+            x, y = int(start[0]), int(start[1])
+            part = np.s_[..., y : y + shape[0], x : x + shape[1]]
+            return self._replace(light=self.light[part], finite=None if self.finite is None else self.finite[part])
+        from liaam.photometry import averaging  # numba: imported when first needed
+
+        light, finite = averaging.value_means(self.light, start, size, shape), self.finite
+        if finite is not None:
+            finite = averaging.value_means(np.repeat(finite[None], 4, axis=0), start, size, shape)[0]
+        return self._replace(light=light, finite=finite)
 
 
-def _block_means(image: np.ndarray, encoding: str, response: Response, blocks: _Blocks) -> np.ndarray:
-    """Mean linear R, G and B of blocks, and the shares of their pixels usable for the encoding, and finite.
+def block_means(
+    image: np.ndarray, encoding: str, response: Response, size: float, start: tuple[float, float] = (0.0, 0.0)
+) -> Means:
+    """Average an image in linear light, as far as it holds whole blocks.
 
-    Returns
-    -------
-    (rows, columns, 5) float32
-        Without the last where all are finite.
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, uint16 or float32
+        Stored values.
+    encoding : {"value", "log", "orientation", "soft"}
+        For which pixels have to be usable.
+    response : Response
+    size : float
+        Pixels across a block, at least 1; blocks may cut through pixels.
+    start : (x, y)
+        Where the first block begins, pixels; 0 is the border of the first pixel.
     """
     from liaam.photometry import averaging  # numba: imported when first needed
 
+    if encoding not in ENCODINGS:
+        raise MethodError(f"encoding {encoding!r} does not exist; there are {', '.join(ENCODINGS)}")
+    rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
+    grey = encoding == "soft" and is_grey(image)
     if image.dtype.kind == "u":
-        low, high = _usable_range(image.dtype) if encoding == "log" else (0, np.iinfo(image.dtype).max)
+        low, high = _usable_range(image.dtype) if encoding in LOGARITHMIC else (0, np.iinfo(image.dtype).max)
         table = _table(image.dtype.str, "linear", response)
-        return averaging.stored_means(np.ascontiguousarray(image), table, (low, high), *blocks)
-    stored, usable = _stored_and_usable(image, encoding)
-    masks = np.stack([usable, _stored_and_usable(image, "value")[1]], axis=-1)
-    return averaging.value_means(
-        np.concatenate([_linear(image, stored, response), masks], axis=2, dtype=np.float32), *blocks
-    )
+        return Means(averaging.stored_means(image, table, (low, high), start, size, (rows, columns)), None, grey)
+    stored, usable, finite = _stored_and_usable(image, encoding)
+    linear = to_linear(stored, response).astype(np.float32, copy=False)
+    light = np.concatenate([np.moveaxis(linear, -1, 0), usable[None]], axis=0, dtype=np.float32)
+    pixels = Means(light, None if finite.all() else finite.astype(np.float32), grey)
+    return pixels.averaged(start, size, (rows, columns))
 
 
-def _encode_soft(
-    image: np.ndarray, response: Response, blur: float, blocks: _Blocks, turn: np.ndarray | None, pixel: float
+def encode_means(
+    means: Means,
+    encoding: str,
+    response: Response,
+    blur: float = 0.0,
+    turn: np.ndarray | None = None,
+    pixel: float = 1.0,
 ) -> np.ndarray:
-    """Encode for ``soft``: gradients of log brightness, softly normalised, and log RGB with its own weight."""
+    """Encode averaged light: eight channels, whatever the encoding, as kernels sample them.
+
+    Parameters
+    ----------
+    means : Means
+        From :func:`block_means` for the same encoding.
+    encoding, response, blur, turn, pixel
+        See :func:`encode`.
+
+    Returns
+    -------
+    (h, w, 8) float32
+        The encoding's channels (:data:`WIDTHS`) first, then noughts, and the usable weight in {0, 1} last.
+    """
+    from liaam.photometry import averaging  # numba: imported when first needed
+
+    planes, known, usable = _planes(means, encoding, response, blur)
+    turn, soft = np.eye(2) if turn is None else turn, encoding in ("soft", "orientation")
+    softness = SOFTNESS * pixel if encoding == "soft" else FLAT
+    return averaging.lay_out(planes, known, usable, soft, turn, softness)
+
+
+def _planes(means: Means, encoding: str, response: Response, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What gradients are taken of and three colours, blurred, and how far the colours are usable, and the pixel."""
+    if encoding not in LOGARITHMIC:
+        return _value_planes(means, encoding, blur)
     import cv2  # heavy: imported when first needed
 
     from liaam.photometry import averaging
 
     # Of a grey picture there is no invariant to know.
-    settings = is_grey(image), BRIGHTNESS, LOG_FLOOR, float(_floor(response))
-    finite = image.dtype.kind == "u"
-    if finite and blocks == _Blocks((0.0, 0.0), 1.0, image.shape[:2]):  # nothing to be averaged
-        table = _table(image.dtype.str, "linear", response)
-        light, masks, every = averaging.stored_light(image, table, _usable_range(image.dtype), *settings)
-    else:
-        light, masks, every = averaging.soft_light(_block_means(image, "log", response, blocks), ALL, *settings)
-    logs = cv2.log(light, light)
+    planes, known, every = averaging.light_planes(
+        means.light, BRIGHTNESS, ALL, means.grey, float(_floor(response)), LOG_FLOOR, float(UNUSABLE)
+    )
+    logs = planes[:4] if encoding == "soft" else planes[1:4]
+    flat = logs.reshape(-1, planes.shape[2])
+    cv2.log(flat, flat)
+    if encoding == "log":
+        return (_blurred(planes, every, None, blur, 1) if blur > 0.0 else planes), known, known
+    usable = np.ones_like(known) if means.finite is None else (means.finite > ALL).astype(np.float32)
+    return (_blurred(planes, every, means.finite, blur) if blur > 0.0 else planes), known, usable
+
+
+def _value_planes(means: Means, encoding: str, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same for ``value`` and for ``orientation``, whose gradients are those of values, taken after the blur."""
+    usable = (means.light[3] > ALL).astype(np.float32)
+    planes = np.zeros((5, *usable.shape), np.float32)
+    planes[1:4], planes[4] = linear_to_srgb(means.light[:3]), usable + UNUSABLE
     if blur > 0.0:
-        logs = _smooth(logs, blur) if every else _blurred_by_masks(logs, masks, blur, finite)
-    return averaging.soft_channels(logs, masks, np.eye(2) if turn is None else turn, SOFTNESS * pixel)
-
-
-def _blurred_by_masks(logs: np.ndarray, masks: np.ndarray, blur: float, finite: bool) -> np.ndarray:
-    """Blur log brightness by where it is finite, and log RGB by where it is known; the logarithms given are lost."""
-    from liaam.photometry import averaging
-
-    weights = averaging.weigh(logs, masks, float(UNUSABLE), finite)
-    blurred = _smooth(logs, blur)
-    averaging.divide(blurred, _smooth(weights, blur).reshape(weights.shape))
-    return blurred
+        planes = _blurred(planes, bool(usable.all()), None, blur, 1)
+    if encoding == "orientation":
+        planes[0] = np.tensordot(LUMINANCE[0].astype(np.float32), planes[1:4], axes=1)
+        planes[1:] = 0.0
+        return planes, planes[3], usable
+    return planes, usable, usable
 
 
 def _usable_range(dtype: np.dtype) -> tuple[int, int]:
@@ -274,39 +323,13 @@ def _usable_range(dtype: np.dtype) -> tuple[int, int]:
     return int(np.ceil(DARK * top)), int(np.floor(SATURATED * top))
 
 
-def _stored_and_usable(image: np.ndarray, encoding: str) -> tuple[np.ndarray, np.ndarray]:
-    """Finite stored values in [0, 1] and the mask of usable pixels."""
-    if image.dtype.kind == "u":
-        if encoding != "log":
-            return image, np.ones(image.shape[:2], dtype=bool)
-        import cv2  # heavy: imported when first needed
-
-        low, high = ((value,) * 3 for value in _usable_range(image.dtype))
-        return image, cv2.inRange(image, low, high) > 0
+def _stored_and_usable(image: np.ndarray, encoding: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Finite values in [0, 1] of a picture of floats, and the masks of usable and of finite pixels."""
     finite = np.asarray(np.isfinite(image).all(axis=-1))
     stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, 1e6), np.float32(0.0))
-    if encoding != "log":
-        return stored, finite
-    return stored, finite & np.asarray(((stored >= DARK) & (stored <= SATURATED)).all(axis=-1))
-
-
-def _linear(image: np.ndarray, stored: np.ndarray, response: Response) -> np.ndarray:
-    """Linear light of stored values, float32, by table for integers."""
-    if image.dtype.kind == "u":
-        return _table(image.dtype.str, "linear", response)[image]
-    return to_linear(stored, response).astype(np.float32)
-
-
-def _encode(stored: np.ndarray, encoding: str, response: Response) -> np.ndarray:
-    if encoding == "linear":
-        return to_linear(stored, response).astype(np.float32)
-    return _encode_linear(to_linear(stored, response), encoding, response)
-
-
-def _encode_linear(linear: np.ndarray, encoding: str, response: Response) -> np.ndarray:
-    if encoding != "log":  # orientations are those of values, taken after the blur
-        return linear_to_srgb(linear).astype(np.float32)
-    return np.log(np.maximum(linear, _floor(response))).astype(np.float32)
+    if encoding not in LOGARITHMIC:
+        return stored, finite, finite
+    return stored, finite & np.asarray(((stored >= DARK) & (stored <= SATURATED)).all(axis=-1)), finite
 
 
 def _floor(response: Response) -> np.float32:
@@ -316,9 +339,9 @@ def _floor(response: Response) -> np.float32:
 
 @lru_cache(maxsize=16)
 def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
-    """Look-up table of an encoding for an integer pixel type."""
-    stored = np.linspace(0.0, 1.0, np.iinfo(dtype).max + 1)
-    return _encode(stored, encoding, response)
+    """Look-up table of linear light, or of the encoding ``value``, for an integer pixel type."""
+    linear = to_linear(np.linspace(0.0, 1.0, np.iinfo(dtype).max + 1), response)
+    return (linear if encoding == "linear" else linear_to_srgb(linear)).astype(np.float32)
 
 
 def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarray:
@@ -328,11 +351,6 @@ def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarra
     if image.dtype.kind != "u":
         return encode(image, "value", response)[..., :3] @ LUMINANCE[0].astype(np.float32)
     return averaging.stored_luminance(image, _table(image.dtype.str, "value", response), LUMINANCE[0])
-
-
-def _orientation(luminance: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
-    """Direction of the gradient as a unit vector in the first two of three channels, (h, w, 3) float32."""
-    return np.dstack([soft_direction(luminance, FLAT, turn), np.zeros_like(luminance)]).astype(np.float32)
 
 
 def soft_direction(luminance: np.ndarray, softness: float, turn: np.ndarray | None = None) -> np.ndarray:
@@ -359,15 +377,41 @@ UNUSABLE = np.float32(1e-3)
 """Weight of an unusable pixel in a blur beside a usable one."""
 
 
-def _blurred(colour: np.ndarray, usable: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian blur in which unusable pixels count next to nothing."""
-    if usable.all():
-        return _smooth(colour, sigma)
-    weight = usable.astype(np.float32) + UNUSABLE
-    return _smooth(colour * weight[..., None], sigma) / _smooth(weight, sigma)[..., None]
+def _blurred(planes: np.ndarray, every: bool, finite: np.ndarray | None, sigma: float, first: int = 0) -> np.ndarray:
+    """Gaussian blur in which unusable pixels count next to nothing.
 
+    Parameters
+    ----------
+    planes : (5, h, w) float32
+        Brightness, three colours, and their weights; lost.
+    every : bool
+        Whether the colours are usable everywhere.
+    finite : (h, w) float32 or None
+        Share of pixels whose brightness is finite; it is everywhere, if left out.
+    sigma : float
+        Pixels.
+    first : int
+        1 to leave out the brightness, which is then anything.
 
-def _smooth(channels: np.ndarray, sigma: float) -> np.ndarray:
-    import cv2  # heavy: imported when first needed
+    Returns
+    -------
+    (4 or more, h, w) float32
+        Brightness and colours.
+    """
+    from liaam.photometry import averaging  # numba: imported when first needed
 
-    return cv2.GaussianBlur(channels, (0, 0), float(sigma), borderType=cv2.BORDER_REPLICATE)
+    if every and finite is None:
+        planes = planes[:4]
+    else:
+        planes[1:4] *= planes[4]
+    if finite is not None:
+        weight = (finite > ALL) + UNUSABLE
+        planes[0] *= weight
+        planes = np.concatenate([planes, weight[None]])
+    blurred = np.empty_like(planes)
+    averaging.blur_planes(planes[first:], sigma, blurred[first:])
+    if len(planes) > 4:
+        blurred[1:4] /= blurred[4]
+    if finite is not None:
+        blurred[0] /= blurred[5]
+    return blurred

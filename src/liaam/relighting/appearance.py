@@ -6,7 +6,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
-from liaam.fitting.objective import tied_together
+from liaam.fitting.problem import correlated_pixels
 from liaam.photometry.encoding import as_colour, refuse_grey
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
@@ -66,21 +66,23 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     if method.appearance == "soft":  # of what it measures, the invariant tells the appearance
         refuse_grey(as_colour(image), "image", "the appearance without shadows is rebuilt from colours", MethodError)
         fitter, result = replace(fitter, method="li"), replace(result, theta=np.nan)
-    objective, equations, lam = fitter.equations_at(image, result)
-    n, eigenvalues = objective.appearance.n_modes, objective.appearance.eigenvalues
-    if not equations.weight > 0:  # nothing of the picture can be used: what training says
-        return ShadowFree(objective.appearance.texture(np.zeros(n)), np.zeros(n), np.sqrt(eigenvalues))
+    solution, known = fitter.settled_at(image, result)[1], fitter.view.levels[-1].appearances["log"]
+    work, n, eigenvalues = solution.work, known.n_modes, known.eigenvalues
+    if not work.sums[1] > 0:  # nothing of the picture can be used: what training says
+        return ShadowFree(known.texture(np.zeros(n)), np.zeros(n), np.sqrt(eigenvalues))
     # In units of the residual's variance, as for the shape's prior.
-    variance = tied_together(fitter.model.levels[-1].blur) * max(equations.cost, LEAST_VARIANCE)
-    precision = np.zeros(len(lam))
+    variance = correlated_pixels(fitter.view.levels[-1].blur) * max(float(solution.costs[-1]), LEAST_VARIANCE)
+    precision = np.zeros(len(work.lam))
     precision[:n] = prior * variance / np.maximum(eigenvalues, 1e-12)
+    modes = (work.rows[1:] * work.root).astype(np.float64)
+    gram = modes @ modes.T
     # Modes that are not seen may have lost their sign to rounding; how far is luck, and nothing to hold others by.
-    curvatures, axes = np.linalg.eigh(equations.aa)
-    ridge = 1e-9 * float(np.diag(equations.aa).max())
+    curvatures, axes = np.linalg.eigh(gram)
+    ridge = 1e-9 * float(np.diag(gram).max())
     hessian = (axes * (np.maximum(curvatures, 0.0) + ridge)) @ axes.T + np.diag(precision)
-    best = np.linalg.solve(hessian, equations.aa @ lam + equations.ar)
+    best = np.linalg.solve(hessian, gram @ work.lam + modes @ (work.root * work.residual))
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
-    return ShadowFree(objective.appearance.texture(best[:n]), best[:n], spread[:n])
+    return ShadowFree(known.texture(best[:n]), best[:n], spread[:n])
 
 
 def check_method(fitter: Fitter, result: FitResult) -> None:
@@ -88,8 +90,8 @@ def check_method(fitter: Fitter, result: FitResult) -> None:
     method = fitter.objectives[-1].method
     if method.appearance not in ("log", "soft"):
         raise MethodError(
-            f"method {result.method} does not fit the appearance of log-RGB, so nothing can be rebuilt from it; "
+            f"method {result.method.name} does not fit the appearance of log-RGB, so nothing can be rebuilt from it; "
             "fit with 'soft-li', 'li', 'li-pc', 'li-pcs' or 'chroma'"
         )
-    if method.name != result.method:
-        raise MethodError(f"the fit was made with method {result.method}, not {method.name}; give its own fitter")
+    if method != result.method:
+        raise MethodError(f"the fit was made with method {result.method.name}, not {method.name}; give its own fitter")

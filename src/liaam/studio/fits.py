@@ -116,7 +116,7 @@ class Fit:
         result, model = self.result, self.model
         return {
             "id": self.id,
-            "method": result.method,
+            "method": result.method.name,
             "status": str(result.status),
             "ok": result.status.ok,
             "message": result.message,
@@ -206,7 +206,7 @@ class Fits:
         image = example(current.model, WARM_UP)
         searcher, fitter = self._fitter(current, "igo", False), self._fitter(current, DEFAULT_METHOD, False)
         result = fitter.fit(image, searcher.find(image)[0])
-        layers.residual_of(current.model, result)
+        layers.residual_of(fitter, image, result)
         if layers.why_not_flat(fitter, image, result) is None:
             layers.taken_apart(fitter, image, result, (image.shape[1], image.shape[0]))
 
@@ -283,7 +283,7 @@ class Fits:
             result,
             searched - began,
             fitted - searched,
-            layers.residual_of(current.model, result),
+            layers.residual_of(fitter, image, result),
             layers.why_not_flat(fitter, image, result),
             error_of(result.shape, truth),
             of,

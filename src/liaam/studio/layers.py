@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.fitting import FitResult, Fitter, get_method
+from liaam.fitting import FitResult, Fitter
 from liaam.mesh import ReferenceFrame
 from liaam.model import AAM
 from liaam.photometry import is_grey, linear_to_srgb
@@ -62,18 +62,18 @@ class Residual:
     what: str
 
 
-def residual_of(model: AAM, result: FitResult) -> Residual:
-    """Channel of the residual with the largest mean square: the one that tells most."""
-    method = get_method(result.method)
-    frame = model.warp_of(method.appearance).frame
-    power = np.nan_to_num(np.square(result.residual, dtype=np.float64).mean(axis=0))
-    row = int(power.argmax())
-    values = np.stack([result.residual[:, row], result.usable], axis=1)
+def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residual:
+    """Channel of a fit's residual with the largest mean square: the one that tells most."""
+    method, model = result.method, fitter.model
+    residual, usable = fitter.residual(image, result)
+    row = int(np.nan_to_num(np.square(residual, dtype=np.float64).mean(axis=0)).argmax())
+    values = np.stack([residual[:, row], usable], axis=1)
     sizes = np.abs(values[values[:, 1] > 0, 0])
     sizes = sizes[np.isfinite(sizes)]
     limit = float(np.percentile(sizes, RESIDUAL_SHARE)) if len(sizes) else 0.0
     names = _ROWS.get(method.metric, ())
-    return Residual(_inside(model, frame, values), max(limit, 1e-6), names[row] if row < len(names) else method.metric)
+    values = _inside(model, fitter.view.warp.frame, values)
+    return Residual(values, max(limit, 1e-6), names[row] if row < len(names) else method.metric)
 
 
 def _inside(model: AAM, frame: ReferenceFrame, values: np.ndarray) -> np.ndarray:
@@ -152,12 +152,12 @@ def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
 
 def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | None:
     """Why the shading of a fit cannot be told; None where it can."""
-    method = get_method(result.method)
+    method = result.method
     if not np.isfinite(result.shape).all():
         return "the fit lost the object, so there is nothing to take the shading from: fit again from a better start"
     if method.appearance not in ("log", "soft"):
         return (
-            f"method {result.method} does not tell colour from shading: fit with 'soft-li', 'li', 'li-pc', 'li-pcs' or "
+            f"method {method.name} does not tell colour from shading: fit with 'soft-li', 'li', 'li-pc', 'li-pcs' or "
             "'chroma'"
         )
     if not fitter.model.is_colour:

@@ -81,8 +81,9 @@ class ShadingRemover:
             raise MethodError(
                 "the video is grey (three equal channels), and shading is told by colours; give a colour video"
             )
-        log = self._log is not self.fitter
-        seen = shadow_free(self._log, image, replace(result, method="li", theta=np.nan) if log else result)
+        if self._log is not self.fitter:
+            result = replace(result, method=self._log.objectives[-1].method, theta=np.nan)
+        seen = shadow_free(self._log, image, result)
         log_rgb = self._filtered(seen)
         model, camera = self.fitter.model, self.fitter.camera or self.fitter.model.camera
         painted, _ = paint(image, landmarks, model, np.concatenate([log_rgb, self._weights[:, None]], axis=1))
@@ -90,7 +91,7 @@ class ShadingRemover:
 
     def _filtered(self, seen: ShadowFree) -> np.ndarray:
         """Logarithms of the appearance (n_pixels, 3), its coordinates filtered over time."""
-        appearance = self._log.objectives[-1].of_all_pixels.appearance
+        appearance = self._log.view.levels[-1].appearances["log"]
         noise = np.square(seen.deviations)
         if self._lam is None or self._variance is None:
             self._lam, self._variance = seen.lam, noise

@@ -215,7 +215,7 @@ class Tracker:
     name : str
         What the frames are of, such as the name of a video, for messages.
     result : FitResult or None
-        The last frame's fit, where it was followed without its residual; None if it is lost.
+        The last frame's fit; None if it is lost.
 
     Examples
     --------
@@ -233,9 +233,10 @@ class Tracker:
 
     def __post_init__(self) -> None:
         self.fitter = Fitter(self.model, self.method, camera=self.camera, restarts=False)  # it searches instead
-        near = SolverOptions(max_iterations=self.options.iterations, notice=NOTICE)
+        # No hurry: a frame would be left between where it is and where the one before it said it was.
+        near = SolverOptions(max_iterations=self.options.iterations, notice=NOTICE, hurry=0.0)
         few = sharpest(self.model, self.options.levels)
-        self._near = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, residuals=False, restarts=False)
+        self._near = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
         self._motion = Motion(self.fitter.shapes)
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
         self.reset()
@@ -386,7 +387,7 @@ class Tracker:
         try:
             (found, *_) = self.fitter.find(pixels, name=name)
             # A doubtful place is worth a fit only where fits can tell whether they are right.
-            if found.doubtful and self.model.reliability is None:
+            if found.doubtful and self.fitter.reliability is None:
                 return False, None
             tried = self.fitter.fit(pixels, found, name)
         except (StartError, ImageError):
@@ -431,7 +432,7 @@ class Tracker:
 
 def sharpest(model: AAM, levels: int) -> AAM:
     """The model without its coarser levels, of which so many finest ones stay."""
-    return replace(model, levels=model.levels[-levels:], soft_levels=model.soft_levels[-levels:])
+    return replace(model, views={name: replace(v, levels=v.levels[-levels:]) for name, v in model.views.items()})
 
 
 def _usable(result: FitResult) -> bool:

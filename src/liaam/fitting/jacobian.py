@@ -1,0 +1,284 @@
+"""Derivatives of the residual, and their products (paper eq 10).
+
+A pixel moves with the three vertices around it only, so that of its row of derivatives by the vertices,
+
+    dr(x) / d(vertex v) = beta_v(x) steep(x),
+
+all but six entries are nought: products are sums over triangles, carried on to the warp's parameters at the end.
+
+Compiled; arrays of pixels are flat, residual e = i k + r is row r of pixel i. :mod:`liaam.fitting.reference` says what
+each function has to give.
+"""
+
+import numpy as np
+
+from liaam.fitting.equations import clear
+from liaam.jit import F, jit
+from liaam.kernels.vectors import SIZE, every, halves, load, store
+
+FLAT = 0.05
+"""Share of its area at rest below which a triangle counts as flat: what it shows has no gradient there."""
+
+PAIR = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
+"""Number of a pair of a triangle's corners."""
+
+
+@jit
+def combine(rows: np.ndarray, lam: np.ndarray, out: np.ndarray) -> None:
+    """First row plus lambda times the others, of rows (1 + m, e) float32."""
+    first = rows[0]
+    for e in range(len(out)):
+        out[e] = first[e]
+    for j in range(len(lam)):
+        row, share = rows[1 + j], F(lam[j])
+        for e in range(len(out)):
+            out[e] += share * row[e]
+
+
+@jit
+def pull(
+    starts: np.ndarray, triangles: np.ndarray, rest: np.ndarray, points: np.ndarray, slopes: np.ndarray, out: np.ndarray
+) -> None:
+    """Gradient at W(x; p) of what has given slopes at x: if V(W(x; p)) = A(x), then grad V = (dW/dx)^-T grad A.
+
+    Parameters
+    ----------
+    starts, triangles
+        Of the mesh.
+    rest, points : (v, 2) float64
+        Its vertices at rest, and now.
+    slopes : (2 n k,) float32
+        Of each pixel, k derivatives along x and k along y.
+    out : (2 n k,) float32
+        Of each residual, along x and y, model pixels.
+    """
+    n_pixels = starts[len(starts) - 1]
+    k = len(slopes) // (2 * n_pixels) if n_pixels else 0
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        x0, y0 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        x1, y1 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        u0, v0 = rest[b, 0] - rest[a, 0], rest[b, 1] - rest[a, 1]
+        u1, v1 = rest[c, 0] - rest[a, 0], rest[c, 1] - rest[a, 1]
+        twice, least = x0 * y1 - x1 * y0, FLAT * abs(u0 * v1 - u1 * v0)
+        factor = 1.0 / twice if (twice > least) | (twice < -least) else 0.0  # written so that NaN counts as flat
+        xx, xy = F((u0 * y1 - u1 * y0) * factor), F((u1 * x0 - u0 * x1) * factor)
+        yx, yy = F((v0 * y1 - v1 * y0) * factor), F((v1 * x0 - v0 * x1) * factor)
+        for i in range(starts[t], starts[t + 1]):
+            for r in range(k):
+                x, y, e = slopes[2 * i * k + r], slopes[(2 * i + 1) * k + r], i * k + r
+                out[2 * e], out[2 * e + 1] = xx * x + yx * y, xy * x + yy * y
+
+
+@jit
+def angle_column(
+    by_model: float,
+    by_image: float,
+    slope: np.ndarray,
+    values: np.ndarray,
+    growth: np.ndarray,
+    residual: np.ndarray,
+    parts: np.ndarray,
+    theta: float,
+    lam: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Derivative of the weighted residual, over the root of its weight, by an angle that turns both theta_1 and
+    theta_2.
+
+    Parameters
+    ----------
+    by_model, by_image : float
+        Derivatives of theta_1 and of theta_2.
+    slope : (8 k,) float32
+        dP/dtheta_2.
+    values, growth, residual : (8 n,), (n k,) or empty, (n k,) float32
+    parts : (3, 1 + m, n k) float32
+        Mean and modes by theta_1; empty where that is fixed.
+    theta : float
+        theta_1.
+    lam : (m,) float64
+    out : (n k,) float32
+    """
+    k = len(slope) // SIZE
+    for e in range(len(out)):
+        i, r, change = e // k, e % k, F(0.0)
+        for c in range(SIZE - 1):
+            change += slope[SIZE * r + c] * values[SIZE * i + c]
+        if len(growth):
+            change += growth[e] * residual[e]
+        out[e] = F(by_image) * change
+    along, across = F(by_model * np.cos(theta)), F(by_model * np.sin(theta))
+    for j in range(parts.shape[1]):
+        share = F(1.0) if j == 0 else F(lam[j - 1])
+        by_cos, by_sin = parts[1, j], parts[2, j]
+        for e in range(len(out)):
+            out[e] -= share * (along * by_sin[e] - across * by_cos[e])
+
+
+@jit
+def weigh_columns(
+    steep: np.ndarray, root: np.ndarray, residual: np.ndarray, columns: np.ndarray, f: int, fours: np.ndarray
+) -> None:
+    """Of each residual w^2 (steep x, steep y, residual, column f if there is one), side by side: (4 n k + 8,)
+    float32.
+    """
+    for e in range(len(root)):
+        square = root[e] * root[e]
+        fours[4 * e], fours[4 * e + 1] = square * steep[2 * e], square * steep[2 * e + 1]
+        fours[4 * e + 2] = square * residual[e]
+        fours[4 * e + 3] = square * columns[f, e] if len(columns) else F(0.0)
+
+
+@jit
+def dots(
+    columns: np.ndarray,
+    column: np.ndarray,
+    residual: np.ndarray,
+    root: np.ndarray,
+    hessian: np.ndarray,
+    gradient: np.ndarray,
+    f: int,
+) -> None:
+    """Weighted products of column f of the angles with all of them and with the residual, to the last of E'J and
+    E'r.
+    """
+    n_p = len(gradient) - len(columns)
+    for g in range(len(columns) + 1):
+        product, other = 0.0, columns[g] if g < len(columns) else residual
+        for e in range(len(column)):
+            product += np.float64(root[e] * root[e] * column[e] * other[e])
+        if g < len(columns):
+            hessian[n_p + f, n_p + g] = product
+        else:
+            gradient[n_p + f] = product
+
+
+@jit
+def add_squares(
+    beta: np.ndarray,
+    starts: np.ndarray,
+    triangles: np.ndarray,
+    basis: np.ndarray,
+    fours: np.ndarray,
+    expected: np.ndarray,
+    room: np.ndarray,
+    lines: np.ndarray,
+) -> None:
+    """Sum E'J and E' columns by vertices.
+
+    Parameters
+    ----------
+    beta, starts, triangles, basis
+        Of the mesh.
+    fours : (4 n k + 8,) float32
+        Of :func:`weigh_columns`.
+    expected : (2 n k,) float32
+        Derivatives of the residuals by the place as they are expected to be.
+    room : (48,) float32
+    lines : (2 v, n_p + 2) float64
+        Of each vertex' x and y: E'J times the warp's basis, and E' of the two columns.
+    """
+    clear(lines)
+    n_p, n = basis.shape[1], starts[len(starts) - 1]
+    k = len(expected) // (2 * n) if n else 0
+    for t in range(len(triangles)):
+        if starts[t] == starts[t + 1]:
+            continue
+        aa = ab = ac = bb = bc = cc = every(F(0.0))
+        for i in range(starts[t], starts[t + 1]):
+            a, b, c = beta[i, 0], beta[i, 1], beta[i, 2]
+            by_x = by_y = every(F(0.0))
+            for e in range(i * k, i * k + k):
+                four = load(fours, 4 * e)
+                by_x = by_x + expected[2 * e] * four
+                by_y = by_y + expected[2 * e + 1] * four
+            both = halves(by_x, by_y)
+            by_a, by_b, by_c = a * both, b * both, c * both
+            aa, ab, ac = aa + a * by_a, ab + a * by_b, ac + a * by_c
+            bb, bc, cc = bb + b * by_b, bc + b * by_c, cc + c * by_c
+        store(room, 0, aa)
+        store(room, 8, ab)
+        store(room, 16, ac)
+        store(room, 24, bb)
+        store(room, 32, bc)
+        store(room, 40, cc)
+        for corner in range(3):
+            for axis in range(2):
+                own = lines[2 * triangles[t, corner] + axis]
+                for other in range(3):
+                    at = SIZE * PAIR[corner][other] + 4 * axis
+                    by_x, by_y = np.float64(room[at]), np.float64(room[at + 1])
+                    vertex = triangles[t, other]
+                    xs, ys = basis[2 * vertex], basis[2 * vertex + 1]
+                    for j in range(n_p):
+                        own[j] += by_x * xs[j] + by_y * ys[j]
+                    # Barycentric weights sum to 1: over the other corner these are sums of one weight alone.
+                    own[n_p] += room[at + 2]
+                    own[n_p + 1] += room[at + 3]
+
+
+@jit
+def add_modes(
+    beta: np.ndarray,
+    starts: np.ndarray,
+    triangles: np.ndarray,
+    fours: np.ndarray,
+    modes: np.ndarray,
+    room: np.ndarray,
+    lines: np.ndarray,
+) -> None:
+    """Sum J'A by vertices.
+
+    Parameters
+    ----------
+    beta, starts, triangles
+        Of the mesh.
+    fours : (4 n k + 8,) float32
+        Of :func:`weigh_columns`.
+    modes : (n k w,) float32
+        Modes, residual by residual, w numbers each: a multiple of 8.
+    room : (48,) float32
+    lines : (2 v, w) float64
+        Of each vertex' x and y.
+    """
+    clear(lines)
+    n = starts[len(starts) - 1]
+    k, wide = (len(fours) - SIZE) // (4 * n) if n else 0, lines.shape[1]
+    for t in range(len(triangles)):
+        for column in range(0, wide, SIZE):
+            ax = ay = bx = by = cx = cy = every(F(0.0))
+            for i in range(starts[t], starts[t + 1]):
+                x = y = every(F(0.0))
+                for e in range(i * k, i * k + k):
+                    line = load(modes, e * wide + column)
+                    x = x + fours[4 * e] * line
+                    y = y + fours[4 * e + 1] * line
+                a, b, c = beta[i, 0], beta[i, 1], beta[i, 2]
+                ax, ay, bx = ax + a * x, ay + a * y, bx + b * x
+                by, cx, cy = by + b * y, cx + c * x, cy + c * y
+            store(room, 0, ax)
+            store(room, 8, ay)
+            store(room, 16, bx)
+            store(room, 24, by)
+            store(room, 32, cx)
+            store(room, 40, cy)
+            for corner in range(3):
+                for axis in range(2):
+                    at = SIZE * (2 * corner + axis)
+                    out = lines[2 * triangles[t, corner] + axis, column : column + SIZE]
+                    own = room[at : at + SIZE]
+                    for j in range(SIZE):
+                        out[j] += own[j]
+
+
+@jit
+def to_parameters(lines: np.ndarray, basis: np.ndarray, out: np.ndarray) -> None:
+    """Carry sums by vertices (2 v, b) to the warp's parameters, (n_p, b): basis' lines."""
+    clear(out)
+    for v in range(len(lines)):
+        own, row = lines[v], basis[v]
+        for j in range(len(out)):
+            share, to = row[j], out[j]
+            for b in range(len(own)):
+                to[b] += share * own[b]

@@ -1,0 +1,45 @@
+"""The two kernels of the loop, under one contract.
+
+``fast`` is the compiled loop of :mod:`liaam.fitting.loop`. ``reference`` runs the same lines of the loop in the
+interpreter, with the loops over pixels replaced by the plain NumPy of :mod:`liaam.fitting.reference`; it takes any
+warp.
+"""
+
+import builtins
+from functools import lru_cache
+from types import FunctionType, SimpleNamespace
+from typing import Any
+
+from liaam.errors import MethodError
+
+KERNELS = ("fast", "reference")
+
+
+@lru_cache(maxsize=len(KERNELS))
+def get_kernel(name: str = "fast") -> SimpleNamespace:
+    """Functions of a kernel by their names in the modules below (imported now: numba is slow to import).
+
+    Raises
+    ------
+    MethodError
+        If there is none of that name.
+    """
+    if name not in KERNELS:
+        raise MethodError(f"kernel {name!r} does not exist; there are {', '.join(KERNELS)}")
+    from liaam.fitting import equations, evaluate, jacobian, loop, reference, residual, steps, weights
+    from liaam.kernels import records
+
+    core = (records, equations, weights, residual, jacobian, evaluate, steps, loop)
+    names = {key: value for module in core for key, value in vars(module).items() if not key.startswith("__")}
+    if name == "fast":
+        return SimpleNamespace(**names)
+    plain = {key: value for key, value in vars(reference).items() if isinstance(value, FunctionType)}
+    names.update(plain, __builtins__=builtins)
+    lines = {key: getattr(value, "py_func", value if key in plain else None) for key, value in names.items()}
+    names.update({key: _over(names, value) for key, value in lines.items() if isinstance(value, FunctionType)})
+    return SimpleNamespace(**names)
+
+
+def _over(names: dict[str, Any], function: FunctionType) -> FunctionType:
+    """The same lines, that find these names instead of those of their module."""
+    return FunctionType(function.__code__, names, function.__name__, function.__defaults__, function.__closure__)

@@ -1,0 +1,252 @@
+"""Fitting many images with one model: on threads, in order, each as it is fitted alone."""
+
+import os
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import closing
+from functools import partial
+from itertools import repeat
+from typing import Any, Literal, NamedTuple, overload
+
+import numpy as np
+
+from liaam.errors import ImageError, LiaamError, MethodError, StartError
+from liaam.fitting.fitter import Fitter
+from liaam.fitting.methods import DEFAULT_METHOD, Method
+from liaam.fitting.result import FitResult
+from liaam.fitting.search import Candidate
+from liaam.fitting.solver import SolverOptions
+from liaam.model import AAM
+from liaam.photometry import CameraModel
+from liaam.progress import progress_bar
+from liaam.workers import all_cores, in_order, one_thread
+
+ERRORS = ("raise", "return")
+"""What may be done about a picture that cannot be fitted."""
+
+
+@overload
+def fit_many(
+    model: AAM,
+    images: Iterable,
+    inits=None,
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    camera: CameraModel | None = None,
+    workers: int | None = None,
+    progress: bool | None = None,
+    errors: Literal["raise"] = "raise",
+    **options,
+) -> list[FitResult]: ...
+
+
+@overload
+def fit_many(
+    model: AAM,
+    images: Iterable,
+    inits=None,
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    camera: CameraModel | None = None,
+    workers: int | None = None,
+    progress: bool | None = None,
+    errors: Literal["return"],
+    **options,
+) -> list[FitResult | LiaamError]: ...
+
+
+def fit_many(
+    model: AAM,
+    images: Iterable,
+    inits=None,
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    camera: CameraModel | None = None,
+    workers: int | None = None,
+    progress: bool | None = None,
+    errors: str = "raise",
+    **options,
+) -> list:
+    """Fit a model to many images, on all cores.
+
+    Each fit gives what :func:`liaam.fitting.fit` gives, whatever the number of workers: bit for bit, if BLAS has one
+    thread there too. Here BLAS and OpenCV are held to one thread each, in the whole process, until all is done. A
+    Ctrl-C ends it after the fits under way.
+
+    Parameters
+    ----------
+    model : AAM
+    images : iterable of (h, w, 3) uint8, uint16 or float arrays, or of paths
+        Taken one by one as there is room, so that a generator never has more than a few pictures in memory.
+    inits : start, or iterable of starts, optional
+        Where to start: nothing (each object is searched for), one start for all images, or one for each, as
+        :meth:`liaam.fitting.Fitter.fit` takes them; None among the latter is searched for.
+    method : str or Method
+        See :data:`liaam.fitting.METHODS`.
+    camera : CameraModel, optional
+        Of the images; the training camera if left out.
+    workers : int, optional
+        Threads; as many as this process may use cores if left out.
+    progress : bool, optional
+        Whether to show a progress bar on standard error; if left out, on a terminal, once it takes more than two
+        seconds.
+    errors : {"raise", "return"}
+        What happens if a picture cannot be fitted (a file that is damaged, a grey picture for a method that compares
+        colours): the error of the first such picture is raised, as a single fit would; or each error takes the place
+        of its result. Fits that fail are results with a status, in either case.
+    **options
+        Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
+
+    Returns
+    -------
+    list of FitResult
+        In the order of the images; with ``errors="return"``, LiaamError where there is none.
+
+    Raises
+    ------
+    LiaamError
+        Of the first picture that cannot be fitted, which it names: by its file's name, or as ``images[3]``; and for
+        ``images`` and ``inits`` that do not go together.
+
+    Examples
+    --------
+    >>> results = fit_many(model, sorted(Path("faces").glob("*.png")))                    # doctest: +SKIP
+    >>> shapes = [result.shape for result in results if result.status.ok]               # doctest: +SKIP
+    """
+    fitter = Fitter(model, method, SolverOptions.of(**options), camera=camera)
+    return list(fit_each(fitter, images, inits, workers=workers, progress=progress, errors=errors))
+
+
+def fit_each(
+    fitter: Fitter,
+    images: Iterable,
+    inits=None,
+    *,
+    workers: int | None = None,
+    progress: bool | None = None,
+    errors: str = "raise",
+) -> Generator[Any, None, None]:
+    """Fit many images as :func:`fit_many` does, but give each result when it is there: none is kept.
+
+    Threads are held, and fits go on, until the last result is taken or the generator is closed.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    images, inits, workers, progress, errors
+        As for :func:`fit_many`.
+
+    Yields
+    ------
+    FitResult or LiaamError
+    """
+    workers = all_cores() if workers is None else workers
+    if workers < 1:
+        raise MethodError(f"workers {workers}: give 1 or more, or leave it out for one on each core")
+    if errors not in ERRORS:
+        raise MethodError(f"errors {errors!r} does not exist; there are {', '.join(ERRORS)}")
+    n_images = _count(images)
+    return _fits(fitter, _tasks(images, _starts(inits, n_images)), workers, n_images, progress, errors)
+
+
+def _fits(
+    fitter: Fitter, tasks: Iterable["_Task"], workers: int, n_images: int | None, progress: bool | None, errors: str
+) -> Generator[Any, None, None]:
+    done, perform = 0, partial(_fit, fitter, errors)
+    threads = workers if n_images is None else max(1, min(workers, n_images))
+    with one_thread(), progress_bar("pictures", n_images, progress) as tell:
+        fits = in_order(perform, tasks, threads, tick=lambda: tell(done))
+        with closing(fits):
+            for result in fits:
+                done += 1
+                tell(done)
+                yield result
+
+
+class _Task(NamedTuple):
+    number: int
+    image: Any
+    init: Any
+
+    @property
+    def name(self) -> str:
+        return f"images[{self.number}]"
+
+
+def _fit(fitter: Fitter, errors: str, task: _Task) -> FitResult | LiaamError:
+    try:
+        return fitter.fit(task.image, task.init, task.name)
+    except LiaamError as error:
+        if errors == "raise":
+            raise
+        return _without_frames(error)
+    except Exception as error:
+        error.add_note(f"liaam was fitting {task.image if _is_path(task.image) else task.name}")
+        raise
+
+
+def _without_frames(error: LiaamError) -> LiaamError:
+    """Error without its tracebacks, which hold on to the picture."""
+    fault: BaseException | None = error
+    while fault is not None:
+        fault.__traceback__ = None
+        fault = fault.__cause__ or fault.__context__
+    return error
+
+
+def _count(images: Iterable) -> int | None:
+    """Number of images, None if it is not known; a single image is refused."""
+    single = _is_path(images) or (isinstance(images, np.ndarray) and images.ndim in (2, 3))
+    if single or not isinstance(images, Iterable):
+        raise ImageError("images: give a list of pictures or paths, also for a single one: [image]")
+    return _length(images)
+
+
+def _length(several) -> int | None:
+    return len(several) if hasattr(several, "__len__") else None
+
+
+def _is_path(image) -> bool:
+    return isinstance(image, (str, os.PathLike))
+
+
+def _starts(inits, n_images: int | None) -> Iterable:
+    """Starts of the images, one by one."""
+    if inits is None or _is_one_start(inits):
+        return repeat(inits)
+    if not isinstance(inits, Iterable):
+        raise StartError(f"inits {inits!r}: {_ONE_OR_EACH}")
+    n_inits = _length(inits)
+    if n_images is not None and n_inits is not None and n_inits != n_images:
+        raise StartError(f"there are {n_images} images but {n_inits} inits: {_ONE_OR_EACH}")
+    return inits
+
+
+_ONE_OR_EACH = "give one start for all images, or one for each"
+
+
+def _is_one_start(inits) -> bool:
+    """Tell one start (a shape, a box, a point and a size) from several."""
+    if isinstance(inits, Candidate) or hasattr(inits, "points"):
+        return True
+    if isinstance(inits, (list, tuple)) and any(init is None for init in inits):
+        return False  # NumPy would take None for a number
+    try:
+        given = np.asarray(inits, dtype=np.float64)
+    except (TypeError, ValueError):  # of several lengths, or no numbers
+        return False
+    return (given.ndim == 1 and given.size > 0) or (given.ndim == 2 and given.shape[1] == 2)
+
+
+def _tasks(images: Iterable, starts: Iterable) -> Iterator[_Task]:
+    rest, number = iter(starts), -1
+    for number, image in enumerate(images):
+        try:
+            start = next(rest)
+        except StopIteration:
+            raise StartError(f"there are more than {number} images but {number} inits: {_ONE_OR_EACH}") from None
+        yield _Task(number, image, start)
+    if not isinstance(starts, repeat) and next(rest, _END) is not _END:
+        raise StartError(f"there are {number + 1} images but more inits: {_ONE_OR_EACH}")
+
+
+_END = object()

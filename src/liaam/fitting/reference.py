@@ -1,0 +1,370 @@
+"""What the compiled loops over pixels have to give, in plain NumPy, as one would write it on a blackboard.
+
+The contract of the functions of the same names in :mod:`liaam.fitting.residual`, ``jacobian``, ``weights``,
+``equations`` and ``evaluate``, whose docstrings say what goes in and out. Jacobians are formed in full, in double
+precision, and any warp will do: :attr:`liaam.fitting.level.Template.warp` is the :class:`liaam.warp.Warp` itself.
+"""
+
+import numpy as np
+
+from liaam.fitting.level import Picture, Template, Work
+from liaam.fitting.weights import (
+    COLOUR,
+    CORRELATED,
+    FACTORS,
+    GRADIENTS,
+    LEARNT,
+    MOST_DIRECTION_NOISE,
+    UNKNOWN,
+)
+from liaam.kernels.reference import sample
+from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
+from liaam.warp import Warp
+
+
+def by_reference(fields):
+    """The tuple itself."""
+    return fields
+
+
+def copy(given: np.ndarray, out: np.ndarray) -> None:
+    """Write an array to another."""
+    out[:] = given
+
+
+def sample_picture(template: Template, picture: Picture, work: Work) -> None:
+    """P(theta_2) E(I(W(x; p))), and its derivative by the place."""
+    matrix, metric = picture.similarity[:, :2], work.metric.reshape(-1, 8).astype(np.float64)
+    points = template.warp.points(work.p) @ matrix.T + picture.similarity[:, 2]
+    values, gradients, work.usable[:] = sample(picture.pixels.reshape(*picture.size, 8), points)
+    by_x, by_y = gradients[:, 0] @ metric.T, gradients[:, 1] @ metric.T  # of the patch
+    work.values[:], work.residual[:] = values.ravel(), (values @ metric.T).ravel()
+    work.steep[0::2] = (by_x * matrix[0, 0] + by_y * matrix[1, 0]).ravel()
+    work.steep[1::2] = (by_x * matrix[0, 1] + by_y * matrix[1, 1]).ravel()
+
+
+def turn(parts: np.ndarray, theta: float, rows: np.ndarray) -> None:
+    """Rows at an angle theta_1."""
+    rows[:] = parts[0] + np.cos(theta) * parts[1] + np.sin(theta) * parts[2]
+
+
+def transpose(rows: np.ndarray, lines: np.ndarray) -> None:
+    """Modes, residual by residual."""
+    lines.reshape(rows.shape[1], -1)[:, : len(rows) - 1] = rows[1:].T
+
+
+def project(
+    values: np.ndarray, metric: np.ndarray, scales: np.ndarray, projected: np.ndarray, steep: np.ndarray
+) -> None:
+    """Samples anew as gain * E(I) + offset."""
+    metric = metric.reshape(-1, 8)[:, :7].astype(np.float64)
+    shown = values.reshape(-1, 8)[:, :7] @ metric.T
+    projected[:] = (scales[1] * shown + scales[2] * metric.sum(axis=1)).ravel()
+    steep *= np.float32(scales[1] / scales[3])
+    scales[3] = scales[1]
+
+
+def take_off(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray) -> None:
+    """Take the appearance off samples."""
+    residual -= np.concatenate([[1.0], lam]) @ rows.astype(np.float64)
+
+
+def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
+    """Root of the weights where the picture says something."""
+    root[:] = (own.reshape(len(usable), -1) * usable[:, None]).ravel()
+    return int((usable == 0).sum())
+
+
+def with_modes(
+    rows: np.ndarray, first: int, root: np.ndarray, column: np.ndarray, line: np.ndarray, out: np.ndarray
+) -> None:
+    """Weighted products of a column with rows."""
+    out[: len(rows) - first] = rows[first:].astype(np.float64) @ (np.square(root.astype(np.float64)) * column)
+
+
+def subtract(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray, root: np.ndarray, sums: np.ndarray) -> None:
+    """Take modes off the residual."""
+    residual -= lam @ rows[1:].astype(np.float64)
+    weights = np.square(root.astype(np.float64))
+    sums[:] = weights @ np.square(residual.astype(np.float64)), weights.sum()
+
+
+def weighted_gram(rows: np.ndarray, root: np.ndarray, block: np.ndarray, gram: np.ndarray) -> None:
+    """A'A under weights."""
+    weighted = rows[1:].astype(np.float64) * root
+    gram[:] = weighted @ weighted.T
+
+
+def factorise(
+    gram: np.ndarray,
+    ridge: np.ndarray,
+    lines: np.ndarray,
+    own: np.ndarray,
+    usable: np.ndarray,
+    unseen: int,
+    factor: np.ndarray,
+) -> None:
+    """Cholesky factor of A'A under the weights, without what the picture does not say, with a ridge."""
+    blind = own * np.repeat(usable == 0, len(own) // len(usable))
+    unseen_modes = (lines.reshape(len(own), -1)[:, : len(gram)] * blind[:, None]).astype(np.float64)
+    factor[:] = np.linalg.cholesky(gram - unseen_modes.T @ unseen_modes + np.diag(ridge))
+
+
+def expect(template: Template, work: Work) -> None:
+    """Derivative of the fitted appearance by the place, where the picture shows it."""
+    at_rest = np.concatenate([[1.0], work.lam]) @ work.slopes
+    work.expected[:] = template.warp.pulled(at_rest.reshape(len(work.usable), 2, -1), work.p).ravel()
+
+
+def jacobian(warp: Warp, p: np.ndarray, steep: np.ndarray) -> np.ndarray:
+    """dr/dp = dr/d(place) dW/dp, (n k, n_p) float64, of derivatives by the place (2 n k,)."""
+    by_warp = warp.jacobian(p)
+    by_x, by_y = np.moveaxis(steep.reshape(len(by_warp), -1, 2, 1).astype(np.float64), 2, 0)
+    return (by_x * by_warp[:, None, 0] + by_y * by_warp[:, None, 1]).reshape(-1, by_warp.shape[2])
+
+
+def sum_products(template: Template, work: Work, steep: np.ndarray, expected: np.ndarray) -> None:
+    """E'J, A'J and E'r, and E' with the columns of the angles."""
+    n_p, root = len(work.p), work.root[:, None].astype(np.float64)
+    J = root * jacobian(template.warp, work.p, steep)
+    E = J if expected is steep else root * jacobian(template.warp, work.p, expected)
+    by_angles = root * work.columns.T
+    work.hessian[:n_p, :n_p] = E.T @ J
+    work.hessian[:n_p, n_p:] = E.T @ by_angles
+    work.hessian[n_p:, :n_p] = work.hessian[:n_p, n_p:].T
+    work.gradient[:n_p] = E.T @ (root[:, 0] * work.residual)
+    work.aj[:, :n_p] = (work.rows[1:] * root[:, 0]) @ J
+
+
+def dots(
+    columns: np.ndarray,
+    column: np.ndarray,
+    residual: np.ndarray,
+    root: np.ndarray,
+    hessian: np.ndarray,
+    gradient: np.ndarray,
+    f: int,
+) -> None:
+    """Weighted products of a column of the angles with all of them and with the residual."""
+    weighted, n_p = np.square(root.astype(np.float64)) * column, len(gradient) - len(columns)
+    hessian[n_p + f, n_p:], gradient[n_p + f] = columns @ weighted, residual @ weighted
+
+
+def angle_column(
+    by_model: float,
+    by_image: float,
+    slope: np.ndarray,
+    values: np.ndarray,
+    growth: np.ndarray,
+    residual: np.ndarray,
+    parts: np.ndarray,
+    theta: float,
+    lam: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Derivative of the weighted residual, over the root of its weight, by an angle."""
+    change = (values.reshape(-1, 8)[:, :7] @ slope.reshape(-1, 8)[:, :7].T).ravel()
+    out[:] = by_image * (change + (growth * residual if len(growth) else 0.0))
+    if len(parts):
+        out -= by_model * (np.concatenate([[1.0], lam]) @ (np.cos(theta) * parts[2] - np.sin(theta) * parts[1]))
+
+
+def movement(template: Template, work: Work) -> float:
+    """Root mean square movement of the landmarks by a step."""
+    return template.warp.movement(work.step[: len(work.p)])
+
+
+def cholesky(matrix: np.ndarray) -> bool:
+    """Cholesky factor in the lower triangle."""
+    if not np.isfinite(np.tril(matrix)).all():
+        return False
+    try:
+        matrix[:] = np.linalg.cholesky(np.tril(matrix) + np.tril(matrix, -1).T)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+def solve_lower(factor: np.ndarray, right: np.ndarray) -> None:
+    """L^-1 R."""
+    right[:] = np.linalg.solve(np.tril(factor), right)
+
+
+def solve(factor: np.ndarray, right: np.ndarray) -> None:
+    """(L L')^-1 r."""
+    lower = np.tril(factor)
+    right[:] = np.linalg.solve(lower.T, np.linalg.solve(lower, right))
+
+
+def eliminate(
+    factor: np.ndarray,
+    aj: np.ndarray,
+    ar: np.ndarray,
+    hessian: np.ndarray,
+    gradient: np.ndarray,
+    carried: np.ndarray,
+    along: np.ndarray,
+) -> None:
+    """J'QJ, made symmetric, and J'Qr."""
+    inverse = np.linalg.inv(np.tril(factor) @ np.tril(factor).T) if len(ar) else np.zeros((0, 0))
+    hessian -= aj.T @ inverse @ aj
+    hessian[:] = 0.5 * (hessian + hessian.T)
+    gradient -= aj.T @ inverse @ ar
+
+
+def log_noise(logs: np.ndarray, table: np.ndarray, span: np.ndarray) -> np.ndarray:
+    """Standard deviation of logarithms by noise; beyond the table the nearest counts."""
+    return np.interp(np.nan_to_num(logs, nan=span[0]), np.linspace(span[0], span[1], len(table)), table)
+
+
+def row_variances(
+    values: np.ndarray,
+    residual: np.ndarray,
+    usable: np.ndarray,
+    own: np.ndarray,
+    metric: np.ndarray,
+    table: np.ndarray,
+    span: np.ndarray,
+    kept: np.ndarray,
+    colours: bool,
+    planes: np.ndarray,
+    variance: np.ndarray,
+    known: np.ndarray,
+    sums: np.ndarray,
+) -> None:
+    """Variance of the rows of ``soft`` by noise, where colours are known, and sums of squares."""
+    n, values = len(usable), values.reshape(-1, 8).astype(np.float64)
+    direction, logs = values[:, :2], values[:, 2:5]
+    known[:] = (values[:, 5] >= 0.99) & colours
+    deviation, light = log_noise(logs, table, span), np.exp(logs) * BRIGHTNESS
+    slope = np.square(kept[1] * deviation * light).sum(axis=1) / np.square(light.sum(axis=1) + LOG_FLOOR)
+    rest = np.clip(1.0 - np.square(direction).sum(axis=1), 0.0, None)
+    noise = np.zeros((n, 8))
+    by_direction = (slope * rest / SOFTNESS**2)[:, None] * (1.0 - np.square(direction) * (1.0 + rest)[:, None])
+    noise[:, :2] = np.minimum(by_direction, MOST_DIRECTION_NOISE)
+    of_logs = np.square(kept[0] * deviation) + np.square(0.5 * np.square(deviation))
+    noise[:, 2:5] = np.where(known[:, None] > 0, of_logs, UNKNOWN)
+    by_noise = noise @ np.square(metric.reshape(-1, 8).astype(np.float64)).T
+    counts = (usable * own.reshape(n, -1)[:, 0] > 0)[:, None] & (by_noise < 0.5 * UNKNOWN)
+    squares = np.square(residual.reshape(n, -1).astype(np.float64))
+    sums[:] = np.stack([(counts * part).sum(axis=0) for part in (1.0, squares, squares - by_noise)], axis=1)
+    variance[:] = by_noise.ravel()
+
+
+def weigh_by_rows(
+    variance: np.ndarray,
+    unexplained: np.ndarray,
+    correlated: float,
+    own: np.ndarray,
+    usable: np.ndarray,
+    out: np.ndarray,
+) -> float:
+    """Roots of weights by variances, of mean weight 1."""
+    rows = variance.reshape(len(usable), -1)
+    groups = np.where(np.arange(rows.shape[1]) >= 2, COLOUR, GRADIENTS)
+    by_model = np.array(CORRELATED)[groups] * unexplained[1, groups]
+    rows[:] = correlated * (rows + by_model)
+    precision = 1.0 / rows.astype(np.float64)
+    unit = 1.0 / precision[usable * own.reshape(rows.shape)[:, 0] > 0].mean()
+    out[:] = own * np.sqrt(unit * precision).ravel()
+    return float(unit)
+
+
+def weigh_by_noise(
+    values: np.ndarray,
+    residual: np.ndarray,
+    usable: np.ndarray,
+    own: np.ndarray,
+    metric: np.ndarray,
+    table: np.ndarray,
+    span: np.ndarray,
+    kept: np.ndarray,
+    errors: np.ndarray,
+    noise: np.ndarray,
+    by_model: np.ndarray,
+    variance: np.ndarray,
+) -> float:
+    """Variance of the channels by noise, and by the model's errors."""
+    n = len(usable)
+    deviation = log_noise(values.reshape(n, 8)[:, :3], table, span)
+    channels = noise.reshape(n, 8)
+    channels[:, :3] = np.square(kept[0] * deviation) + np.square(0.5 * np.square(deviation))
+    by_noise = channels.astype(np.float64) @ np.square(metric.reshape(-1, 8)).T
+    counts = usable * own.reshape(n, -1)[:, 0] > 0
+    squares, on_average = np.square(residual.reshape(n, -1)).mean(axis=1)[counts], by_noise.mean(axis=1)[counts]
+    expected = on_average + FACTORS[:, None] * errors[counts] + 1e-300
+    factor = FACTORS[(np.log(expected) + squares / expected).sum(axis=1).argmin()]
+    by_model[:] = factor * errors
+    variance[:] = (by_noise + by_model[:, None]).ravel()
+    return float(1.0 / np.mean(1.0 / (on_average + by_model[counts])))
+
+
+def root_by_noise(
+    weighed: np.ndarray,
+    metric: np.ndarray,
+    slope: np.ndarray,
+    noise: np.ndarray,
+    by_model: np.ndarray,
+    unit: float,
+    own: np.ndarray,
+    growth: np.ndarray,
+) -> None:
+    """Root of weights by noise at an angle, and its relative derivative."""
+    steep, by_angle = (part.reshape(-1, 8).astype(np.float64) for part in (metric, slope))
+    channels = noise.reshape(len(by_model), 8).astype(np.float64)
+    variance = channels @ np.square(steep).T + by_model[:, None]
+    own[:] = weighed * np.sqrt(unit / variance).ravel()
+    if len(growth):
+        growth[:] = (-(channels @ (steep * by_angle).T) / variance).ravel()
+
+
+def loss_weights(loss: int, u: np.ndarray) -> np.ndarray:
+    """Weights of a robust loss for residuals in standard deviations, in the order of the losses' names."""
+    of_each = (
+        lambda: 1.345 / np.maximum(u, 1.345),
+        lambda: 0.1 / np.maximum(u, 0.1),
+        lambda: 1.0 / (1.0 + np.square(u / 2.385)),
+        lambda: 1.0 / np.square(1.0 + np.square(u / 3.65)),
+        lambda: np.square(np.maximum(1.0 - np.square(u / 4.685), 0.0)),
+        lambda: np.exp(-0.5 * np.square(u)),
+    )
+    return of_each[loss]()
+
+
+def weigh_by_loss(
+    loss: int,
+    gaussian_median: float,
+    residual: np.ndarray,
+    usable: np.ndarray,
+    own: np.ndarray,
+    variance: np.ndarray,
+    errors: np.ndarray,
+    sizes: np.ndarray,
+    weighed: np.ndarray,
+) -> None:
+    """Multiply weights by those of a robust loss."""
+    n, learnt = len(usable), loss == LEARNT
+    squares = np.square(residual.reshape(n, -1).astype(np.float64))
+    by = errors[:, None] + 1e-12 if learnt else variance.reshape(n, -1) if len(variance) else 1.0
+    sizes = np.sqrt((squares / by).mean(axis=1))
+    counts = usable * own.reshape(n, -1)[:, 0] > 0
+    some = np.sort(sizes[counts & np.isfinite(sizes)])
+    middle = some[len(some) // 2] if len(some) else 0.0
+    scale = max(middle / gaussian_median, 1.0 if learnt else 1e-9)
+    robust = np.where(np.isfinite(sizes), loss_weights(loss, np.nan_to_num(sizes) / scale), 0.0)
+    if learnt:
+        robust = robust / np.sqrt(errors + 1e-12)
+        robust = robust / robust[counts].mean()
+    weighed *= np.repeat(np.sqrt(robust), len(weighed) // n).astype(np.float32)
+
+
+def normalisation(
+    rows: np.ndarray, values: np.ndarray, metric: np.ndarray, usable: np.ndarray, own: np.ndarray, out: np.ndarray
+) -> None:
+    """Gain and offset to the mean and deviation of the model's mean."""
+    n = len(usable)
+    counts = usable * own.reshape(n, -1)[:, 0] > 0
+    model = rows[0].reshape(n, -1)[counts].astype(np.float64)
+    seen = values.reshape(n, 8)[counts, :7].astype(np.float64) @ metric.reshape(-1, 8)[:, :7].T
+    gain = model.std() / seen.std() if seen.std() > 1e-6 else 1.0
+    out[:] = gain, model.mean() - gain * seen.mean()

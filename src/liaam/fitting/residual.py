@@ -1,0 +1,313 @@
+"""The residual of a state, and the appearance that fits best there (paper eq 3, 4 and 9).
+
+    r(x) = P(theta_2) E(I(W(x; p))) - P(theta_1) A0(x) - sum_i lambda_i P(theta_1) A_i(x)
+
+Compiled; arrays of pixels are flat, residual e = i k + r is row r of pixel i. :mod:`liaam.fitting.reference` says what
+each function has to give.
+"""
+
+import numpy as np
+
+from liaam.fitting.equations import cholesky, clear
+from liaam.fitting.level import BLOCK
+from liaam.jit import F, jit
+from liaam.kernels.vectors import SIZE, lane, load, store, total
+
+
+@jit
+def set_metric(parts: np.ndarray, theta: float, metric: np.ndarray, slope: np.ndarray) -> None:
+    """P(theta) on the picture's channels, and its derivative, both (8 k,) float32, by its parts (3, 8 k)."""
+    along, across = F(np.cos(theta)), F(np.sin(theta))
+    for c in range(len(metric)):
+        metric[c] = parts[0, c] + along * parts[1, c] + across * parts[2, c]
+        slope[c] = along * parts[2, c] - across * parts[1, c]
+
+
+@jit
+def turn(parts: np.ndarray, theta: float, rows: np.ndarray) -> None:
+    """Rows (b, e) float32 at an angle theta_1, by their parts (3, b, e): fixed, by its cos and by its sin."""
+    along, across = F(np.cos(theta)), F(np.sin(theta))
+    for i in range(len(rows)):
+        own, fixed, by_cos, by_sin = rows[i], parts[0, i], parts[1, i], parts[2, i]
+        for e in range(len(own)):
+            own[e] = fixed[e] + along * by_cos[e] + across * by_sin[e]
+
+
+@jit
+def transpose(rows: np.ndarray, lines: np.ndarray) -> None:
+    """Write rows but the first, (1 + m, e), to lines (e w,) with w at least m."""
+    wide = len(lines) // rows.shape[1]
+    for e in range(rows.shape[1]):
+        for j in range(len(rows) - 1):
+            lines[e * wide + j] = rows[1 + j, e]
+
+
+@jit
+def vertices_at(rest: np.ndarray, basis: np.ndarray, p: np.ndarray, points: np.ndarray) -> None:
+    """Vertices of the mesh, (v, 2) float64 model pixels, by those at rest and their derivatives (2 v, n_p)."""
+    for v in range(len(points)):
+        xs, ys, x, y = basis[2 * v], basis[2 * v + 1], rest[v, 0], rest[v, 1]
+        for j in range(len(p)):
+            x += xs[j] * p[j]
+            y += ys[j] * p[j]
+        points[v, 0], points[v, 1] = x, y
+
+
+@jit
+def place(
+    beta: np.ndarray,
+    starts: np.ndarray,
+    triangles: np.ndarray,
+    points: np.ndarray,
+    similarity: np.ndarray,
+    size: tuple[int, int],
+    corner: np.ndarray,
+    between: np.ndarray,
+) -> None:
+    """Where the model's pixels come to lie in the picture.
+
+    Parameters
+    ----------
+    beta, starts, triangles
+        Of the mesh (:class:`liaam.warp.Mesh`).
+    points : (v, 2) float64
+        Its vertices, model pixels.
+    similarity : (2, 3) float64
+        Model pixels to the picture's.
+    size : (height, width)
+        Of the picture.
+    corner : (n,) int32
+        Number of the first of the four pixels around each point.
+    between : (3 n,) float32
+        Where it lies between them, and 1 if it is inside the picture.
+    """
+    a00, a01, a02 = similarity[0, 0], similarity[0, 1], similarity[0, 2]
+    a10, a11, a12 = similarity[1, 0], similarity[1, 1], similarity[1, 2]
+    height, width = size
+    right, bottom = float(width), float(height)
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ux, uy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        vx, vy = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        x0, y0 = a00 * points[a, 0] + a01 * points[a, 1] + a02, a10 * points[a, 0] + a11 * points[a, 1] + a12
+        bx, by, cx, cy = a00 * ux + a01 * uy, a10 * ux + a11 * uy, a00 * vx + a01 * vy, a10 * vx + a11 * vy
+        for i in range(starts[t], starts[t + 1]):
+            second, third = np.float64(beta[i, 1]), np.float64(beta[i, 2])
+            x, y = x0 + second * bx + third * cx, y0 + second * by + third * cy
+            # Written so that NaN counts as outside.
+            inside = (x >= 0.0) & (y >= 0.0) & (x <= right - 1.0) & (y <= bottom - 1.0)
+            x, y = x if inside else 0.0, y if inside else 0.0
+            column, line = np.floor(x), np.floor(y)
+            column, line = (
+                column if column < right - 2.0 else right - 2.0,
+                line if line < bottom - 2.0 else bottom - 2.0,
+            )
+            corner[i] = np.int32(line * right + column)
+            between[3 * i], between[3 * i + 1] = F(x - column), F(y - line)
+            between[3 * i + 2] = F(1.0) if inside else F(0.0)
+
+
+@jit
+def sample(
+    pixels: np.ndarray,
+    width: int,
+    corner: np.ndarray,
+    between: np.ndarray,
+    similarity: np.ndarray,
+    metric: np.ndarray,
+    values: np.ndarray,
+    projected: np.ndarray,
+    steep: np.ndarray,
+    usable: np.ndarray,
+) -> None:
+    """Sample a picture where :func:`place` says, project the samples, and differentiate them by the place.
+
+    Parameters
+    ----------
+    pixels : (8 h w,) float32
+        Channels of an encoded picture.
+    width, corner, between, similarity
+        As of :func:`place`.
+    metric : (8 k,) float32
+    values : (8 n,) float32
+    projected : (n k,) float32
+    steep : (2 n k,) float32
+        Derivative of ``projected`` by x and y, model pixels.
+    usable : (n,) float32
+    """
+    k, below = len(metric) // SIZE, SIZE * width
+    xx, xy, yx, yy = F(similarity[0, 0]), F(similarity[0, 1]), F(similarity[1, 0]), F(similarity[1, 1])
+    for i in range(len(usable)):
+        at, u, v, keep = SIZE * np.int64(corner[i]), between[3 * i], between[3 * i + 1], between[3 * i + 2]
+        c00, c10 = load(pixels, at), load(pixels, at + SIZE)
+        c01, c11 = load(pixels, at + below), load(pixels, at + below + SIZE)
+        upper, lower = c10 - c00, c11 - c01
+        top = c00 + u * upper
+        along_y = keep * (c01 + u * lower - top)
+        along_x = keep * (upper + v * (lower - upper))
+        value = keep * top + v * along_y
+        store(values, SIZE * i, value)
+        all_four = (lane(c00, 7) > F(0.0)) & (lane(c10, 7) > F(0.0)) & (lane(c01, 7) > F(0.0)) & (lane(c11, 7) > F(0.0))
+        usable[i] = keep if all_four else F(0.0)
+        by_x, by_y = xx * along_x + yx * along_y, xy * along_x + yy * along_y
+        for r in range(k):
+            weigh, e = load(metric, SIZE * r), i * k + r
+            projected[e] = total(weigh * value)
+            steep[2 * e], steep[2 * e + 1] = total(weigh * by_x), total(weigh * by_y)
+
+
+@jit
+def project(
+    values: np.ndarray, metric: np.ndarray, scales: np.ndarray, projected: np.ndarray, steep: np.ndarray
+) -> None:
+    """Project samples (8 n,) anew, as gain * E(I) + offset, and bring their derivatives to the gain.
+
+    ``scales`` is :attr:`liaam.fitting.level.Work.scales`: the gain, the offset, and the gain of the derivatives so far.
+    """
+    k, gain, more = len(metric) // SIZE, F(scales[1]), F(scales[1] / scales[3])
+    for e in range(len(projected)):
+        i, r, shown, shift = e // k, e % k, F(0.0), F(0.0)
+        for c in range(SIZE - 1):
+            shown += metric[SIZE * r + c] * values[SIZE * i + c]
+            shift += metric[SIZE * r + c]
+        projected[e] = gain * shown + F(scales[2]) * shift
+        steep[2 * e] *= more
+        steep[2 * e + 1] *= more
+    scales[3] = scales[1]
+
+
+@jit
+def take_off(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray) -> None:
+    """Take the mean, and the modes as far as lambda is not nought, off samples (e,), in place; rows (1 + m, e)."""
+    for j in range(len(lam) + 1):
+        share, row = F(1.0) if j == 0 else F(lam[j - 1]), rows[j]
+        if share != F(0.0):
+            for e in range(len(residual)):
+                residual[e] -= share * row[e]
+
+
+@jit
+def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
+    """Write the root of the weights where the picture says something, else 0; gives how many pixels say nothing."""
+    k, unseen = len(own) // len(usable), 0
+    for i in range(len(usable)):
+        unseen += 1 if usable[i] == F(0.0) else 0
+    for r in range(k):
+        for i in range(len(usable)):
+            root[i * k + r] = own[i * k + r] * usable[i]
+    return unseen
+
+
+@jit
+def with_modes(
+    rows: np.ndarray, first: int, root: np.ndarray, column: np.ndarray, line: np.ndarray, out: np.ndarray
+) -> None:
+    """Weighted products of a column (e,) with rows from the first on, float64; ``line`` is room of 2048 float32."""
+    for j in range(len(rows) - first):
+        out[j] = 0.0
+    for begin in range(0, len(root), BLOCK):
+        size = BLOCK if begin + BLOCK < len(root) else len(root) - begin
+        own, values = root[begin : begin + size], column[begin : begin + size]
+        for e in range(size):
+            line[e] = own[e] * own[e] * values[e]
+        for j in range(len(rows) - first):
+            mode, product = rows[first + j, begin : begin + size], F(0.0)
+            for e in range(size):
+                product += mode[e] * line[e]
+            out[j] += product
+
+
+@jit
+def subtract(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray, root: np.ndarray, sums: np.ndarray) -> None:
+    """Take modes (rows but the first) off the residual, in place; r'r and the sum of the weights go to ``sums``
+    (2,).
+    """
+    sums[0] = sums[1] = 0.0
+    for begin in range(0, len(residual), BLOCK):
+        size = BLOCK if begin + BLOCK < len(residual) else len(residual) - begin
+        out, own = residual[begin : begin + size], root[begin : begin + size]
+        for j in range(len(lam)):
+            mode, share = rows[1 + j, begin : begin + size], F(lam[j])
+            for e in range(size):
+                out[e] -= share * mode[e]
+        squares = weight = F(0.0)
+        for e in range(size):
+            square = own[e] * own[e]
+            squares += square * out[e] * out[e]
+            weight += square
+        sums[0] += squares
+        sums[1] += weight
+
+
+@jit
+def weighted_gram(rows: np.ndarray, root: np.ndarray, block: np.ndarray, gram: np.ndarray) -> None:
+    """A'A of modes (rows but the first) under a root of weights (e,), (m, m) float64; ``block``: (m, 2048) float32."""
+    m = len(gram)
+    clear(gram)
+    for begin in range(0, len(root), BLOCK):
+        size = BLOCK if begin + BLOCK < len(root) else len(root) - begin
+        own = root[begin : begin + size]
+        for j in range(m):
+            mode, weighted = rows[1 + j, begin : begin + size], block[j]
+            for e in range(size):
+                weighted[e] = mode[e] * own[e]
+        for i in range(0, m, 2):  # two by two: each number that is fetched is used twice
+            after = i + 1 if i + 1 < m else i
+            a, b = block[i, :size], block[after, :size]
+            for j in range(0, i + 1, 2):
+                beside = j + 1 if j + 1 < m else j
+                c, d = block[j, :size], block[beside, :size]
+                ac = ad = bc = bd = F(0.0)
+                for e in range(size):
+                    ac += a[e] * c[e]
+                    ad += a[e] * d[e]
+                    bc += b[e] * c[e]
+                    bd += b[e] * d[e]
+                gram[i, j] += ac
+                if beside > j:
+                    gram[i, beside] += ad
+                if after > i:
+                    gram[after, j] += bc
+                    if beside > j:
+                        gram[after, beside] += bd
+    for i in range(m):
+        for j in range(i):
+            gram[j, i] = gram[i, j]
+
+
+@jit
+def factorise(
+    gram: np.ndarray,
+    ridge: np.ndarray,
+    lines: np.ndarray,
+    own: np.ndarray,
+    usable: np.ndarray,
+    unseen: int,
+    factor: np.ndarray,
+) -> None:
+    """Cholesky factor (m, m) of A'A without the pixels that say nothing, with a ridge (m,) on its diagonal.
+
+    ``own`` are the roots of all pixels' weights, ``unseen`` how many pixels say nothing.
+    """
+    m, k = len(gram), len(own) // len(usable)
+    wide = len(lines) // len(own)
+    for a in range(m):
+        for b in range(m):
+            factor[a, b] = gram[a, b]
+    if unseen:
+        for i in range(len(usable)):
+            if usable[i] > F(0.0):
+                continue
+            for e in range(i * k, i * k + k):
+                line, square = lines[e * wide : e * wide + m], np.float64(own[e]) * own[e]
+                for a in range(m):
+                    share, row = square * line[a], factor[a]
+                    for b in range(a + 1):
+                        row[b] -= share * line[b]
+    for a in range(m):
+        factor[a, a] += ridge[a]
+    if cholesky(factor):
+        return
+    clear(factor)  # rounding has made it no Gram matrix: lambda then moves mode by mode, and little
+    for a in range(m):
+        factor[a, a] = np.sqrt((gram[a, a] if gram[a, a] > 0.0 else 0.0) + ridge[a])

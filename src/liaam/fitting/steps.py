@@ -1,0 +1,419 @@
+"""Steps of the warp's parameters and the free angles (paper eq 5), the prior's scale, and what angles can be told.
+
+Two kinds of step share the loop. With the picture's own gradient a step is Gauss-Newton's, damped (Levenberg). A noisy
+picture's own gradient makes such steps short, and the minimum they creep to is one of a cost with small dents. With the
+gradient that the model expects, E, the estimate is as good as the noise allows (Fisher scoring). The derivative of E'r
+is E'J with the picture's J: unlike E'E it knows how steep the picture is, and unlike J'J it has no noise on average, so
+that steps converge fast. Its symmetric part is used, and where it falls short of E'E it is raised to a share of that.
+"""
+
+import numpy as np
+
+from liaam.fitting.equations import cholesky, solve, solve_lower
+from liaam.jit import jit
+
+DAMPING_FLOOR = 1e-9
+"""Least share of the largest curvature that damping is relative to."""
+
+TEXTURE = 1e-10
+"""Curvature, for each unit of weight, below which there is nothing to descend on."""
+
+ROUNDING = 1e-7
+"""Least curvature as a share of the largest: below it single precision says nothing."""
+
+OBSERVABLE_APART = 2.0
+"""As ``SolverOptions.observable``, for the image's angle against the model's: the object's own colours show it."""
+
+LEAST_PRECISION = 1e-9
+"""Least precision of a parameter, as a share of the largest one."""
+
+
+@jit
+def damped_step(
+    hessian: np.ndarray, gradient: np.ndarray, free: np.ndarray, damping: float, matrix: np.ndarray, step: np.ndarray
+) -> bool:
+    """Levenberg's step, (H + damping diag H) step = -gradient, of the entries that are free; False if there is none.
+
+    Parameters
+    ----------
+    hessian, gradient : (n, n), (n,) float64
+        Prior included.
+    free : (n,) bool
+        Steps of the others are 0.
+    damping : float
+    matrix, step : (n, n), (n,) float64
+        Room, and the step.
+    """
+    n, most = len(free), 0.0
+    for i in range(n):
+        step[i] = -gradient[i] if free[i] else 0.0
+        most = hessian[i, i] if free[i] and hessian[i, i] > most else most
+    for i in range(n):
+        for j in range(n):
+            matrix[i, j] = hessian[i, j] if free[i] and free[j] else 0.0
+        least = DAMPING_FLOOR * most
+        matrix[i, i] += damping * (hessian[i, i] if hessian[i, i] > least else least) + least if free[i] else 1.0
+    if not most > 0.0 or not cholesky(matrix):
+        for i in range(n):
+            step[i] = 0.0
+        return False
+    solve(matrix, step)
+    return True
+
+
+@jit
+def raised_step(
+    base: np.ndarray,
+    hessian: np.ndarray,
+    gradient: np.ndarray,
+    free: np.ndarray,
+    least: float,
+    damping: float,
+    factor: np.ndarray,
+    matrix: np.ndarray,
+    step: np.ndarray,
+) -> bool:
+    """Newton step by a symmetric matrix that is nowhere flatter than a share of another one, and damped by that.
+
+    With H v = rho B v, rho becomes max(rho, least) + damping.
+
+    Parameters
+    ----------
+    base, hessian, gradient : (n, n), (n, n), (n,) float64
+        B, H and the gradient, prior included.
+    free : (n,) bool
+    least, damping : float
+        See :data:`LEAST_CURVATURE`.
+    factor, matrix, step : (n, n), (n, n), (n,) float64
+        Room, and the step.
+
+    Returns
+    -------
+    bool
+        False if there is none.
+    """
+    n, largest = len(free), 0.0
+    for i in range(n):
+        largest = base[i, i] if free[i] and base[i, i] > largest else largest
+    _take_free(base, free, ROUNDING * largest, factor)  # sums of float32 products need not be quite positive
+    _take_free(hessian, free, 0.0, matrix)
+    for i in range(n):
+        step[i] = -gradient[i] if free[i] else 0.0
+        for j in range(n):
+            matrix[i, j] -= least * factor[i, j]
+    if not largest > 0.0:
+        return False
+    if cholesky(matrix):  # steep enough all over, as near the end
+        _take_free(hessian, free, 0.0, matrix)
+        for i in range(n):
+            for j in range(n):
+                matrix[i, j] += damping * factor[i, j]
+        found = cholesky(matrix)
+        if found:
+            solve(matrix, step)
+        return found
+    _take_free(hessian, free, 0.0, matrix)
+    return cholesky(factor) and _step_by_axes(factor, matrix, least, damping, step)
+
+
+@jit
+def _take_free(source, free, more, out):
+    """Copy the entries that are free, with something added to the diagonal; the others become those of the identity."""
+    for i in range(len(free)):
+        for j in range(len(free)):
+            out[i, j] = source[i, j] if free[i] and free[j] else 0.0
+        out[i, i] += more if free[i] else 1.0
+
+
+@jit
+def _step_by_axes(factor, matrix, least, damping, step):
+    """The step in coordinates where B = L L' is the identity and H is diagonal.
+
+    Pivots of a Cholesky factorisation raised instead (Gill and Murray) save the eigenvectors, and take two steps more.
+    """
+    n, finite = len(step), True
+    solve_lower(factor, matrix)
+    for i in range(n):
+        for j in range(i):
+            matrix[i, j], matrix[j, i] = matrix[j, i], matrix[i, j]
+    solve_lower(factor, matrix)
+    for i in range(n):
+        for j in range(i + 1):
+            matrix[i, j] = matrix[j, i] = 0.5 * (matrix[i, j] + matrix[j, i])
+            finite = finite and np.isfinite(matrix[i, j])
+    if not finite:
+        return False
+    ratios, axes = np.linalg.eigh(matrix)
+    for i in range(n):  # L^-1 times the right side
+        for j in range(i):
+            step[i] -= factor[i, j] * step[j]
+        step[i] /= factor[i, i]
+    for i in range(n):
+        matrix[0, i], step[i] = step[i], 0.0
+    for j in range(n):
+        share = 0.0
+        for i in range(n):
+            share += axes[i, j] * matrix[0, i]
+        share /= (ratios[j] if ratios[j] > least else least) + damping
+        for i in range(n):
+            step[i] += axes[i, j] * share
+    for i in range(n - 1, -1, -1):  # L'^-1 times that
+        step[i] /= factor[i, i]
+        for j in range(i):
+            step[j] -= factor[i, j] * step[i]
+    return True
+
+
+@jit
+def next_scale(
+    hessian: np.ndarray,
+    p: np.ndarray,
+    prior: np.ndarray,
+    strength: float,
+    unit: float,
+    freedom: float,
+    scale: float,
+    matrix: np.ndarray,
+    inverse: np.ndarray,
+) -> float:
+    """One step towards the scale of the prior under which a picture is most likely.
+
+    A Student distribution is a normal one whose variance is drawn for each shape: p ~ N(0, scale Lambda) with
+    ``freedom`` degrees of freedom for the scale. Few degrees say that shapes come near and far; a picture's own scale
+    is then estimated with its shape (MacKay, Neural Comput. 4 (1992) 415), so that a shape that lies near the mean is
+    held there, and one that lies far off may go.
+
+    Parameters
+    ----------
+    hessian : (n_q, n_q) float64
+        Of the residual's squares, p first, with the appearance eliminated.
+    p, prior : (n_p,) float64
+        Precision of p at a scale of 1; 0 for what has none.
+    strength : float
+        Of the prior.
+    unit : float
+        Variance that a residual stands for.
+    freedom, scale : float
+        The last scale.
+    matrix, inverse : (n_q, n_q) float64
+        Room.
+
+    Returns
+    -------
+    float
+        (freedom + squares of p) / (freedom + number of parameters that the picture tells); the last scale where the
+        picture tells nothing.
+    """
+    if not (unit > 0.0 and unit < np.inf):
+        return scale
+    n, largest = len(p), 0.0
+    for i in range(n):
+        for j in range(n):
+            matrix[i, j], inverse[i, j] = hessian[i, j] / unit, 1.0 if i == j else 0.0
+        matrix[i, i] += strength * prior[i] / scale
+        largest = matrix[i, i] if matrix[i, i] > largest else largest
+    for i in range(n):
+        matrix[i, i] += LEAST_PRECISION * largest + 1e-300
+    if not cholesky(matrix[:n, :n]):
+        return scale
+    solve_lower(matrix[:n, :n], inverse[:n, :n])
+    told, squares = 0.0, 0.0
+    for i in range(n):
+        if prior[i] > 0.0:
+            variance = 0.0
+            for j in range(n):
+                variance += inverse[j, i] * inverse[j, i]
+            told += 1.0 - strength * prior[i] / scale * variance
+            squares += strength * prior[i] * p[i] * p[i]
+    new = (freedom + squares) / (freedom + told)
+    return new if new < np.inf else scale
+
+
+@jit
+def free_entries(
+    directions: np.ndarray,
+    metric: np.ndarray,
+    slope: np.ndarray,
+    hessian: np.ndarray,
+    sums: np.ndarray,
+    observable: float,
+    free: np.ndarray,
+) -> bool:
+    """Which entries of q may move, (n_q,) bool: all of p, and the angles that the picture can tell; says whether all
+    may.
+
+    Where the light has not changed, turning both angles together changes nothing but noise: the energy of dr/dtheta is
+    that of the residual itself, scaled by |L'|^2 / |L|^2. With less than ``observable`` times that they are not turned
+    together, so that noise cannot make them drift; with both free theta_1 is then kept and theta_2 alone moves.
+    """
+    for i in range(len(free)):
+        free[i] = True
+    n_free = directions.shape[1]
+    if not n_free:
+        return True
+    n_p, steep, size = len(free) - n_free, 0.0, 0.0
+    for c in range(len(metric)):
+        steep, size = steep + slope[c] * slope[c], size + metric[c] * metric[c]
+    noise = sums[0] * steep / size + 1e-12 * sums[1]
+    limit = OBSERVABLE_APART if observable > OBSERVABLE_APART else observable  # 0 holds nothing, as in the paper
+    own = hessian[n_p, n_p]
+    if n_free == 1:
+        free[n_p] = own > (observable if directions[0, 0] != 0.0 else limit) * noise
+        return bool(free[n_p])
+    # In coordinates (theta_1 = theta_2 turned together, theta_2 alone), with the second eliminated from the first.
+    cross, apart = hessian[n_p, n_p + 1], hessian[n_p + 1, n_p + 1]
+    together, mixed = own + 2.0 * cross + apart, cross + apart
+    free[n_p + 1] = apart > limit * noise
+    together -= mixed * mixed / apart if free[n_p + 1] else 0.0
+    free[n_p] = free[n_p + 1] and together > observable * noise
+    return bool(free[n_p])
+
+
+@jit
+def has_texture(own: np.ndarray, base: np.ndarray, sums: np.ndarray, n_p: int) -> bool:
+    """Whether there is anything to descend on: neither a prior nor an angle makes up for a picture that is flat.
+
+    Such a picture has no gradient of its own, whatever is expected; nor is there a step where none is expected, as
+    where the model lies folded to nothing.
+    """
+    curved, expected, finite = 0.0, 0.0, np.isfinite(sums[0])
+    for i in range(len(own)):
+        for j in range(len(own)):
+            finite = finite and np.isfinite(own[i, j]) and np.isfinite(base[i, j])
+    for i in range(n_p):
+        curved = abs(own[i, i]) if abs(own[i, i]) > curved else curved
+        expected = base[i, i] if base[i, i] > expected else expected
+    return finite and sums[1] > 0.0 and curved > TEXTURE * sums[1] and expected > 0.0
+
+
+TO_AND_FRO = 0.5
+"""Share of the step before it that a step back may have. A longer one says that steps go to and fro about a kink of
+bilinear samples, which noise makes sharp, and doubles the least curvature."""
+
+
+@jit
+def goes_back(step: np.ndarray, last: np.ndarray, metric: np.ndarray) -> bool:
+    """Whether a step (n,) goes back where the last one came from, by more than a share of it, in a metric (n, n)."""
+    along, squares = 0.0, 0.0
+    for i in range(len(step)):
+        for j in range(len(step)):
+            along += step[i] * metric[i, j] * last[j]
+            squares += last[i] * metric[i, j] * last[j]
+    return along < -TO_AND_FRO * squares
+
+
+@jit
+def squared_length(step: np.ndarray, metric: np.ndarray) -> float:
+    """Squared length of a step (n,) in a metric (n, n)."""
+    squares = 0.0
+    for i in range(len(step)):
+        for j in range(len(step)):
+            squares += step[i] * metric[i, j] * step[j]
+    return squares
+
+
+@jit
+def add_prior(
+    prior: np.ndarray,
+    strength: float,
+    variance: float,
+    p: np.ndarray,
+    precision: np.ndarray,
+    base: np.ndarray,
+    metric: np.ndarray,
+    hessian: np.ndarray,
+    gradient: np.ndarray,
+) -> None:
+    """Add a prior's squares on p to a system, in units of squared residuals.
+
+    Parameters
+    ----------
+    prior : (n_p,) float64
+    strength, variance : float
+        By which it is multiplied.
+    p : (n_p,) float64
+    precision : (n_p,) float64
+        Becomes their product.
+    base, metric : (n_q, n_q) float64
+        A Hessian, and room for it with the prior.
+    hessian, gradient : (n_q, n_q), (n_q,) float64
+        Become those with the prior.
+    """
+    for a in range(len(base)):
+        for b in range(len(base)):
+            metric[a, b] = base[a, b]
+    for i in range(len(p)):
+        precision[i] = strength * variance * prior[i]
+        metric[i, i] += precision[i]
+        hessian[i, i] += precision[i]
+        gradient[i] += precision[i] * p[i]
+
+
+@jit
+def along_with(factor: np.ndarray, ar: np.ndarray, aj: np.ndarray, step: np.ndarray, out: np.ndarray) -> None:
+    """Change of lambda that goes with a step of q in the joint system, (m,) float64."""
+    for j in range(len(ar)):
+        out[j] = ar[j]
+        for i in range(len(step)):
+            out[j] += aj[j, i] * step[i]
+    solve(factor, out)
+
+
+@jit
+def merit_of(sums: np.ndarray, p: np.ndarray, precision: np.ndarray) -> float:
+    """What an accepted step must not raise: mean squared residual plus the prior's share."""
+    squares = sums[0]
+    for i in range(len(p)):
+        squares += precision[i] * p[i] * p[i]
+    return squares / sums[1] if sums[1] > 0.0 else np.inf
+
+
+@jit
+def move(
+    directions: np.ndarray,
+    step: np.ndarray,
+    lam_step: np.ndarray,
+    p: np.ndarray,
+    angles: np.ndarray,
+    lam: np.ndarray,
+    before: np.ndarray,
+) -> None:
+    """Take a step (forward-additive), in place, and keep where it began in ``before`` (n_p + 2 + m,)."""
+    n = len(p)
+    for i in range(n):
+        before[i], p[i] = p[i], p[i] + step[i]
+    for i in range(2):
+        before[n + i] = angles[i]
+        for f in range(directions.shape[1]):
+            angles[i] += directions[i, f] * step[n + f]
+    for j in range(len(lam)):
+        before[n + 2 + j], lam[j] = lam[j], lam[j] + lam_step[j]
+
+
+@jit
+def go_back(before: np.ndarray, p: np.ndarray, angles: np.ndarray, lam: np.ndarray) -> None:
+    """Undo :func:`move`."""
+    n = len(p)
+    for i in range(n):
+        p[i] = before[i]
+    for i in range(2):
+        angles[i] = before[n + i]
+    for j in range(len(lam)):
+        lam[j] = before[n + 2 + j]
+
+
+@jit
+def record(
+    n: int,
+    p: np.ndarray,
+    angles: np.ndarray,
+    sums: np.ndarray,
+    costs: np.ndarray,
+    path: np.ndarray,
+    turns: np.ndarray,
+) -> None:
+    """Note cost, parameters and angles after n steps."""
+    costs[n] = sums[0] / sums[1] if sums[1] > 0.0 else np.inf
+    for i in range(len(p)):
+        path[n, i] = p[i]
+    turns[n, 0], turns[n, 1] = angles[0], angles[1]

