@@ -139,21 +139,20 @@ def make_loops(objective: Objective, problem: FitProblem) -> Parts:
 
 def make_parts(objective: Objective, problem: FitProblem) -> Parts:
     """What an iteration consists of, each by itself and from a fixed state."""
-    kernel, row = get_kernel(objective.kernel), objective.row
+    kernel, (model, row) = get_kernel(objective.kernel), objective.given
     work = objective.work(objective.start(np.zeros(objective.warp.n_parameters)))
-    model, picture, there = map(kernel.by_reference, (objective.template, objective.picture(problem), work))
+    picture, there = map(kernel.by_reference, (objective.picture(problem), work))
     expects = objective.method.step == "expected"
+    expected = work.expected if expects else work.steep
 
     def weigh() -> bool:
         work.known.fill(np.nan)  # as if other pixels had said something before
-        return kernel.weigh(model, picture, row, there)
+        return objective.row.weigh(model, picture, row, there)
 
     parts: Parts = {
         "look": lambda: kernel.look(model, picture, row, there, False),
         "settle": lambda: kernel.settle(model, row, there, False, True),
-        "differentiate": lambda: kernel.differentiate(
-            model, row, there, work.steep, work.expected if expects else work.steep
-        ),
+        "differentiate": lambda: kernel.differentiate(model, row, there, work.steep, expected),
     }
     if expects:
         parts["expect"] = lambda: kernel.expect(model, there)

@@ -86,20 +86,20 @@ def make_problem(
 def look_again(objective: Objective, problem: FitProblem, work: Work, solves: bool = False) -> Work:
     """Look at a picture from where a fit stands, under its weights; with the appearance that fits best, if asked to."""
     kernel = get_kernel(objective.kernel)
-    own = objective.template, objective.picture(problem), work
-    template, picture, record = map(kernel.by_reference, own)
-    kernel.look(template, picture, objective.row, record, solves)
-    kernel.settle(template, objective.row, record, False, solves)
+    template, row = objective.given
+    picture, record = map(kernel.by_reference, (objective.picture(problem), work))
+    kernel.look(template, picture, row, record, solves)
+    kernel.settle(template, row, record, False, solves)
     return work
 
 
 def differentiate(objective: Objective, work: Work, expects: bool = False) -> Work:
     """Work out Hessian and gradient of what is seen, by the picture's own gradient or by the one that is expected."""
     kernel = get_kernel(objective.kernel)
-    template, record = kernel.by_reference(objective.template), kernel.by_reference(work)
+    (template, row), record = objective.given, kernel.by_reference(work)
     if expects:
         kernel.expect(template, record)
-    kernel.differentiate(template, objective.row, record, work.steep, work.expected if expects else work.steep)
+    kernel.differentiate(template, row, record, work.steep, work.expected if expects else work.steep)
     return work
 
 

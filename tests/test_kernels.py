@@ -1,5 +1,6 @@
 """Kernels: compiled loops do what the reference says; the reference says what bilinear means."""
 
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -57,7 +58,7 @@ def sampled(channels: np.ndarray, points: np.ndarray, similarity: np.ndarray, me
     # Each pixel lies at the first corner of a triangle of its own.
     beta = np.tile(np.array([1.0, 0.0, 0.0], np.float32), (n, 1))
     triangles, corner, between = np.repeat(np.arange(n), 3).reshape(n, 3), np.zeros(n, np.int32), single(3 * n)
-    compiled.place(beta, np.arange(n + 1), triangles, points, similarity, size, corner, between)
+    compiled.place(beta, np.arange(n + 1), triangles, points, similarity, *size, corner, between)
     seen = single(8 * n), single(n * k), single(2 * n * k), single(n)
     flat = metric.astype(np.float32).ravel()
     compiled.sample(channels.ravel(), size[1], corner, between, similarity, flat, *seen)
@@ -171,7 +172,7 @@ def test_appearances_are_weighed_and_taken_off_as_the_reference_says(n, k, m, se
     usable = (rng.random(n) > 0.3).astype(np.float32)
     _, root = both("mask", own, usable, single(e), written=[2])
     root, line, block = root.astype(np.float32), single(BLOCK), single(m, BLOCK)
-    both("with_modes", rows, 1, root, residual, line, np.full(m, np.nan), written=[5])
+    both("with_modes", rows, root, residual, line, np.full(m, np.nan), written=[4])
     lam = np.where(rng.random(m) < 0.3, 0.0, rng.normal(size=m))
     both("take_off", residual, rows, lam, written=[0])
     both("subtract", residual, rows, lam, root, np.full(2, np.nan), written=[0, 4])
@@ -230,12 +231,10 @@ def test_samples_are_normalised_as_the_reference_says(n, k, seed):
     metric[7::8] = 0.0
     usable, own = (rng.random(n) > 0.3).astype(np.float32), floats(rng, n * k) + 5
     usable[0] = 1.0
-    _, scales = both("normalisation", rows, values, metric, usable, own, np.full(2, np.nan), written=[5])
-    scales = np.array([np.nan, *scales, 0.5, 1.0])  # of derivatives that have a gain of a half
+    scales = np.array([0.0, 1.0, 0.0, 0.5, 1.0])  # of derivatives that have a gain of a half
+    _, scales = both("normalisation", rows, values, metric, usable, own, scales, written=[5])
     steep = floats(rng, 2 * n * k)
-    _, scales, projected, steeper = both(
-        "project", values, metric, np.nan_to_num(scales), single(n * k), steep, written=[2, 3, 4]
-    )
+    _, scales, projected, steeper = both("project", values, metric, scales, single(n * k), steep, written=[2, 3, 4])
     np.testing.assert_allclose(steeper, 2 * scales[1] * steep, rtol=1e-4, atol=1e-5)
     assert scales[3] == scales[1]
     shown = values.reshape(n, 8) @ metric.reshape(k, 8).T
@@ -249,13 +248,13 @@ def test_normalised_samples_have_the_mean_and_deviation_of_the_model(kernel, rng
     metric, usable = np.zeros(8, np.float32), (rng.random(500) > 0.3).astype(np.float32)
     metric[:3] = [0.2, 0.7, 0.1]  # luminance: constants pass
     scales, seen, ones = np.array([np.nan, 1.0, 0.0, 1.0, 1.0]), usable > 0, np.ones(500, np.float32)
-    kernel.normalisation(rows, values.ravel(), metric, usable, ones, scales[1:3])
+    kernel.normalisation(rows, values.ravel(), metric, usable, ones, scales)
     projected = single(500)
     kernel.project(values.ravel(), metric, scales, projected, np.zeros(1000, np.float32))
     assert projected[seen].mean() == pytest.approx(rows[0, seen].mean(), abs=1e-5)
     assert projected[seen].std() == pytest.approx(rows[0, seen].std(), rel=1e-4)
     # A flat picture has no deviation to be brought to another one.
-    kernel.normalisation(rows, np.full(8 * 500, 0.25, np.float32), metric, usable, ones, scales[1:3])
+    kernel.normalisation(rows, np.full(8 * 500, 0.25, np.float32), metric, usable, ones, scales)
     np.testing.assert_allclose(scales[1:3], [1.0, rows[0, seen].mean() - 0.25], atol=1e-5)
 
 
@@ -571,11 +570,11 @@ def test_nothing_is_read_or_written_beyond_an_array(method, sizes, n_modes, seed
     options = SolverOptions(max_iterations=3, tolerance=0.0, notice=0.0)
     controls = options.controls(objective.method.step == "expected", objective.method.reweighs, True)
     for fence in (False, True):
-        own = [objective.template, objective.picture(scene.problem), objective.work(scene.state, 9)]
+        own = [objective.template, objective.picture(scene.problem), objective.row, objective.work(scene.state, 9)]
         if fence:
             own = [fenced(each, fences) for each in own]
-        template, picture, record = map(compiled.by_reference, own)
-        compiled.solve_level(template, picture, objective.row, controls, record)
+        template, picture, row, asked, record = map(compiled.by_reference, (*own[:3], controls, own[3]))
+        compiled.solve_level(template, picture, row, asked, record)
         ends.append(own[-1])
     for name, size, whole, before in fences:
         for part in (slice(0, 32), slice(32 + size, None)):
@@ -615,6 +614,28 @@ def test_the_reference_works_where_nothing_has_run_before():
     """NumPy imports parts of itself from within its functions, in the name of whoever calls."""
     code = "import numpy as np, liaam.fitting.kernel as of; a = np.ones(3); of.get_kernel('reference').mask(a, a, +a)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_an_index_out_of_bounds_is_an_error_where_bounds_are_checked(tmp_path):
+    code = """
+import numpy as np
+from liaam.fitting.residual import mask
+one = np.zeros(1, np.float32)
+try:
+    mask(np.zeros(4, np.float32), np.ones(2, np.float32), one)
+except IndexError as error:
+    print(error)
+"""
+    environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    run = subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True)
+    assert "an index is out of bounds" in run.stdout
+
+
+def test_an_array_of_another_kind_is_refused():
+    with pytest.raises(TypeError, match="no C-contiguous span"):
+        compiled.mask(np.zeros(4), np.ones(4, np.float32), np.zeros(4, np.float32))
+    with pytest.raises(TypeError, match="no C-contiguous span"):
+        compiled.mask(np.zeros(8, np.float32)[::2], np.ones(4, np.float32), np.zeros(4, np.float32))
 
 
 # Pictures.

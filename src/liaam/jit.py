@@ -34,22 +34,15 @@ _SOURCES = _state_of_sources()
 
 
 class _Cache(FunctionCache):
-    """Numba's cache on disk, but for machine code of other sources: functions hold the code of those that they call."""
+    """Numba's cache on disk, which forgets what was compiled of other sources: functions hold what they call."""
 
-    def _index_key(self, sig: Any, codegen: Any) -> tuple:
-        return (*super()._index_key(sig, codegen), _SOURCES)
+    def __init__(self, function: Callable) -> None:
+        super().__init__(function)
+        self._cache_file._version += str(_SOURCES)  # read before anything else of the file, which may no longer be read
 
 
-def jit(function: Callable) -> Any:
+def jit(function: Callable, **options: Any) -> Any:
     """Compile a function when it is first called, once for a machine."""
-    made = _njit(no_cfunc_wrapper=True, **_OPTIONS)(function)
+    made = _njit(no_cfunc_wrapper=True, **_OPTIONS, **options)(function)
     made._cache = _Cache(made.py_func)
     return made
-
-
-def spliced(function: Callable) -> Any:
-    """Write a function into the one place that calls it, before that is compiled.
-
-    Code that is linked into its callers is compiled again with each of them: a loop of five layers took half a minute.
-    """
-    return _njit(inline="always", **_OPTIONS)(function)

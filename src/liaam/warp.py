@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from liaam.kernels.fields import Double2, Long1, Long2, Single2
 from liaam.mesh import ReferenceFrame, surroundings
 from liaam.shape import ShapeModel, Similarity
 
@@ -64,15 +65,15 @@ class Warp(Protocol):
 class Mesh(NamedTuple):
     """Piecewise-affine warp (paper eq 3), its pixels in the order of their triangles."""
 
-    beta: np.ndarray
+    beta: Single2
     """(n, 3) float32: barycentric weights of each pixel."""
-    starts: np.ndarray
+    starts: Long1
     """(t + 1,) int64: first pixel of each triangle, and the end."""
-    triangles: np.ndarray
+    triangles: Long2
     """(t, 3) int64: its vertices."""
-    rest: np.ndarray
+    rest: Double2
     """(v, 2) float64: vertices at rest, model pixels."""
-    basis: np.ndarray
+    basis: Double2
     """(2 v, n_p) float64: derivative of the vertices, x and y in turn, by p."""
     movement: float
     """Root mean square movement of the landmarks by a step of p of unit length, model pixels."""

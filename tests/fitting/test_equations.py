@@ -98,7 +98,7 @@ def test_products_are_those_of_float64(kernel, n, m, seed):
     exact, weights = rows[1:].astype(np.float64), np.square(root.astype(np.float64))
     np.testing.assert_allclose(gram_of(kernel, rows[1:], root), exact * weights @ exact.T, rtol=1e-5)
     out, line = np.empty(m), np.empty(BLOCK, np.float32)
-    kernel.with_modes(rows, 1, root, residual, line, out)
+    kernel.with_modes(rows, root, residual, line, out)
     np.testing.assert_allclose(out, exact @ (weights * residual), rtol=1e-5)
     lam, left, sums = rng.normal(size=m), residual.copy(), np.empty(2)
     kernel.subtract(left, rows, lam, root, sums)
@@ -111,7 +111,7 @@ def test_sums_keep_what_float32_would_lose(kernel):
     row[:, :BLOCK] = 128.0  # reaches 2**25, where a float32 sum does not feel a one
     total, one, sums, out = BLOCK * 2**14 + 9 * BLOCK + 1, np.ones_like(row[0]), np.empty(2), np.empty(1)
     assert gram_of(kernel, row, one)[0, 0] == total
-    kernel.with_modes(row, 0, one, row[0], np.empty(BLOCK, np.float32), out)
+    kernel.with_modes(np.concatenate([row, row]), one, row[0], np.empty(BLOCK, np.float32), out)
     kernel.subtract(row[0].copy(), row, np.empty(0), one, sums)
     assert out[0] == sums[0] == total
     assert sums[1] == row.size
@@ -133,7 +133,8 @@ class Seen:
         self.gram, self.factor, self.lam = gram_of(kernel, self.modes, own), np.full((m, m), np.nan), np.empty(m)
         self.ridge = np.maximum(RIDGE * np.square(self.modes, dtype=np.float64).sum(axis=1), 1e-12)
         kernel.factorise(self.gram, self.ridge, lines.ravel(), own, usable, unseen, self.factor)
-        kernel.with_modes(self.modes, 0, self.root, self.residual, np.empty(BLOCK, np.float32), self.lam)
+        rows = np.concatenate([np.zeros((1, e), np.float32), self.modes])
+        kernel.with_modes(rows, self.root, self.residual, np.empty(BLOCK, np.float32), self.lam)
         kernel.solve(self.factor, self.lam)
 
     @property

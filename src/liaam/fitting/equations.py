@@ -13,10 +13,12 @@ Compiled loops write to arrays that they are given: what they would make themsel
 import numpy as np
 
 from liaam.jit import jit
+from liaam.kernels.compiled import compiled
+from liaam.kernels.fields import Double1, Double2
 
 
-@jit
-def cholesky(matrix: np.ndarray) -> bool:
+@compiled
+def cholesky(matrix: Double2) -> bool:
     """Turn the lower triangle of a matrix (n, n) into its Cholesky factor; False where it is not positive."""
     n = len(matrix)
     for j in range(n):
@@ -34,8 +36,8 @@ def cholesky(matrix: np.ndarray) -> bool:
     return True
 
 
-@jit
-def solve_lower(factor: np.ndarray, right: np.ndarray) -> None:
+@compiled
+def solve_lower(factor: Double2, right: Double2) -> None:
     """Replace columns R (n, b) by L^-1 R, of a lower triangle (n, n)."""
     for i in range(len(factor)):
         row = right[i]
@@ -48,8 +50,8 @@ def solve_lower(factor: np.ndarray, right: np.ndarray) -> None:
             row[c] *= scale
 
 
-@jit
-def solve(factor: np.ndarray, right: np.ndarray) -> None:
+@compiled
+def solve(factor: Double2, right: Double1) -> None:
     """Replace r (n,) by (L L')^-1 r."""
     n = len(factor)
     for i in range(n):
@@ -62,15 +64,28 @@ def solve(factor: np.ndarray, right: np.ndarray) -> None:
             right[j] -= factor[i, j] * right[i]
 
 
-@jit
+@compiled
+def multiply(left: Double2, right: Double2, out: Double2) -> None:
+    """Product of two matrices (n, n)."""
+    for i in range(len(left)):
+        line, to = left[i], out[i]
+        for j in range(len(line)):
+            to[j] = 0.0
+        for k in range(len(line)):
+            share, row = line[k], right[k]
+            for j in range(len(line)):
+                to[j] += share * row[j]
+
+
+@compiled
 def eliminate(
-    factor: np.ndarray,
-    aj: np.ndarray,
-    ar: np.ndarray,
-    hessian: np.ndarray,
-    gradient: np.ndarray,
-    carried: np.ndarray,
-    along: np.ndarray,
+    factor: Double2,
+    aj: Double2,
+    ar: Double1,
+    hessian: Double2,
+    gradient: Double1,
+    carried: Double2,
+    along: Double2,
 ) -> None:
     """Turn J'J (n_q, n_q) and J'r (n_q,) into the Hessian J'QJ, made symmetric, and the gradient J'Qr, in place.
 
@@ -102,8 +117,8 @@ def eliminate(
             hessian[a, b] = hessian[b, a] = 0.5 * (hessian[a, b] + hessian[b, a])
 
 
-@jit
-def length(numbers: np.ndarray, n: int) -> float:
+@compiled
+def length(numbers: Double1, n: int) -> float:
     """Length of the first n numbers as a vector."""
     squares = 0.0
     for i in range(n):
@@ -118,16 +133,16 @@ def copy(source: np.ndarray, out: np.ndarray) -> None:
         out[i] = source[i]
 
 
-@jit
-def copy_matrix(source: np.ndarray, out: np.ndarray) -> None:
+@compiled
+def copy_matrix(source: Double2, out: Double2) -> None:
     """Copy an array (n, m)."""
     for i in range(len(source)):
         for j in range(source.shape[1]):
             out[i, j] = source[i, j]
 
 
-@jit
-def clear(out: np.ndarray) -> None:
+@compiled
+def clear(out: Double2) -> None:
     """Write noughts all over an array (n, m)."""
     for i in range(len(out)):
         for j in range(out.shape[1]):

@@ -13,7 +13,9 @@ each function has to give.
 import numpy as np
 
 from liaam.fitting.equations import clear
-from liaam.jit import F, jit
+from liaam.jit import F
+from liaam.kernels.compiled import compiled
+from liaam.kernels.fields import Double1, Double2, Long1, Long2, Single1, Single2, Single3
 from liaam.kernels.vectors import SIZE, every, halves, load, store
 
 FLAT = 0.05
@@ -23,8 +25,8 @@ PAIR = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 """Number of a pair of a triangle's corners."""
 
 
-@jit
-def combine(rows: np.ndarray, lam: np.ndarray, out: np.ndarray) -> None:
+@compiled
+def combine(rows: Single2, lam: Double1, out: Single1) -> None:
     """First row plus lambda times the others, of rows (1 + m, e) float32."""
     first = rows[0]
     for e in range(len(out)):
@@ -35,10 +37,8 @@ def combine(rows: np.ndarray, lam: np.ndarray, out: np.ndarray) -> None:
             out[e] += share * row[e]
 
 
-@jit
-def pull(
-    starts: np.ndarray, triangles: np.ndarray, rest: np.ndarray, points: np.ndarray, slopes: np.ndarray, out: np.ndarray
-) -> None:
+@compiled
+def pull(starts: Long1, triangles: Long2, rest: Double2, points: Double2, slopes: Single1, out: Single1) -> None:
     """Gradient at W(x; p) of what has given slopes at x: if V(W(x; p)) = A(x), then grad V = (dW/dx)^-T grad A.
 
     Parameters
@@ -70,18 +70,18 @@ def pull(
                 out[2 * e], out[2 * e + 1] = xx * x + yx * y, xy * x + yy * y
 
 
-@jit
+@compiled
 def angle_column(
     by_model: float,
     by_image: float,
-    slope: np.ndarray,
-    values: np.ndarray,
-    growth: np.ndarray,
-    residual: np.ndarray,
-    parts: np.ndarray,
+    slope: Single1,
+    values: Single1,
+    growth: Single1,
+    residual: Single1,
+    parts: Single3,
     theta: float,
-    lam: np.ndarray,
-    out: np.ndarray,
+    lam: Double1,
+    out: Single1,
 ) -> None:
     """Derivative of the weighted residual, over the root of its weight, by an angle that turns both theta_1 and
     theta_2.
@@ -116,10 +116,8 @@ def angle_column(
             out[e] -= share * (along * by_sin[e] - across * by_cos[e])
 
 
-@jit
-def weigh_columns(
-    steep: np.ndarray, root: np.ndarray, residual: np.ndarray, columns: np.ndarray, f: int, fours: np.ndarray
-) -> None:
+@compiled
+def weigh_columns(steep: Single1, root: Single1, residual: Single1, columns: Single2, f: int, fours: Single1) -> None:
     """Of each residual w^2 (steep x, steep y, residual, column f if there is one), side by side: (4 n k + 8,)
     float32.
     """
@@ -130,14 +128,14 @@ def weigh_columns(
         fours[4 * e + 3] = square * columns[f, e] if len(columns) else F(0.0)
 
 
-@jit
+@compiled
 def dots(
-    columns: np.ndarray,
-    column: np.ndarray,
-    residual: np.ndarray,
-    root: np.ndarray,
-    hessian: np.ndarray,
-    gradient: np.ndarray,
+    columns: Single2,
+    column: Single1,
+    residual: Single1,
+    root: Single1,
+    hessian: Double2,
+    gradient: Double1,
     f: int,
 ) -> None:
     """Weighted products of column f of the angles with all of them and with the residual, to the last of E'J and
@@ -154,16 +152,16 @@ def dots(
             gradient[n_p + f] = product
 
 
-@jit
+@compiled
 def add_squares(
-    beta: np.ndarray,
-    starts: np.ndarray,
-    triangles: np.ndarray,
-    basis: np.ndarray,
-    fours: np.ndarray,
-    expected: np.ndarray,
-    room: np.ndarray,
-    lines: np.ndarray,
+    beta: Single2,
+    starts: Long1,
+    triangles: Long2,
+    basis: Double2,
+    fours: Single1,
+    expected: Single1,
+    room: Single1,
+    lines: Double2,
 ) -> None:
     """Sum E'J and E' columns by vertices.
 
@@ -218,15 +216,15 @@ def add_squares(
                     own[n_p + 1] += room[at + 3]
 
 
-@jit
+@compiled
 def add_modes(
-    beta: np.ndarray,
-    starts: np.ndarray,
-    triangles: np.ndarray,
-    fours: np.ndarray,
-    modes: np.ndarray,
-    room: np.ndarray,
-    lines: np.ndarray,
+    beta: Single2,
+    starts: Long1,
+    triangles: Long2,
+    fours: Single1,
+    modes: Single1,
+    room: Single1,
+    lines: Double2,
 ) -> None:
     """Sum J'A by vertices.
 
@@ -266,14 +264,14 @@ def add_modes(
             for corner in range(3):
                 for axis in range(2):
                     at = SIZE * (2 * corner + axis)
-                    out = lines[2 * triangles[t, corner] + axis, column : column + SIZE]
+                    out = lines[2 * triangles[t, corner] + axis][column : column + SIZE]
                     own = room[at : at + SIZE]
                     for j in range(SIZE):
                         out[j] += own[j]
 
 
-@jit
-def to_parameters(lines: np.ndarray, basis: np.ndarray, out: np.ndarray) -> None:
+@compiled
+def to_parameters(lines: Double2, basis: Double2, out: Double2) -> None:
     """Carry sums by vertices (2 v, b) to the warp's parameters, (n_p, b): basis' lines."""
     clear(out)
     for v in range(len(lines)):

@@ -27,9 +27,9 @@ def get_kernel(name: str = "fast") -> SimpleNamespace:
     if name not in KERNELS:
         raise MethodError(f"kernel {name!r} does not exist; there are {', '.join(KERNELS)}")
     from liaam.fitting import equations, evaluate, jacobian, loop, reference, residual, steps, weights
-    from liaam.kernels import records
+    from liaam.kernels import compiled
 
-    core = (records, equations, weights, residual, jacobian, evaluate, steps, loop)
+    core = (compiled, equations, weights, residual, jacobian, evaluate, steps, loop)
     names = {key: value for module in core for key, value in vars(module).items() if not key.startswith("__")}
     if name == "fast":
         return SimpleNamespace(**names)

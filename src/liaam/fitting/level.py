@@ -1,13 +1,16 @@
-"""What the loop of a level is given and gives back: plain tuples of arrays, so that compiled code reads them.
+"""What the loop of a level is given and gives back: plain tuples of arrays, so that compiled code reads them
+(:mod:`liaam.kernels.compiled`).
 
 n pixels of the model, k rows of the metric P, n_p parameters of the warp, n_q = n_p and the free angles, m modes of
 appearance (extra modes, such as gain and bias, last). A pixel of an encoded picture has 8 channels, the last its
 weight. Arrays of pixels are flat: residual e = i k + r is row r of pixel i.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
 
-import numpy as np
+from liaam.kernels.fields import Bool1, Double1, Double2, Double3, Int1, Single1, Single2, Single3
+from liaam.warp import Mesh
 
 WIDE = 8
 """Numbers that compiled loops take at a time (:data:`liaam.kernels.vectors.SIZE`), and channels of a picture."""
@@ -29,31 +32,40 @@ apart, their gradients agree less, and undamped steps would run off. Measured on
 beyond 8 % without; 1 would be Fisher scoring, which takes twice as many steps."""
 
 
+UNIT, GAIN, OFFSET, SHOWN, SCALE, LEAST = 0, 1, 2, 3, 4, 5
+"""Places in :attr:`Work.scales`."""
+
+
+def without(*_: Any) -> Any:
+    """Stand for a function that a method does without; compiled code has nothing in its place."""
+    raise NotImplementedError
+
+
 class Template(NamedTuple):
     """What a picture is compared with: the model's side of the residual (paper eq 9)."""
 
-    warp: Any
-    """:class:`liaam.warp.Mesh`; the reference kernel takes any :class:`liaam.warp.Warp`."""
-    rows: np.ndarray
+    warp: Annotated[Any, Mesh]
+    """The reference kernel takes any :class:`liaam.warp.Warp`."""
+    rows: Single2
     """(1 + m, n k) float32: P(theta_1) A0 and P(theta_1) A_i."""
-    lines: np.ndarray
+    lines: Single1
     """(n k w,) float32: the modes' transpose, with noughts up to w, a multiple of 8."""
-    slopes: np.ndarray
+    slopes: Single2
     """(1 + m, 2 n k) float32: derivatives of mean and modes by the place at rest; of a pixel k along x, k along y."""
-    parts: np.ndarray
+    parts: Single3
     """(3, 1 + m, n k) float32: rows, what is fixed and what goes with cos and sin of theta_1; none where that is
     fixed."""
-    slope_parts: np.ndarray
+    slope_parts: Single3
     """(3, 1 + m, 2 n k) float32: the same of the slopes."""
-    own: np.ndarray
+    own: Single1
     """(n k,) float32: root of the model's own weights."""
-    gram: np.ndarray
+    gram: Double2
     """(m, m) float64: A'A under these."""
-    ridge: np.ndarray
+    ridge: Double1
     """(m,) float64: what is added to its diagonal."""
-    errors: np.ndarray
+    errors: Double1
     """(n,) float64: variance of the model's errors, mean over the rows; 0 where it is not known."""
-    prior: np.ndarray
+    prior: Double1
     """(n_p,) float64: precision of a Gaussian prior on p; 0 for none."""
     correlated: float
     """Pixels that stand for one independent residual, where weights do not say so themselves."""
@@ -66,17 +78,17 @@ class Template(NamedTuple):
 class Picture(NamedTuple):
     """An encoded picture, and how the model's pixels come to lie in it."""
 
-    pixels: np.ndarray
+    pixels: Single1
     """(8 h w,) float32."""
-    size: tuple[int, int]
-    """Height and width."""
-    similarity: np.ndarray
+    height: int
+    width: int
+    similarity: Double2
     """(2, 3) float64: model pixels to those of the patch."""
-    noise: np.ndarray
+    noise: Single1
     """(s,) float32: deviation of a logarithm by noise, at evenly spaced logarithms."""
-    span: np.ndarray
+    span: Double1
     """(2,) float64: the lowest and highest of these."""
-    kept: np.ndarray
+    kept: Double1
     """(2,) float64: shares of that deviation which the blur leaves to values, and to slopes per model pixel."""
     correlated: float
     """Pixels looked at that stand for one independent residual, for weights that count so."""
@@ -85,9 +97,9 @@ class Picture(NamedTuple):
 class Row(NamedTuple):
     """A method in numbers (:class:`liaam.fitting.Method`)."""
 
-    metric: np.ndarray
+    metric: Single2
     """(3, 8 k) float32: P(theta) = metric[0] + cos(theta) metric[1] + sin(theta) metric[2]."""
-    directions: np.ndarray
+    directions: Double2
     """(2, n_free) float64: derivative of (theta_1, theta_2) by the free angles."""
     weights: int
     """0: the model's; 1: by noise; 2: by noise and by what the model leaves unexplained."""
@@ -97,6 +109,20 @@ class Row(NamedTuple):
     """Median of the size of a Gaussian residual, root mean square over the rows, in standard deviations."""
     normalise: bool
     """Bring samples to the mean and deviation of the model's mean."""
+    look: Callable[["Template", Picture, "Row", "Work", bool], None]
+    """What the loop calls (:mod:`liaam.fitting.evaluate`); :func:`without` where the method has none."""
+    turn: Callable[["Template", "Work"], None]
+    weigh: Callable[["Template", Picture, "Row", "Work"], bool]
+    weigh_by_loss: Callable[["Template", "Row", "Work"], None]
+    settle: Callable[["Template", "Row", "Work", bool, bool], None]
+    normalise_samples: Callable[["Row", "Work"], None]
+    whiten: Callable[["Work"], None]
+    expect: Callable[["Template", "Work"], None]
+    differentiate: Callable[["Template", "Row", "Work", Single1, Single1], None]
+    add_angles: Callable[["Template", "Row", "Work"], None]
+    damped: Callable[["Work", float], bool]
+    """:mod:`liaam.fitting.steps`."""
+    raised: Callable[["Work", float], bool]
 
 
 class Controls(NamedTuple):
@@ -127,124 +153,130 @@ class Controls(NamedTuple):
 class Work(NamedTuple):
     """Where a fit stands, what it sees there, and room: all that the loop writes."""
 
-    p: np.ndarray
+    p: Double1
     """(n_p,) float64: parameters of the warp."""
-    angles: np.ndarray
+    angles: Double1
     """(2,) float64: theta_1 (model) and theta_2 (picture), radians."""
-    lam: np.ndarray
+    lam: Double1
     """(m,) float64: coordinates of the appearance, extra modes last."""
-    before: np.ndarray
+    before: Double1
     """(n_p + 2 + m,) float64: the same before the last step."""
-    metric: np.ndarray
+    metric: Single1
     """(8 k,) float32: P(theta_2)."""
-    slope: np.ndarray
+    slope: Single1
     """(8 k,) float32: dP/dtheta_2."""
-    rows: np.ndarray
+    rows: Single2
     """The template's at theta_1; its own where theta_1 is fixed."""
-    lines: np.ndarray
-    slopes: np.ndarray
-    points: np.ndarray
+    lines: Single1
+    slopes: Single2
+    points: Double2
     """(v, 2) float64: vertices of the mesh, model pixels."""
-    corner: np.ndarray
+    corner: Int1
     """(n,) int32: see :func:`liaam.fitting.residual.place`."""
-    between: np.ndarray
+    between: Single1
     """(3 n,) float32."""
-    values: np.ndarray
+    values: Single1
     """(8 n,) float32: samples of the picture's channels."""
-    residual: np.ndarray
+    residual: Single1
     """(n k,) float32."""
-    steep: np.ndarray
+    steep: Single1
     """(2 n k,) float32: derivative of the residual by the place, model pixels."""
-    usable: np.ndarray
+    usable: Single1
     """(n,) float32: the picture's weight, 0 or 1."""
-    weighed: np.ndarray
+    weighed: Single1
     """(n k,) float32: root of the weights but for those by noise, which turn with an angle."""
-    own: np.ndarray
+    own: Single1
     """(n k,) float32: root of the weights, wherever the picture is usable."""
-    growth: np.ndarray
+    growth: Single1
     """(n k,) float32: its relative derivative by theta_2; none where it does not depend on that."""
-    root: np.ndarray
+    root: Single1
     """(n k,) float32: root of the weights, 0 where the picture says nothing."""
-    noise: np.ndarray
+    noise: Single1
     """(8 n,) float32: variance of the channels by noise, of weights by noise."""
-    by_model: np.ndarray
+    by_model: Double1
     """(n,) float64: variance by the model's errors, of weights by noise."""
-    variance: np.ndarray
+    variance: Single1
     """(n k,) float32: of the residuals, where weights go by it."""
-    known: np.ndarray
+    known: Single1
     """(n,) float32: 1 where colours were known when weights by rows were worked out, else 0; NaN before."""
-    known_now: np.ndarray
-    unexplained: np.ndarray
+    known_now: Single1
+    unexplained: Double2
     """(2, 2) float64: variance that the model leaves unexplained, of gradients and of colour; then and now."""
-    scales: np.ndarray
+    scales: Double1
     """(6,) float64: variance that weighs 1 (NaN where weights do not say); gain and offset of the samples; gain that
     ``steep`` has; scale of the prior; and least curvature of a step (:data:`LEAST_CURVATURE`)."""
-    gram: np.ndarray
+    gram: Double2
     """(m, m) float64: A'A under ``own``."""
-    factor: np.ndarray
+    factor: Double2
     """(m, m) float64: Cholesky factor of A'A under ``root``, with a ridge."""
-    ar: np.ndarray
+    ar: Double1
     """(m,) float64: A'r."""
-    sums: np.ndarray
+    sums: Double1
     """(2,) float64: r'r and the sum of the weights."""
-    expected: np.ndarray
+    expected: Single1
     """(2 n k,) float32: derivative of the residual by the place as the model expects it."""
-    at_rest: np.ndarray
+    at_rest: Single1
     """(2 n k,) float32: slopes of the fitted appearance."""
-    columns: np.ndarray
+    columns: Single2
     """(n_free, n k) float32: derivatives by the free angles."""
-    aj: np.ndarray
+    aj: Double2
     """(m, n_q) float64: A'J."""
-    hessian: np.ndarray
+    hessian: Double2
     """(n_q, n_q) float64: E'QJ, E the derivatives as they are expected, or J."""
-    gradient: np.ndarray
+    gradient: Double1
     """(n_q,) float64: E'Qr."""
-    base: np.ndarray
+    base: Double2
     """(n_q, n_q) float64: curvature that is expected, E'QE."""
-    step: np.ndarray
+    step: Double1
     """(n_q,) float64."""
-    last_step: np.ndarray
+    last_step: Double1
     """(n_q,) float64: the last one that was taken; nought before."""
-    lam_step: np.ndarray
+    lam_step: Double1
     """(m,) float64."""
-    free: np.ndarray
+    free: Bool1
     """(n_q,) bool: entries of q that may move."""
-    precision: np.ndarray
+    precision: Double1
     """(n_p,) float64: of the prior, in units of squared residuals."""
-    fours: np.ndarray
+    fours: Single1
     """(4 n k + 8,) float32: room."""
-    room: np.ndarray
+    room: Single1
     """(48,) float32."""
-    squares: np.ndarray
+    squares: Double2
     """(2 v, n_p + 2) float64."""
-    products: np.ndarray
+    products: Double2
     """(2 v, w) float64."""
-    carried_squares: np.ndarray
+    carried_squares: Double2
     """(n_p, n_p + 2) float64."""
-    carried_products: np.ndarray
+    carried_products: Double2
     """(n_p, w) float64."""
-    line: np.ndarray
+    line: Single1
     """(2048,) float32."""
-    block: np.ndarray
+    block: Single2
     """(m, 2048) float32."""
-    planes: np.ndarray
+    planes: Single2
     """(10, 512) float32."""
-    sizes: np.ndarray
+    sizes: Double2
     """(2, n) float64."""
-    row_sums: np.ndarray
+    row_sums: Double2
     """(k, 3) float64."""
-    small: np.ndarray
-    """(4, n_q, n_q) float64."""
-    eliminated: np.ndarray
+    damper: Double2
+    """(n_q, n_q) float64: ``base`` with the prior, which damping is relative to."""
+    small: Double3
+    """(2, n_q, n_q) float64."""
+    cubes: Double3
+    """(3, n_q, n_q) float64."""
+    eliminated: Double2
     """(m, n_q) float64."""
-    along: np.ndarray
+    along: Double2
     """(m, 1) float64."""
-    costs: np.ndarray
+    costs: Double1
     """(i + 1,) float64: mean squared residual at the start and after every accepted step."""
-    path: np.ndarray
+    path: Double2
     """(i + 1, n_p) float64: p there."""
-    turns: np.ndarray
+    turns: Double2
     """(i + 1, 2) float64: the angles there."""
+    outcome: Double1
+    """(6,) float64: the numbers of :class:`Outcome`."""
 
 
 class Outcome(NamedTuple):

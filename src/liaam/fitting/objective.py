@@ -21,6 +21,7 @@ from liaam.fitting.level import (
     Row,
     Template,
     Work,
+    without,
 )
 from liaam.fitting.losses import LOSSES, gaussian_median
 from liaam.fitting.methods import WEIGHTS, Method
@@ -101,40 +102,52 @@ class Objective:
 
     @cached_property
     def row(self) -> Row:
-        """The method in numbers."""
-        method = self.method
+        """The method in numbers, and in functions."""
+        method, kernel = self.method, get_kernel(self.kernel)
         loss = LOSSES.index(method.loss) if method.loss in LOSSES else -1
+        noisy, weigh = method.weights == "noise", {"noise": kernel.by_noise, "rows": kernel.by_rows}
         return Row(
             metric=method.metric_parts.astype(np.float32).reshape(3, -1),
             directions=np.ascontiguousarray(method.angle_directions, dtype=np.float64),
             weights=WEIGHTS.index(method.weights),
             loss=loss,
-            median=gaussian_median(method.n_rows),
+            median=gaussian_median(method.n_rows) if loss >= 0 else 1.0,
             normalise=method.normalise,
+            look=kernel.look,
+            turn=kernel.turn_model if self._turns else without,
+            weigh=weigh.get(method.weights, kernel.by_model) if method.reweighs else without,
+            weigh_by_loss=kernel.by_loss if loss >= 0 else without,
+            settle=kernel.settle,
+            normalise_samples=kernel.normalise_samples if method.normalise else without,
+            whiten=kernel.whiten if noisy else without,
+            expect=kernel.expect if method.expects else without,
+            differentiate=kernel.differentiate,
+            add_angles=kernel.add_angles if method.free_angles != "none" else without,
+            damped=kernel.damped if method.step != "expected" else without,
+            raised=kernel.raised if method.expects else without,
         )
 
     @cached_property
     def template(self) -> Template:
         """The model's side of the residual."""
-        n, k, kernel = len(self.appearance.mean), self.method.n_rows, get_kernel(self.kernel)
+        n, k = len(self.appearance.mean), self.method.n_rows
         parts, slopes = self._rows_of(self.appearance, self.illumination).reshape(3, -1, n * k), self._slopes
         at = np.array([1.0, np.cos(self.theta_model), np.sin(self.theta_model)], np.float32)
         rows, slopes_now = (np.ascontiguousarray(np.tensordot(at, each, axes=1)) for each in (parts, slopes))
         m, nothing = len(rows) - 1, np.zeros((0, 0, 0), np.float32)
-        lines = np.zeros(n * k * -(-m // WIDE) * WIDE, np.float32)
-        kernel.transpose(rows, lines)
+        lines = np.zeros((n * k, -(-m // WIDE) * WIDE), np.float32)
+        lines[:, :m] = rows[1:].T
         own = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
-        gram = np.zeros((m, m))
-        kernel.weighted_gram(rows, own, np.empty((m, BLOCK), np.float32), gram)
+        weighted = rows[1:].astype(np.float64) * own
         return Template(
             warp=self.warp if self.kernel == "reference" else self._mesh(),
             rows=rows,
-            lines=lines,
+            lines=lines.ravel(),
             slopes=slopes_now,
             parts=parts if self._turns else nothing,
             slope_parts=slopes if self._turns else nothing,
             own=own,
-            gram=gram,
+            gram=weighted @ weighted.T,
             ridge=self._ridge(),
             errors=self._errors(),
             prior=np.array(self.prior, np.float64),
@@ -145,12 +158,12 @@ class Objective:
 
     def __getstate__(self) -> dict:
         """Leave out what compiled code refers to, which cannot be pickled and is soon made again."""
-        return {name: value for name, value in self.__dict__.items() if name != "_model_side"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("row", "given")}
 
     @cached_property
-    def _model_side(self) -> Any:
-        """The template as the kernel takes it."""
-        return get_kernel(self.kernel).by_reference(self.template)
+    def given(self) -> tuple[Any, Any]:
+        """The template and the row as the kernel takes them."""
+        return get_kernel(self.kernel).by_reference(self.template), get_kernel(self.kernel).by_reference(self.row)
 
     @property
     def _turns(self) -> bool:
@@ -225,12 +238,15 @@ class Objective:
             planes=single(10, PLANE),
             sizes=np.empty((2, n)),
             row_sums=np.zeros((k, 3)),
-            small=np.empty((3, n_q, n_q)),
+            damper=np.zeros((n_q, n_q)),
+            small=np.empty((2, n_q, n_q)),
+            cubes=np.empty((3, n_q, n_q)),
             eliminated=np.empty((m, n_q)),
             along=np.empty((m, 1)),
             costs=np.empty(max_iterations + 1),
             path=np.empty((max_iterations + 1, n_p)),
             turns=np.empty((max_iterations + 1, 2)),
+            outcome=np.zeros(6),
         )
 
     def _rows_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
@@ -299,11 +315,15 @@ class Objective:
     def look(self, problem: FitProblem, state: State, weigh: int = 0) -> Work:
         """Look at a picture at a state, its appearance as it is, and weigh what is seen so many times."""
         kernel, work = get_kernel(self.kernel), self.work(state)
-        seen = self._model_side, kernel.by_reference(self.picture(problem)), self.row, kernel.by_reference(work)
-        kernel.look(*seen, False)
-        for i in range(weigh + 1):
-            if i == 0 or kernel.weigh(*seen):
-                kernel.settle(self._model_side, self.row, seen[-1], i > 0, False)
+        (template, row), seen = self.given, kernel.by_reference(work)
+        picture = kernel.by_reference(self.picture(problem))
+        kernel.look(template, picture, row, seen, False)
+        kernel.settle(template, row, seen, False, False)
+        for _ in range(weigh if self.method.reweighs else 0):
+            if self.row.weigh(template, picture, row, seen):
+                if self.row.loss >= 0:
+                    self.row.weigh_by_loss(template, row, seen)
+                kernel.settle(template, row, seen, True, False)
         return work
 
     def equations(self, work: Work) -> tuple[np.ndarray, np.ndarray]:
@@ -311,7 +331,7 @@ class Objective:
         10).
         """
         kernel = get_kernel(self.kernel)
-        kernel.differentiate(self._model_side, self.row, kernel.by_reference(work), work.steep, work.steep)
+        kernel.differentiate(*self.given, kernel.by_reference(work), work.steep, work.steep)
         return work.hessian, work.gradient
 
     def unit(self, work: Work) -> float:
@@ -323,8 +343,11 @@ class Objective:
     def solve(self, problem: FitProblem, work: Work, controls: Controls) -> Outcome:
         """Minimise the method's cost over one picture from where ``work`` stands: one call of the loop."""
         kernel = get_kernel(self.kernel)
-        seen = kernel.by_reference(self.picture(problem)), self.row, controls, kernel.by_reference(work)
-        return kernel.solve_level(self._model_side, *seen)
+        template, row = self.given
+        picture, controls, there = map(kernel.by_reference, (self.picture(problem), controls, work))
+        kernel.solve_level(template, picture, row, controls, there)
+        n_taken, n_tried, moved, settled, held, flat = work.outcome.tolist()
+        return Outcome(int(n_taken), int(n_tried), moved, bool(settled), bool(held), bool(flat))
 
 
 THINNING = 1.5

@@ -61,7 +61,8 @@ class FitProblem:
         channels = self.patch.channels
         return Picture(
             channels.reshape(-1),
-            (channels.shape[0], channels.shape[1]),
+            channels.shape[0],
+            channels.shape[1],
             np.column_stack([self.pose.matrix, self.pose.offset]),
             self.relative_noise.astype(np.float32) if noisy else np.zeros(2, np.float32),
             np.array(LOGS),

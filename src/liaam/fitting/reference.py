@@ -36,7 +36,7 @@ def sample_picture(template: Template, picture: Picture, work: Work) -> None:
     """P(theta_2) E(I(W(x; p))), and its derivative by the place."""
     matrix, metric = picture.similarity[:, :2], work.metric.reshape(-1, 8).astype(np.float64)
     points = template.warp.points(work.p) @ matrix.T + picture.similarity[:, 2]
-    values, gradients, work.usable[:] = sample(picture.pixels.reshape(*picture.size, 8), points)
+    values, gradients, work.usable[:] = sample(picture.pixels.reshape(picture.height, picture.width, 8), points)
     by_x, by_y = gradients[:, 0] @ metric.T, gradients[:, 1] @ metric.T  # of the patch
     work.values[:], work.residual[:] = values.ravel(), (values @ metric.T).ravel()
     work.steep[0::2] = (by_x * matrix[0, 0] + by_y * matrix[1, 0]).ravel()
@@ -75,11 +75,9 @@ def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
     return int((usable == 0).sum())
 
 
-def with_modes(
-    rows: np.ndarray, first: int, root: np.ndarray, column: np.ndarray, line: np.ndarray, out: np.ndarray
-) -> None:
-    """Weighted products of a column with rows."""
-    out[: len(rows) - first] = rows[first:].astype(np.float64) @ (np.square(root.astype(np.float64)) * column)
+def with_modes(rows: np.ndarray, root: np.ndarray, column: np.ndarray, line: np.ndarray, out: np.ndarray) -> None:
+    """Weighted products of a column with the modes."""
+    out[: len(rows) - 1] = rows[1:].astype(np.float64) @ (np.square(root.astype(np.float64)) * column)
 
 
 def subtract(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray, root: np.ndarray, sums: np.ndarray) -> None:
@@ -359,7 +357,7 @@ def weigh_by_loss(
 
 
 def normalisation(
-    rows: np.ndarray, values: np.ndarray, metric: np.ndarray, usable: np.ndarray, own: np.ndarray, out: np.ndarray
+    rows: np.ndarray, values: np.ndarray, metric: np.ndarray, usable: np.ndarray, own: np.ndarray, scales: np.ndarray
 ) -> None:
     """Gain and offset to the mean and deviation of the model's mean."""
     n = len(usable)
@@ -367,4 +365,4 @@ def normalisation(
     model = rows[0].reshape(n, -1)[counts].astype(np.float64)
     seen = values.reshape(n, 8)[counts, :7].astype(np.float64) @ metric.reshape(-1, 8)[:, :7].T
     gain = model.std() / seen.std() if seen.std() > 1e-6 else 1.0
-    out[:] = gain, model.mean() - gain * seen.mean()
+    scales[1:3] = gain, model.mean() - gain * seen.mean()

@@ -10,12 +10,14 @@ import numpy as np
 
 from liaam.fitting.equations import cholesky, clear
 from liaam.fitting.level import BLOCK
-from liaam.jit import F, jit
+from liaam.jit import F
+from liaam.kernels.compiled import compiled
+from liaam.kernels.fields import Double1, Double2, Int1, Long1, Long2, Single1, Single2, Single3
 from liaam.kernels.vectors import SIZE, lane, load, store, total
 
 
-@jit
-def set_metric(parts: np.ndarray, theta: float, metric: np.ndarray, slope: np.ndarray) -> None:
+@compiled
+def set_metric(parts: Single2, theta: float, metric: Single1, slope: Single1) -> None:
     """P(theta) on the picture's channels, and its derivative, both (8 k,) float32, by its parts (3, 8 k)."""
     along, across = F(np.cos(theta)), F(np.sin(theta))
     for c in range(len(metric)):
@@ -23,8 +25,8 @@ def set_metric(parts: np.ndarray, theta: float, metric: np.ndarray, slope: np.nd
         slope[c] = along * parts[2, c] - across * parts[1, c]
 
 
-@jit
-def turn(parts: np.ndarray, theta: float, rows: np.ndarray) -> None:
+@compiled
+def turn(parts: Single3, theta: float, rows: Single2) -> None:
     """Rows (b, e) float32 at an angle theta_1, by their parts (3, b, e): fixed, by its cos and by its sin."""
     along, across = F(np.cos(theta)), F(np.sin(theta))
     for i in range(len(rows)):
@@ -33,8 +35,8 @@ def turn(parts: np.ndarray, theta: float, rows: np.ndarray) -> None:
             own[e] = fixed[e] + along * by_cos[e] + across * by_sin[e]
 
 
-@jit
-def transpose(rows: np.ndarray, lines: np.ndarray) -> None:
+@compiled
+def transpose(rows: Single2, lines: Single1) -> None:
     """Write rows but the first, (1 + m, e), to lines (e w,) with w at least m."""
     wide = len(lines) // rows.shape[1]
     for e in range(rows.shape[1]):
@@ -42,8 +44,8 @@ def transpose(rows: np.ndarray, lines: np.ndarray) -> None:
             lines[e * wide + j] = rows[1 + j, e]
 
 
-@jit
-def vertices_at(rest: np.ndarray, basis: np.ndarray, p: np.ndarray, points: np.ndarray) -> None:
+@compiled
+def vertices_at(rest: Double2, basis: Double2, p: Double1, points: Double2) -> None:
     """Vertices of the mesh, (v, 2) float64 model pixels, by those at rest and their derivatives (2 v, n_p)."""
     for v in range(len(points)):
         xs, ys, x, y = basis[2 * v], basis[2 * v + 1], rest[v, 0], rest[v, 1]
@@ -53,16 +55,17 @@ def vertices_at(rest: np.ndarray, basis: np.ndarray, p: np.ndarray, points: np.n
         points[v, 0], points[v, 1] = x, y
 
 
-@jit
+@compiled
 def place(
-    beta: np.ndarray,
-    starts: np.ndarray,
-    triangles: np.ndarray,
-    points: np.ndarray,
-    similarity: np.ndarray,
-    size: tuple[int, int],
-    corner: np.ndarray,
-    between: np.ndarray,
+    beta: Single2,
+    starts: Long1,
+    triangles: Long2,
+    points: Double2,
+    similarity: Double2,
+    height: int,
+    width: int,
+    corner: Int1,
+    between: Single1,
 ) -> None:
     """Where the model's pixels come to lie in the picture.
 
@@ -74,7 +77,7 @@ def place(
         Its vertices, model pixels.
     similarity : (2, 3) float64
         Model pixels to the picture's.
-    size : (height, width)
+    height, width : int
         Of the picture.
     corner : (n,) int32
         Number of the first of the four pixels around each point.
@@ -83,7 +86,6 @@ def place(
     """
     a00, a01, a02 = similarity[0, 0], similarity[0, 1], similarity[0, 2]
     a10, a11, a12 = similarity[1, 0], similarity[1, 1], similarity[1, 2]
-    height, width = size
     right, bottom = float(width), float(height)
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -107,18 +109,18 @@ def place(
             between[3 * i + 2] = F(1.0) if inside else F(0.0)
 
 
-@jit
+@compiled
 def sample(
-    pixels: np.ndarray,
+    pixels: Single1,
     width: int,
-    corner: np.ndarray,
-    between: np.ndarray,
-    similarity: np.ndarray,
-    metric: np.ndarray,
-    values: np.ndarray,
-    projected: np.ndarray,
-    steep: np.ndarray,
-    usable: np.ndarray,
+    corner: Int1,
+    between: Single1,
+    similarity: Double2,
+    metric: Single1,
+    values: Single1,
+    projected: Single1,
+    steep: Single1,
+    usable: Single1,
 ) -> None:
     """Sample a picture where :func:`place` says, project the samples, and differentiate them by the place.
 
@@ -156,10 +158,8 @@ def sample(
             steep[2 * e], steep[2 * e + 1] = total(weigh * by_x), total(weigh * by_y)
 
 
-@jit
-def project(
-    values: np.ndarray, metric: np.ndarray, scales: np.ndarray, projected: np.ndarray, steep: np.ndarray
-) -> None:
+@compiled
+def project(values: Single1, metric: Single1, scales: Double1, projected: Single1, steep: Single1) -> None:
     """Project samples (8 n,) anew, as gain * E(I) + offset, and bring their derivatives to the gain.
 
     ``scales`` is :attr:`liaam.fitting.level.Work.scales`: the gain, the offset, and the gain of the derivatives so far.
@@ -176,8 +176,8 @@ def project(
     scales[3] = scales[1]
 
 
-@jit
-def take_off(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray) -> None:
+@compiled
+def take_off(residual: Single1, rows: Single2, lam: Double1) -> None:
     """Take the mean, and the modes as far as lambda is not nought, off samples (e,), in place; rows (1 + m, e)."""
     for j in range(len(lam) + 1):
         share, row = F(1.0) if j == 0 else F(lam[j - 1]), rows[j]
@@ -186,8 +186,8 @@ def take_off(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray) -> None:
                 residual[e] -= share * row[e]
 
 
-@jit
-def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
+@compiled
+def mask(own: Single1, usable: Single1, root: Single1) -> int:
     """Write the root of the weights where the picture says something, else 0; gives how many pixels say nothing."""
     k, unseen = len(own) // len(usable), 0
     for i in range(len(usable)):
@@ -198,27 +198,25 @@ def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
     return unseen
 
 
-@jit
-def with_modes(
-    rows: np.ndarray, first: int, root: np.ndarray, column: np.ndarray, line: np.ndarray, out: np.ndarray
-) -> None:
-    """Weighted products of a column (e,) with rows from the first on, float64; ``line`` is room of 2048 float32."""
-    for j in range(len(rows) - first):
+@compiled
+def with_modes(rows: Single2, root: Single1, column: Single1, line: Single1, out: Double1) -> None:
+    """Weighted products of a column (e,) with the modes (rows but the first), float64; ``line``: (2048,) float32."""
+    for j in range(len(rows) - 1):
         out[j] = 0.0
     for begin in range(0, len(root), BLOCK):
         size = BLOCK if begin + BLOCK < len(root) else len(root) - begin
         own, values = root[begin : begin + size], column[begin : begin + size]
         for e in range(size):
             line[e] = own[e] * own[e] * values[e]
-        for j in range(len(rows) - first):
-            mode, product = rows[first + j, begin : begin + size], F(0.0)
+        for j in range(len(rows) - 1):
+            mode, product = rows[1 + j][begin : begin + size], F(0.0)
             for e in range(size):
                 product += mode[e] * line[e]
             out[j] += product
 
 
-@jit
-def subtract(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray, root: np.ndarray, sums: np.ndarray) -> None:
+@compiled
+def subtract(residual: Single1, rows: Single2, lam: Double1, root: Single1, sums: Double1) -> None:
     """Take modes (rows but the first) off the residual, in place; r'r and the sum of the weights go to ``sums``
     (2,).
     """
@@ -227,7 +225,7 @@ def subtract(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray, root: np.n
         size = BLOCK if begin + BLOCK < len(residual) else len(residual) - begin
         out, own = residual[begin : begin + size], root[begin : begin + size]
         for j in range(len(lam)):
-            mode, share = rows[1 + j, begin : begin + size], F(lam[j])
+            mode, share = rows[1 + j][begin : begin + size], F(lam[j])
             for e in range(size):
                 out[e] -= share * mode[e]
         squares = weight = F(0.0)
@@ -239,8 +237,8 @@ def subtract(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray, root: np.n
         sums[1] += weight
 
 
-@jit
-def weighted_gram(rows: np.ndarray, root: np.ndarray, block: np.ndarray, gram: np.ndarray) -> None:
+@compiled
+def weighted_gram(rows: Single2, root: Single1, block: Single2, gram: Double2) -> None:
     """A'A of modes (rows but the first) under a root of weights (e,), (m, m) float64; ``block``: (m, 2048) float32."""
     m = len(gram)
     clear(gram)
@@ -248,15 +246,15 @@ def weighted_gram(rows: np.ndarray, root: np.ndarray, block: np.ndarray, gram: n
         size = BLOCK if begin + BLOCK < len(root) else len(root) - begin
         own = root[begin : begin + size]
         for j in range(m):
-            mode, weighted = rows[1 + j, begin : begin + size], block[j]
+            mode, weighted = rows[1 + j][begin : begin + size], block[j]
             for e in range(size):
                 weighted[e] = mode[e] * own[e]
         for i in range(0, m, 2):  # two by two: each number that is fetched is used twice
             after = i + 1 if i + 1 < m else i
-            a, b = block[i, :size], block[after, :size]
+            a, b = block[i][:size], block[after][:size]
             for j in range(0, i + 1, 2):
                 beside = j + 1 if j + 1 < m else j
-                c, d = block[j, :size], block[beside, :size]
+                c, d = block[j][:size], block[beside][:size]
                 ac = ad = bc = bd = F(0.0)
                 for e in range(size):
                     ac += a[e] * c[e]
@@ -275,15 +273,15 @@ def weighted_gram(rows: np.ndarray, root: np.ndarray, block: np.ndarray, gram: n
             gram[j, i] = gram[i, j]
 
 
-@jit
+@compiled
 def factorise(
-    gram: np.ndarray,
-    ridge: np.ndarray,
-    lines: np.ndarray,
-    own: np.ndarray,
-    usable: np.ndarray,
+    gram: Double2,
+    ridge: Double1,
+    lines: Single1,
+    own: Single1,
+    usable: Single1,
     unseen: int,
-    factor: np.ndarray,
+    factor: Double2,
 ) -> None:
     """Cholesky factor (m, m) of A'A without the pixels that say nothing, with a ridge (m,) on its diagonal.
 

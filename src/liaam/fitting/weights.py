@@ -9,6 +9,8 @@ import numpy as np
 from liaam.fitting.equations import clear
 from liaam.fitting.level import PLANE
 from liaam.jit import F, jit
+from liaam.kernels.compiled import compiled
+from liaam.kernels.fields import Double1, Double2, Single1, Single2
 from liaam.kernels.vectors import SIZE
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
@@ -71,21 +73,21 @@ def log_noise(logs: np.ndarray, table: np.ndarray, first: float, steps: float, o
         out[i] = low + (at - F(at_least)) * (table[at_least + 1] - low)
 
 
-@jit
+@compiled
 def row_variances(
-    values: np.ndarray,
-    residual: np.ndarray,
-    usable: np.ndarray,
-    own: np.ndarray,
-    metric: np.ndarray,
-    table: np.ndarray,
-    span: np.ndarray,
-    kept: np.ndarray,
+    values: Single1,
+    residual: Single1,
+    usable: Single1,
+    own: Single1,
+    metric: Single1,
+    table: Single1,
+    span: Double1,
+    kept: Double1,
     colours: bool,
-    planes: np.ndarray,
-    variance: np.ndarray,
-    known: np.ndarray,
-    sums: np.ndarray,
+    planes: Single2,
+    variance: Single1,
+    known: Single1,
+    sums: Double2,
 ) -> None:
     """Variance of the rows of ``soft`` by the picture's noise, to first order, and squares of residuals beside it.
 
@@ -163,8 +165,8 @@ def row_variances(
             sums[r, 2] += beyond
 
 
-@jit
-def unexplained_by(sums: np.ndarray, out: np.ndarray) -> float:
+@compiled
+def unexplained_by(sums: Double2, out: Double2) -> float:
     """Variance that the model leaves unexplained by groups of rows, of sums (k, 3), to ``out`` (2, 2), the second row.
 
     Gives how many residuals count.
@@ -186,8 +188,8 @@ def unexplained_by(sums: np.ndarray, out: np.ndarray) -> float:
     return counted
 
 
-@jit
-def changed(known: np.ndarray, before: np.ndarray, unexplained: np.ndarray) -> bool:
+@compiled
+def changed(known: Single1, before: Single1, unexplained: Double2) -> bool:
     """Whether weights by rows are others than before: what is unexplained, (2, 2) before and now, or which pixels'
     colour is known. What is unexplained is then noted as what was before.
     """
@@ -205,14 +207,14 @@ def changed(known: np.ndarray, before: np.ndarray, unexplained: np.ndarray) -> b
     return False
 
 
-@jit
+@compiled
 def weigh_by_rows(
-    variance: np.ndarray,
-    unexplained: np.ndarray,
+    variance: Single1,
+    unexplained: Double2,
     correlated: float,
-    own: np.ndarray,
-    usable: np.ndarray,
-    out: np.ndarray,
+    own: Single1,
+    usable: Single1,
+    out: Single1,
 ) -> float:
     """Roots of weights by variances, noise's and the model's, brought to a mean weight of 1 over the pixels that count.
 
@@ -259,20 +261,20 @@ def weigh_by_rows(
     return unit
 
 
-@jit
+@compiled
 def weigh_by_noise(
-    values: np.ndarray,
-    residual: np.ndarray,
-    usable: np.ndarray,
-    own: np.ndarray,
-    metric: np.ndarray,
-    table: np.ndarray,
-    span: np.ndarray,
-    kept: np.ndarray,
-    errors: np.ndarray,
-    noise: np.ndarray,
-    by_model: np.ndarray,
-    variance: np.ndarray,
+    values: Single1,
+    residual: Single1,
+    usable: Single1,
+    own: Single1,
+    metric: Single1,
+    table: Single1,
+    span: Double1,
+    kept: Double1,
+    errors: Double1,
+    noise: Single1,
+    by_model: Double1,
+    variance: Single1,
 ) -> float:
     """Variance of the channels by noise, and by the model's errors: as likely a multiple of those learnt as can be.
 
@@ -330,16 +332,16 @@ def weigh_by_noise(
     return count / precision if count else 1.0
 
 
-@jit
+@compiled
 def root_by_noise(
-    weighed: np.ndarray,
-    metric: np.ndarray,
-    slope: np.ndarray,
-    noise: np.ndarray,
-    by_model: np.ndarray,
+    weighed: Single1,
+    metric: Single1,
+    slope: Single1,
+    noise: Single1,
+    by_model: Double1,
     unit: float,
-    own: np.ndarray,
-    growth: np.ndarray,
+    own: Single1,
+    growth: Single1,
 ) -> None:
     """Root of weights by noise at an angle theta_2, and its relative derivative by that (n k,) float32, if there is
     room.
@@ -360,7 +362,7 @@ def root_by_noise(
                 growth[i * k + r] = -0.5 * change / variance
 
 
-@jit
+@compiled
 def loss_weight(loss: int, u: float) -> float:
     """Weight of a residual of u standard deviations, by a loss of :data:`liaam.fitting.losses.LOSSES`."""
     if loss == 0:  # huber
@@ -376,8 +378,8 @@ def loss_weight(loss: int, u: float) -> float:
     return np.exp(-0.5 * u * u)  # learnt
 
 
-@jit
-def median(numbers: np.ndarray) -> float:
+@compiled
+def median(numbers: Double1) -> float:
     """Median (the upper one of an even count) of finite numbers (n,), which are put into another order; 0 of none."""
     low, high, middle = 0, len(numbers) - 1, len(numbers) // 2
     while low < high:
@@ -399,17 +401,17 @@ def median(numbers: np.ndarray) -> float:
     return numbers[middle] if len(numbers) else 0.0
 
 
-@jit
+@compiled
 def weigh_by_loss(
     loss: int,
     gaussian_median: float,
-    residual: np.ndarray,
-    usable: np.ndarray,
-    own: np.ndarray,
-    variance: np.ndarray,
-    errors: np.ndarray,
-    sizes: np.ndarray,
-    weighed: np.ndarray,
+    residual: Single1,
+    usable: Single1,
+    own: Single1,
+    variance: Single1,
+    errors: Double1,
+    sizes: Double2,
+    weighed: Single1,
 ) -> None:
     """Multiply the root of weights (n k,) float32, in place, by that of a robust loss' weights.
 
@@ -450,13 +452,13 @@ def weigh_by_loss(
             weighed[e] *= F(share)
 
 
-@jit
+@compiled
 def normalisation(
-    rows: np.ndarray, values: np.ndarray, metric: np.ndarray, usable: np.ndarray, own: np.ndarray, out: np.ndarray
+    rows: Single2, values: Single1, metric: Single1, usable: Single1, own: Single1, scales: Double1
 ) -> None:
-    """Gain and offset, to ``out``, that bring samples to the mean and deviation of the model's mean (the first row).
+    """Gain and offset that bring samples to the mean and deviation of the model's mean (the first row).
 
-    Over the pixels that count.
+    Over the pixels that count, to :attr:`liaam.fitting.level.Work.scales`.
     """
     k, mean = len(metric) // SIZE, rows[0]
     centre, middle, spread, deviation, count = 0.0, 0.0, 0.0, 0.0, 0
@@ -475,11 +477,11 @@ def normalisation(
             centre, middle = centre / count if count else 0.0, middle / count if count else 0.0
     spread, deviation = (np.sqrt(spread / count), np.sqrt(deviation / count)) if count else (0.0, 0.0)
     gain = spread / deviation if deviation > 1e-6 else 1.0
-    out[0], out[1] = gain, centre - gain * middle
+    scales[1], scales[2] = gain, centre - gain * middle
 
 
-@jit
-def any_of(usable: np.ndarray) -> bool:
+@compiled
+def any_of(usable: Single1) -> bool:
     """Whether the picture says anything at any pixel."""
     for i in range(len(usable)):  # noqa: SIM110 (compiled)
         if usable[i] > F(0.0):

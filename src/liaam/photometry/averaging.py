@@ -6,12 +6,14 @@ import numpy as np
 
 from liaam.jit import F as _F
 from liaam.jit import jit as _jit
+from liaam.kernels.compiled import Compiled, compiled
+from liaam.kernels.fields import Byte1, Byte2, Long1, Short1, Single1, Single2, Single3, Word1, Word2
 
 # Room is made by the callers: to compile np.empty takes as long as a loop.
 
 
-@_jit
-def _taps(n_in, start, size, first, shares):
+@compiled
+def _taps(n_in: int, start: float, size: float, first: Long1, shares: Single2) -> None:
     """First pixel of each block, and shares in it of that pixel and those that follow, of which some are nought."""
     for j in range(shares.shape[0]):
         low = start + j * size
@@ -40,14 +42,16 @@ class _Cuts(NamedTuple):
         n_taps, arrays = int(np.ceil(size)) + 1, []
         for axis in (1, 0):
             first, shares = np.empty(shape[axis], np.int64), np.empty((shape[axis], n_taps), np.float32)
-            _taps(int(picture[axis]), float(start[1 - axis]), float(size), first, shares)
+            _taps(picture[axis], start[1 - axis], size, first, shares)
             arrays += [first, shares]
         # Blocks at the border reach for pixels beyond, of which they have no share.
         return cls(*arrays, *np.zeros((2, 4 * (picture[1] + n_taps)), np.float32))
 
 
-@_jit
-def _cut(sums, across, between, known_at, first, shares, means, row):
+@compiled
+def _cut(
+    sums: Single1, across: int, between: int, known_at: int, first: Long1, shares: Single2, means: Single3, row: int
+) -> None:
     """Cut a sum of rows of pixels into a row of blocks.
 
     ``across`` is how far pixels lie apart in it, ``between`` how far their colours, and ``known_at`` is where the
@@ -59,8 +63,8 @@ def _cut(sums, across, between, known_at, first, shares, means, row):
         at = first[j]
         red = green = blue = known = _F(0.0)
         for k in range(n_taps):
-            w, x = shares[j, k], np.uint64(at + k)
-            own = np.uint64(across) * x
+            w, x = shares[j, k], at + k
+            own = across * x
             red += w * reds[own]
             green += w * greens[own]
             blue += w * blues[own]
@@ -68,11 +72,21 @@ def _cut(sums, across, between, known_at, first, shares, means, row):
         means[0, row, j], means[1, row, j], means[2, row, j], means[3, row, j] = red, green, blue, known
 
 
-@_jit
-def _stored_means(lines, table, low, high, first_x, shares_x, first_y, shares_y, light, sums, means):
+def _stored_means(
+    lines: Byte2,
+    table: Single1,
+    limits: Byte1,
+    first_x: Long1,
+    shares_x: Single2,
+    first_y: Long1,
+    shares_y: Single2,
+    light: Single1,
+    sums: Single1,
+    means: Single3,
+) -> None:
     # Whole rows of pixels are brought to light and added up, which the compiler does many at a time; only what they
-    # add up to is cut into blocks. No slices are written to: each would take a tenth of a second to compile.
-    width, reach, at = lines.shape[1] // 3, len(sums) // 4, -1
+    # add up to is cut into blocks.
+    width, reach, at, low, high = lines.shape[1] // 3, len(sums) // 4, -1, limits[0], limits[1]
     known = light[3 * reach :]
     for i in range(len(first_y)):
         for x in range(4 * reach):
@@ -91,6 +105,12 @@ def _stored_means(lines, table, low, high, first_x, shares_x, first_y, shares_y,
             for x in range(4 * reach):
                 sums[x] += share * light[x]
         _cut(sums, 3, 1, 3 * reach, first_x, shares_x, means, i)
+
+
+_MEANS_OF = {
+    np.dtype(np.uint8): Compiled(_stored_means),
+    np.dtype(np.uint16): Compiled(_stored_means, lines=Word2, limits=Word1),
+}
 
 
 def stored_means(
@@ -123,14 +143,21 @@ def stored_means(
         Mean R, G, B, and the share of usable pixels.
     """
     means = np.empty((4, *shape), np.float32)
-    low, high = (image.dtype.type(value) for value in usable)
-    lines = np.ascontiguousarray(image).reshape(len(image), -1)
-    _stored_means(lines, table, low, high, *_Cuts.of(image.shape[:2], start, size, shape), means)
+    limits, lines = np.array(usable, image.dtype), np.ascontiguousarray(image).reshape(len(image), -1)
+    _MEANS_OF[image.dtype](lines, table, limits, *_Cuts.of(image.shape[:2], start, size, shape), means)
     return means
 
 
-@_jit
-def _value_means(values, first_x, shares_x, first_y, shares_y, sums, means):
+@compiled
+def _value_means(
+    values: Single3,
+    first_x: Long1,
+    shares_x: Single2,
+    first_y: Long1,
+    shares_y: Single2,
+    sums: Single1,
+    means: Single3,
+) -> None:
     width, reach = values.shape[2], len(sums) // 4
     for i in range(len(first_y)):
         for x in range(4 * reach):
@@ -241,16 +268,17 @@ def stored_luminance(image: np.ndarray, table: np.ndarray, weights: np.ndarray) 
     return luminance
 
 
-@_jit
-def _bent_counts(lines, rows, bent, sizes, counts):
+@compiled
+def _bent_counts(lines: Byte2, rows: Long1, bent: Short1, sizes: Short1, counts: Long1) -> None:
     n = lines.shape[1]
-    for y in rows:
+    for k in range(len(rows)):
+        y = rows[k]
         for i in range(n):
             bent[i] = np.int16(lines[y - 1, i]) - np.int16(2) * np.int16(lines[y, i]) + np.int16(lines[y + 1, i])
         for i in range(3, n - 3):  # three on: the same channel of the neighbour
             sizes[i] = abs(bent[i - 3] - np.int16(2) * bent[i] + bent[i + 3])
         for i in range(3, n - 3):
-            counts[np.uint64(sizes[i])] += 1
+            counts[sizes[i]] += 1
 
 
 def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -270,32 +298,34 @@ def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
     counts = np.zeros(16 * 255 + 1, np.int64)
     lines = np.ascontiguousarray(image).reshape(len(image), -1)
     bent, sizes = np.empty(lines.shape[1], np.int16), np.empty(lines.shape[1], np.int16)
-    _bent_counts(lines, rows, bent, sizes, counts)
+    _bent_counts(lines, np.asarray(rows, np.int64), bent, sizes, counts)
     return counts
 
 
-@_jit
-def _soft_row(picture, y, turn, softness, across, down):
+@compiled
+def _soft_row(picture: Single2, y: int, turn: Single2, softness: float, across: Single1, down: Single1) -> None:
     """Turned gradient along a row, as differences to its neighbours tell it, over the root of its square and another.
 
     Rows are contiguous, so that the compiler works out many pixels at a time.
     """
     last, right = len(picture) - 1, picture.shape[1] - 1
-    own, above, below = picture[y], picture[max(y - 1, 0)], picture[min(y + 1, last)]
-    half, square = _F(1.0 if y == 0 or y == last else 0.5), softness * softness
+    own, above, below = picture[y], picture[y - 1 if y > 0 else 0], picture[y + 1 if y < last else last]
+    half, square = _F(1.0 if y == 0 or y == last else 0.5), _F(softness * softness)
+    xx, xy, yx, yy = turn[0, 0], turn[0, 1], turn[1, 0], turn[1, 1]
     for x in range(1, right):
         across[x] = _F(0.5) * (own[x + 1] - own[x - 1])
-    across[0], across[right] = own[min(1, right)] - own[0], own[right] - own[max(right - 1, 0)]
+    across[0], across[right] = own[1 if right > 0 else 0] - own[0], own[right] - own[right - 1 if right > 0 else 0]
     for x in range(right + 1):
         gx, gy = across[x], half * (below[x] - above[x])
-        tx, ty = turn[0, 0] * gx + turn[0, 1] * gy, turn[1, 0] * gx + turn[1, 1] * gy
+        tx, ty = xx * gx + xy * gy, yx * gx + yy * gy
         scale = _F(1.0) / np.sqrt(tx * tx + ty * ty + square)
         across[x], down[x] = tx * scale, ty * scale
 
 
-@_jit
-def _soft_directions(picture, turn, softness, out):
-    across, down = np.empty(picture.shape[1], np.float32), np.empty(picture.shape[1], np.float32)
+@compiled
+def _soft_directions(
+    picture: Single2, turn: Single2, softness: float, across: Single1, down: Single1, out: Single3
+) -> None:
     for y in range(picture.shape[0]):
         _soft_row(picture, y, turn, softness, across, down)
         for x in range(picture.shape[1]):
@@ -317,13 +347,17 @@ def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> n
     """
     out = np.empty((*picture.shape, 2), np.float32)
     turn = np.ascontiguousarray(turn, dtype=np.float32)
-    _soft_directions(np.ascontiguousarray(picture, dtype=np.float32), turn, np.float32(softness), out)
+    across, down = np.empty((2, picture.shape[1]), np.float32)
+    _soft_directions(np.ascontiguousarray(picture, dtype=np.float32), turn, softness, across, down, out)
     return out
 
 
-@_jit
-def _light_planes(means, weights, least, grey, floor, dark, unusable, planes, known):
+@compiled
+def _light_planes(
+    means: Single3, weights: Single1, limits: Single1, grey: bool, planes: Single3, known: Single2
+) -> bool:
     every, by_red, by_green, by_blue = True, weights[0], weights[1], weights[2]
+    least, floor, dark, unusable = limits[0], limits[1], limits[2], limits[3]
     for y in range(means.shape[1]):
         for x in range(means.shape[2]):
             red, green, blue = means[0, y, x], means[1, y, x], means[2, y, x]
@@ -370,16 +404,14 @@ def light_planes(
         Whether it does everywhere.
     """
     planes, known = np.empty((5, *means.shape[1:]), np.float32), np.empty(means.shape[1:], np.float32)
-    below, added, weight = np.float32(floor), np.float32(dark), np.float32(unusable)
     means, weights = np.ascontiguousarray(means), np.asarray(weights, np.float32)
-    every = _light_planes(means, weights, np.float32(least), bool(grey), below, added, weight, planes, known)
-    return planes, known, bool(every)
+    limits = np.array([least, floor, dark, unusable], np.float32)
+    return planes, known, _light_planes(means, weights, limits, bool(grey), planes, known)
 
 
-@_jit
-def _blur(planes, taps, line, blurred):
-    # Along columns into a line, which is then blurred along itself. Slices rather than indices that are worked out:
-    # only then does the compiler see that they never wrap around, and does many pixels at a time.
+@compiled
+def _blur(planes: Single3, taps: Single1, line: Single1, blurred: Single3) -> None:
+    # Along columns into a line, which is then blurred along itself.
     reach, height, width = len(taps) - 1, planes.shape[1], planes.shape[2]
     middle = line[reach:]
     for p in range(planes.shape[0]):
@@ -389,8 +421,11 @@ def _blur(planes, taps, line, blurred):
                 middle[x] = tap * own[x]
             for k in range(1, reach, 2):  # two at a time: the line is read and written half as often
                 near, far = taps[k], taps[k + 1]
-                above, below = planes[p, max(y - k, 0)], planes[p, min(y + k, height - 1)]
-                top, bottom = planes[p, max(y - k - 1, 0)], planes[p, min(y + k + 1, height - 1)]
+                above, below = planes[p, y - k if y > k else 0], planes[p, y + k if y + k < height else height - 1]
+                top, bottom = (
+                    planes[p, y - k - 1 if y > k else 0],
+                    planes[p, y + k + 1 if y + k + 1 < height else height - 1],
+                )
                 for x in range(width):
                     middle[x] += near * (above[x] + below[x]) + far * (top[x] + bottom[x])
             for k in range(reach):
@@ -425,8 +460,18 @@ def blur_planes(planes: np.ndarray, sigma: float, blurred: np.ndarray) -> None:
     _blur(planes, taps.astype(np.float32), np.empty(planes.shape[2] + 2 * len(taps), np.float32), blurred)
 
 
-@_jit
-def _lay_out(planes, known, usable, soft, turn, softness, across, down, channels):
+@compiled
+def _lay_out(
+    planes: Single3,
+    known: Single2,
+    usable: Single2,
+    soft: bool,
+    turn: Single2,
+    softness: float,
+    across: Single1,
+    down: Single1,
+    channels: Single3,
+) -> None:
     height, width, nought = known.shape[0], known.shape[1], _F(0.0)
     for y in range(height):
         if soft:
@@ -468,5 +513,5 @@ def lay_out(
     channels = np.empty((*known.shape, 8), np.float32)
     turn = np.ascontiguousarray(turn, np.float32)
     across, down = np.empty(known.shape[1], np.float32), np.empty(known.shape[1], np.float32)
-    _lay_out(planes, known, usable, bool(soft), turn, np.float32(softness), across, down, channels)
+    _lay_out(planes, known, usable, bool(soft), turn, softness, across, down, channels)
     return channels

@@ -1,0 +1,280 @@
+"""Functions compiled once, which call each other by address, and named tuples of arrays, numbers and functions.
+
+Numba's own functions are linked into those that call them and compiled again there, and each has a wrapper for the
+interpreter: a whole fit's loop took more than twice as long to compile. A :class:`Compiled` function says by its
+annotations what it takes, and so do the named tuples that it is given, by the address of a table: arrays as
+``Annotated[np.ndarray, dtype, ndim]`` (:mod:`liaam.kernels.fields`), ``int``, ``float``, ``bool``, other such tuples,
+and functions as a ``Callable`` of such arguments. Compiled code reads a tuple's fields by their names and
+calls its functions, as the interpreter does: the reference kernel runs the same lines. A function in a field is
+compiled when its tuple's table is made; those that a method does without never are.
+"""
+
+import ctypes
+from array import array
+from collections.abc import Callable, Iterator
+from dis import get_instructions
+from functools import cached_property, lru_cache
+from struct import pack, unpack
+from types import NoneType
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+from llvmlite import binding, ir
+from numba import types
+from numba.core.cgutils import get_or_insert_function
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.imputils import lower_constant as _lower_constant
+from numba.core.typing.templates import AttributeTemplate, signature
+from numba.core.typing.templates import infer_getattr as _infer_getattr
+from numba.extending import lower_builtin, models, register_model, typeof_impl
+from numba.extending import lower_getattr_generic as _lower_getattr_generic
+
+from liaam.jit import jit
+from liaam.kernels.spans import SpanType, make_span
+
+infer_getattr: Any = _infer_getattr
+lower_getattr_generic: Any = _lower_getattr_generic
+lower_constant: Any = _lower_constant
+
+_WORD = ir.IntType(64)
+_NUMBERS = {int: types.int64, float: types.float64, bool: types.boolean, NoneType: types.none, None: types.none}
+_IN_C = {types.int64: ctypes.c_int64, types.float64: ctypes.c_double, types.boolean: ctypes.c_uint8}
+
+
+class RecordType(types.Type):
+    """Numba's type of the address of a named tuple's table."""
+
+    def __init__(self, fields: type) -> None:
+        self.fields = fields
+        super().__init__(f"record({fields.__module__}.{fields.__qualname__})")
+
+
+class _FunctionType(types.Callable):
+    """Numba's type of a function that is called by its address."""
+
+    def __init__(self, name: str, result: Any, args: tuple) -> None:
+        self.result, self.args = result, args
+        super().__init__(name)
+
+    def get_call_type(self, _context, _args, _kws):
+        return signature(self.result, *self.args, recvr=self)
+
+    def get_call_signatures(self):
+        return [signature(self.result, *self.args)], False
+
+    def get_impl_key(self, _sig):
+        return type(self)
+
+
+class FieldType(_FunctionType):
+    """That of a function in a field: its address is in the table."""
+
+
+class NamedType(_FunctionType):
+    """That of a function by its name, which the linker knows."""
+
+
+for _kind in (RecordType, FieldType):
+
+    @register_model(_kind)
+    class _Address(models.PrimitiveModel):
+        def __init__(self, manager: Any, kind: Any) -> None:
+            super().__init__(manager, kind, _WORD)
+
+
+register_model(NamedType)(models.OpaqueModel)
+
+
+def type_of(annotation: Any) -> Any:
+    """Numba's type of what a field or an argument is annotated with."""
+    if get_origin(annotation) is Annotated:
+        _, *what = get_args(annotation)
+        return RecordType(*what) if len(what) == 1 else SpanType(*what)
+    if get_origin(annotation) is tuple:
+        return types.BaseTuple.from_types(tuple(map(type_of, get_args(annotation))))
+    if get_origin(annotation) is not None:
+        *args, result = get_args(annotation)
+        result, args = type_of(result), tuple(map(type_of, args[0]))
+        return FieldType(f"function{args} -> {result}", result, args)
+    return _NUMBERS[annotation] if annotation in _NUMBERS else RecordType(annotation)
+
+
+@lru_cache
+def _layout(fields: type) -> dict[str, tuple[Any, int]]:
+    """Types of a class of named tuples' fields, and their first words in the table."""
+    hints, found, size = get_type_hints(fields, include_extras=True), {}, 0
+    for name in fields._fields:
+        found[name] = type_of(hints[name]), size
+        size += 1 + getattr(found[name][0], "ndim", 0)
+    return found
+
+
+def _words(name: str, kind: SpanType, array: np.ndarray) -> tuple[int, ...]:
+    """Address and sizes of an array, which has to be what was announced."""
+    if array.dtype != kind.numpy or array.ndim != kind.ndim or not array.flags.c_contiguous:
+        raise TypeError(f"{name} is no C-contiguous {kind}: {array.dtype}, {array.shape}")
+    try:  # a quarter of the other way's time
+        return ctypes.addressof(ctypes.c_char.from_buffer(array)), *array.shape  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError):  # read-only, or empty
+        return array.ctypes.data, *array.shape
+
+
+class Record:
+    """A named tuple's table. Arrays that are written to are seen to change; another array in a field is not."""
+
+    __slots__ = ("address", "kept")
+
+    def __init__(self, fields: Any) -> None:
+        words: list[int] = []
+        self.kept: list = [fields]
+        for value, (name, (kind, _)) in zip(fields, _layout(type(fields)).items(), strict=True):
+            if isinstance(kind, SpanType):
+                words += _words(name, kind, value)
+            elif isinstance(kind, RecordType):
+                self.kept.append(Record(value))
+                words.append(self.kept[-1].address)
+            elif isinstance(kind, FieldType):
+                words.append(getattr(value, "address", 0))  # nought for a plain function, which nobody calls
+            else:
+                words += unpack("q", pack("d", value)) if kind == types.float64 else (int(value),)
+        table = array("q", words)
+        self.kept.append(table)
+        self.address = table.buffer_info()[0]
+
+
+def by_reference(fields: Any) -> Record:
+    """Record of a named tuple."""
+    return Record(fields)
+
+
+class Compiled:
+    """A function that is compiled once and called by its address, by compiled code and by the interpreter.
+
+    Keyword arguments take the place of its annotations.
+    """
+
+    def __init__(self, function: Callable, **kinds: Any) -> None:
+        self.py_func, self.kinds, self.__doc__ = function, kinds, function.__doc__
+        self._address: int | None = None
+        self.symbol = (
+            f"{function.__module__}.{function.__qualname__}{''.join(str(type_of(each)) for each in kinds.values())}"
+        )
+
+    @cached_property
+    def kind(self) -> NamedType:
+        """What it takes and gives."""
+        hints = get_type_hints(self.py_func, include_extras=True) | self.kinds
+        result = type_of(hints.pop("return"))
+        return NamedType(self.symbol, result, tuple(map(type_of, hints.values())))
+
+    @property
+    def address(self) -> int:
+        """Where its code lies: compiled now, or read from the cache, with all that it calls by name."""
+        if self._address is None:
+            with global_compiler_lock:
+                self._address = self._address or self._compile()
+        return self._address
+
+    def _compile(self) -> int:
+        for called in _called_by(self.py_func):
+            called.address  # noqa: B018 (so that the linker knows it)
+        self._function = jit(self.py_func, no_cpython_wrapper=True)
+        self._function.compile(signature(self.kind.result, *self.kind.args))
+        made = self._function.overloads[self.kind.args]
+        address = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
+        binding.add_symbol(self.symbol, address)
+        return address
+
+    @cached_property
+    def _in_c(self) -> Any:
+        kinds: list = [ctypes.c_void_p, ctypes.c_void_p]
+        for kind in self.kind.args:
+            kinds += (
+                [ctypes.c_int64] * (1 + kind.ndim) if isinstance(kind, SpanType) else [_IN_C.get(kind, ctypes.c_int64)]
+            )
+        return ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(self.address)
+
+    def __call__(self, *args: Any) -> Any:
+        """Call it from the interpreter, with records, arrays and numbers; without the interpreter's lock."""
+        words: list = []
+        for arg, kind in zip(args, self.kind.args, strict=True):
+            if isinstance(kind, SpanType):
+                words += _words(self.symbol, kind, arg)
+            elif isinstance(kind, RecordType):
+                words.append(arg.address)
+            else:
+                words.append(float(arg) if kind == types.float64 else int(arg))
+        result = _IN_C.get(self.kind.result, ctypes.c_int64)()
+        raised = ctypes.c_void_p()
+        if self._in_c(ctypes.addressof(result), ctypes.addressof(raised), *words) > 0:
+            raise IndexError(f"{self.symbol}: an index is out of bounds")
+        if self.kind.result == types.none:
+            return None
+        return bool(result.value) if self.kind.result == types.boolean else result.value
+
+
+def _called_by(function: Any) -> Iterator[Compiled]:
+    """Functions that a function calls by name, also through those that are linked into it."""
+    for line in get_instructions(function):
+        called = function.__globals__.get(line.argval) if line.opname == "LOAD_GLOBAL" else None
+        if isinstance(called, Compiled):
+            yield called
+            continue
+        linked = getattr(called, "py_func", function)
+        if linked is not function:
+            yield from _called_by(linked)
+
+
+def compiled(function: Callable) -> Any:
+    """Compile a function once, when its address is first asked for."""
+    return Compiled(function)
+
+
+@typeof_impl.register(Compiled)
+def _typeof(function: Compiled, _context: Any) -> NamedType:
+    return function.kind
+
+
+@infer_getattr
+class _Attributes(AttributeTemplate):
+    key = RecordType
+
+    def generic_resolve(self, kind, name):
+        found = _layout(kind.fields).get(name)
+        return None if found is None else found[0]
+
+
+@lower_getattr_generic(RecordType)
+def _getattr(context, builder, record, address, name):
+    kind, at = _layout(record.fields)[name]
+    table = builder.inttoptr(address, _WORD.as_pointer())
+
+    def word(place: int) -> Any:
+        return builder.load(builder.gep(table, [_WORD(place)], inbounds=True))
+
+    if isinstance(kind, SpanType):
+        data = builder.inttoptr(word(at), context.get_value_type(types.CPointer(kind.dtype)))
+        return make_span(context, builder, kind, data, [word(at + 1 + axis) for axis in range(kind.ndim)])
+    if kind == types.float64:
+        return builder.bitcast(word(at), ir.DoubleType())
+    return builder.trunc(word(at), ir.IntType(1)) if kind == types.boolean else word(at)
+
+
+@lower_constant(NamedType)
+def _constant(context, _builder, _kind, _function):
+    return context.get_dummy_value()
+
+
+@lower_builtin(FieldType, types.VarArg(types.Any))
+@lower_builtin(NamedType, types.VarArg(types.Any))
+def _call(context, builder, sig, args):
+    convention, (function, *args), (kind, *kinds) = context.call_conv, args, sig.args
+    code = convention.get_function_type(sig.return_type, kinds)
+    if isinstance(kind, FieldType):
+        called = builder.inttoptr(function, code.as_pointer())
+    else:
+        called = get_or_insert_function(builder.module, code, kind.name)
+    status, result = convention.call_function(builder, called, sig.return_type, kinds, args)
+    with builder.if_then(status.is_error, likely=False):
+        convention.return_status_propagate(builder, status)
+    return result

@@ -1,0 +1,21 @@
+"""Arrays as fields of named tuples that compiled code reads: of numbers of a kind, with so many axes."""
+
+from typing import Annotated
+
+import numpy as np
+
+Single1 = Annotated[np.ndarray, "float32", 1]
+Single2 = Annotated[np.ndarray, "float32", 2]
+Single3 = Annotated[np.ndarray, "float32", 3]
+Double1 = Annotated[np.ndarray, "float64", 1]
+Double2 = Annotated[np.ndarray, "float64", 2]
+Double3 = Annotated[np.ndarray, "float64", 3]
+Int1 = Annotated[np.ndarray, "int32", 1]
+Long1 = Annotated[np.ndarray, "int64", 1]
+Long2 = Annotated[np.ndarray, "int64", 2]
+Short1 = Annotated[np.ndarray, "int16", 1]
+Byte1 = Annotated[np.ndarray, "uint8", 1]
+Byte2 = Annotated[np.ndarray, "uint8", 2]
+Word1 = Annotated[np.ndarray, "uint16", 1]
+Word2 = Annotated[np.ndarray, "uint16", 2]
+Bool1 = Annotated[np.ndarray, "bool", 1]
