@@ -16,6 +16,7 @@ from liaam.fitting.levels import Stage, Target, is_sane, solve_levels
 from liaam.fitting.objective import Objective
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import correlated_pixels, slope_left
+from liaam.fitting.solver import scored
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.sampling import make_patch
@@ -185,9 +186,7 @@ def register(
     """
     a, name_a = load_picture(a, "first picture")
     b, name_b = load_picture(b, "second picture")
-    method = _with_constants(get_method(method))
-    if options.scoring and method.step == "own":
-        method = replace(method, step="scored")
+    method = scored(_with_constants(get_method(method)), options)
     if group not in GENERATORS:
         raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GENERATORS)}")
     for picture, name in ((a, name_a), (b, name_b)):

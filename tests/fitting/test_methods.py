@@ -140,14 +140,13 @@ def test_the_models_errors_are_not_counted_twice(name):
 def test_what_a_row_needs_follows_from_what_it_does(name):
     method = METHODS[name]
     assert method.weighs_noise == (method.weights != "model")
-    assert method.expects == (method.step == "expected")
+    assert method.expects == (method.step in ("scored", "expected"))
 
 
-def test_weights_by_noise_end_with_steps_by_the_expected_gradient():
-    assert get_method("li+noise").step == "own"
-    assert get_method("li+noise").expects
-    assert replace(METHODS["li"], step="scored").expects
-    assert not METHODS["li"].expects
+def test_methods_that_compare_logarithms_end_with_steps_by_the_expected_gradient():
+    for name in (*METHODS, "li+noise"):
+        method = get_method(name)
+        assert (method.step == "scored") == (method.encoding == "log")
 
 
 def test_spaces_around_suffixes_do_not_matter():

@@ -148,7 +148,7 @@ def test_noise_weights_pay_where_pixels_differ_in_noise(fine_model, lit_scene, r
     for _ in range(3):
         noisy = np.clip(lit_scene.image + rng.normal(0, 0.015, lit_scene.image.shape), 0, 1).astype(np.float32)
         for name, found in errors.items():
-            shape = Fitter(fine_model, name).fit(noisy, disturb(lit_scene.landmarks)).shape
+            shape = Fitter(fine_model, name, SolverOptions(scoring=0)).fit(noisy, disturb(lit_scene.landmarks)).shape
             found.append(model_pixels(fine_model, shape, lit_scene.landmarks))
     assert np.mean(errors["li+noise"]) < 0.7 * np.mean(errors["li"])
 
@@ -192,10 +192,10 @@ def test_scoring_steps_that_leave_more_are_not_taken(fine_model, lit_scene, monk
     objective = finest_objective(fine_model, "li+noise")
     problem, p = make_problem(fine_model, lit_scene.image, disturb(lit_scene.landmarks), objective)
     monkeypatch.setattr(solver, "SCORING_STEPS", 0)
-    plain = solver.solve(objective, problem, objective.start(p), SolverOptions())
+    plain = solver.solve(objective, problem, objective.start(p), SolverOptions(hurry=0.0))
     monkeypatch.undo()
     monkeypatch.setattr(solver, "EXPECTED_RISE", 0.0)
-    kept = solver.solve(objective, problem, objective.start(p), SolverOptions())
+    kept = solver.solve(objective, problem, objective.start(p), SolverOptions(hurry=0.0))
     np.testing.assert_array_equal(kept.path, plain.path)
     np.testing.assert_array_equal(kept.costs, plain.costs)
     np.testing.assert_array_equal(kept.angles, plain.angles)

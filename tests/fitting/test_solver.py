@@ -1,5 +1,6 @@
 """The solver: it descends, it stops, both eliminations agree, and what cannot be seen is not moved."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -37,7 +38,7 @@ def test_options_that_make_no_sense_are_refused(options, match):
 @pytest.mark.parametrize("elimination", ["varpro", "joint"])
 @pytest.mark.parametrize("method", [name for name, method in METHODS.items() if not method.reweighs])
 def test_the_cost_never_rises_within_a_level(model, lit_scene, method, elimination):
-    options = SolverOptions(shape_prior=0.0, elimination=elimination)
+    options = SolverOptions(shape_prior=0.0, elimination=elimination, scoring=0)
     result = Fitter(model, method, options).fit(lit_scene.image, disturb(lit_scene.landmarks, 1.08, (0.05, 0.03)))
     steps = [(a.cost, b.cost) for a, b in pairwise(result.history) if a.level == b.level]
     assert len(steps) > 3
@@ -67,14 +68,16 @@ def test_pure_gauss_newton_reaches_the_minimum_too(fine_model, lit_scene):
 @pytest.mark.parametrize("damping", [0.0, 1e-3])
 def test_iterations_are_never_exceeded(model, lit_scene, damping):
     options = SolverOptions(max_iterations=3, tolerance=0.0, hurry=0.0, damping=damping)
-    result = Fitter(model, "li", options).fit(lit_scene.image, disturb(lit_scene.landmarks))
-    assert result.n_iterations <= 3 * len(model.levels)
-    assert result.status == FitStatus.MAX_ITERATIONS
+    for scoring, most in ((0, 3), (None, 6)):  # so many of each kind
+        fitter = Fitter(model, "li", replace(options, scoring=scoring))
+        result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
+        assert result.n_iterations <= most * len(model.levels)
+        assert result.status == FitStatus.MAX_ITERATIONS
 
 
 @pytest.mark.parametrize("method", ["soft-li", "li"])
 def test_a_step_within_the_tolerance_is_the_last(model, lit_scene, method):
-    fitter = Fitter(model, method, SolverOptions(tolerance=100.0, hurry=0.0, notice=0.0))
+    fitter = Fitter(model, method, SolverOptions(tolerance=100.0, hurry=0.0, notice=0.0, scoring=0))
     result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert result.n_iterations == len(fitter.objectives)
 

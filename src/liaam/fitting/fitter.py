@@ -16,7 +16,7 @@ from liaam.fitting.problem import MARGIN, FitProblem
 from liaam.fitting.restarts import other_starts
 from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.search import DOUBTFUL, Candidate, Finder
-from liaam.fitting.solver import Solution, SolverOptions, settle_lambda
+from liaam.fitting.solver import Solution, SolverOptions, scored, settle_lambda
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
 from liaam.model import AAM, Level, Reliability, View
@@ -85,7 +85,7 @@ class Fitter:
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:
         """The model seen through the method, one objective per level, coarse to fine."""
-        return make_objectives(self.model, get_method(self.method), self.kernel)
+        return make_objectives(self.model, scored(get_method(self.method), self.options), self.kernel)
 
     @cached_property
     def finder(self) -> Finder:

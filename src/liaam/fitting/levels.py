@@ -132,7 +132,9 @@ def prepare_level(
 
 def spare(options: SolverOptions) -> SolverOptions:
     """Options for a coarse level, whose solution is a start for the next."""
-    return replace(options, tolerance=COARSE * options.tolerance, notice=COARSE_NOTICE * options.notice, scoring=0)
+    scoring = None if options.scoring is None else 0
+    tolerance, notice = COARSE * options.tolerance, COARSE_NOTICE * options.notice
+    return replace(options, tolerance=tolerance, notice=notice, scoring=scoring)
 
 
 def _first_angles(

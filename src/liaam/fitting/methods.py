@@ -87,8 +87,7 @@ class Method:
         estimated from the picture at hand.
     step : {"own", "scored", "expected"}
         Whether steps are made with the picture's own gradient, or with the one that the model expects
-        (:mod:`liaam.fitting.steps`); or with the picture's own and then, as many as
-        :attr:`liaam.fitting.SolverOptions.scoring` says, with the expected one.
+        (:mod:`liaam.fitting.steps`); or with the picture's own first, and with the expected one at the end.
     loss : str
         "squares", or a robust loss of :data:`liaam.fitting.losses.LOSSES`.
     view : {"mesh", "surroundings"}
@@ -178,7 +177,7 @@ class Method:
     @property
     def expects(self) -> bool:
         """Whether steps with the gradient that the model expects are made, from the start or at the end."""
-        return self.step != "own" or self.weights == "noise"
+        return self.step != "own"
 
     @property
     def has_angles(self) -> bool:
@@ -271,6 +270,7 @@ METHODS: dict[str, Method] = {
             "log",
             "invariant",
             "image",
+            step="scored",
         ),
         Method(
             "li-lit",
@@ -279,9 +279,12 @@ METHODS: dict[str, Method] = {
             "invariant",
             "invariant",
             "image",
+            step="scored",
         ),
-        Method("li-pc", "light-invariant, both cameras unknown", "log", "log", "invariant", "both"),
-        Method("li-pcs", "light-invariant, one unknown camera for both", "log", "log", "invariant", "shared"),
+        Method("li-pc", "light-invariant, both cameras unknown", "log", "log", "invariant", "both", step="scored"),
+        Method(
+            "li-pcs", "light-invariant, one unknown camera for both", "log", "log", "invariant", "shared", step="scored"
+        ),
         Method(
             "chroma",
             "log-chromaticity: blind to intensity; one colour of light all over is assumed",
@@ -289,6 +292,7 @@ METHODS: dict[str, Method] = {
             "log",
             "chromaticity",
             bias="rows",
+            step="scored",
         ),
         Method(
             "grey-plain", "luminance as it is: even a change of exposure is an error", "value", "value", "luminance"

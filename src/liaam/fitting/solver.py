@@ -6,6 +6,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting.level import Controls, Work
+from liaam.fitting.methods import Method
 from liaam.fitting.objective import Objective, State
 from liaam.fitting.problem import FitProblem
 
@@ -52,9 +53,9 @@ class SolverOptions:
         quite noise), 100 and more under a lateral light in scenes.
     angle_start : {"best", "model"}
         Where theta_2 starts: at its closed-form optimum for the start's shape, or at the model's angle.
-    scoring : int
-        Steps with the model's own gradient to end the finest level with, at most (see :func:`_expected_step`);
-        ``soft-li`` takes no others, and methods with ``+noise`` take some at any rate.
+    scoring : int, optional
+        Steps with the gradient that the model expects to end the finest level with, at most; :data:`SCORING_STEPS` for
+        methods that compare logarithms, and none for others, if left out. ``soft-li`` takes no others.
     """
 
     max_iterations: int = 50
@@ -66,7 +67,7 @@ class SolverOptions:
     shape_prior: float = 1.0
     observable: float = 25.0
     angle_start: str = "best"
-    scoring: int = 0
+    scoring: int | None = None
 
     @classmethod
     def of(cls, **options) -> "SolverOptions":
@@ -86,9 +87,8 @@ class SolverOptions:
         hurry = 0.0 if self.hurry is None else self.hurry
         if not np.isfinite([hurry, self.tolerance, self.notice, self.damping, self.shape_prior, self.observable]).all():
             raise MethodError("tolerance, hurry, notice, damping, shape_prior and observable must be finite numbers")
-        least = min(
-            self.max_iterations, hurry, self.tolerance, self.notice, self.damping, self.shape_prior, self.scoring
-        )
+        scoring = 0 if self.scoring is None else self.scoring
+        least = min(self.max_iterations, hurry, self.tolerance, self.notice, self.damping, self.shape_prior, scoring)
         if least < 0:
             raise MethodError(
                 "max_iterations, tolerance, hurry, notice, damping, shape_prior and scoring may not be negative"
@@ -116,9 +116,11 @@ class SolverOptions:
         )
 
 
-SCORING_STEPS = 5
-"""Steps with the expected gradient that methods with weights by noise end each level with, at most, under the weights
-that they have come to. From the start, as ``soft-li`` takes them, they lose more strangers than Gauss-Newton's."""
+SCORING_STEPS = 10
+"""Steps with the expected gradient that methods that compare logarithms end each level with, at most. Measured with
+``li`` on IMM: 4.48 instead of 4.62 % on the spot protocol, of strangers 19 instead of 48 are lost in light from the
+side, and ends hang on the picture's last bit a fifth as often. From the start, as ``soft-li`` takes them, they lose
+more strangers; and pictures that ``grey`` and ``rgb`` compare in another light end 0.3 to 0.8 % worse with them."""
 
 EXPECTED_RISE = 1.25
 """By how much more than the cost before such steps may leave in all."""
@@ -171,6 +173,11 @@ class Solution:
         return float(self.work.scales[4])
 
 
+def scored(method: Method, options: SolverOptions) -> Method:
+    """A method whose steps are those that options ask for."""
+    return replace(method, step="scored") if options.scoring and method.step == "own" else method
+
+
 def solve(
     objective: Objective, problem: FitProblem, start: State, options: SolverOptions, look: bool = True
 ) -> Solution:
@@ -189,16 +196,17 @@ def solve(
     """
     method = objective.method
     expected = method.step == "expected"
-    # Steps with the picture's own gradient creep: at the last level they are to reach the minimum.
-    hurries = expected or not look
+    # Steps with the picture's own gradient creep: where no others follow they are to reach the minimum.
+    most = 0 if method.step != "scored" else SCORING_STEPS if options.scoring is None else options.scoring
+    hurries = expected or not look or most > 0
     controls = options.controls(expected, method.reweighs, look, problem.blur if hurries else 0.0)
     solution = _run(objective, problem, objective.work(start, controls.max_iterations), controls)
-    most = min(options.scoring or (SCORING_STEPS if method.weights == "noise" else 0), options.max_iterations)
-    if not most or solution.flat or method.step == "expected" or not method.expects:
+    most = min(most, options.max_iterations)
+    if not most or solution.flat:
         return solution
-    controls = options.controls(True, method.reweighs and options.scoring > 0, look, max_iterations=most)._replace(
-        damping=0.0
-    )
+    # Under the weights that they have come to, unless more is asked for than usual.
+    reweighs = method.reweighs and options.scoring is not None
+    controls = options.controls(True, reweighs, look, max_iterations=most)._replace(damping=0.0)
     work = solution.work._replace(
         **{name: getattr(solution.work, name).copy() for name in _KEPT}, **_trace(most, start)
     )
