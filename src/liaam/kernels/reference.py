@@ -28,12 +28,14 @@ def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
     safe = np.where(inside[:, None], points, 0.0)
     x, y = np.minimum(np.floor(safe), [width - 2, height - 2]).astype(int).T
     u, v = (safe - np.stack([x, y], axis=1)).T[..., None]
-    c00, c10, c01, c11 = (channels[y + j, x + i].astype(np.float64) for j in (0, 1) for i in (0, 1))
-    top, bottom = c00 + u * (c10 - c00), c01 + u * (c11 - c01)
-    along_x, along_y = (1 - v) * (c10 - c00) + v * (c11 - c01), bottom - top
-    keep = inside[:, None]
-    usable = (np.min([c00[:, 7], c10[:, 7], c01[:, 7], c11[:, 7]], axis=0) > 0) & inside
-    return (top + v * along_y) * keep, np.stack([along_x, along_y], axis=1) * keep[:, None], usable.astype(float)
+    pixels, corner = channels.reshape(-1, 8), y * width + x
+    c00, c10, c01, c11 = (pixels.take(corner + by, axis=0).astype(np.float64) for by in (0, 1, width, width + 1))
+    usable = (c00[:, 7] > 0) & (c10[:, 7] > 0) & (c01[:, 7] > 0) & (c11[:, 7] > 0) & inside
+    upper, lower = c10 - c00, c11 - c01
+    along_y = c01 + u * lower - (top := c00 + u * upper)
+    values, gradients = top + v * along_y, np.stack([upper + v * (lower - upper), along_y], axis=1)
+    values[~inside], gradients[~inside] = 0.0, 0.0
+    return values, gradients, usable.astype(float)
 
 
 ON_EDGE = 1e-9
