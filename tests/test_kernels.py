@@ -638,6 +638,11 @@ def test_an_array_of_another_kind_is_refused():
         compiled.mask(np.zeros(8, np.float32)[::2], np.ones(4, np.float32), np.zeros(4, np.float32))
 
 
+def test_a_record_of_something_else_is_refused():
+    with pytest.raises(TypeError, match="takes a Work, not a Controls"):
+        compiled.whiten(compiled.by_reference(SolverOptions().controls(False, False, False)))
+
+
 # Pictures.
 
 

@@ -28,11 +28,11 @@ LAYERS = (
     ("mesh", "shape"),
     ("shape_prior",),
     ("pca",),
-    ("kernels",),
     ("datasets",),
     ("photometry",),
     ("io",),
     ("evaluation", "progress", "workers"),
+    ("kernels",),
     ("errors", "jit"),
 )
 """Units from high to low. Units of one row may import each other, but not in a circle."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core import config
 from numba.core.caching import FunctionCache
 
 F = np.float32
@@ -38,7 +39,8 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Callable) -> None:
         super().__init__(function)
-        self._cache_file._version += str(_SOURCES)  # read before anything else of the file, which may no longer be read
+        # The version is unpickled first: the rest may name classes that are gone.
+        self._cache_file._version += str((_SOURCES, getattr(config, "BOUNDSCHECK", None)))
 
 
 def jit(function: Callable, **options: Any) -> Any:

@@ -50,7 +50,8 @@ def test_noise_sweeps_noise_and_draws_a_bound(tmp_path):
     assert clean["statuses"] == {"converged": 1.0}
     assert summary["methods"]["grey"][0]["theta_error_deg"]["median"] is None
     assert [cell["sigma_n"] for cell in summary["bound"]] == [10]
-    assert 0.05 < summary["bound"][0]["error_px"] < summary["bound"][0]["rms_px"] < noisy["rms_px"]
+    assert 0.05 < summary["bound"][0]["error_px"] < summary["bound"][0]["rms_px"]
+    assert 0.5 < noisy["efficiency"] < 2.0  # one draw, which lies about the bound
     assert noisy["efficiency"] == pytest.approx(summary["bound"][0]["rms_px"] / noisy["rms_px"])
     assert clean["efficiency"] is None
     assert summary["methods"]["grey"][1]["efficiency"] is None

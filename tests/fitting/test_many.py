@@ -298,7 +298,7 @@ def test_the_last_to_let_go_restores_the_threads():
 
 
 SCRIPT = """
-import os, time
+import os, signal, time
 from liaam.fitting import many
 
 class Slow:
@@ -306,6 +306,7 @@ class Slow:
         os.write(1, b"begun\\n")  # in one piece
         time.sleep(0.3)
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
 try:
     list(many.fit_each(Slow(), range(10**9), workers=2))
 except KeyboardInterrupt:

@@ -242,3 +242,15 @@ def test_the_residual_is_that_of_the_cost(fine_model, same_light_scene, method):
     weights = np.repeat((appearance.usable * usable)[:, None], residual.shape[1], axis=1)
     mean = float(np.average(np.square(residual), weights=weights))
     assert mean == pytest.approx(result.cost, rel=0.05, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("method", "expected", "reweigh"), [("rgb", True, False), ("rgb", False, True), ("soft-li", False, True)]
+)
+def test_controls_that_do_not_suit_the_method_are_refused(fine_model, lit_scene, method, expected, reweigh):
+    """Compiled code has nothing to call there."""
+    objective = finest_objective(fine_model, method)
+    problem, p = make_problem(fine_model, lit_scene.image, lit_scene.landmarks, objective)
+    controls = SolverOptions().controls(expected, reweigh, True)
+    with pytest.raises(MethodError, match=f"method {method}"):
+        objective.solve(problem, objective.work(objective.start(p), 50), controls)

@@ -128,7 +128,7 @@ def length(numbers: Double1, n: int) -> float:
 
 @jit
 def copy(source: np.ndarray, out: np.ndarray) -> None:
-    """Copy an array (n,)."""
+    """Copy an array (n,), of float32 or float64; compiled for each."""
     for i in range(len(source)):
         out[i] = source[i]
 

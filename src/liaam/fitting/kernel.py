@@ -27,10 +27,11 @@ def get_kernel(name: str = "fast") -> SimpleNamespace:
     if name not in KERNELS:
         raise MethodError(f"kernel {name!r} does not exist; there are {', '.join(KERNELS)}")
     from liaam.fitting import equations, evaluate, jacobian, loop, reference, residual, steps, weights
-    from liaam.kernels import compiled
+    from liaam.kernels.compiled import Record
 
-    core = (compiled, equations, weights, residual, jacobian, evaluate, steps, loop)
+    core = (equations, weights, residual, jacobian, evaluate, steps, loop)
     names = {key: value for module in core for key, value in vars(module).items() if not key.startswith("__")}
+    names["by_reference"] = Record
     if name == "fast":
         return SimpleNamespace(**names)
     plain = {key: value for key, value in vars(reference).items() if isinstance(value, FunctionType)}

@@ -157,7 +157,7 @@ class Objective:
         )
 
     def __getstate__(self) -> dict:
-        """Leave out what compiled code refers to, which cannot be pickled and is soon made again."""
+        """Leave out compiled functions and addresses, which hold in this process only."""
         return {name: value for name, value in self.__dict__.items() if name not in ("row", "given")}
 
     @cached_property
@@ -343,6 +343,11 @@ class Objective:
     def solve(self, problem: FitProblem, work: Work, controls: Controls) -> Outcome:
         """Minimise the method's cost over one picture from where ``work`` stands: one call of the loop."""
         kernel = get_kernel(self.kernel)
+        expects = controls.expected or self.method.step == "expected"
+        if expects > self.method.expects or controls.reweigh > self.method.reweighs:
+            raise MethodError(f"method {self.method.name} has no such steps or weights")
+        if expects and not controls.expected and controls.max_iterations:
+            raise MethodError(f"method {self.method.name} makes no steps with the picture's own gradient")
         template, row = self.given
         picture, controls, there = map(kernel.by_reference, (self.picture(problem), controls, work))
         kernel.solve_level(template, picture, row, controls, there)

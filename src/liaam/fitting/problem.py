@@ -63,7 +63,7 @@ class FitProblem:
             channels.reshape(-1),
             channels.shape[0],
             channels.shape[1],
-            np.column_stack([self.pose.matrix, self.pose.offset]),
+            np.ascontiguousarray(np.column_stack([self.pose.matrix, self.pose.offset]), np.float64),
             self.relative_noise.astype(np.float32) if noisy else np.zeros(2, np.float32),
             np.array(LOGS),
             np.array([self.noise_left, self.slope_left], np.float64),

@@ -54,8 +54,9 @@ class SolverOptions:
     angle_start : {"best", "model"}
         Where theta_2 starts: at its closed-form optimum for the start's shape, or at the model's angle.
     scoring : int, optional
-        Steps with the gradient that the model expects to end the finest level with, at most; :data:`SCORING_STEPS` for
-        methods that compare logarithms, and none for others, if left out. ``soft-li`` takes no others.
+        Steps with the gradient that the model expects to end the finest level with, at most, weights worked out anew.
+        If left out, methods that compare logarithms end each level with up to :data:`SCORING_STEPS` of them, under the
+        weights that they have come to, and others with none. ``soft-li`` takes no others.
     """
 
     max_iterations: int = 50
@@ -210,18 +211,18 @@ def solve(
     work = solution.work._replace(
         **{name: getattr(solution.work, name).copy() for name in _KEPT}, **_trace(most, start)
     )
-    scored = _run(objective, problem, work, controls)
-    if not scored.costs[-1] <= EXPECTED_RISE * solution.costs[-1]:
+    ended = _run(objective, problem, work, controls)
+    if not ended.costs[-1] <= EXPECTED_RISE * solution.costs[-1]:
         # What is seen was written over: look once more where the steps before had come to.
         controls = options.controls(False, False, True, max_iterations=0)
         objective.solve(problem, solution.work._replace(**_trace(0, start)), controls)
         return solution
     return replace(
-        scored,
-        costs=np.concatenate([solution.costs, scored.costs[1:]]),
-        path=np.concatenate([solution.path, scored.path[1:]]),
-        angles=np.concatenate([solution.angles, scored.angles[1:]]),
-        n_iterations=solution.n_iterations + scored.n_iterations,
+        ended,
+        costs=np.concatenate([solution.costs, ended.costs[1:]]),
+        path=np.concatenate([solution.path, ended.path[1:]]),
+        angles=np.concatenate([solution.angles, ended.angles[1:]]),
+        n_iterations=solution.n_iterations + ended.n_iterations,
         settled=solution.settled,
         flat=False,
     )

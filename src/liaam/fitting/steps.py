@@ -90,7 +90,7 @@ def raised_step(
         B, H and the gradient, prior included.
     free : (n,) bool
     least, damping : float
-        See :data:`LEAST_CURVATURE`.
+        See :data:`liaam.fitting.level.LEAST_CURVATURE`.
     factor, matrix, room, step : (n, n), (n, n), (3, n, n), (n,) float64
         Room, and the step.
 

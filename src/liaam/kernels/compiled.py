@@ -1,4 +1,4 @@
-"""Functions compiled once, which call each other by address, and named tuples of arrays, numbers and functions.
+"""Functions compiled once, which call each other by name, and named tuples of arrays, numbers and functions.
 
 Numba's own functions are linked into those that call them and compiled again there, and each has a wrapper for the
 interpreter: a whole fit's loop took more than twice as long to compile. A :class:`Compiled` function says by its
@@ -38,7 +38,15 @@ lower_constant: Any = _lower_constant
 
 _WORD = ir.IntType(64)
 _NUMBERS = {int: types.int64, float: types.float64, bool: types.boolean, NoneType: types.none, None: types.none}
-_IN_C = {types.int64: ctypes.c_int64, types.float64: ctypes.c_double, types.boolean: ctypes.c_uint8}
+_IN_C = {
+    types.int64: ctypes.c_int64,
+    types.float64: ctypes.c_double,
+    types.boolean: ctypes.c_uint8,
+    types.none: ctypes.c_int64,
+}
+
+_FINE = (0, -2)
+"""What numba's functions return where nothing went wrong: a value, or None."""
 
 
 class RecordType(types.Type):
@@ -67,11 +75,11 @@ class _FunctionType(types.Callable):
 
 
 class FieldType(_FunctionType):
-    """That of a function in a field: its address is in the table."""
+    """Numba's type of a function in a field; its address is in the table."""
 
 
 class NamedType(_FunctionType):
-    """That of a function by its name, which the linker knows."""
+    """Numba's type of a function that is called by its symbol, which the linker knows."""
 
 
 for _kind in (RecordType, FieldType):
@@ -110,7 +118,7 @@ def _layout(fields: type) -> dict[str, tuple[Any, int]]:
 
 
 def _words(name: str, kind: SpanType, array: np.ndarray) -> tuple[int, ...]:
-    """Address and sizes of an array, which has to be what was announced."""
+    """Address and sizes of an array, which has to be what was announced; nothing says which arrays are written to."""
     if array.dtype != kind.numpy or array.ndim != kind.ndim or not array.flags.c_contiguous:
         raise TypeError(f"{name} is no C-contiguous {kind}: {array.dtype}, {array.shape}")
     try:  # a quarter of the other way's time
@@ -120,7 +128,7 @@ def _words(name: str, kind: SpanType, array: np.ndarray) -> tuple[int, ...]:
 
 
 class Record:
-    """A named tuple's table. Arrays that are written to are seen to change; another array in a field is not."""
+    """Table of a named tuple: its numbers, and addresses of its arrays. A new array needs a new record."""
 
     __slots__ = ("address", "kept")
 
@@ -134,17 +142,12 @@ class Record:
                 self.kept.append(Record(value))
                 words.append(self.kept[-1].address)
             elif isinstance(kind, FieldType):
-                words.append(getattr(value, "address", 0))  # nought for a plain function, which nobody calls
+                words.append(value.address if isinstance(value, Compiled) else 0)  # what the method does without
             else:
                 words += unpack("q", pack("d", value)) if kind == types.float64 else (int(value),)
         table = array("q", words)
         self.kept.append(table)
         self.address = table.buffer_info()[0]
-
-
-def by_reference(fields: Any) -> Record:
-    """Record of a named tuple."""
-    return Record(fields)
 
 
 class Compiled:
@@ -162,7 +165,7 @@ class Compiled:
 
     @cached_property
     def kind(self) -> NamedType:
-        """What it takes and gives."""
+        """Its numba type: arguments and result."""
         hints = get_type_hints(self.py_func, include_extras=True) | self.kinds
         result = type_of(hints.pop("return"))
         return NamedType(self.symbol, result, tuple(map(type_of, hints.values())))
@@ -182,6 +185,8 @@ class Compiled:
         self._function.compile(signature(self.kind.result, *self.kind.args))
         made = self._function.overloads[self.kind.args]
         address = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
+        if not address:
+            raise RuntimeError(f"{self.symbol}: its compiled code is not found")
         binding.add_symbol(self.symbol, address)
         return address
 
@@ -201,12 +206,14 @@ class Compiled:
             if isinstance(kind, SpanType):
                 words += _words(self.symbol, kind, arg)
             elif isinstance(kind, RecordType):
+                if type(arg.kept[0]) is not kind.fields:
+                    raise TypeError(f"{self.symbol} takes a {kind.fields.__name__}, not a {type(arg.kept[0]).__name__}")
                 words.append(arg.address)
             else:
                 words.append(float(arg) if kind == types.float64 else int(arg))
-        result = _IN_C.get(self.kind.result, ctypes.c_int64)()
+        result = _IN_C[self.kind.result]()
         raised = ctypes.c_void_p()
-        if self._in_c(ctypes.addressof(result), ctypes.addressof(raised), *words) > 0:
+        if self._in_c(ctypes.addressof(result), ctypes.addressof(raised), *words) not in _FINE:
             raise IndexError(f"{self.symbol}: an index is out of bounds")
         if self.kind.result == types.none:
             return None

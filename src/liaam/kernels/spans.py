@@ -2,8 +2,9 @@
 
 Numba's own arrays carry strides, owners and counts of references, which cost a quarter of the time that it takes to
 compile a loop. A span is C-contiguous and owns nothing: whoever makes one keeps its array alive. Loops read and write
-it as they do an array: ``span[i]``, ``span[i, j]``, a row ``span[i]`` of more axes, ``span[a:b]`` along the first one,
-``len`` and ``shape``. Indices do not count from the end, and are checked with ``NUMBA_BOUNDSCHECK=1`` only.
+it as they do an array: ``span[i]``, ``span[i, j]``, a row ``span[i]`` of more axes, ``span[a:b]`` of one axis, ``len``
+and ``shape``. Indices do not count from the end, and are checked with ``NUMBA_BOUNDSCHECK=1`` only; ends of slices
+never.
 """
 
 import operator
