@@ -31,6 +31,7 @@ from liaam.fitting.residual import (
     with_modes,
 )
 from liaam.fitting.weights import (
+    BY_NOISE,
     any_of,
     changed,
     normalisation,
@@ -145,12 +146,11 @@ def settle(template: Template, row: Row, work: Work, weighed: bool, solves: bool
     """Sum what is seen, under the weights; or first move lambda to its best, and the residual with it."""
     if row.normalise:
         row.normalise_samples(row, work)
-    turns = len(work.by_model) > 0
-    if turns:
+    if row.weights == BY_NOISE:
         row.whiten(work)
     elif weighed:
         copy(work.weighed, work.own)
-    if weighed or turns or len(template.parts):
+    if weighed or row.weights == BY_NOISE or len(template.parts):
         weighted_gram(work.rows, work.own, work.block, work.gram)
     unseen = mask(work.own, work.usable, work.root)
     factorise(work.gram, template.ridge, work.lines, work.own, work.usable, unseen, work.factor)

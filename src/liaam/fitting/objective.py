@@ -14,6 +14,7 @@ from liaam.fitting.level import (
     LEAST_CURVATURE,
     PLANE,
     RIDGE,
+    UNIT,
     WIDE,
     Controls,
     Outcome,
@@ -336,8 +337,8 @@ class Objective:
 
     def unit(self, work: Work) -> float:
         """Variance, correlation included, that a residual of weight 1 stands for: the weights' own, or the cost's."""
-        if self.method.weights == "rows" and np.isfinite(work.scales[0]):
-            return float(work.scales[0])
+        if self.method.weights == "rows" and np.isfinite(work.scales[UNIT]):
+            return float(work.scales[UNIT])
         return float(self.correlated * work.sums[0] / work.sums[1]) if work.sums[1] > 0 else 0.0
 
     def solve(self, problem: FitProblem, work: Work, controls: Controls) -> Outcome:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.fitting.level import Controls, Work
+from liaam.fitting.level import SCALE, Controls, Work
 from liaam.fitting.methods import Method
 from liaam.fitting.objective import Objective, State
 from liaam.fitting.problem import FitProblem
@@ -171,7 +171,7 @@ class Solution:
     @property
     def scale(self) -> float:
         """Scale of the shape prior's variances, in this picture."""
-        return float(self.work.scales[4])
+        return float(self.work.scales[SCALE])
 
 
 def scored(method: Method, options: SolverOptions) -> Method:
@@ -198,11 +198,10 @@ def solve(
     method = objective.method
     expected = method.step == "expected"
     # Steps with the picture's own gradient creep: where no others follow they are to reach the minimum.
-    most = 0 if method.step != "scored" else SCORING_STEPS if options.scoring is None else options.scoring
+    most = min(_scoring_steps(method, options), options.max_iterations)
     hurries = expected or not look or most > 0
     controls = options.controls(expected, method.reweighs, look, problem.blur if hurries else 0.0)
     solution = _run(objective, problem, objective.work(start, controls.max_iterations), controls)
-    most = min(most, options.max_iterations)
     if not most or solution.flat:
         return solution
     # Under the weights that they have come to, unless more is asked for than usual.
@@ -226,6 +225,13 @@ def solve(
         settled=solution.settled,
         flat=False,
     )
+
+
+def _scoring_steps(method: Method, options: SolverOptions) -> int:
+    """How many steps with the expected gradient a level ends with at most."""
+    if method.step != "scored":
+        return 0
+    return SCORING_STEPS if options.scoring is None else options.scoring
 
 
 _KEPT = (

@@ -117,14 +117,14 @@ def _layout(fields: type) -> dict[str, tuple[Any, int]]:
     return found
 
 
-def _words(name: str, kind: SpanType, array: np.ndarray) -> tuple[int, ...]:
+def _words(name: str, kind: SpanType, given: np.ndarray) -> tuple[int, ...]:
     """Address and sizes of an array, which has to be what was announced; nothing says which arrays are written to."""
-    if array.dtype != kind.numpy or array.ndim != kind.ndim or not array.flags.c_contiguous:
-        raise TypeError(f"{name} is no C-contiguous {kind}: {array.dtype}, {array.shape}")
+    if given.dtype != kind.numpy or given.ndim != kind.ndim or not given.flags.c_contiguous:
+        raise TypeError(f"{name} is no C-contiguous {kind}: {given.dtype}, {given.shape}")
     try:  # a quarter of the other way's time
-        return ctypes.addressof(ctypes.c_char.from_buffer(array)), *array.shape  # pyright: ignore[reportArgumentType]
+        return ctypes.addressof(ctypes.c_char.from_buffer(given)), *given.shape  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError):  # read-only, or empty
-        return array.ctypes.data, *array.shape
+        return given.ctypes.data, *given.shape
 
 
 class Record:
@@ -194,9 +194,10 @@ class Compiled:
     def _in_c(self) -> Any:
         kinds: list = [ctypes.c_void_p, ctypes.c_void_p]
         for kind in self.kind.args:
-            kinds += (
-                [ctypes.c_int64] * (1 + kind.ndim) if isinstance(kind, SpanType) else [_IN_C.get(kind, ctypes.c_int64)]
-            )
+            if isinstance(kind, SpanType):
+                kinds += [ctypes.c_int64] * (1 + kind.ndim)
+            else:
+                kinds.append(ctypes.c_int64 if isinstance(kind, RecordType) else _IN_C[kind])
         return ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(self.address)
 
     def __call__(self, *args: Any) -> Any:
