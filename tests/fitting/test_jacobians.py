@@ -168,11 +168,12 @@ def dense(objective, work, by_angles, expects: bool) -> tuple[np.ndarray, ...]:
         root[:, None] * np.hstack([jacobian(objective.warp, p, steep), by_angles]) for steep in (work.steep, by_place)
     )
     A, r = (work.rows[1:] * root).T, root * work.residual
-    inverse, aj = np.linalg.inv(A.T @ A + np.diag(objective.template.ridge)), A.T @ J
+    ridge = objective.template.ridge
+    inverse, aj = np.linalg.inv(A.T @ A + np.diag(ridge)), A.T @ J
     hessian, n_p = E.T @ J, len(p)
     hessian[n_p:, :n_p] = hessian[:n_p, n_p:].T  # with the angles' columns what is expected counts
     hessian -= aj.T @ inverse @ aj
-    return A.T @ A, aj, 0.5 * (hessian + hessian.T), E.T @ r - aj.T @ inverse @ (A.T @ r)
+    return A.T @ A, aj, 0.5 * (hessian + hessian.T), E.T @ r - aj.T @ inverse @ (A.T @ r - ridge * work.lam)
 
 
 @pytest.mark.parametrize(
@@ -199,16 +200,16 @@ def test_equations_are_those_of_dense_columns_where_half_of_the_picture_is_blind
 
 @every_method
 def test_the_appearance_at_its_best_leaves_nothing_to_gain(model, lit_scene, method, kernel, rng):
-    """Its lambda is that of least squares over the columns, and the residual is that of another look with it."""
+    """Its lambda is that of least squares over the columns and the prior, and the residual is that of another look."""
     setting = Setting(model, lit_scene, method, kernel, rng)
     work = setting.look(solves=True)
     again = setting.look(lam=work.lam)
     np.testing.assert_allclose(work.residual, again.residual, atol=1e-5 * max(1.0, np.abs(again.residual).max()))
     assert again.sums[0] == pytest.approx(work.sums[0], rel=1e-4, abs=1e-6)
-    A, r = (again.rows[1:] * again.root).T.astype(np.float64), again.root.astype(np.float64) * again.residual
-    best = np.linalg.lstsq(A, r, rcond=1e-9)[0]
-    left = r - A @ best
-    # A ridge holds modes that the metric hardly sees.
+    pull = np.sqrt(setting.objective.template.ridge)
+    A = np.vstack([(again.rows[1:] * again.root).T.astype(np.float64), np.diag(pull)])
+    r = np.concatenate([again.root.astype(np.float64) * again.residual, -pull * work.lam])
+    left = r - A @ np.linalg.lstsq(A, r, rcond=1e-9)[0]
     assert r @ r <= (left @ left) * (1 + 1e-3) + 1e-9
     assert not work.ar.any()
 

@@ -197,9 +197,10 @@ def test_a_prior_is_part_of_the_system_and_of_the_cost(kernel, rng):
     np.testing.assert_allclose(hessian, 2 * base + wide)
     np.testing.assert_allclose(gradient[:3], bare[:3] + precision * p)
     assert gradient[3] == bare[3]
-    merit = kernel.merit_of(np.array([5.0, 10.0]), p, precision)
-    assert merit == pytest.approx((5.0 + precision @ p**2) / 10.0)
-    assert kernel.merit_of(np.zeros(2), p, precision) == np.inf  # no pixel counts
+    lam, ridge = rng.normal(size=2), rng.random(2)
+    merit = kernel.merit_of(np.array([5.0, 10.0]), p, precision, lam, ridge)
+    assert merit == pytest.approx((5.0 + precision @ p**2 + ridge @ lam**2) / 10.0)
+    assert kernel.merit_of(np.zeros(2), p, precision, lam, ridge) == np.inf  # no pixel counts
 
 
 # What angles can be told.

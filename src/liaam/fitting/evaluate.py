@@ -156,7 +156,8 @@ def settle(template: Template, row: Row, work: Work, weighed: bool, solves: bool
     factorise(work.gram, template.ridge, work.lines, work.own, work.usable, unseen, work.factor)
     with_modes(work.rows, work.root, work.residual, work.line, work.ar)
     for j in range(len(work.lam)):
-        work.lam_step[j] = work.ar[j] - template.ridge[j] * work.lam[j] if solves else 0.0
+        work.ar[j] -= template.ridge[j] * work.lam[j]
+        work.lam_step[j] = work.ar[j] if solves else 0.0
     if solves:
         solve(work.factor, work.lam_step)
         for j in range(len(work.lam)):

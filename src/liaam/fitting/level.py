@@ -26,6 +26,13 @@ RIDGE = 1e-6
 pure shading by L(theta), stay at their mean; without, they are what rounding makes of them, and a fit's end hangs on
 the last bit."""
 
+GRADIENTS, COLOUR = 0, 1
+"""Groups of rows whose unexplained part is alike: the first two, and the others."""
+
+CORRELATED = (8.0, 30.0)
+"""By how much more the model's errors in gradients, and in colour, are correlated than the blur makes noise: they are
+patches, not grains, and those of colour are the widest."""
+
 LEAST_CURVATURE = 0.5
 """Least curvature in a step with the expected gradient, as a share of the expected one: where picture and model are
 apart, their gradients agree less, and undamped steps would run off. Measured on strangers of IMM: a third more fits end
@@ -62,7 +69,8 @@ class Template(NamedTuple):
     gram: Double2
     """(m, m) float64: A'A under these."""
     ridge: Double1
-    """(m,) float64: what is added to its diagonal."""
+    """(m,) float64: what is added to its diagonal: precision of a Gaussian prior on lambda, in units of squared
+    residuals, and enough to hold what the metric cannot see."""
     errors: Double1
     """(n,) float64: variance of the model's errors, mean over the rows; 0 where it is not known."""
     prior: Double1
@@ -210,7 +218,7 @@ class Work(NamedTuple):
     factor: Double2
     """(m, m) float64: Cholesky factor of A'A under ``root``, with a ridge."""
     ar: Double1
-    """(m,) float64: A'r."""
+    """(m,) float64: A'r less what the ridge pulls back."""
     sums: Double1
     """(2,) float64: r'r and the sum of the weights."""
     expected: Single1

@@ -60,7 +60,7 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
     while True:
         row.look(template, picture, row, work, solves)  # eq 9
         row.settle(template, row, work, False, solves)
-        merit = merit_of(work.sums, work.p, work.precision)
+        merit = merit_of(work.sums, work.p, work.precision, work.lam, template.ridge)
         if tried and controls.damping > 0.0 and not merit <= rise * least:  # NaN is refused, too
             go_back(work.before, work.p, work.angles, work.lam)  # look again where the step began
             settled, damping = small or damping >= DAMPING_LIMIT, _raised(damping, controls.expected)
@@ -86,8 +86,8 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
         flat = not found
         if ends or flat:
             break
-        merit, length, fresh, tried = merit_of(work.sums, work.p, work.precision), movement(template, work), False, True
-        solves, least = not controls.joint, merit if merit < least else least
+        merit, length = merit_of(work.sums, work.p, work.precision, work.lam, template.ridge), movement(template, work)
+        solves, least, fresh, tried = not controls.joint, merit if merit < least else least, False, True
         small = unnoticed or length < controls.tolerance or (n_tried < controls.quick and length < controls.loose)
         n_tried += 1
         move(row.directions, work.step, work.lam_step, work.p, work.angles, work.lam, work.before)

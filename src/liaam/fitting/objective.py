@@ -11,6 +11,9 @@ from liaam.errors import MethodError
 from liaam.fitting.kernel import get_kernel
 from liaam.fitting.level import (
     BLOCK,
+    COLOUR,
+    CORRELATED,
+    GRADIENTS,
     LEAST_CURVATURE,
     PLANE,
     RIDGE,
@@ -154,7 +157,7 @@ class Objective:
             prior=np.array(self.prior, np.float64),
             correlated=float(self.correlated),
             freedom=float(self.freedom),
-            colours=bool(self.appearance.mean[:, -1].any()),
+            colours=self._knows_colours,
         )
 
     def __getstate__(self) -> dict:
@@ -282,7 +285,27 @@ class Objective:
             modes.append(appearance.mean[None])
         sizes = [np.square(own, dtype=np.float64).sum(axis=(1, 2)) for own in modes]
         biases = {"none": [], "common": [k * len(appearance.mean)], "rows": [len(appearance.mean)] * k}
-        return RIDGE * np.maximum(np.concatenate([*sizes, biases[self.method.bias]]), 1e-12)
+        ridge = RIDGE * np.maximum(np.concatenate([*sizes, biases[self.method.bias]]), 1e-12)
+        ridge[: appearance.n_modes] += self._ordinary_unit() / np.maximum(appearance.eigenvalues, 1e-12)
+        return ridge
+
+    def _ordinary_unit(self) -> float:
+        """Variance that weighs 1 in pictures like those of training, of weights by rows; 0 for no prior on lambda.
+
+        The prior of lambda is N(0, eigenvalues) there. Where a picture leaves more unexplained than those, its
+        appearance may be as much further from the mean: one scale for both, which cancels.
+        """
+        unexplained, usable = self.appearance.unexplained, self.appearance.usable
+        if self.method.weights != "rows" or unexplained is None or not usable.any():
+            return 0.0
+        variances = np.average(np.einsum("ncc->nc", unexplained), axis=0, weights=usable)
+        group = np.where(np.arange(len(variances)) < 2, GRADIENTS, COLOUR)
+        precisions = 1.0 / (np.array(CORRELATED)[group] * np.maximum(variances, 1e-9))
+        return float(self.correlated / np.where(self._knows_colours | (group == GRADIENTS), precisions, 0.0).mean())
+
+    @property
+    def _knows_colours(self) -> bool:
+        return bool(self.appearance.mean[:, -1].any())
 
     @cached_property
     def _slopes(self) -> np.ndarray:
@@ -411,7 +434,7 @@ def _objective(model: AAM, method: Method, kernel: str, level: Level, thinning: 
             prior,
             kernel,
             None if illumination is None else illumination.at(kept),
-            correlated=max(1.0, density * correlated_pixels(level.blur)) if whole is not None else 1.0,
+            correlated=max(1.0, density * correlated_pixels(level.blur)),
             density=density,
             freedom=freedom,
             whole=whole,

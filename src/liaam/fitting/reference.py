@@ -7,16 +7,8 @@ precision, and any warp will do: :attr:`liaam.fitting.level.Template.warp` is th
 
 import numpy as np
 
-from liaam.fitting.level import Picture, Template, Work
-from liaam.fitting.weights import (
-    COLOUR,
-    CORRELATED,
-    FACTORS,
-    GRADIENTS,
-    LEARNT,
-    MOST_DIRECTION_NOISE,
-    UNKNOWN,
-)
+from liaam.fitting.level import COLOUR, CORRELATED, GRADIENTS, Picture, Template, Work
+from liaam.fitting.weights import FACTORS, LEARNT, MOST_DIRECTION_NOISE, UNKNOWN
 from liaam.kernels.reference import sample
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 from liaam.warp import Warp

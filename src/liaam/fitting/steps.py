@@ -379,11 +379,13 @@ def along_with(factor: Double2, ar: Double1, aj: Double2, step: Double1, out: Do
 
 
 @compiled
-def merit_of(sums: Double1, p: Double1, precision: Double1) -> float:
-    """What an accepted step must not raise: mean squared residual plus the prior's share."""
+def merit_of(sums: Double1, p: Double1, precision: Double1, lam: Double1, ridge: Double1) -> float:
+    """What an accepted step must not raise: mean squared residual plus the shares of the priors."""
     squares = sums[0]
     for i in range(len(p)):
         squares += precision[i] * p[i] * p[i]
+    for j in range(len(lam)):
+        squares += ridge[j] * lam[j] * lam[j]
     return squares / sums[1] if sums[1] > 0.0 else np.inf
 
 

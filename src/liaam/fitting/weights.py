@@ -7,7 +7,7 @@ row r of pixel i. :mod:`liaam.fitting.reference` says what each function has to 
 import numpy as np
 
 from liaam.fitting.equations import clear
-from liaam.fitting.level import PLANE
+from liaam.fitting.level import COLOUR, CORRELATED, GRADIENTS, PLANE
 from liaam.jit import F, jit
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2, Single1, Single2
@@ -16,13 +16,6 @@ from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
 BY_MODEL, BY_NOISE, BY_ROWS = 0, 1, 2
 """Kinds of weights (:attr:`liaam.fitting.level.Row.weights`)."""
-
-GRADIENTS, COLOUR = 0, 1
-"""Groups of rows whose unexplained part is alike: the first two, and the others."""
-
-CORRELATED = (8.0, 30.0)
-"""By how much more the model's errors in gradients, and in colour, are correlated than the blur makes noise: they are
-patches, not grains, and those of colour are the widest."""
 
 UNKNOWN = 1e5
 """Variance that stands for a pixel whose logarithm says nothing."""
