@@ -54,7 +54,7 @@ def test_train_info_show(run, portraits, tmp_path):
 
 
 def test_training_that_is_stopped_leaves_one_line_and_no_file(run, portraits, tmp_path, monkeypatch):
-    def stop(*_):
+    def stop(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("liaam.training.train_appearance_model", stop)

@@ -14,8 +14,8 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 LAYERS = (
     ("__main__",),
     (
-        *("cli", "cli_batch", "cli_check", "cli_experiments", "cli_inputs", "cli_photometry", "cli_relight"),
-        *("cli_studio", "cli_video", "studio", "terminal"),
+        *("cli", "cli_batch", "cli_check", "cli_experiments", "cli_inputs", "cli_lamps", "cli_photometry"),
+        *("cli_relight", "cli_studio", "cli_video", "studio", "terminal"),
     ),
     ("experiments", "batch", "tracking"),
     ("plotting", "plotting_photometry", "plotting_video"),
@@ -23,7 +23,7 @@ LAYERS = (
     ("registration", "relighting"),
     ("training", "fitting"),
     ("model",),
-    ("warp", "sampling", "appearance", "label_faults"),
+    ("warp", "sampling", "appearance", "label_faults", "lamps"),
     ("bilinear",),
     ("mesh", "shape"),
     ("shape_prior",),

@@ -1,5 +1,6 @@
 """Appearance models: PCA of textures sampled on the reference frame (paper eq 4)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,6 +31,11 @@ APPEARANCES = tuple(name for name in CHANNELS if name != "illumination")
 
 LIGHT_APPEARANCES = ("varied", "illumination")
 """Those learnt from pictures under other lights, too."""
+
+
+COPIED_APPEARANCES = ("orientation", "soft")
+"""Those learnt from copies of the training pictures, too: of the search and of the default method. The others belong to
+methods of the paper and its references, which learn from pictures as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +175,10 @@ def _gram(vectors: np.ndarray) -> np.ndarray:
 
 
 def train_appearance_model(
-    textures: Textures, variance: float | int, kept: np.ndarray | None = None, leave_out: bool = True
+    textures: Textures,
+    variance: float | int,
+    kept: np.ndarray | None = None,
+    left_out: Sequence[np.ndarray] | None = None,
 ) -> AppearanceModel:
     """Learn an appearance model.
 
@@ -180,8 +189,9 @@ def train_appearance_model(
         Fraction of variance or number of modes to keep.
     kept : (m,) int, optional
         Which of the textures to learn from; all if left out.
-    leave_out : bool
-        Find out what each image has that the others do not explain.
+    left_out : sequence of int arrays, optional
+        Textures that are left out together to find out what each has that the others do not explain; that is not found
+        out if left out.
     """
     _, n_pixels, c = textures.values.shape
     usable = textures.usable if kept is None else textures.usable[kept]
@@ -192,7 +202,9 @@ def train_appearance_model(
         modes=components.modes.reshape(-1, n_pixels, c).astype(np.float32),
         eigenvalues=components.eigenvalues,
         usable=usable.mean(axis=0).astype(np.float32),
-        unexplained=_unexplained(vectors, explained_by_others(products, variance), usable) if leave_out else None,
+        unexplained=None
+        if left_out is None
+        else _unexplained(vectors, explained_by_others(products, variance, left_out), usable),
     )
 
 

@@ -23,8 +23,11 @@ from liaam.cli_inputs import (
     check_output,
     read_folder,
     read_init,
+    read_sample,
     unique_stems,
 )
+from liaam.cli_lamps import LAMPS_SUFFIX, TrainingLampOption, draw_lamps, read_lamps
+from liaam.cli_lamps import lamps as lamps_command
 from liaam.cli_photometry import calibrate, invariant, register_command
 from liaam.cli_relight import relight
 from liaam.cli_studio import studio
@@ -51,6 +54,7 @@ app.add_typer(calibrate, name="calibrate")
 app.command()(batch)
 app.command()(check)
 app.command()(invariant)
+app.command("lamps")(lamps_command)
 app.command("register")(register_command)
 app.command()(relight)
 app.command()(track)
@@ -88,7 +92,7 @@ def train(
         ),
     ] = "0.98",
     appearance_variance: Annotated[
-        str | None, typer.Option(help="The same for the appearance; as --variance if left out.")
+        str | None, typer.Option(help="The same for the appearance; if left out as --variance, and 0.9 for soft-li.")
     ] = None,
     prior: Annotated[
         list[str] | None,
@@ -113,6 +117,21 @@ def train(
     lit: Annotated[
         Path | None,
         typer.Option(help="Folder of further landmarked images under other lights, for methods 'varied' and 'aia'."),
+    ] = None,
+    lamps: Annotated[
+        Path | None,
+        typer.Option(
+            help="Learn from the pictures as other lamps would show them, too: a file of 'liaam lamps', or a folder "
+            "of a few objects under various lamps, named by object and lamp, such as 037-00."
+        ),
+    ] = None,
+    training_lamp: TrainingLampOption = None,
+    copies: Annotated[
+        int | None,
+        typer.Option(
+            help="Copies of each picture under other lamps, every other one mirrored where the object is symmetric "
+            "(without --lamps one that is mirrored); 0 for none."
+        ),
     ] = None,
     leave_out: Annotated[
         bool,
@@ -150,6 +169,7 @@ def train(
     others = None if lit is None else load_folder(lit, recursive=recursive)
     if others is not None:
         say(f"other lights: {others.report()}")
+    light = None if lamps is None else read_lamps(lamps, training_lamp, recursive)
     warn_of_faults(data, folder)
     with stoppable_progress(counted=False) as tell:
         model = train_model(
@@ -157,14 +177,17 @@ def train(
             prior=parse_prior(prior or []),
             diagonal=diagonal,
             lit=others,
+            lamps=light,
+            copies=copies,
             name=name or folder.name,
             leave_out=leave_out,
             progress=tell,
             **options,
         )
     model.save(output)
+    learnt = "" if light is None else f" and {model.n_textures - model.n_images} copies under {len(light)} lamps"
     modes = f"{_count_modes(model)} shape and {model.levels[-1].appearances['value'].n_modes} appearance modes"
-    say(f"{output}: {modes} from {model.n_images} images, {model.n_pixels} pixels")
+    say(f"{output}: {modes} from {model.n_images} images{learnt}, {model.n_pixels} pixels")
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
@@ -364,19 +387,29 @@ def write_history(path: Path, result: "FitResult") -> None:
 
 @app.command()
 def show(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+    file: Annotated[Path, typer.Argument(help="Model of 'liaam train', or lamps of 'liaam lamps'.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Picture to write; beside the model if left out.")
+        Path | None, typer.Option("--output", "-o", help="Picture to write; beside the file if left out.")
+    ] = None,
+    image: Annotated[
+        Path | None,
+        typer.Option(help="Lamps: picture to draw them on, with landmarks beside it; plain grey if left out."),
     ] = None,
 ) -> None:
-    """Draw a model: mean, mesh, and what its shape and appearance modes do."""
-    from liaam.model import load_model
-    from liaam.plotting import figure_of_model, save_figure
-
-    path = output or model_file.with_name(f"{model_file.stem}_model.png")
+    """Draw a model: mean, mesh, and what its shape and appearance modes do. Or lamps: a picture under all of them."""
+    lit = file.suffix.lower() == LAMPS_SUFFIX
+    path = output or file.with_name(f"{file.stem}_{'lamps' if lit else 'model'}.png")
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise LiaamError(f"{path}: give a picture file that ends in .png, .svg or .pdf")
-    save_figure(figure_of_model(load_model(model_file)), path)
+    if lit:
+        draw_lamps(read_lamps(file, None, False), path, None if image is None else read_sample(image))
+    else:
+        from liaam.model import load_model
+        from liaam.plotting import figure_of_model, save_figure
+
+        if image is not None:
+            raise LiaamError("--image is for lamps; a model is drawn by itself")
+        save_figure(figure_of_model(load_model(file)), path)
     say(f"written to {path}")
 
 
@@ -409,7 +442,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     width, height = model.frame.size
     return {
         "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
-        "trained on": f"{model.n_images} {'colour' if model.is_colour else 'grey'} images",
+        "trained on": f"{model.n_images} {'colour' if model.is_colour else 'grey'} images{_copies(model)}",
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
         "shape modes": f"{_count_modes(model)} + 4 (position, size, turn); spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
@@ -417,6 +450,12 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
         "camera": describe_camera(model.camera),
     }
+
+
+def _copies(model: "AAM") -> str:
+    """Copies of the images that a model has learnt from, too."""
+    more = model.n_textures - model.n_images
+    return f", and {more} copies of them, mirrored or under other lamps" if more > 0 else ""
 
 
 def describe_camera(camera: "CameraModel") -> str:

@@ -12,7 +12,7 @@ from liaam.terminal import say
 if TYPE_CHECKING:
     import numpy as np
 
-    from liaam.datasets import Dataset
+    from liaam.datasets import Dataset, Sample
     from liaam.photometry import CameraModel
 
 DOUBT = (
@@ -38,6 +38,15 @@ def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool) -> 
     data = data.select(images) if images else data
     say(data.report())
     return data
+
+
+def read_sample(image: Path) -> "Sample":
+    """A picture with the landmarks beside it."""
+    from liaam.datasets import load_folder
+
+    if not image.is_file():
+        raise LiaamError(f"{image}: there is no such picture")
+    return next(iter(load_folder(image.parent).select(lambda sample: sample.image == image)))
 
 
 def read_init(text: str, image: Path, size: tuple[int, int]):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from liaam.appearance import CHANNELS, LIGHT_APPEARANCES, AppearanceModel
+from liaam.appearance import CHANNELS, COPIED_APPEARANCES, LIGHT_APPEARANCES, AppearanceModel
 from liaam.errors import LiaamError, ModelFileError
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.photometry import CameraModel, Response, camera_from, describe_response, parse_response
@@ -141,6 +141,8 @@ class AAM:
         Lines between landmarks, for drawing.
     name : str
         What the model was trained on, for people.
+    n_textures : int
+        Training images and relit copies of them, together; 0 where there are none of these.
     """
 
     views: dict[str, View]
@@ -149,6 +151,7 @@ class AAM:
     n_images: int
     contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
     name: str = ""
+    n_textures: int = 0
 
     def __repr__(self) -> str:
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
@@ -235,6 +238,7 @@ def _header(model: AAM) -> dict:
         "camera": model.camera.describe(),
         "views": {name: _view_header(view) for name, view in model.views.items()},
         "n_images": model.n_images,
+        "n_textures": model.n_textures,
         "contours": [[list(indices), closed] for indices, closed in model.contours],
         "name": model.name,
     }
@@ -337,27 +341,39 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     area = float(np.abs(signed_areas(mean, triangles)).sum())
     if len(triangles) > 2 * n or area > 1.001 * float(np.prod(np.ptp(mean, axis=0))):
         raise ValueError("the mesh overlaps itself")
-    n_images = int(header["n_images"])
+    n_images, n_textures = int(header["n_images"]), int(header.get("n_textures", 0))
     return AAM(
-        views=_views(header["views"], tensors, mean, triangles, n_images),
+        views=_views(header["views"], tensors, mean, triangles, _counts(n_images, n_textures)),
         triangles=triangles,
         camera=_camera(header),
         n_images=n_images,
         contours=_contours(header["contours"], n),
         name=str(header["name"]),
+        n_textures=n_textures,
     )
 
 
+def _counts(n_images: int, n_textures: int) -> dict[str, int]:
+    """How many textures each appearance was learnt from, of those that were learnt from the training images alone."""
+    own = dict.fromkeys(set(CHANNELS) - set(LIGHT_APPEARANCES), n_images)
+    return own | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
+
+
 def _views(
-    known: dict, tensors: dict[str, np.ndarray], mean: np.ndarray, triangles: np.ndarray, n_images: int
+    known: dict, tensors: dict[str, np.ndarray], mean: np.ndarray, triangles: np.ndarray, counts: dict[str, int]
 ) -> dict[str, View]:
     if not isinstance(known, dict) or MESH not in known:
         raise ValueError(f"there is no view {MESH}")
-    return {name: _view(name, about, tensors, mean, triangles, n_images) for name, about in known.items()}
+    return {name: _view(name, about, tensors, mean, triangles, counts) for name, about in known.items()}
 
 
 def _view(
-    name: str, about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray, triangles: np.ndarray, n_images: int
+    name: str,
+    about: dict,
+    tensors: dict[str, np.ndarray],
+    mean: np.ndarray,
+    triangles: np.ndarray,
+    counts: dict[str, int],
 ) -> View:
     """One of the views, about the mean shape of all."""
     if name not in VIEWS:
@@ -370,7 +386,7 @@ def _view(
     n_pixels = view.warp.frame.n_pixels
     if n_pixels != about["n_pixels"]:
         raise ValueError("its reference frame does not match its pixels")
-    levels = tuple(Level(blur, _appearances(tensors, i, n_pixels, n_images)) for i, blur in enumerate(blurs))
+    levels = tuple(Level(blur, _appearances(tensors, i, n_pixels, counts)) for i, blur in enumerate(blurs))
     needed = {"value", "log"} if name == MESH else set()
     if not all(level.appearances and needed <= set(level.appearances) for level in levels):
         raise ValueError("an appearance is missing")
@@ -421,19 +437,21 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     return Reliability(landmarks, weights, understated, ordinary)
 
 
-def _appearances(tensors: dict[str, np.ndarray], i: int, n_pixels: int, n_images: int) -> dict[str, AppearanceModel]:
+def _appearances(
+    tensors: dict[str, np.ndarray], i: int, n_pixels: int, counts: dict[str, int]
+) -> dict[str, AppearanceModel]:
     """All appearances of a level."""
     names = [name for name in CHANNELS if f"{i}/{name}.mean" in tensors]
-    return {name: _appearance(tensors, f"{i}/{name}", name, n_pixels, n_images) for name in names}
+    return {name: _appearance(tensors, f"{i}/{name}", name, n_pixels, counts) for name in names}
 
 
 def _appearance(
-    tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int, n_images: int
+    tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int, counts: dict[str, int]
 ) -> AppearanceModel:
     channels = CHANNELS[name]
     modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
     # Modes of few images need no more room than their own squares: those are what fits work with.
-    most = n_pixels * channels if name in LIGHT_APPEARANCES else min(n_pixels * channels, n_images)
+    most = min(n_pixels * channels, counts.get(name, n_pixels * channels))
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes, of {most} at most")
     unexplained = None  # absent from an illumination basis

@@ -11,6 +11,7 @@ import numpy as np
 from liaam.evaluation import cumulative_errors
 from liaam.io import atomic_path
 from liaam.label_faults import LabelFault
+from liaam.lamps import Lamps
 from liaam.model import AAM
 from liaam.photometry import linear_to_srgb
 
@@ -543,6 +544,41 @@ def _short(value: float) -> str:
     if np.isnan(value):
         return "–"
     return f"{value:.2f}" if value >= 0.01 else "< 0.01"
+
+
+LAMPS_DRAWN, LAMPS_ACROSS = 47, 8
+"""Lamps that are drawn at most, and pictures in a row."""
+
+
+def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.ndarray | None = None) -> "Figure":
+    """A picture and what each lamp makes of it.
+
+    Parameters
+    ----------
+    lamps : Lamps
+    image : (h, w, 3) array, optional
+        In the light of training; plain grey if left out, under the mean landmarks.
+    points : (n, 2) float, optional
+        Its landmarks.
+    """
+    if image is None or points is None:
+        image = np.full((160, 160, 3), 128, np.uint8)
+        points = 79.5 + 100.0 * lamps.mean
+    shown = range(min(len(lamps), LAMPS_DRAWN))
+    pictures = [image, *lamps.relit(image, points, shown)]
+    titles = ["light of training", *(lamps.names[i] for i in shown)]
+    rows = -(-len(pictures) // LAMPS_ACROSS)
+    height = 1.6 * image.shape[0] / image.shape[1] + 0.3
+    figure, axes = subplots(
+        rows, min(len(pictures), LAMPS_ACROSS), (1.6 * min(len(pictures), LAMPS_ACROSS), height * rows)
+    )
+    for axis in axes.flat:
+        axis.axis("off")
+    for axis, picture, title in zip(axes.flat, pictures, titles, strict=False):
+        show_picture(axis, picture, title)
+        axis.title.set_fontsize(7)
+    axes.flat[0].plot(*points.T, ".", color="white", ms=1.5)
+    return figure
 
 
 def figure_of_pictures(rows: Sequence[Mapping[str, np.ndarray | None]]) -> "Figure":

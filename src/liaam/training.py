@@ -9,10 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from liaam.appearance import CHANNELS, AppearanceModel, Textures, train_appearance_model, train_illumination
+from liaam.appearance import (
+    CHANNELS,
+    COPIED_APPEARANCES,
+    AppearanceModel,
+    Textures,
+    train_appearance_model,
+    train_illumination,
+)
 from liaam.errors import TrainingError
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.fitting.reliability import LeftOut, calibrate
+from liaam.lamps import Copies, Lamps, learn_lamps
 from liaam.mesh import (
     FOLD_TOLERANCE,
     ReferenceFrame,
@@ -22,11 +30,11 @@ from liaam.mesh import (
     triangles_from_edges,
 )
 from liaam.model import AAM, MAX_DIAGONAL, MESH, SURROUNDINGS, VIEWS, Level, Reliability, make_view
-from liaam.pca import Variance, check_variance, count_by_evidence
+from liaam.pca import Variance, check_variance, count_by_evidence, some_folds
 from liaam.photometry import CameraModel, Response, exposure_faults, invariant_row, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
 from liaam.sampling import make_patch, sample_texture
-from liaam.shape import Recipe, align, check_prior, choose_recipe, scaled_mean, shape_model_on
+from liaam.shape import Recipe, align, check_prior, choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.warp import PiecewiseAffineWarp
 
 ENCODINGS_OF = {MESH: ("value", "log", "orientation"), SURROUNDINGS: ("soft",)}
@@ -35,7 +43,21 @@ ENCODINGS_OF = {MESH: ("value", "log", "orientation"), SURROUNDINGS: ("soft",)}
 BLURS = {MESH: (3.0, 0.5), SURROUNDINGS: (4.0, 2.0, 1.0)}
 """Blur of the levels of each view from coarse to fine, standard deviation in pixels of the reference frame. Of the
 surroundings measured with persons that a model has not seen: one level more than two, and 1 pixel at the end rather
-than 0.5, lose fewer fits; gradients of JPEG's blocks are no better sharp."""
+than 0.5, lose fewer fits; gradients of JPEG's blocks are no better sharp. Those of the surroundings are for frames of
+:data:`FULL_SIZE` and more; smaller ones have less in proportion."""
+
+FULL_SIZE, LEAST_BLUR = 150.0, 0.5
+"""Diagonal that the blurs of the surroundings were measured at, pixels, and the least of them in smaller frames. What
+tells landmarks from their surroundings is as large as a share of the object: faces at a diagonal of 90 pixels end at
+2.0 % with a blur of 1 pixel, and at 1.8 % with 0.6."""
+
+COPIES, MOST_COPIES = 3, 20
+"""Relit copies of each picture to learn from, and the most that make sense."""
+
+KEPT = 0.85
+"""Share of the variance that appearances of the surroundings keep, unless asked. Their coordinates have a prior, and
+what modes leave counts as error: as good as 0.98 on IMM (persons seen and not) and under hard flashes, in two thirds
+of the time."""
 
 Blurs = tuple[float, ...]
 
@@ -53,7 +75,7 @@ def train(
     data: Iterable,
     *,
     variance: Variance = 0.98,
-    appearance_variance: Variance | None = None,
+    appearance_variance: Variance | Mapping[str, Variance] | None = None,
     prior: str | Mapping[str, str] | None = None,
     diagonal: float = 150.0,
     theta: float | None = None,
@@ -62,6 +84,9 @@ def train(
     blurs: Blurs | Mapping[str, Blurs] | None = None,
     triangles: np.ndarray | None = None,
     lit: Iterable | None = None,
+    lamps: Lamps | Iterable | None = None,
+    training_lamp: str | None = None,
+    copies: int | None = None,
     leave_out: bool = True,
     name: str = "",
     progress: Callable[[int, int, str], None] | None = None,
@@ -76,8 +101,9 @@ def train(
     variance : float, int or "auto"
         Share of the shapes' variance to keep, in (0, 1], or a count of modes. ``auto`` counts the modes under which
         pictures left out (those of one object together, where names tell) are most likely.
-    appearance_variance : float, int or "auto", optional
-        The same for appearances; as ``variance`` if left out.
+    appearance_variance : float, int, "auto" or mapping of views to these, optional
+        The same for appearances. If left out: as ``variance``; of the view ``surroundings``, where that is a share of
+        less than 1, :data:`KEPT`.
     prior : {"sample", "smooth", "shrunk"} or mapping of views to these, optional
         How the shapes' covariance is learnt, for all views or by name of :data:`liaam.model.VIEWS`. ``sample`` is the
         covariance of the shapes as they are (the paper). ``smooth``, for shapes that no training picture shows, draws
@@ -102,6 +128,15 @@ def train(
     lit : Dataset or iterable, optional
         Further pictures of the same kind of object under other lights, for the methods that learn what light
         does (``varied``, ``aia``). Shapes and all other appearances are learnt from ``data`` alone.
+    lamps : Lamps, Dataset or iterable of Sample, optional
+        Lamps that copies of the pictures are put under, or pictures of a few objects under various lamps to learn these
+        from (:func:`liaam.lamps.learn_lamps`).
+    training_lamp : str, optional
+        Which of the lamps in the pictures' names is the light of ``data``.
+    copies : int, optional
+        Relit copies of each picture, fewer of many pictures, that the default method and the search learn from as well;
+        every other one is mirrored where the object is symmetric. Without lamps there is but a mirrored one. If left
+        out :data:`COPIES`, and none where all of the variance is kept, which asks for the pictures and nothing else.
     leave_out : bool
         Leave pictures out in turn and fit them, to learn how far the default method's fits can be trusted
         (``FitResult.quality`` and ``landmark_covariances``). Without it training takes half the time.
@@ -121,8 +156,9 @@ def train(
         The message names the sample.
     """
     camera = _camera_of(camera, theta, response)
-    blurs = _by_view("blurs", blurs, BLURS)
-    _check_options(variance, appearance_variance, diagonal, blurs)
+    blurs = _by_view("blurs", blurs, _usual_blurs(diagonal))
+    kept = _by_view("appearance_variance", appearance_variance, _usual_shares(variance))
+    _check_options(variance, kept, diagonal, blurs)
     entries, contours, edges = _entries(data)
     priors = _by_view("prior", prior, _usual_priors(variance, len(entries[0].points)))
     for asked in priors.values():
@@ -132,6 +168,8 @@ def train(
     recipes = {asked: choose_recipe(mean, shapes, asked, folds) for asked in dict.fromkeys(priors.values())}
     learnt = {asked: shape_model_on(mean, shapes, variance, recipe, folds) for asked, recipe in recipes.items()}
     triangles = _triangles(mean, triangles, edges)
+    each = (0 if _is_whole(variance) else COPIES) if copies is None else copies
+    copied = _copies(lamps, training_lamp, each, mean, len(entries), camera)
     model = AAM(
         views={view: make_view(view, learnt[priors[view]], triangles) for view in VIEWS},
         triangles=triangles,
@@ -139,28 +177,28 @@ def train(
         n_images=len(entries),
         contours=contours,
         name=name,
+        n_textures=len(copied.owners),
     )
     for entry in entries:
         _check_fold(entry, model.frame)
     others = [] if lit is None else _lit_entries(lit, entries, model.frame)
-    told = _Progress(progress, _work(len(entries), len(others), blurs, folds if leave_out else []))
-    sampled = _sample_all(entries, model, _blurs_by_encoding(blurs), told)
+    told = _Progress(progress, _work(len(copied.owners), len(others), blurs, folds if leave_out else []))
+    sampled = _sample_all(entries, model, _blurs_by_encoding(blurs), told, copied)
     lit_sampled = _sample_lit(others, entries, model, blurs[MESH], told, sampled.grey) if others else None
-    kept = variance if appearance_variance is None else appearance_variance
     learn = {
-        MESH: lambda i: _appearances(sampled, lit_sampled, i, camera.theta, kept, folds),
-        SURROUNDINGS: lambda i: {"soft": _soft_appearance(sampled.textures["soft"][i], kept, folds)},
+        MESH: lambda i: _appearances(sampled, lit_sampled, i, camera.theta, kept[MESH], folds),
+        SURROUNDINGS: lambda i: {"soft": _soft_appearance(sampled, i, kept[SURROUNDINGS], folds)},
     }
     for view in VIEWS:
         levels = []
         for i, blur in enumerate(blurs[view]):
-            told.step(f"appearance of the {view}", _learning(len(entries)))
+            told.step(f"appearance of the {view}", _learning(model.n_textures))
             levels.append(Level(float(blur), learn[view](i)))
         model = model.with_view(view, levels=tuple(levels))
     if leave_out:
         judged = METHODS[DEFAULT_METHOD].view
-        how = (recipes[priors[judged]], variance, kept)
-        reliability = _reliability(model, entries, shapes, sampled, how, folds, told)
+        how = (recipes[priors[judged]], variance, kept[judged])
+        reliability = _reliability(model, entries, shapes, sampled, copied, how, folds, told)
         model = model.with_view(judged, reliability=reliability)
     told.step("trained", 0)
     return model
@@ -218,13 +256,12 @@ def _by_view(option: str, given: Any, usual: Mapping[str, Any]) -> dict[str, Any
 
 def _check_options(
     variance: Variance,
-    appearance_variance: Variance | None,
+    kept: dict[str, Variance],
     diagonal: float,
     blurs: dict[str, Blurs],
 ) -> None:
-    check_variance(variance)
-    if appearance_variance is not None:
-        check_variance(appearance_variance)
+    for asked in (variance, *kept.values()):
+        check_variance(asked)
     if not 16 <= diagonal <= MAX_DIAGONAL:
         raise TrainingError(
             f"diagonal {diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels"
@@ -241,10 +278,42 @@ MOST_SMOOTH = 200
 1000, and grows with the third power."""
 
 
+def _copies(
+    lamps: Lamps | Iterable | None, training_lamp: str | None, each: int, mean: np.ndarray, n: int, camera: CameraModel
+) -> Copies:
+    """Copies to make of n pictures, under lamps that are given or learnt."""
+    if not 0 <= each <= MOST_COPIES:
+        raise TrainingError(f"copies {each}: give 0 to {MOST_COPIES} relit copies of each picture")
+    if lamps is not None and not isinstance(lamps, Lamps):
+        lamps = learn_lamps(lamps, training_lamp, response=camera.response)
+    if lamps is not None and len(lamps.mean) != len(mean):
+        raise TrainingError(
+            f"the lamps were learnt with {len(lamps.mean)} landmarks, but the pictures have {len(mean)}; lamps serve "
+            "objects with the same landmarks only"
+        )
+    return Copies.of(lamps, n, each, mirror_order(mean) if each else None)
+
+
+def _usual_blurs(diagonal: float) -> dict[str, Blurs]:
+    """Blurs of the views' levels where nobody asks for any."""
+    size = min(1.0, diagonal / FULL_SIZE)
+    return {**BLURS, SURROUNDINGS: tuple(max(LEAST_BLUR, size * blur) for blur in BLURS[SURROUNDINGS])}
+
+
+def _usual_shares(variance: Variance) -> dict[str, Variance]:
+    """How much of the appearances' variance the views keep where nobody asks for any."""
+    share = isinstance(variance, float) and variance < 1.0
+    return {MESH: variance, SURROUNDINGS: min(KEPT, variance) if share else variance}
+
+
+def _is_whole(variance: Variance) -> bool:
+    """Whether all of the variance is kept, for a model of the pictures as they are and nothing else."""
+    return isinstance(variance, float) and variance == 1.0
+
+
 def _usual_priors(variance: Variance, n_points: int) -> dict[str, str]:
     """Priors of the views' shapes where nobody asks for any."""
-    whole = isinstance(variance, float) and variance == 1.0
-    return {MESH: "sample", SURROUNDINGS: "sample" if whole or n_points > MOST_SMOOTH else "smooth"}
+    return {MESH: "sample", SURROUNDINGS: "sample" if _is_whole(variance) or n_points > MOST_SMOOTH else "smooth"}
 
 
 def _camera_of(camera: CameraModel | None, theta: float | None, response: Response | None) -> CameraModel:
@@ -342,28 +411,64 @@ def _check_fold(entry: _Entry, frame: ReferenceFrame) -> None:
 
 @dataclass(frozen=True)
 class _Sampled:
-    """Textures of all samples by encoding, one per blur, and whether all pictures are grey."""
+    """Textures of all samples by encoding, one per blur.
+
+    Attributes
+    ----------
+    textures : dict of str to list of Textures
+    owners : (n_textures,) int
+        Which sample the textures of :data:`COPIED_APPEARANCES` are of: each sample's own, then those of its copies.
+    grey : bool
+        Whether all pictures are grey.
+    """
 
     textures: dict[str, list[Textures]]
+    owners: np.ndarray
     grey: bool
 
+    @property
+    def n_samples(self) -> int:
+        return int(self.owners[-1]) + 1
 
-def _sample_all(entries: list[_Entry], model: AAM, blurs: dict[str, Blurs], told: _Progress) -> _Sampled:
-    """Sample the textures of all entries in every encoding asked for, at each of its blurs."""
+    def rows(self, encoding: str, samples: np.ndarray) -> np.ndarray:
+        """Which textures in an encoding are of some samples."""
+        return np.flatnonzero(np.isin(self.owners, samples)) if encoding in COPIED_APPEARANCES else samples
+
+    def folds(self, encoding: str, folds: list[np.ndarray]) -> list[np.ndarray]:
+        """Textures in an encoding to leave out together, for samples to leave out together."""
+        return [self.rows(encoding, fold) for fold in folds]
+
+
+def _sample_all(
+    entries: list[_Entry], model: AAM, blurs: dict[str, Blurs], told: _Progress, copied: Copies | None = None
+) -> _Sampled:
+    """Sample the textures of all entries in every encoding asked for, at each of its blurs, and those of copies."""
     camera, view_of = model.camera, {encoding: view for view, known in ENCODINGS_OF.items() for encoding in known}
     warps = {encoding: model.views[view_of[encoding]].warp for encoding in blurs}
-    room = {encoding: [_room(len(entries), warps[encoding], encoding) for _ in blurs[encoding]] for encoding in blurs}
-    grey = []
+    owners = np.arange(len(entries)) if copied is None else copied.owners
+    counts = {encoding: len(owners) if encoding in COPIED_APPEARANCES else len(entries) for encoding in blurs}
+    room = {encoding: [_room(n, warps[encoding], encoding) for _ in blurs[encoding]] for encoding, n in counts.items()}
+
+    def sample(image: np.ndarray, points: np.ndarray, encoding: str, row: int) -> None:
+        for (values, usable), blur in zip(room[encoding], blurs[encoding], strict=True):
+            found = sample_appearance(image, points, warps[encoding], encoding, camera.response, blur)
+            values[row], usable[row] = _learnt(encoding, *found, camera.theta)
+
+    grey, first = [], np.searchsorted(owners, np.arange(len(entries)))
     for i, entry in enumerate(entries):
         told.step(entry.name)
         image = as_colour(entry.read_image(), entry.name)
         _check_inside(entry, image)
         grey.append(is_grey(image))
         image = camera.flatten(image)
-        for encoding, warp in warps.items():
-            for (values, usable), blur in zip(room[encoding], blurs[encoding], strict=True):
-                found = sample_appearance(image, entry.points, warp, encoding, camera.response, blur)
-                values[i], usable[i] = _learnt(encoding, *found, camera.theta)
+        for encoding in blurs:
+            sample(image, entry.points, encoding, first[i] if encoding in COPIED_APPEARANCES else i)
+        if copied is not None:
+            made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
+            for row, (copy, points) in enumerate(made, first[i] + 1):
+                told.step(f"a copy of {entry.name}")
+                for encoding in COPIED_APPEARANCES:
+                    sample(copy, points, encoding, row)
         _check_light(entry, image, model.warp.interpolate(entry.points), room["log"][-1][1][i])
     if any(grey) and not all(grey):
         name = entries[grey.index(True)].name
@@ -372,7 +477,7 @@ def _sample_all(entries: list[_Entry], model: AAM, blurs: dict[str, Blurs], told
             "or make all grey"
         )
     textures = {encoding: [Textures.of(*each) for each in by_blur] for encoding, by_blur in room.items()}
-    return _Sampled(textures, all(grey))
+    return _Sampled(textures, owners, all(grey))
 
 
 def _room(n: int, warp: PiecewiseAffineWarp, encoding: str) -> tuple[np.ndarray, np.ndarray]:
@@ -486,30 +591,34 @@ def _appearances(
     sampled: _Sampled, lit: _Sampled | None, level: int, theta: float, asked: Variance, folds: list[np.ndarray]
 ) -> dict[str, AppearanceModel]:
     """All appearances of one level of the view ``mesh``."""
-    textures = {name: sampled.textures[name][level] for name in ENCODINGS_OF[MESH]}
+    textures, every = (
+        {name: sampled.textures[name][level] for name in ENCODINGS_OF[MESH]},
+        some_folds(sampled.n_samples),
+    )
     if not sampled.grey:
         # LIT: project first, then learn (paper section 4).
         log = textures["log"]
         textures["invariant"] = Textures.of(log.values @ invariant_row(theta).T.astype(np.float32), log.usable)
-    appearances = {
-        name: train_appearance_model(each, _counted(each.values, asked, folds)) for name, each in textures.items()
-    }
+    appearances = {}
+    for name, each in textures.items():
+        share = _counted(each.values, asked, sampled.folds(name, folds))
+        appearances[name] = train_appearance_model(each, share, left_out=sampled.folds(name, every))
     if lit is not None:
         # How many other lights ask for, the pictures under one light cannot tell.
         variance = 0.98 if asked == "auto" else asked
         value, other = textures["value"], lit.textures["value"][level]
         values, usable = (np.concatenate(pair) for pair in ((value.values, other.values), (value.usable, other.usable)))
-        appearances["varied"] = train_appearance_model(Textures.of(values, usable), variance)
+        varied, left_out = Textures.of(values, usable), some_folds(len(values))
+        appearances["varied"] = train_appearance_model(varied, variance, left_out=left_out)
         appearances["illumination"] = train_illumination(appearances["value"], other, variance)
     return appearances
 
 
-def _soft_appearance(
-    textures: Textures, variance: Variance, folds: list[np.ndarray], kept: np.ndarray | None = None
-) -> AppearanceModel:
-    """Learn gradient and invariant together, from all or the samples kept: what changes one changes the other."""
-    values = textures.values if kept is None else textures.values[kept]
-    return train_appearance_model(textures, _counted(values, variance, folds), kept, leave_out=kept is None)
+def _soft_appearance(sampled: _Sampled, level: int, variance: Variance, folds: list[np.ndarray]) -> AppearanceModel:
+    """Learn gradient and invariant together: what changes one changes the other."""
+    textures = sampled.textures["soft"][level]
+    share = _counted(textures.values, variance, sampled.folds("soft", folds))
+    return train_appearance_model(textures, share, left_out=sampled.folds("soft", some_folds(sampled.n_samples)))
 
 
 LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
@@ -521,11 +630,12 @@ def _reliability(
     entries: list[_Entry],
     shapes: np.ndarray,
     sampled: _Sampled,
+    copied: Copies,
     learnt: tuple[Recipe, Variance, Variance],
     folds: list[np.ndarray],
     told: _Progress,
 ) -> Reliability | None:
-    """Fit models of some of the samples to others, to learn what right and wrong fits look like.
+    """Fit models of some of the samples to others, as they are and relit, to learn what right and wrong fits look like.
 
     Pictures whose names say that they show the same object are left out together: one would give the others away.
     """
@@ -537,7 +647,10 @@ def _reliability(
             part = _without(model, fold, shapes, sampled, learnt)
             for j in _fitted(fold, folds):
                 told.step(f"fitting {entries[j].name}", FITTED)
-                yield LeftOut(part, as_colour(entries[j].read_image(), entries[j].name), shapes[j])
+                image = as_colour(entries[j].read_image(), entries[j].name)
+                yield LeftOut(part, image, shapes[j])
+                for relit in copied.relit(j, image, shapes[j], model.response):
+                    yield LeftOut(part, relit, shapes[j], relit=True)
 
     return calibrate(model, pictures())
 
@@ -572,10 +685,13 @@ def _without(
     """
     recipe, variance, appearance_variance = learnt
     others, name = np.setdiff1d(np.arange(len(shapes)), fold), METHODS[DEFAULT_METHOD].view
-    view, levels = model.views[name], []
+    view, levels, rows = model.views[name], [], sampled.rows("soft", others)
     for level, textures in zip(view.levels, sampled.textures["soft"], strict=True):
-        kept = level.appearances["soft"].n_modes if appearance_variance == "auto" else appearance_variance
-        levels.append(Level(level.blur, {"soft": _soft_appearance(textures, kept, [], others)}))
+        whole = level.appearances["soft"]
+        kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
+        part = train_appearance_model(textures, kept, rows, left_out=None)
+        # How far models err on what they have not seen, the folds of all have told.
+        levels.append(Level(level.blur, {"soft": replace(part, unexplained=whole.unexplained)}))
     modes = len(view.shape_model.modes) if variance == "auto" else variance
     part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)
     return model.with_view(name, warp=replace(view.warp, shape_model=part), levels=tuple(levels))

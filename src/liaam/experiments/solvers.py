@@ -21,8 +21,8 @@ class Solver:
     summary : str
         For people.
     options : SolverOptions
-    blurs : mapping of views to tuples of float
-        Levels of the model.
+    blurs : mapping of views to tuples of float, optional
+        Levels of the model; as ``liaam train`` has them if left out.
     variance : float
         Share of the variance kept in person-specific models of the simulated experiments.
     diagonal : float
@@ -34,7 +34,7 @@ class Solver:
 
     summary: str
     options: SolverOptions
-    blurs: Mapping[str, Blurs]
+    blurs: Mapping[str, Blurs] | None
     variance: float = 1.0
     diagonal: float = 150.0
     prior: str | None = None
@@ -57,7 +57,7 @@ PAPER = Solver(
 LIAAM = Solver(
     "damped steps, a prior on the shape, appearance eliminated, two levels of blur",
     SolverOptions(max_iterations=MAX_ITERATIONS),
-    BLURS,
+    None,
 )
 
 SOLVERS = {

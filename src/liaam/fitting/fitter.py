@@ -22,7 +22,7 @@ from liaam.mesh import folded_share
 from liaam.model import AAM, Level, Reliability, View
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.encoding import stored_values
-from liaam.shape import ShapeModel, Similarity, align
+from liaam.shape import ShapeModel, Similarity, align, diagonal_of
 
 FOLD_LIMIT = 0.3
 """Share of the mesh turned over beyond which a fit has diverged."""
@@ -33,6 +33,9 @@ since a few training images understate the variance."""
 
 LEAST_QUALITY = 0.5
 """Quality below which a fit that has settled is doubtful."""
+
+APART = 0.1
+"""Mean distance of two fits' landmarks, as a share of their size, beyond which they are of different places."""
 
 SLOW = 25
 """Steps beyond which a fit of little quality is begun again, though it is not doubtful. Right fits may have little
@@ -60,8 +63,8 @@ class Fitter:
     margin : float
         Surroundings of a start that fits may visit, as a share of the object's diagonal: less where starts are near.
     restarts : bool
-        Whether fits that are doubtful, or slow and of little quality (:attr:`liaam.model.Reliability.little`), are
-        begun again from elsewhere (:func:`liaam.fitting.restarts.other_starts`), of which the one of most quality is
+        Whether fits from a start that are doubtful, or slow and of little quality
+        (:attr:`liaam.model.Reliability.little`), are begun again from elsewhere (:func:`liaam.fitting.restarts.other_starts`), of which the one of most quality is
         kept: more heads that are turned away are found, at some ten times the time of a fit. For methods and models
         that know no quality, and for fits of so few iterations that they say nothing, it makes no difference.
 
@@ -157,6 +160,9 @@ class Fitter:
         """
         target, found = self.target(image, init, name)
         result = self._fit_from(target)
+        known = self.reliability
+        if init is None and known is not None and not result.quality >= known.little:
+            result, target, found = self._fit_elsewhere(target, result, found)
         if self.restarts and self._falls_short(result):
             result = self._fit_again(target, result)
         return replace(result, found=found)
@@ -173,9 +179,33 @@ class Fitter:
         slow = result.n_iterations > SLOW
         return result.quality < LEAST_QUALITY or (slow and result.quality < known.little)
 
+    def _fit_elsewhere(
+        self, target: Target, first: FitResult, found: Candidate | None
+    ) -> tuple[FitResult, Target, Candidate | None]:
+        """Best of a fit and of those at other places that a search finds, with its start, by their quality.
+
+        At most one place is the object's: where several fits look right, each is the less likely to be.
+        """
+        tried = [(first, target, found)]
+        for other in self.finder.others(target.image, target.response):
+            there = target._replace(start=other.shape)
+            tried.append((self._fit_from(there), there, other))
+        best = max(tried, key=lambda each: each[0].quality)
+        apart = APART * diagonal_of(best[0].shape)
+        odds = [
+            each.quality / max(1.0 - each.quality, 1e-9)
+            for each, *_ in tried
+            if np.linalg.norm(each.shape - best[0].shape, axis=1).mean() > apart
+        ]
+        own = best[0].quality / max(1.0 - best[0].quality, 1e-9)
+        quality = own / (1.0 + own + sum(odds))
+        doubtful = best[0].status.ok and quality < LEAST_QUALITY
+        status = FitStatus.DOUBTFUL if doubtful else best[0].status
+        return replace(best[0], n_starts=len(tried), quality=quality, status=status), *best[1:]
+
     def _fit_again(self, target: Target, first: FitResult) -> FitResult:
         """Best of a fit and of those from other starts, by their quality; the first ordinary one ends the search."""
-        known, best, n_starts = self.reliability, first, 1
+        known, best, n_starts = self.reliability, first, first.n_starts
         for start in other_starts(self.objectives[0], self._levels[0].blur, target, self.options):
             other, n_starts = self._fit_from(target._replace(start=start)), n_starts + 1
             if other.quality > best.quality and is_sane(other.shape, target.start):
@@ -371,8 +401,8 @@ def covariance(stage: Stage, strength: float = 1.0) -> np.ndarray:
 def evidence(stage: Stage) -> np.ndarray:
     """What tells a right fit from a wrong one, (2,) float64.
 
-    The share of the picture's contrast under the model that the fit explains, at most 1, and how far its shape is from
-    the mean: log(1 + mean squared mode in standard deviations).
+    The share of the picture's contrast under the model that the fit explains, at most 1, less what an unlikely
+    appearance costs, and how far its shape is from the mean: log(1 + mean squared mode in standard deviations).
     """
     objective, solution = stage.objective, stage.solution
     seen, method = solution.work, objective.method
@@ -386,7 +416,8 @@ def evidence(stage: Stage) -> np.ndarray:
     left = float((weights @ np.square(seen.residual.reshape(-1, method.n_rows)[:, rows])).sum())
     if not np.isfinite(left):
         return np.array([-1.0, 14.0])
-    explained = 1.0 - left / contrast if contrast > 0 else -1.0
+    unlikely = float(objective.template.ridge @ np.square(solution.state.lam))
+    explained = 1.0 - (left + unlikely) / contrast if contrast > 0 else -1.0
     modes = np.square(solution.state.p) * objective.prior
     far = modes[: objective.warp.n_parameters - 4].mean() if objective.warp.n_parameters > 4 else 0.0
     return np.array([max(explained, -1.0), np.log1p(min(far, 1e6))])

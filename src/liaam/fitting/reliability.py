@@ -2,7 +2,8 @@
 
 A fit that settles need not be right. What tells is how much of the picture it explains, and how strange a shape it
 takes to do so; where the line runs between right and wrong depends on the object and on how well the model knows it.
-So models are fitted, at training, to pictures that they have not seen, from starts near and far.
+So models are fitted, at training, to pictures that they have not seen, from starts near and far, and at the places
+where a search would look next: a search takes the best of many wrong places, and that is what has to be told apart.
 """
 
 from collections.abc import Iterable
@@ -13,6 +14,7 @@ import numpy as np
 from liaam.evaluation import point_error
 from liaam.fitting.fitter import Fitter, fitted_covariances
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+from liaam.fitting.search import Finder, is_searchable
 from liaam.fitting.solver import SolverOptions
 from liaam.model import AAM, Reliability
 from liaam.shape import align, diagonal_of, rotation, shifted_into
@@ -23,6 +25,9 @@ which as wrong; what lies between teaches nothing."""
 
 OPTIONS = SolverOptions(max_iterations=20)
 """Right fits settle sooner, and wrong ones need not settle."""
+
+PLACES = 4
+"""Places of a search that are fitted in a picture, besides those that fill the frame; the worst of them counts."""
 
 SHRINK = 5.0
 """Left-out pictures that the average over all landmarks counts as, where each landmark's own spread is estimated."""
@@ -40,11 +45,15 @@ MOST_UNDERSTATED = 10.0
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """A picture, its landmarks, and a model that has not seen it (on the frame of the model that has)."""
+    """A picture, its landmarks, and a model that has not seen it (on the frame of the model that has).
+
+    ``relit`` if the picture is shown in another light than it was taken in; its background says nothing then.
+    """
 
     model: AAM
     image: np.ndarray
     points: np.ndarray
+    relit: bool = False
 
 
 def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
@@ -62,6 +71,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
         None where there is nothing to learn from: too few right fits.
     """
     seen, right, errors, spreads, surprises, fitter = [], [], [], [], [], None
+    finder = Finder(model)
     for i, picture in enumerate(pictures):
         rng = np.random.default_rng([7, i])
         if fitter is None or fitter.model is not picture.model:
@@ -81,6 +91,10 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
             if not RIGHT < error <= WRONG:
                 seen.append(result.evidence)
                 right.append(error <= RIGHT)
+        elsewhere = None if picture.relit else _elsewhere(picture, fitter, finder)
+        if elsewhere is not None:
+            seen.append(elsewhere)
+            right.append(False)
     if sum(right) < 3 or not errors:
         return None
     weights = _weights(np.array(seen), np.array(right))
@@ -109,6 +123,19 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
     angle = np.deg2rad(rng.choice([-1, 1]) * turn * rng.uniform(0.5, 1.0))
     step = shift * diagonal_of(shape) * np.array([np.cos(towards), np.sin(towards)])
     return (shape - centre) @ rotation(angle).T + centre + step
+
+
+def _elsewhere(picture: LeftOut, fitter: Fitter, finder: Finder) -> np.ndarray | None:
+    """Evidence of the fit that explains most of a picture at the places that a search finds, but for its object's."""
+    found = []
+    if not is_searchable(finder.model):
+        return None
+    for candidate in finder.others(picture.image, fitter.model.response, PLACES):
+        result = fitter.fit(picture.image, candidate)
+        error = point_error(result.shape, picture.points) / diagonal_of(picture.points)
+        if error > WRONG and not result.status.lost and np.isfinite(result.evidence).all():
+            found.append(result.evidence)
+    return max(found, key=lambda evidence: evidence[0], default=None)
 
 
 def _surprise(error: np.ndarray, spread: np.ndarray) -> float:

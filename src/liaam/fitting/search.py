@@ -103,6 +103,12 @@ place has 0.84 at least on 609 of the photographs of :data:`SURE`, and 0.77 on a
 MOST = 20
 """Objects in a picture at most."""
 
+OTHERS = 6
+"""Places to try in the end where the one that was found is not the object."""
+
+FILLING = (0.95, 1.1)
+"""Diagonals of objects that fill the frame, as shares of its shorter side."""
+
 SPECTRA_KEPT = 600_000
 """Pixels of the fields whose templates' spectra are kept, some 90 bytes each: those of pictures of one size and more,
 unless they are panoramas."""
@@ -357,6 +363,26 @@ class Finder:
         chosen = _apart(sorted(seen, key=lambda candidate: -candidate.score), most)
         return [candidate for candidate in chosen if candidate.score >= least]
 
+    def others(self, image: np.ndarray, response: Response | None = None, most: int = OTHERS) -> list[Candidate]:
+        """Places to try where the one that was found is not the object: the next best, and such that fill the frame.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8, uint16 or float32
+        response : Response, optional
+            Of the image's camera; the training camera's if left out.
+        most : int
+            Places of the search's own, at most.
+
+        Returns
+        -------
+        list of Candidate
+            The search's own come first, the best of them first.
+        """
+        search = _Search(self, image, self.model.response if response is None else response, 6 + 4 * most)
+        best = sorted(search.for_all(), key=lambda candidate: -candidate.score)
+        return _different(_different(best)[:most] + search.filling())
+
     def _responses(self, field: Field, which: int, count: int, worth: float) -> _Peaks:
         """Local maxima of every template's correlation with a field (number ``which``), the best few of each template.
 
@@ -478,6 +504,17 @@ class _Search:
         self.found = []
         seen = [self._fitted(place) for place in self._peaks(self.sizes).places()]
         return [candidate for candidate in seen if _is_inside(candidate.shape, self.image)]
+
+    def filling(self) -> list[Candidate]:
+        """Fit an object in the middle of the frame, about as large: pictures cut out around objects have no border.
+
+        What lies outside a picture responds to no template, so such places respond little.
+        """
+        size, small = np.array(self.image.shape[1::-1]), self.finder.small
+        scales = [share * size.min() / small.diagonal for share in FILLING]
+        nearest = [int(np.argmin([abs(np.log(field.scale / scale)) for field in self.fields])) for scale in scales]
+        centre, upright = tuple(0.5 * (size - 1.0)), TURNS.index(0.0)
+        return [self._fitted(_Place(centre, *at, upright)) for at in zip(scales, nearest, strict=True)]
 
     def _peaks(self, sizes: np.ndarray, worth: float = 0.0) -> _Peaks:
         """Best places by correlation alone, of objects of these sizes and of those looked for before."""
@@ -705,6 +742,16 @@ def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
     chosen: list[Candidate] = []
     for candidate in candidates:
         if len(chosen) < most and all(_overlap(candidate.shape, other.shape) < 0.3 for other in chosen):
+            chosen.append(candidate)
+    return chosen
+
+
+def _different(candidates: list[Candidate]) -> list[Candidate]:
+    """Candidates that lie apart from those before them, by a tenth of their size."""
+    chosen: list[Candidate] = []
+    for candidate in candidates:
+        least = 0.1 * diagonal_of(candidate.shape)
+        if all(np.linalg.norm(candidate.shape - other.shape, axis=1).mean() > least for other in chosen):
             chosen.append(candidate)
     return chosen
 

@@ -385,16 +385,14 @@ class Tracker:
     def _search(self, pixels: np.ndarray, name: str, first: bool) -> tuple[bool, FitResult | None]:
         """Look for the object in the whole frame."""
         try:
-            (found, *_) = self.fitter.find(pixels, name=name)
-            # A doubtful place is worth a fit only where fits can tell whether they are right.
-            if found.doubtful and self.fitter.reliability is None:
-                return False, None
-            tried = self.fitter.fit(pixels, found, name)
+            tried = self.fitter.fit(pixels, name=name)
         except (StartError, ImageError):
             if first:
                 raise
             return False, None
-        return _usable(tried) and not (found.doubtful and np.isnan(tried.quality)), tried
+        # A doubtful place counts only where fits can tell whether they are right.
+        doubtful = tried.found is not None and tried.found.doubtful
+        return _usable(tried) and not (doubtful and np.isnan(tried.quality)), tried
 
     def _seen(self, result: FitResult, status: TrackStatus, index: int, time: float) -> TrackedFrame:
         """Take a fit into the track."""
