@@ -12,12 +12,26 @@ from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from liaam.datasets.scenes import Camera, photograph, poster, uneven_light
+from liaam.datasets import Sample
+from liaam.datasets.scenes import (
+    DIFFUSE,
+    Camera,
+    Head,
+    Pose,
+    lateral,
+    photograph,
+    poster,
+    render,
+    uneven_light,
+)
 from liaam.experiments.demo import run_demo
 from liaam.experiments.noise import noise_experiment
 from liaam.experiments.reconstruct import reconstruct_experiment
 from liaam.experiments.runner import run_experiment
+from liaam.io import Landmarks
+from liaam.lamps import learn_lamps
 from liaam.photometry import CameraModel, invariant_image, theta_from_scene
+from liaam.plotting import figure_of_lamps
 from liaam.plotting_photometry import figure_of_invariants, save_figure
 
 HERE = Path(__file__).parent
@@ -35,6 +49,7 @@ def main() -> None:
         run_experiment(noise_experiment(methods=METHODS, trials=TRIALS), folder / "noise")
         run_experiment(reconstruct_experiment(methods=("li",), trials=PICTURES), folder / "reconstruct")
         draw_calibration(folder / "calibration.png")
+        draw_lamps(HERE / "lamps.png")
         keep(folder / "calibration.png", "calibration.png")
         keep(folder / "demo" / "figure.png", "demo.png")
         keep(folder / "noise" / "pictures.png", "shadow.png")
@@ -50,6 +65,19 @@ def draw_calibration(path: Path) -> None:
     camera = CameraModel(theta=theta_from_scene(pictures).theta)
     rows = {name: (picture, invariant_image(picture, camera)) for name, picture in zip(names, pictures, strict=True)}
     save_figure(figure_of_invariants(rows), path, dpi=90)
+
+
+def draw_lamps(path: Path) -> None:
+    """A head under the lamps of two others."""
+    lights = {"day": DIFFUSE, "left": lateral("left"), "right": lateral("right")}
+
+    def photographed(head: int, pose: Pose) -> list[Sample]:
+        scenes = {name: render(Head(head), pose, lights=light, size=(200, 160)) for name, light in lights.items()}
+        return [Sample(f"{head}-{name}", scene.image, Landmarks(scene.landmarks)) for name, scene in scenes.items()]
+
+    lamps = learn_lamps([*photographed(1, Pose()), *photographed(2, Pose(yaw=0.1))], "day")
+    other = photographed(5, Pose(yaw=-0.15))[0]
+    save_figure(figure_of_lamps(lamps, other.image, other.landmarks.points), path, dpi=110)
 
 
 def keep(figure: Path, name: str) -> None:

@@ -286,7 +286,7 @@ def fit(
                 if not result.status.ok:
                     failed += 1
                     advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
-                if result.found is not None and result.found.doubtful:
+                if result.place_doubtful:
                     advice.setdefault(DOUBT, []).append(image.name)
     if table.row_count:
         console.print(table)
@@ -303,7 +303,7 @@ def row_of(result: "FitResult") -> tuple[str, ...]:
 
     start = "given" if result.found is None else f"found, {result.found.score:.2f}"
     angle = f"{angle_degrees(result):.1f}°" if angle_degrees(result) is not None else "–"
-    quality = "–" if np.isnan(result.quality) else f"{result.quality:.2f}"
+    quality = "unknown" if np.isnan(result.quality) else f"{result.quality:.2f}"
     error = f"{np.median(result.deviations):.1f} px" if result.status.ok else "–"
     return start, str(result.status), quality, error, str(result.n_iterations), angle
 

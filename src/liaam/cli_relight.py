@@ -131,9 +131,14 @@ def taken_apart(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Religh
 
 def report(results: "dict[str, FitResult]") -> bool:
     """Say which fits may be wrong; gives whether one is."""
+    import numpy as np
+
     for name, result in results.items():
         if not result.status.ok:
             complain(f"{name}: {result.status}: {result.message}")
-        if result.found is not None and result.found.doubtful:
+        if result.place_doubtful:
             complain(f"{name}: {DOUBT}")
+        elif np.isnan(result.quality):
+            place = "" if result.found is None else f", the search's score {result.found.score:.2f}"
+            complain(f"{name}: quality unknown{place}: the model was trained without leaving pictures out; look at it")
     return any(not result.status.ok for result in results.values())

@@ -64,9 +64,10 @@ class Fitter:
         Surroundings of a start that fits may visit, as a share of the object's diagonal: less where starts are near.
     restarts : bool
         Whether fits from a start that are doubtful, or slow and of little quality
-        (:attr:`liaam.model.Reliability.little`), are begun again from elsewhere (:func:`liaam.fitting.restarts.other_starts`), of which the one of most quality is
-        kept: more heads that are turned away are found, at some ten times the time of a fit. For methods and models
-        that know no quality, and for fits of so few iterations that they say nothing, it makes no difference.
+        (:attr:`liaam.model.Reliability.little`), are begun again from elsewhere
+        (:func:`liaam.fitting.restarts.other_starts`), of which the one of most quality is kept: more heads that are
+        turned away are found, at some ten times the time of a fit. For methods and models that know no quality, and for
+        fits of so few iterations that they say nothing, it makes no difference.
 
     Examples
     --------

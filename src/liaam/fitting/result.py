@@ -183,6 +183,14 @@ class FitResult:
         return np.sqrt(0.5 * np.trace(self.landmark_covariances, axis1=1, axis2=2))
 
     @property
+    def place_doubtful(self) -> bool:
+        """Whether a search found the place, is not sure of it, and nothing tells whether the fit is right.
+
+        Where the quality is known, that and the status tell.
+        """
+        return self.found is not None and self.found.doubtful and bool(np.isnan(self.quality))
+
+    @property
     def start(self) -> np.ndarray:
         """Landmarks at the start of the fit that was kept, (n, 2) float64."""
         return self.history[0].shape
@@ -197,7 +205,7 @@ class FitResult:
             "start": "given" if self.found is None else "searched",
             "starts_tried": self.n_starts,
             "search_score": None if self.found is None else self.found.score,
-            "search_doubtful": None if self.found is None else self.found.doubtful,
+            "search_doubtful": None if self.found is None else self.place_doubtful,
             "method": self.method.name,
             "status": str(self.status),
             "message": self.message,

@@ -209,7 +209,7 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
         return {**_NOTHING, **facts}
     covariances, size = result.landmark_covariances, diagonal_of(result.shape)
     certain = bool(np.isfinite(covariances).all()) and size > 0
-    found = result.found is None or not result.found.doubtful
+    found = not result.place_doubtful
     return {
         **facts,
         "points": [[round(x, 3), round(y, 3)] for x, y in result.shape.tolist()],

@@ -391,8 +391,7 @@ class Tracker:
                 raise
             return False, None
         # A doubtful place counts only where fits can tell whether they are right.
-        doubtful = tried.found is not None and tried.found.doubtful
-        return _usable(tried) and not (doubtful and np.isnan(tried.quality)), tried
+        return _usable(tried) and not tried.place_doubtful, tried
 
     def _seen(self, result: FitResult, status: TrackStatus, index: int, time: float) -> TrackedFrame:
         """Take a fit into the track."""
