@@ -147,3 +147,30 @@ def test_models_of_few_modes_are_bent_as_far_as_they_go(scenes, lit_scene, n_mod
     shapes = other_starts(own.objectives[0], model.views[SURROUNDINGS].levels[0].blur, target, SolverOptions())
     assert all(np.isfinite(shape).all() for shape in shapes)
     assert shapes
+
+
+# A box is a hint, a shape is a start.
+
+
+def test_a_box_beside_the_object_is_searched_around(head_model, moving):
+    scene = moving[3]
+    image = np.pad(scene.image, ((30, 30), (60, 60), (0, 0)), mode="edge")
+    truth = scene.landmarks + np.array([60, 30])
+    low, high = truth.min(axis=0), truth.max(axis=0)
+    side = high - low
+    box = np.concatenate([low, high]) + np.tile(0.45 * side, 2)
+    fitter = Fitter(head_model)
+    found = fitter.fit(image, box)
+    assert found.status.ok and found.found is None and found.n_starts > 1
+    assert model_pixels(head_model, found.shape, truth) < 1.0
+    # The same place given as a shape is believed, and so is a box that is fitted once.
+    once = Fitter(head_model, restarts=False).fit(image, box)
+    assert once.n_starts == 1 and not once.status.ok
+
+
+def test_a_box_at_the_border_is_searched_in_the_picture(head_model, moving):
+    image = moving[0].image
+    height, width = image.shape[:2]
+    for box in ((-30, -30, 50, 50), (width - 50, height - 50, width + 30, height + 30), (5, 5, 9, 12)):
+        result = Fitter(head_model).fit(image, box)
+        assert np.isfinite(result.quality)

@@ -34,6 +34,10 @@ since a few training images understate the variance."""
 LEAST_QUALITY = 0.5
 """Quality below which a fit that has settled is doubtful."""
 
+AROUND_BOX, LEAST_REGION = 0.3, 16
+"""What is searched around a box that is given as a start, as a share of its sides, and pixels across at least. A
+detector's box tells about where and how large an object is; a shape is where to start."""
+
 APART = 0.1
 """Mean distance of two fits' landmarks, as a share of their size, beyond which they are of different places."""
 
@@ -145,7 +149,8 @@ class Fitter:
         image : (h, w, 3) uint8, uint16 or float array, or path
         init : (n, 2) shape, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
             Where to start, image pixels (see :func:`liaam.fitting.start.start_shape`); if left out, the object is
-            searched for, and ``result.found`` says how sure that is.
+            searched for, and ``result.found`` says how sure that is. A shape is a start; a box, as of a detector, is
+            a hint: where the fit from it comes to little, the object is searched for around it.
         name : str
             What to call the image in errors; a path's own name is used for paths.
 
@@ -161,9 +166,9 @@ class Fitter:
         """
         target, found = self.target(image, init, name)
         result = self._fit_from(target)
-        known = self.reliability
-        if init is None and known is not None and not result.quality >= known.little:
-            result, target, found = self._fit_elsewhere(target, result, found)
+        region = self._region(init, target.image)
+        if region is not None and self._says_much(result) and not result.quality >= self._little:
+            result, target, found = self._fit_elsewhere(target, result, found, region)
         if self.restarts and self._falls_short(result):
             result = self._fit_again(target, result)
         return replace(result, found=found)
@@ -174,23 +179,42 @@ class Fitter:
 
     def _falls_short(self, result: FitResult) -> bool:
         """Whether a fit may be wrong for want of a better start; cut short, it says nothing about its start."""
-        known = self.reliability
-        if known is None or result.status.unusable or self.options.max_iterations <= SLOW:
-            return False
-        slow = result.n_iterations > SLOW
-        return result.quality < LEAST_QUALITY or (slow and result.quality < known.little)
+        least = max(LEAST_QUALITY, self._little) if result.n_iterations > SLOW else LEAST_QUALITY
+        return self._says_much(result) and result.quality < least
+
+    def _says_much(self, result: FitResult) -> bool:
+        """Whether its quality tells whether a fit is right: it is known, and the fit was not cut short."""
+        short = self.options.max_iterations <= SLOW
+        return self.reliability is not None and not result.status.unusable and not short
+
+    @property
+    def _little(self) -> float:
+        return 0.0 if self.reliability is None else self.reliability.little
+
+    def _region(self, init, image: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Corners of where else the object may be: anywhere without a start, about a box, and not about a shape."""
+        limits = np.array(image.shape[1::-1])
+        if init is None:
+            return np.zeros(2, int), limits
+        box = None if isinstance(init, Candidate) or hasattr(init, "points") else np.asarray(init, np.float64)
+        if box is None or box.shape != (4,) or not self.restarts:
+            return None
+        low, high = box.reshape(2, 2)
+        low, high = low - AROUND_BOX * (high - low), high + AROUND_BOX * (high - low)
+        low = np.clip(low, 0, limits - LEAST_REGION).astype(int)
+        return low, np.clip(np.ceil(high).astype(int), low + LEAST_REGION, limits)
 
     def _fit_elsewhere(
-        self, target: Target, first: FitResult, found: Candidate | None
+        self, target: Target, first: FitResult, found: Candidate | None, region: tuple[np.ndarray, np.ndarray]
     ) -> tuple[FitResult, Target, Candidate | None]:
-        """Best of a fit and of those at other places that a search finds, with its start, by their quality.
+        """Best of a fit and of those at other places that a search finds in a region, with its start, by their quality.
 
         At most one place is the object's: where several fits look right, each is the less likely to be.
         """
-        tried = [(first, target, found)]
-        for other in self.finder.others(target.image, target.response):
-            there = target._replace(start=other.shape)
-            tried.append((self._fit_from(there), there, other))
+        tried, (low, high) = [(first, target, found)], region
+        for other in self.finder.others(target.image[low[1] : high[1], low[0] : high[0]], target.response):
+            there = target._replace(start=other.shape + low)
+            tried.append((self._fit_from(there), there, None if found is None else other))
         best = max(tried, key=lambda each: each[0].quality)
         apart = APART * diagonal_of(best[0].shape)
         odds = [
