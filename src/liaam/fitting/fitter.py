@@ -14,7 +14,7 @@ from liaam.fitting.objective import Objective, State, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import MARGIN, FitProblem
 from liaam.fitting.restarts import other_starts
-from liaam.fitting.result import FitResult, FitStatus, Iteration
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration
 from liaam.fitting.search import DOUBTFUL, Candidate, Finder
 from liaam.fitting.solver import Solution, SolverOptions, scored, settle_lambda
 from liaam.fitting.start import start_shape
@@ -30,9 +30,6 @@ FOLD_LIMIT = 0.3
 SHAPE_LIMIT = 5.0
 """Standard deviations of a shape mode beyond which a fit has diverged; half a model pixel is granted on top,
 since a few training images understate the variance."""
-
-LEAST_QUALITY = 0.5
-"""Quality below which a fit that has settled is doubtful."""
 
 AROUND_BOX, LEAST_REGION = 0.3, 16
 """What is searched around a box that is given as a start, as a share of its sides, and pixels across at least. A

@@ -98,6 +98,10 @@ class Iteration:
     level: int = 0
 
 
+LEAST_QUALITY = 0.5
+"""Quality below which a fit that has settled is doubtful."""
+
+
 @dataclass(frozen=True, eq=False)
 class FitResult:
     """Result of fitting one image.
@@ -184,11 +188,8 @@ class FitResult:
 
     @property
     def place_doubtful(self) -> bool:
-        """Whether a search found the place, is not sure of it, and nothing tells whether the fit is right.
-
-        Where the quality is known, that and the status tell.
-        """
-        return self.found is not None and self.found.doubtful and bool(np.isnan(self.quality))
+        """Whether a search found the place and is not sure of it, and no quality says that the fit is right."""
+        return self.found is not None and self.found.doubtful and not self.quality >= LEAST_QUALITY
 
     @property
     def start(self) -> np.ndarray:

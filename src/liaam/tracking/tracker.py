@@ -15,10 +15,10 @@ import numpy as np
 
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
-from liaam.fitting.fitter import LEAST_QUALITY
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import NEAR
+from liaam.fitting.result import LEAST_QUALITY
 from liaam.model import AAM
 from liaam.photometry import CameraModel
 from liaam.shape import align, diagonal_of
