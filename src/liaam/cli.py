@@ -92,7 +92,7 @@ def train(
         ),
     ] = "0.98",
     appearance_variance: Annotated[
-        str | None, typer.Option(help="The same for the appearance; if left out as --variance, and 0.9 for soft-li.")
+        str | None, typer.Option(help="The same for the appearance; if left out as --variance, and 0.85 for soft-li.")
     ] = None,
     prior: Annotated[
         list[str] | None,
@@ -169,7 +169,7 @@ def train(
     others = None if lit is None else load_folder(lit, recursive=recursive)
     if others is not None:
         say(f"other lights: {others.report()}")
-    light = None if lamps is None else read_lamps(lamps, training_lamp, recursive)
+    light = None if lamps is None else read_lamps(lamps, training_lamp, recursive, options["camera"].response)
     warn_of_faults(data, folder)
     with stoppable_progress(counted=False) as tell:
         model = train_model(
@@ -402,7 +402,7 @@ def show(
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise LiaamError(f"{path}: give a picture file that ends in .png, .svg or .pdf")
     if lit:
-        draw_lamps(read_lamps(file, None, False), path, None if image is None else read_sample(image))
+        draw_lamps(read_lamps(file), path, None if image is None else read_sample(image))
     else:
         from liaam.model import load_model
         from liaam.plotting import figure_of_model, save_figure

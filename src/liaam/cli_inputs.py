@@ -43,10 +43,13 @@ def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool) -> 
 def read_sample(image: Path) -> "Sample":
     """A picture with the landmarks beside it."""
     from liaam.datasets import load_folder
+    from liaam.io.files import existing_file
 
-    if not image.is_file():
-        raise LiaamError(f"{image}: there is no such picture")
-    return next(iter(load_folder(image.parent).select(lambda sample: sample.image == image)))
+    existing_file(image, LiaamError, "picture")
+    found = next((sample for sample in load_folder(image.parent) if sample.image == image), None)
+    if found is None:
+        raise LiaamError(f"{image}: there are no landmarks beside this picture")
+    return found
 
 
 def read_init(text: str, image: Path, size: tuple[int, int]):

@@ -12,6 +12,7 @@ from liaam.terminal import progress_bar, say
 if TYPE_CHECKING:
     from liaam.datasets import Sample
     from liaam.lamps import Lamps
+    from liaam.photometry import Response
 
 LAMPS_SUFFIX = ".lamps"
 """Of files of lamps."""
@@ -52,7 +53,9 @@ def lamps(
     say(f"written to {picture}")
 
 
-def read_lamps(source: Path, training_lamp: str | None, recursive: bool) -> "Lamps":
+def read_lamps(
+    source: Path, training_lamp: str | None = None, recursive: bool = False, response: "Response" = "srgb"
+) -> "Lamps":
     """Lamps of a file, or learnt from a folder."""
     from liaam.lamps import learn_lamps, load_lamps
 
@@ -60,7 +63,7 @@ def read_lamps(source: Path, training_lamp: str | None, recursive: bool) -> "Lam
         return load_lamps(source)
     data = read_folder(source, None, recursive)
     with progress_bar() as tell:
-        return learn_lamps(data, training_lamp, progress=tell)
+        return learn_lamps(data, training_lamp, response=response, progress=tell)
 
 
 def draw_lamps(lamps: "Lamps", path: Path, picture: "Sample | None" = None) -> None:

@@ -291,27 +291,15 @@ def load_model(path: str | os.PathLike) -> AAM:
 
 
 def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
-    """Header and tensors of a file; sizes are checked by safetensors against the file's own length."""
-    from safetensors import SafetensorError, safe_open
+    """Header and tensors of a file."""
+    from liaam.io.tensors import read_tensors
 
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise ModelFileError(f"{path}: the model file {what}; make one with 'liaam train FOLDER -o MODEL'")
-    try:
-        with safe_open(path, framework="numpy") as file:
-            header = _checked_header(path, (file.metadata() or {}).get("liaam", ""))
-            return header, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (no mapping)
-    except (
-        SafetensorError,
-        AttributeError,
-        TypeError,
-    ) as error:  # the last two: number types that numpy lacks
-        raise ModelFileError(
-            f"{path}: this is no complete liaam model ({error}); it may be cut short or of another kind: "
-            "copy it again or train it again"
-        ) from error
-    except OSError as error:
-        raise ModelFileError(f"{path}: the model file cannot be read ({error.strerror or error})") from error
+    broken = (
+        "this is no complete liaam model ({fault}); it may be cut short or of another kind: copy it again or "
+        "train it again"
+    )
+    make = "liaam train FOLDER -o MODEL"
+    return read_tensors(path, lambda text: _checked_header(path, text), ModelFileError, "model file", make, broken)
 
 
 def _checked_header(path: Path, text: str) -> dict:

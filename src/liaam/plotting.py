@@ -565,28 +565,25 @@ def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.nd
         image = np.full((160, 160, 3), 128, np.uint8)
         points = 79.5 + 100.0 * lamps.mean
     shown = range(min(len(lamps), LAMPS_DRAWN))
-    pictures = [image, *lamps.relit(image, points, shown)]
     titles = ["light of training", *(lamps.names[i] for i in shown)]
-    rows = -(-len(pictures) // LAMPS_ACROSS)
-    height = 1.6 * image.shape[0] / image.shape[1] + 0.3
-    figure, axes = subplots(
-        rows, min(len(pictures), LAMPS_ACROSS), (1.6 * min(len(pictures), LAMPS_ACROSS), height * rows)
-    )
-    for axis in axes.flat:
-        axis.axis("off")
-    for axis, picture, title in zip(axes.flat, pictures, titles, strict=False):
-        show_picture(axis, picture, title)
-        axis.title.set_fontsize(7)
-    axes.flat[0].plot(*points.T, ".", color="white", ms=1.5)
+    lit = [image, *lamps.relit(image, points, shown)]
+    pictures: list[tuple[str, np.ndarray | None]] = list(zip(titles, lit, strict=True))
+    rows = [pictures[first : first + LAMPS_ACROSS] for first in range(0, len(pictures), LAMPS_ACROSS)]
+    rows[-1] += [(" " * i, None) for i in range(len(rows[0]) - len(rows[-1]))]
+    figure = figure_of_pictures([dict(row) for row in rows], 1.6)
+    figure.axes[0].plot(*points.T, ".", color="white", ms=1.5)
     return figure
 
 
-def figure_of_pictures(rows: Sequence[Mapping[str, np.ndarray | None]]) -> "Figure":
-    """Pictures with titles, a row for each mapping; None leaves a gap, and a column without any picture is left out."""
+def figure_of_pictures(rows: Sequence[Mapping[str, np.ndarray | None]], width: float = 2.6) -> "Figure":
+    """Pictures with titles, a row for each mapping; None leaves a gap, and a column without any picture is left out.
+
+    ``width`` is that of a picture, inches.
+    """
     shown = [i for i in range(len(rows[0])) if any(list(row.values())[i] is not None for row in rows)]
     first = next(image for image in rows[0].values() if image is not None)
-    height = 2.6 * first.shape[0] / first.shape[1] + 0.3
-    figure, axes = subplots(len(rows), len(shown), (2.6 * len(shown), height * len(rows)))
+    height = width * first.shape[0] / first.shape[1] + 0.3
+    figure, axes = subplots(len(rows), len(shown), (width * len(shown), height * len(rows)))
     for line, row in zip(axes, rows, strict=True):
         titles, images = list(row), list(row.values())
         for axis, i in zip(line, shown, strict=True):

@@ -119,7 +119,7 @@ class Light:
         """
         sizes = [block_size(encoding, pose.scale, blur) for blur in blurs]
         # The coarsest patch reaches for two of its pixels more, and begins with a whole one.
-        low, high = _surroundings(image, shape, margin, 2.0 * max(sizes))
+        low, high = corners_around(image, shape, margin, 2.0 * max(sizes))
         size = _limited(min(sizes), low, high)
         return cls(image, encoding, response, _Blocks.of(image, low, high, size, encoding, response))
 
@@ -170,7 +170,7 @@ def make_patch(
     """
     shared, picture = (image, image.image) if isinstance(image, Light) else (None, image)
     size = block_size(encoding, pose.scale, blur)
-    low, high = _surroundings(picture, shape, margin, size)
+    low, high = corners_around(picture, shape, margin, size)
     size = _limited(size, low, high)
     blocks = shared.blocks_of(low, high, size, encoding, response) if shared is not None else None
     means, first, size = blocks or _Blocks.of(picture, low, high, size, encoding, response)
@@ -182,8 +182,11 @@ def make_patch(
     return Patch(channels, from_image, WIDTHS[encoding])
 
 
-def _surroundings(image: np.ndarray, shape: np.ndarray, margin: float, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (x, y) int of a shape's surroundings within an image, the second one not included."""
+def corners_around(image: np.ndarray, shape: np.ndarray, margin: float, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (x, y) int of a shape's surroundings within an image, the second one not included.
+
+    ``margin`` is a share of the shape's diagonal; two pixels of a ``size`` in image pixels are added.
+    """
     limits = np.array(image.shape[1::-1])
     pad = margin * diagonal_of(shape) + 2 * size
     low = np.clip(np.floor(shape.min(axis=0) - pad), 0, limits - 2)

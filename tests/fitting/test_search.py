@@ -26,7 +26,7 @@ from liaam.fitting.search import (
 from liaam.model import AAM, MESH, Level
 from liaam.shape import diagonal_of, rotation
 from liaam.workers import one_thread
-from setups import model_pixels
+from setups import model_pixels, train_on
 
 WIDE = (320, 420)
 
@@ -148,9 +148,10 @@ def test_a_place_that_scores_too_little_ends_no_search(finder, monkeypatch):
     assert fits_counted(finder, monkeypatch, image)[1] == tried
 
 
-def test_weaker_places_are_looked_at_where_the_best_lie_outside(finder, monkeypatch):
+def test_weaker_places_are_looked_at_where_the_best_lie_outside(scenes, monkeypatch):
+    # A model of the pictures as they are: mirrored copies let the search see a little of the head anywhere.
+    finder = Finder(train_on(scenes, diagonal=80.0, copies=0))
     image, asked, is_inside = photograph(Pose(scale=0.7)).image, [], search._is_inside
-    (there,) = finder.find(image)
     monkeypatch.setattr(search, "WORTH", 1.0)  # a single place, which is the object
 
     def anywhere_but_there(shape, picture):
@@ -160,7 +161,7 @@ def test_weaker_places_are_looked_at_where_the_best_lie_outside(finder, monkeypa
     monkeypatch.setattr(search, "_is_inside", anywhere_but_there)
     (found,) = finder.find(image)
     assert len(asked) > 1
-    assert 0 < found.score < there.score
+    assert 0 < found.score < DOUBTFUL
 
 
 def test_a_picture_that_shows_nothing_is_looked_at_once(finder, monkeypatch):

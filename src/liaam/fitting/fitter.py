@@ -15,14 +15,14 @@ from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import MARGIN, FitProblem
 from liaam.fitting.restarts import other_starts
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration
-from liaam.fitting.search import DOUBTFUL, Candidate, Finder
+from liaam.fitting.search import DOUBTFUL, Candidate, Finder, are_apart
 from liaam.fitting.solver import Solution, SolverOptions, scored, settle_lambda
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
 from liaam.model import AAM, Level, Reliability, View
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.encoding import stored_values
-from liaam.shape import ShapeModel, Similarity, align, diagonal_of
+from liaam.shape import ShapeModel, Similarity, align
 
 FOLD_LIMIT = 0.3
 """Share of the mesh turned over beyond which a fit has diverged."""
@@ -34,9 +34,6 @@ since a few training images understate the variance."""
 AROUND_BOX, LEAST_REGION = 0.3, 16
 """What is searched around a box that is given as a start, as a share of its sides, and pixels across at least. A
 detector's box tells about where and how large an object is; a shape is where to start."""
-
-APART = 0.1
-"""Mean distance of two fits' landmarks, as a share of their size, beyond which they are of different places."""
 
 SLOW = 25
 """Steps beyond which a fit of little quality is begun again, though it is not doubtful. Right fits may have little
@@ -193,10 +190,9 @@ class Fitter:
         limits = np.array(image.shape[1::-1])
         if init is None:
             return np.zeros(2, int), limits
-        box = None if isinstance(init, Candidate) or hasattr(init, "points") else np.asarray(init, np.float64)
-        if box is None or box.shape != (4,) or not self.restarts:
+        if not self.restarts or isinstance(init, Candidate) or np.shape(getattr(init, "points", init)) != (4,):
             return None
-        low, high = box.reshape(2, 2)
+        low, high = np.asarray(init, np.float64).reshape(2, 2)
         low, high = low - AROUND_BOX * (high - low), high + AROUND_BOX * (high - low)
         low = np.clip(low, 0, limits - LEAST_REGION).astype(int)
         return low, np.clip(np.ceil(high).astype(int), low + LEAST_REGION, limits)
@@ -213,14 +209,9 @@ class Fitter:
             there = target._replace(start=other.shape + low)
             tried.append((self._fit_from(there), there, None if found is None else other))
         best = max(tried, key=lambda each: each[0].quality)
-        apart = APART * diagonal_of(best[0].shape)
-        odds = [
-            each.quality / max(1.0 - each.quality, 1e-9)
-            for each, *_ in tried
-            if np.linalg.norm(each.shape - best[0].shape, axis=1).mean() > apart
-        ]
-        own = best[0].quality / max(1.0 - best[0].quality, 1e-9)
-        quality = own / (1.0 + own + sum(odds))
+        own = _odds(best[0].quality)
+        others = sum(_odds(each.quality) for each, *_ in tried if are_apart(best[0].shape, each.shape))
+        quality = own / (1.0 + own + others)
         doubtful = best[0].status.ok and quality < LEAST_QUALITY
         status = FitStatus.DOUBTFUL if doubtful else best[0].status
         return replace(best[0], n_starts=len(tried), quality=quality, status=status), *best[1:]
@@ -418,6 +409,10 @@ def covariance(stage: Stage, strength: float = 1.0) -> np.ndarray:
     values, vectors = np.linalg.eigh(precision)
     inverse = np.divide(1.0, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
     return (vectors * inverse) @ vectors.T
+
+
+def _odds(probability: float) -> float:
+    return probability / max(1.0 - probability, 1e-9)
 
 
 def evidence(stage: Stage) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 
 from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
+from liaam.evaluation import point_error
 from liaam.fitting.methods import get_method
 from liaam.fitting.objective import THINNING, Objective, make_objectives
 from liaam.fitting.picture import load_picture
@@ -105,6 +106,9 @@ MOST = 20
 
 OTHERS = 6
 """Places to try in the end where the one that was found is not the object."""
+
+APART = 0.1
+"""Mean distance of two shapes' landmarks, as a share of their size, beyond which they show different places."""
 
 FILLING = (0.95, 1.1)
 """Diagonals of objects that fill the frame, as shares of its shorter side."""
@@ -746,12 +750,16 @@ def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
     return chosen
 
 
+def are_apart(shape: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two shapes (n, 2) show different places."""
+    return point_error(other, shape) > APART * diagonal_of(shape)
+
+
 def _different(candidates: list[Candidate]) -> list[Candidate]:
-    """Candidates that lie apart from those before them, by a tenth of their size."""
+    """Candidates that lie apart from those before them."""
     chosen: list[Candidate] = []
     for candidate in candidates:
-        least = 0.1 * diagonal_of(candidate.shape)
-        if all(np.linalg.norm(candidate.shape - other.shape, axis=1).mean() > least for other in chosen):
+        if all(are_apart(candidate.shape, other.shape) for other in chosen):
             chosen.append(candidate)
     return chosen
 

@@ -9,11 +9,13 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
+from liaam.io.tensors import read_tensors
 from liaam.photometry import Response, is_grey
 from liaam.photometry.encoding import stored_values
 from liaam.photometry.response import from_linear, linear_to_srgb, srgb_to_linear, to_linear
@@ -33,6 +35,9 @@ STRIDE = 4
 """Pixels of a picture between those whose place in a field is worked out; the others' lie between."""
 
 FORMAT, SCHEMA_VERSION = "liaam-lamps", 1
+
+MAKE = "liaam lamps FOLDER -o LAMPS"
+"""The command that makes a file of lamps."""
 
 MOST = 10_000
 """Lamps in a file at most."""
@@ -62,6 +67,14 @@ class Lamps:
     def __repr__(self) -> str:
         return f"Lamps({len(self)} lamps, {len(self.mean)} landmarks)"
 
+    def check_landmarks(self, n: int, whose: str) -> None:
+        """Complain unless objects with n landmarks are of the kind that the lamps were learnt from."""
+        if n != len(self.mean):
+            raise TrainingError(
+                f"the lamps were learnt with {len(self.mean)} landmarks, but {whose} have {n}; lamps serve objects "
+                "with the same landmarks only"
+            )
+
     def relit(self, image: np.ndarray, points: np.ndarray, which, response: Response = "srgb") -> list[np.ndarray]:
         """Put a picture that was taken in the light of training under lamps.
 
@@ -87,11 +100,7 @@ class Lamps:
         """
         import cv2  # heavy: imported when first needed
 
-        if len(points) != len(self.mean):
-            raise TrainingError(
-                f"the lamps were learnt with {len(self.mean)} landmarks, but these pictures have {len(points)}; lamps "
-                "serve objects with the same landmarks only"
-            )
+        self.check_landmarks(len(points), "these pictures")
         places, values = self._places(points, image.shape[1::-1]), as_srgb(image, response) + np.float32(DARK)
         grey, pictures = is_grey(image), []
         for i in which:
@@ -112,10 +121,9 @@ class Lamps:
         width, height = size
         x, y = np.arange(0, width + STRIDE, STRIDE), np.arange(0, height + STRIDE, STRIDE)
         coarse = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
-        pose = align(self.mean, points)
+        pose, (rest, there) = align(self.mean, points), anchors(self.mean, points)
         # Triangles of the picture's own points: none is folded, whatever the shape does.
-        inside = LinearNDInterpolator(np.concatenate([points, pose(BORDER)]), np.concatenate([self.mean, BORDER]))
-        found = inside(coarse)
+        found = LinearNDInterpolator(there, rest)(coarse)
         found = np.where(np.isfinite(found), found, pose.inverse()(coarse.reshape(-1, 2)).reshape(coarse.shape))
         found = ((found + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)
         across, down = (np.arange(n, dtype=np.float32) / STRIDE for n in size)
@@ -150,6 +158,11 @@ BORDER = _border()
 """Points on a square's border, (16, 2) float64: they follow the shape's pose."""
 
 
+def anchors(mean: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places that carry a field between the mean shape and a picture: landmarks and border, here and there."""
+    return np.concatenate([mean, BORDER]), np.concatenate([points, align(mean, points)(BORDER)])
+
+
 def as_srgb(image: np.ndarray, response: Response) -> np.ndarray:
     """Values of a picture, (h, w, 3) float32, as an sRGB camera would store them, from 0 to 1."""
     stored = stored_values(image)
@@ -172,28 +185,28 @@ def load_lamps(path: str | os.PathLike) -> Lamps:
     LiaamError
         If the file is missing, cut short, forged, or holds no lamps.
     """
-    from safetensors import SafetensorError, safe_open
-
     path = Path(path)
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise LiaamError(f"{path}: the file of lamps {what}; make one with 'liaam lamps FOLDER -o LAMPS'")
-    try:
-        with safe_open(path, framework="numpy") as file:
-            about = json.loads((file.metadata() or {}).get("liaam", "null"))
-            if not isinstance(about, dict) or (about.get("format"), about.get("schema")) != (FORMAT, SCHEMA_VERSION):
-                raise LiaamError(f"{path}: this file holds no lamps; make one with 'liaam lamps FOLDER -o LAMPS'")
-            mean, fields, names = file.get_tensor("mean"), file.get_tensor("fields"), about["names"]
-    except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise LiaamError(f"{path}: this is no complete file of lamps ({error}); copy it or make it again") from error
-    except OSError as error:
-        raise LiaamError(f"{path}: the file of lamps cannot be read ({error.strerror or error})") from error
-    _check(path, mean, fields, names)
+    broken = "this is no complete file of lamps ({fault}); copy it or make it again"
+    names, tensors = read_tensors(path, lambda text: _names(path, text), LiaamError, "file of lamps", MAKE, broken)
+    mean, fields = tensors.get("mean"), tensors.get("fields")
+    if mean is None or fields is None or not _are_sound(mean, fields, names):
+        raise LiaamError(f"{path}: the file of lamps contradicts itself; copy it or make it again")
     return Lamps(mean, fields, tuple(names))
 
 
-def _check(path: Path, mean: np.ndarray, fields: np.ndarray, names: list) -> None:
-    right = (
+def _names(path: Path, text: str) -> Any:
+    """Names of the lamps, by a file's header."""
+    try:
+        about = json.loads(text)
+    except (ValueError, RecursionError):
+        about = None
+    if not isinstance(about, dict) or (about.get("format"), about.get("schema")) != (FORMAT, SCHEMA_VERSION):
+        raise LiaamError(f"{path}: this file holds no lamps; make one with '{MAKE}'")
+    return about.get("names")
+
+
+def _are_sound(mean: np.ndarray, fields: np.ndarray, names: Any) -> bool:
+    return (
         mean.dtype == np.float64
         and mean.ndim == 2
         and mean.shape[1] == 2
@@ -201,11 +214,9 @@ def _check(path: Path, mean: np.ndarray, fields: np.ndarray, names: list) -> Non
         and fields.dtype == np.float16
         and fields.shape[1:] == (SIDE, SIDE, 3)
         and 1 <= len(fields) <= MOST
-        and np.isfinite(fields).all()
+        and bool(np.isfinite(fields).all())
         and bool((np.abs(mean) <= 1.0).all())
         and isinstance(names, list)
         and len(names) == len(fields)
         and all(isinstance(name, str) for name in names)
     )
-    if not right:
-        raise LiaamError(f"{path}: the file of lamps contradicts itself; copy it or make it again")

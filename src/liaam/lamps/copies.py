@@ -7,6 +7,7 @@ import numpy as np
 
 from liaam.lamps.bank import Lamps
 from liaam.photometry import Response
+from liaam.sampling import corners_around
 from liaam.shape import diagonal_of
 
 AROUND = 0.5
@@ -59,12 +60,12 @@ class Copies:
             return
         image, points = close_up(image, points, diagonal)
         which = np.random.default_rng([30, i]).choice(known, count, replace=count > known)
-        mirrored = 0 if self.order is None else (count + 1) // 2
         if self.order is not None:
             other = np.ascontiguousarray(image[:, ::-1])
             moved = (points * [-1.0, 1.0] + [image.shape[1] - 1.0, 0.0])[self.order]
-            yield from ((copy, moved) for copy in self._relit(other, moved, which[:mirrored], response))
-        yield from ((copy, points) for copy in self._relit(image, points, which[mirrored:], response))
+            mirrored, which = np.split(which, [(count + 1) // 2])
+            yield from ((copy, moved) for copy in self._relit(other, moved, mirrored, response))
+        yield from ((copy, points) for copy in self._relit(image, points, which, response))
 
     def relit(self, i: int, image: np.ndarray, points: np.ndarray, response: Response) -> list[np.ndarray]:
         """Picture i in full under another lamp; none where there are no lamps."""
@@ -80,11 +81,9 @@ def close_up(image: np.ndarray, points: np.ndarray, diagonal: float) -> tuple[np
     """An object and what surrounds it, averaged down to about twice a diagonal in pixels, and its landmarks there."""
     import cv2  # heavy: imported when first needed
 
-    size, limits = diagonal_of(points), np.array(image.shape[1::-1])
-    low = np.clip(np.floor(points.min(axis=0) - AROUND * size), 0, limits - 8).astype(int)
-    high = np.clip(np.ceil(points.max(axis=0) + AROUND * size) + 1, low + 8, limits).astype(int)
+    low, high = corners_around(image, points, AROUND, 0.0)
     part, points = image[low[1] : high[1], low[0] : high[0]], points - low
-    factor = int(size / (FINER * diagonal))
+    factor = int(diagonal_of(points) / (FINER * diagonal))
     if factor < 2 or min(part.shape[:2]) < 8 * factor:
         return np.ascontiguousarray(part), points
     height, width = (n // factor for n in part.shape[:2])

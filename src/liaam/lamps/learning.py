@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam.errors import TrainingError
-from liaam.lamps.bank import BORDER, DARK, Lamps, as_srgb, square
+from liaam.evaluation import point_error
+from liaam.lamps.bank import DARK, Lamps, anchors, as_srgb, square
 from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour
-from liaam.shape import align, diagonal_of, procrustes_mean
+from liaam.shape import diagonal_of, procrustes_mean
 
 BLUR = 0.016
 """Blur of a ratio of two pictures, as a share of the object's diagonal: the light stays, the grain of skin or fur goes,
@@ -136,7 +137,7 @@ def _base(name: str, pictures: list[_Picture], training_lamp: str) -> _Picture:
     if len(pictures) == 1:
         raise TrainingError(f"object {name} has a picture under lamp {training_lamp} only; add some under other lamps")
     for picture in pictures:
-        moved = np.linalg.norm(picture.points - base.points, axis=1).mean() / diagonal_of(base.points)
+        moved = point_error(picture.points, base.points) / diagonal_of(base.points)
         if moved > MOVED:
             raise TrainingError(
                 f"{picture.name}: its landmarks lie {moved:.0%} of the object's size from those of {base.name}; lamps "
@@ -156,8 +157,7 @@ def _field(before: np.ndarray, after: np.ndarray, base: _Picture, picture: _Pict
     blur = BLUR * diagonal_of(base.points)
     if blur > 0.2:
         ratio = cv2.GaussianBlur(ratio, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
-    pose = align(mean, base.points)
-    carry = LinearNDInterpolator(np.concatenate([mean, BORDER]), np.concatenate([base.points, pose(BORDER)]))
+    carry = LinearNDInterpolator(*anchors(mean, base.points))
     x, y = np.moveaxis(carry(square()).astype(np.float32), -1, 0)
     field = cv2.remap(ratio, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.nan_to_num(field).astype(np.float16)
