@@ -125,7 +125,8 @@ def write_person(folder: Path, person: int, conditions: str = "123456") -> None:
 
 
 def copy_files(folder: Path, to: Path, *patterns: str) -> Path:
-    """Copy the files of a folder whose names match; gives where to."""
+    """Copy the files of a folder whose names match; gives where to, made if need be."""
+    to.mkdir(exist_ok=True)
     for pattern in patterns:
         for path in folder.glob(pattern):
             shutil.copy(path, to)

@@ -319,18 +319,47 @@ def reconstruct(
 
 @experiments.command()
 def generic(
-    data: SpotFolder,
+    data: Annotated[
+        Path,
+        typer.Option(
+            help="Folder to train on; without --test or --first a model of one half of its persons, NN-1 … NN-6 each, "
+            "is fitted to the other."
+        ),
+    ],
     out: Out,
+    test: Annotated[Path | None, typer.Option(help="Folder of the pictures to fit.")] = None,
+    first: Annotated[
+        int | None, typer.Option(help="Train on so many pictures of --data, and fit the others.", min=2)
+    ] = None,
+    lamps: Annotated[
+        Path | None, typer.Option(help="Folder or file that the model learns other light from, as 'liaam train' does.")
+    ] = None,
+    training_lamp: Annotated[
+        str | None, typer.Option(help="Name of the lamp there that is the light of training.")
+    ] = None,
+    starts: Annotated[
+        str,
+        typer.Option(
+            help="From where to fit: near (the truth), box (a detector's), none (the object is searched for)."
+        ),
+    ] = "near",
+    unit: Annotated[
+        str, typer.Option(help="Errors are shares of the distance of the eyes' centres, or of their outer corners.")
+    ] = "centres",
+    diagonal: Annotated[float, typer.Option(help="Diagonal of the reference frame, pixels.", min=20)] = 150.0,
     methods: Methods = COMPARED,
     trials: Starts = 1,
     seed: Seed = 0,
     solver: Solver = "liaam",
     jobs: Jobs = None,
 ) -> None:
-    """What does another light cost a generic model, on persons it has never seen?"""
+    """What does another light cost a generic model, on objects it has never seen?"""
     from liaam.experiments import generic as module
 
-    run_protocol(module.generic_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
+    options = {"test": test, "first": first, "lamps": lamps, "training_lamp": training_lamp, "unit": unit}
+    options |= {"starts": names_in(starts, "--starts"), "diagonal": diagonal}
+    request = data, methods, trials, seed, solver
+    run_protocol(module.generic_experiment, module.table, out, jobs, request, **options)
 
 
 @experiments.command()

@@ -60,6 +60,13 @@ def error_statistics(errors: np.ndarray) -> dict[str, float | None]:
     return {name: finite_or_none(value) for name, value in found.items()}
 
 
+def roc_area(right: np.ndarray, wrong: np.ndarray) -> float:
+    """Chance that a right fit has a higher quality than a wrong one, ties counted half; NaN without both."""
+    if not len(right) or not len(wrong):
+        return np.nan
+    return float(np.mean(right[:, None] > wrong) + 0.5 * np.mean(right[:, None] == wrong))
+
+
 def root_mean_square(values) -> float:
     """Root mean square of numbers."""
     return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from liaam import cli_experiments
-from liaam.experiments import uncertainty
+from liaam.evaluation import roc_area
+from liaam.experiments import protocol, uncertainty
 from liaam.experiments.runner import run_experiment
 
 
@@ -67,15 +68,15 @@ def test_held_shares_rise_with_the_level_and_agree_with_the_rows(finished):
 def test_ellipses_of_the_true_covariance_hold_what_they_say(rng):
     covariance = np.array([[4.0, 1.5], [1.5, 1.0]])
     errors = rng.multivariate_normal(np.zeros(2), covariance, 20000)
-    distances = uncertainty.squared_distances(errors, np.broadcast_to(covariance, (20000, 2, 2)))
+    distances = protocol.squared_distances(errors, np.broadcast_to(covariance, (20000, 2, 2)))
     for level in uncertainty.LEVELS:
         assert np.mean(distances < -2 * np.log(1 - level / 100)) == pytest.approx(level / 100, abs=0.01)
 
 
 def test_the_area_under_the_roc_curve_is_the_chance_of_the_right_order():
     right, wrong = np.array([0.9, 0.8, 0.3]), np.array([0.3, 0.1])
-    assert uncertainty.roc_area(right, wrong) == pytest.approx(5.5 / 6)
-    assert np.isnan(uncertainty.roc_area(right, wrong[:0]))
+    assert roc_area(right, wrong) == pytest.approx(5.5 / 6)
+    assert np.isnan(roc_area(right, wrong[:0]))
 
 
 def test_a_lost_start_is_far_from_the_object(rng):

@@ -27,8 +27,8 @@ from liaam.experiments.protocol import (
     columns_of,
     eight_bit,
     group_by_person,
+    in_percent,
     median_bound,
-    medians_by_light,
     select,
     statistics,
     tell,
@@ -277,7 +277,11 @@ def table(summary: dict[str, Any]) -> tuple[Header, Table]:
 
 def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
     """Median errors as bars, a panel for each light."""
-    return figure_of_bars(medians_by_light(summary, SHOWN), f"median error, % of {FACE} box diagonals")
+    methods = summary["methods"]
+    medians = {
+        light: in_percent({method: cells[light]["nme_median"] for method, cells in methods.items()}) for light in SHOWN
+    }
+    return figure_of_bars(medians, f"median error, % of {FACE} box diagonals")
 
 
 def draw_pictures(request: Request, unseen: bool) -> "Figure":

@@ -13,12 +13,12 @@ import numpy as np
 
 from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
-from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme
+from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme, roc_area
 from liaam.experiments import spot
 from liaam.experiments.runner import Row, markdown_table
 from liaam.experiments.solvers import check_request, get_solver, make_fitters
 from liaam.experiments.spot import CONVERGED, EYES
-from liaam.fitting import Fitter
+from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.photometry import is_grey
 from liaam.photometry.encoding import as_colour
@@ -30,16 +30,24 @@ METHODS = ("rgb", "grey", "li", "igo", "soft-li")
 VARIANCE = 0.98
 """Share of the variance of shape and of appearance that models keep."""
 
-EYES_BY_COUNT = {58: EYES, 73: (slice(16, 24), slice(24, 32))}
-"""Landmarks of the two eyes by the number of landmarks (IMM, and IMM frontal), counting from 0."""
+EYES_BY_COUNT = {58: EYES, 68: (slice(36, 42), slice(42, 48)), 73: (slice(16, 24), slice(24, 32))}
+"""Landmarks of the two eyes by the number of landmarks (IMM, 300-W, and IMM frontal), counting from 0."""
 
 FACE = 0.3
 """What stands for the inter-ocular distance where nobody knows which landmarks are eyes, in diagonals of their box."""
 
-RESULTS = {"nme": ".6f", "bound": ".6f", "iterations": "", "status": "", "seconds": ".4f"}
+RESULTS = {
+    "nme": ".6f",
+    "bound": ".6f",
+    "iterations": "",
+    "status": "",
+    "quality": ".4f",
+    "held_95": ".6f",
+    "seconds": ".4f",
+}
 """Columns of results.csv that every fit has. ``nme``: mean distance to the landmarks in the protocol's unit;
-``bound``: the same for the true shape projected on the shape model; ``seconds``: of the fit, which no two runs agree
-on."""
+``bound``: the same for the true shape projected on the shape model; ``held_95``: share of the landmarks that lie in
+their ellipse of 95 %; ``seconds``: of the fit, which no two runs agree on."""
 
 STARTS, TRAINED = spot.CHOICES
 """What was chosen for starts and models, in words."""
@@ -83,7 +91,7 @@ class Request:
             "solver": f"{self.solver}: {get_solver(self.solver).summary}",
         }
 
-    def train(self, samples: Iterable[Sample], name: str, leave_out: bool = False) -> "Trained":
+    def train(self, samples: Iterable[Sample], name: str, leave_out: bool = False, **options: Any) -> "Trained":
         """Train a model on some pictures, with a fitter for each method.
 
         Parameters
@@ -92,8 +100,10 @@ class Request:
         name : str
         leave_out : bool
             Whether it learns how far its fits can be trusted, and begins those of little quality again.
+        **options
+            Further ones of :func:`liaam.train`.
         """
-        model = get_solver(self.solver).train(samples, variance=VARIANCE, name=name, leave_out=leave_out)
+        model = get_solver(self.solver).train(samples, variance=VARIANCE, name=name, leave_out=leave_out, **options)
         return Trained(model, make_fitters(model, self.methods, self.solver))
 
     def rng(self, *what: str | int) -> np.random.Generator:
@@ -113,15 +123,19 @@ class Trained:
         """Mean shape, (n, 2) float64, centred, model pixels."""
         return self.model.shape_model.mean
 
-    def fit(self, image: np.ndarray, truth: np.ndarray, unit: float, start: np.ndarray, **labels: Any) -> list[Row]:
+    def fit(
+        self, image: np.ndarray, truth: np.ndarray, unit: float, start: np.ndarray | None, /, **labels: Any
+    ) -> list[Row]:
         """Fit a picture with every method from one start.
 
         Parameters
         ----------
         image : (h, w, 3) uint8
-        truth, start : (n, 2) float64
+        truth : (n, 2) float64
         unit : float
             Length that errors are shares of, pixels.
+        start : (n, 2) or (4,) float64, optional
+            A shape, or a box; the object is searched for if left out.
         **labels
             Further columns.
         """
@@ -132,7 +146,8 @@ class Trained:
             result = fitter.fit(image, start)
             seconds = time.perf_counter() - began
             row = {"method": method, **labels, "nme": nme(result.shape, truth, unit), "bound": bound}
-            rows.append(row | {"iterations": result.n_iterations, "status": str(result.status), "seconds": seconds})
+            row |= {"iterations": result.n_iterations, "status": str(result.status), "quality": result.quality}
+            rows.append(row | {"held_95": held(result, truth, 95), "seconds": seconds})
         return rows
 
 
@@ -221,6 +236,33 @@ def face_size(truth: np.ndarray) -> float:
     return inter_ocular_distance(truth, *eyes) if eyes else FACE * diagonal_of(truth)
 
 
+def held(result: FitResult, truth: np.ndarray, level: float) -> float:
+    """Share of the landmarks (n, 2) that lie in the ellipses of a result, drawn for a level in per cent."""
+    distances = squared_distances(truth - result.shape, result.landmark_covariances)
+    return float(np.mean(distances < -2.0 * np.log(1.0 - level / 100)))
+
+
+def squared_distances(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Squared errors (n, 2) by their covariances (n, 2, 2), (n,) float64: below -2 log(1 - s) with a chance of s."""
+    return np.einsum("na,nab,nb->n", errors, np.linalg.pinv(covariances, hermitian=True), errors)
+
+
+def is_right(row: Row) -> bool:
+    """Whether a fit is right."""
+    return bool(row["nme"] < CONVERGED)
+
+
+def quality_area(rows: Sequence[Row]) -> float | None:
+    """Area under the ROC curve of the quality; None where all fits are right, or all wrong."""
+    return finite_or_none(roc_area(*qualities_of(rows)))
+
+
+def qualities_of(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
+    """Quality of right and of wrong fits; 0 where it is not known."""
+    known = [(float(np.nan_to_num(row["quality"])), is_right(row)) for row in rows]
+    return tuple(np.array([quality for quality, right in known if right is wanted]) for wanted in (True, False))  # type: ignore[return-value]
+
+
 def columns_of(*labels: str) -> dict[str, str]:
     """Columns of results.csv and their formats."""
     return {"method": "", **dict.fromkeys(labels, ""), **RESULTS}
@@ -256,14 +298,6 @@ def median_bound(rows: Sequence[Row]) -> float | None:
     """Median of the shape model's bound over pictures; the methods of a picture share it."""
     first = rows[0]["method"]
     return finite_or_none(np.median([row["bound"] for row in rows if row["method"] == first]))
-
-
-def medians_by_light(summary: Mapping[str, Any], lights: Sequence[str]) -> dict[str, dict[str, float | None]]:
-    """Median errors in per cent by light and method, for bars."""
-    methods = summary["methods"]
-    return {
-        light: in_percent({method: cells[light]["nme_median"] for method, cells in methods.items()}) for light in lights
-    }
 
 
 def in_percent(values: Mapping[str, float | None]) -> dict[str, float | None]:

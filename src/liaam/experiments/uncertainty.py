@@ -16,7 +16,21 @@ import numpy as np
 
 from liaam.datasets import Sample
 from liaam.evaluation import finite_or_none, nme, or_dash
-from liaam.experiments.protocol import STARTS, VARIANCE, Header, Request, Table, eight_bit, face_size, select, tell
+from liaam.experiments.protocol import (
+    STARTS,
+    VARIANCE,
+    Header,
+    Request,
+    Table,
+    eight_bit,
+    face_size,
+    held,
+    is_right,
+    qualities_of,
+    quality_area,
+    select,
+    tell,
+)
 from liaam.experiments.runner import Experiment, Row
 from liaam.experiments.solvers import get_solver
 from liaam.experiments.spot import CONVERGED, Person, disturbed_start, facts_of, find_persons, percent
@@ -226,23 +240,17 @@ def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[
     size = (picture.image.shape[1], picture.image.shape[0])
     for start in picture.starts:
         result = fitter.fit(picture.image, near if start == "near" else lost(near, unit, size, rng))
-        distances = squared_distances(picture.truth - result.shape, result.landmark_covariances)
         yield {
             "picture": picture.name,
             "light": picture.light,
             "noise": picture.noise,
             "start": start,
             "nme": nme(result.shape, picture.truth, unit),
-            **{f"held_{level}": float(np.mean(distances < -2.0 * np.log(1.0 - level / 100))) for level in LEVELS},
+            **{f"held_{level}": held(result, picture.truth, level) for level in LEVELS},
             "deviation": float(np.sqrt(np.mean(np.square(result.deviations)))) / unit,
             "quality": result.quality,
             "status": str(result.status),
         }
-
-
-def squared_distances(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Squared errors (n, 2) by their covariances (n, 2, 2), (n,) float64: below -2 log(1 - s) with a chance of s."""
-    return np.einsum("na,nab,nb->n", errors, np.linalg.pinv(covariances, hermitian=True), errors)
 
 
 def uncertainty_experiment(
@@ -294,11 +302,6 @@ def summarise(rows: list[Row]) -> dict[str, Any]:
     return {"groups": {name: _cell(own) for name, own in groups.items() if own}}
 
 
-def is_right(row: Row) -> bool:
-    """Whether a fit is right."""
-    return bool(row["nme"] < CONVERGED)
-
-
 def _cell(rows: Sequence[Row]) -> dict[str, Any]:
     near = [row for row in rows if row["start"] == "near"]
     right = [row for row in near if is_right(row)]
@@ -313,21 +316,8 @@ def _cell(rows: Sequence[Row]) -> dict[str, Any]:
         "nme_median": finite_or_none(float(np.median([row["nme"] for row in near]))) if near else None,
         "deviation": mean("deviation", right),
         **{f"held_{level}": mean(f"held_{level}", right) for level in LEVELS},
-        "roc_area": finite_or_none(roc_area(*_qualities(rows))),
+        "roc_area": quality_area(rows),
     }
-
-
-def _qualities(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
-    """Quality of right and of wrong fits; 0 where it is not known."""
-    known = [(float(np.nan_to_num(row["quality"])), is_right(row)) for row in rows]
-    return tuple(np.array([quality for quality, right in known if right is wanted]) for wanted in (True, False))  # type: ignore[return-value]
-
-
-def roc_area(right: np.ndarray, wrong: np.ndarray) -> float:
-    """Chance that a right fit has a higher quality than a wrong one, ties counted half; NaN without both."""
-    if not len(right) or not len(wrong):
-        return np.nan
-    return float(np.mean(right[:, None] > wrong) + 0.5 * np.mean(right[:, None] == wrong))
 
 
 def table(summary: dict[str, Any]) -> tuple[Header, Table]:
@@ -350,11 +340,11 @@ def table(summary: dict[str, Any]) -> tuple[Header, Table]:
 def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
     """Share held against share stated, and wrong fits let pass against right ones kept."""
     own = [group for group in GROUPS if group in summary["groups"]]
-    held = {group: _held(summary["groups"][group]) for group in own}
-    passed = {group: _roc(*_qualities(select(rows, group=group))) for group in own}
+    shares = {group: _held(summary["groups"][group]) for group in own}
+    passed = {group: _roc(*qualities_of(select(rows, group=group))) for group in own}
     return figure_of_curves(
         [
-            Panel("ellipse drawn for, %", "landmarks in it, %", held, {"as stated": [(x, x) for x in LEVELS]}),
+            Panel("ellipse drawn for, %", "landmarks in it, %", shares, {"as stated": [(x, x) for x in LEVELS]}),
             Panel("wrong fits let pass, %", "right fits kept, %", passed),
         ]
     )
