@@ -235,6 +235,7 @@ def test_starts_and_covariances_are_choices(world, tmp_path):
     assert "give four numbers" in rows[pictures[1]]["message"]
     assert [rows[path]["status"] for path in pictures[2:]] == ["converged"] * (N_PICTURES - 2)
     found = Settings("grey", iterations=30)
+    assert Settings("grey", iterations=30, rotations="all").describe() != found.describe()  # other rows
     batch_of(world, tmp_path / "c.jsonl", pictures[:1], settings=found)
     assert 0 < rows_of(tmp_path / "c.jsonl")[0]["found"] <= 1
 

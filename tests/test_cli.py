@@ -215,6 +215,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("show", "{model}", "-o", "x.gif"), "ends in .png, .svg or .pdf"),
         (("fit", "{model}", "{missing}.png", "--init", "1,2,3,4"), "missing"),
         (("fit", "{model}", "{image}", "--init", "nowhere.pts"), "no such file"),
+        (("fit", "{model}", "{image}", "--rotations", "some"), "there are upright, all"),
         (("fit", "{model}", "{image}", "--init", "1,2"), "four numbers"),
         (("fit", "{model}", "{image}", "--init", "900,900,950,980"), "outside the image"),
         (("fit", "{model}", "{image}", "--init", "50,50,20,90"), "is empty"),

@@ -19,6 +19,7 @@ from liaam.cli_inputs import (
     ImagesOption,
     LandmarkedFolder,
     RecursiveOption,
+    RotationsOption,
     camera_for,
     check_output,
     read_folder,
@@ -235,6 +236,7 @@ def fit(
     ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "soft-li",
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
+    rotations: RotationsOption = "upright",
     iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
     history: Annotated[bool, typer.Option("--history", help="Also write each iteration's cost and shape.")] = False,
     ellipses: Annotated[
@@ -257,7 +259,7 @@ def fit(
         raise LiaamError("--all searches for all objects, and --init says where one is; leave one of them out")
     options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
     camera = camera_for(images, camera_file, response, model.camera)
-    fitter = Fitter(model, method, options, camera=camera)
+    fitter = Fitter(model, method, options, camera=camera, rotations=rotations)
     make_folder(output)
     table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
     advice: dict[str, list[str]] = {}

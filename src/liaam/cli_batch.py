@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from liaam.cli_inputs import RotationsOption
 from liaam.errors import LiaamError
 from liaam.terminal import complain, say, stoppable_progress
 
@@ -32,6 +33,7 @@ def batch(
         ),
     ] = None,
     method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "soft-li",
+    rotations: RotationsOption = "upright",
     iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
     camera_file: Annotated[
         Path | None,
@@ -62,7 +64,7 @@ def batch(
     from liaam.photometry import load_camera
 
     camera = None if camera_file is None else load_camera(camera_file)
-    settings = Settings(method, init, iterations, camera, response, covariance)
+    settings = Settings(method, init, iterations, camera, response, covariance, rotations)
     with ExitStack() as files, stoppable_progress() as tell:
         summary = run_batch(
             model_file,

@@ -28,6 +28,13 @@ ImagesOption = Annotated[
     typer.Option("--images", help="Only images whose name matches, such as '07-[12346]*'; may be repeated."),
 ]
 RecursiveOption = Annotated[bool, typer.Option("--recursive", help="Look into sub-folders too.")]
+RotationsOption = Annotated[
+    str,
+    typer.Option(
+        "--rotations",
+        help="How objects that are searched for may lie: upright (as in training), or all (turned in any way, slower).",
+    ),
+]
 
 
 def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool) -> "Dataset":

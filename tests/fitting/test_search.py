@@ -398,3 +398,43 @@ def test_sizes_cover_the_range():
     assert LARGEST * 480 / STEP < sizes[-1] <= LARGEST * 480 * 1.001
     assert search_sizes(40)[0] == LEAST_PIXELS
     np.testing.assert_allclose(search_sizes(8), [8 * LARGEST])
+
+
+# Objects that lie in any way.
+
+
+@pytest.fixture(scope="module")
+def turning(model) -> Fitter:
+    return Fitter(model, rotations="all")
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_turned_objects_are_found_where_that_is_asked_for(turning, quarters):
+    scene = photograph(Pose(scale=0.8))
+    image, points = scene.image, scene.landmarks
+    for _ in range(quarters):
+        image = np.ascontiguousarray(np.rot90(image))
+        points = np.column_stack([points[:, 1], image.shape[0] - 1 - points[:, 0]])
+    result = turning.fit(image)
+    assert model_pixels(turning.model, result.shape, points) < 2.0
+    turned = np.exp(1j * (result.found.rotation + quarters * np.pi / 2))
+    assert abs(np.angle(turned)) < np.deg2rad(15)
+
+
+def test_an_upright_object_is_the_same_among_all_rotations(turning, finder):
+    image = photograph(Pose(scale=0.7)).image
+    (upright,), (found,) = finder.find(image), turning.find(image)
+    np.testing.assert_allclose(found.shape, upright.shape, atol=1.0)
+
+
+def test_objects_that_fill_the_frame_are_tried_in_four_ways(turning, finder):
+    image = photograph(Pose(scale=1.0)).image
+    filled = [search._Search(each, image, "srgb", 10) for each in (finder, turning.finder)]
+    for each in filled:
+        each.for_all()
+    assert [len(each.filling()) for each in filled] == [2, 8]
+
+
+def test_rotations_that_do_not_exist_are_refused(model):
+    with pytest.raises(MethodError, match="'sideways': there are upright, all"):
+        Fitter(model, rotations="sideways")

@@ -113,7 +113,8 @@ def test_every_landmark_has_its_covariance(fine_model, lit_scene):
     np.testing.assert_allclose(result.landmark_covariances, result.landmark_covariances.transpose(0, 2, 1))
     assert (np.linalg.eigvalsh(result.landmark_covariances) > 0).all()
     assert np.isnan(result.quality)  # trained without leaving out
-    assert 0.5 < result.evidence[0] <= 1.0
+    lost = Fitter(fine_model).fit(lit_scene.image, lit_scene.landmarks + 50.0)
+    assert max(0.0, lost.evidence[0]) < result.evidence[0] <= 1.0
 
 
 def test_the_angle_of_the_picture_is_that_of_its_camera(fine_model, lit_scene):

@@ -54,6 +54,8 @@ class Settings:
         Of the pictures' camera, if not the training camera's; RAW files are linear unless told otherwise.
     covariance : bool
         Whether rows hold the covariance of each landmark.
+    rotations : str
+        How objects that are searched for may lie (:attr:`liaam.fitting.Fitter.rotations`).
     """
 
     method: str = DEFAULT_METHOD
@@ -62,6 +64,7 @@ class Settings:
     camera: CameraModel | None = None
     response: str | None = None
     covariance: bool = True
+    rotations: str = "upright"
 
     def describe(self) -> dict[str, Any]:
         """Settings as JSON knows them."""
@@ -73,6 +76,7 @@ class Settings:
             "camera": camera,
             "response": self.response,
             "covariance": self.covariance,
+            "rotations": self.rotations,
         }
 
 
@@ -131,7 +135,7 @@ class Job:
         settings = self.settings
         camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
         options = SolverOptions(max_iterations=settings.iterations)
-        return Fitter(self.model, settings.method, options, camera=camera)
+        return Fitter(self.model, settings.method, options, camera=camera, rotations=settings.rotations)
 
     def absolute(self, path: str) -> str:
         """Path of a file, or the text itself if there is no such file (it may be numbers)."""

@@ -15,14 +15,14 @@ from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import MARGIN, FitProblem
 from liaam.fitting.restarts import other_starts
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration
-from liaam.fitting.search import DOUBTFUL, Candidate, Finder, are_apart
+from liaam.fitting.search import DOUBTFUL, LARGE, Candidate, Finder, are_apart
 from liaam.fitting.solver import Solution, SolverOptions, scored, settle_lambda
 from liaam.fitting.start import start_shape
 from liaam.mesh import folded_share
 from liaam.model import AAM, Level, Reliability, View
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.encoding import stored_values
-from liaam.shape import ShapeModel, Similarity, align
+from liaam.shape import ShapeModel, Similarity, align, diagonal_of
 
 FOLD_LIMIT = 0.3
 """Share of the mesh turned over beyond which a fit has diverged."""
@@ -66,6 +66,8 @@ class Fitter:
         (:func:`liaam.fitting.restarts.other_starts`), of which the one of most quality is kept: more heads that are
         turned away are found, at some ten times the time of a fit. For methods and models that know no quality, and for
         fits of so few iterations that they say nothing, it makes no difference.
+    rotations : {"upright", "all"}
+        How objects that are searched for may lie: about as in the pictures of training, or turned in any way.
 
     Examples
     --------
@@ -80,9 +82,11 @@ class Fitter:
     camera: CameraModel | None = None
     margin: float = MARGIN
     restarts: bool = True
+    rotations: str = "upright"
 
     def __post_init__(self) -> None:
         self.objectives  # noqa: B018 (complain now, not at the first image)
+        self.finder  # noqa: B018
 
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:
@@ -92,7 +96,7 @@ class Fitter:
     @cached_property
     def finder(self) -> Finder:
         """The model's search (see :mod:`liaam.fitting.search`)."""
-        return Finder(self.model)
+        return Finder(self.model, self.rotations)
 
     @property
     def _method(self) -> Method:
@@ -159,13 +163,13 @@ class Fitter:
             For input that makes no sense.
         """
         target, found = self.target(image, init, name)
-        result = self._fit_from(target)
+        result, prior = self._fit_from(target), 1.0
         region = self._region(init, target.image)
-        if region is not None and self._says_much(result) and not result.quality >= self._little:
-            result, target, found = self._fit_elsewhere(target, result, found, region)
-        if self.restarts and self._falls_short(result):
+        if region is not None and self._says_much(result):
+            result, prior, target, found = self._likeliest(target, result, found, region)
+        if self.restarts and self._falls_short(_believed(result, prior)):
             result = self._fit_again(target, result)
-        return replace(result, found=found)
+        return replace(_believed(result, prior), found=found)
 
     def _fit_from(self, target: Target) -> FitResult:
         levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
@@ -197,24 +201,31 @@ class Fitter:
         low = np.clip(low, 0, limits - LEAST_REGION).astype(int)
         return low, np.clip(np.ceil(high).astype(int), low + LEAST_REGION, limits)
 
-    def _fit_elsewhere(
+    def _likeliest(
         self, target: Target, first: FitResult, found: Candidate | None, region: tuple[np.ndarray, np.ndarray]
-    ) -> tuple[FitResult, Target, Candidate | None]:
-        """Best of a fit and of those at other places that a search finds in a region, with its start, by their quality.
+    ) -> tuple[FitResult, float, Target, Candidate | None]:
+        """Likeliest place of a fit in a region, and what its odds are to be multiplied by; with its start.
 
-        At most one place is the object's: where several fits look right, each is the less likely to be.
+        There are the more places of a size, the smaller they are, so the less likely is each to begin with. Where the
+        first fit comes to little, other places that a search finds are fitted, of which at most one is the object's:
+        where several look right, each is the less likely to be.
         """
         tried, (low, high) = [(first, target, found)], region
-        for other in self.finder.others(target.image[low[1] : high[1], low[0] : high[0]], target.response):
-            there = target._replace(start=other.shape + low)
-            tried.append((self._fit_from(there), there, None if found is None else other))
-        best = max(tried, key=lambda each: each[0].quality)
-        own = _odds(best[0].quality)
-        others = sum(_odds(each.quality) for each, *_ in tried if are_apart(best[0].shape, each.shape))
-        quality = own / (1.0 + own + others)
-        doubtful = best[0].status.ok and quality < LEAST_QUALITY
-        status = FitStatus.DOUBTFUL if doubtful else best[0].status
-        return replace(best[0], n_starts=len(tried), quality=quality, status=status), *best[1:]
+        large = LARGE * float((high - low).min())
+
+        def prior(result: FitResult) -> float:
+            return (diagonal_of(result.shape) / large) ** 2 if result.quality > 0 else 0.0
+
+        if not _believed(first, min(prior(first), 1.0)).quality >= self._little:
+            for other in self.finder.others(target.image[low[1] : high[1], low[0] : high[0]], target.response):
+                there = target._replace(start=other.shape + low)
+                tried.append((self._fit_from(there), there, None if found is None else other))
+        odds = [prior(each) * _odds(each.quality) for each, *_ in tried]
+        best, its_target, its_start = tried[int(np.argmax(odds))]
+        others = sum(o for o, (each, *_) in zip(odds, tried, strict=True) if are_apart(best.shape, each.shape))
+        own = prior(best)
+        shared = own / (own + others) if own > 0 else 1.0
+        return replace(best, n_starts=len(tried)), min(own, 1.0) * shared, its_target, its_start
 
     def _fit_again(self, target: Target, first: FitResult) -> FitResult:
         """Best of a fit and of those from other starts, by their quality; the first ordinary one ends the search."""
@@ -415,11 +426,22 @@ def _odds(probability: float) -> float:
     return probability / max(1.0 - probability, 1e-9)
 
 
+def _believed(result: FitResult, prior: float) -> FitResult:
+    """Result whose odds of being right are multiplied by what else is known of its place, at most 1."""
+    if prior == 1.0:
+        return result
+    odds = prior * _odds(result.quality)
+    quality = odds / (1.0 + odds)
+    doubtful = result.status.ok and quality < LEAST_QUALITY
+    return replace(result, quality=quality, status=FitStatus.DOUBTFUL if doubtful else result.status)
+
+
 def evidence(stage: Stage) -> np.ndarray:
     """What tells a right fit from a wrong one, (2,) float64.
 
-    The share of the picture's contrast under the model that the fit explains, at most 1, less what an unlikely
-    appearance costs, and how far its shape is from the mean: log(1 + mean squared mode in standard deviations).
+    How much of the picture the fit explains: the share of its contrast under the model, less what an unlikely
+    appearance costs, times the root of this contrast, so that it says little to explain what is blurred or half outside
+    the picture. Then how far its shape is from the mean: log(1 + mean squared mode in standard deviations).
     """
     objective, solution = stage.objective, stage.solution
     seen, method = solution.work, objective.method
@@ -434,7 +456,9 @@ def evidence(stage: Stage) -> np.ndarray:
     if not np.isfinite(left):
         return np.array([-1.0, 14.0])
     unlikely = float(objective.template.ridge @ np.square(solution.state.lam))
-    explained = 1.0 - (left + unlikely) / contrast if contrast > 0 else -1.0
+    # The mean is over all of the model's pixels: those that are not seen are not explained.
+    strength = np.sqrt(contrast / max(float(objective.appearance.usable.sum()), 1e-9))
+    explained = (1.0 - (left + unlikely) / contrast) * strength if contrast > 0 else -1.0
     modes = np.square(solution.state.p) * objective.prior
     far = modes[: objective.warp.n_parameters - 4].mean() if objective.warp.n_parameters > 4 else 0.0
     return np.array([max(explained, -1.0), np.log1p(min(far, 1e6))])
@@ -470,7 +494,14 @@ def landmark_covariances(
 
 
 def fit(
-    model: AAM, image, init=None, method: str | Method = DEFAULT_METHOD, *, camera: CameraModel | None = None, **options
+    model: AAM,
+    image,
+    init=None,
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    camera: CameraModel | None = None,
+    rotations: str = "upright",
+    **options,
 ) -> FitResult:
     """Fit a model to one image; for many images make a :class:`Fitter` once.
 
@@ -484,6 +515,8 @@ def fit(
         See :data:`liaam.fitting.METHODS`.
     camera : CameraModel, optional
         Of the image; the training camera if left out.
+    rotations : {"upright", "all"}
+        How an object that is searched for may lie.
     **options
         Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
 
@@ -491,4 +524,4 @@ def fit(
     -------
     FitResult
     """
-    return Fitter(model, method, SolverOptions.of(**options), camera=camera).fit(image, init)
+    return Fitter(model, method, SolverOptions.of(**options), camera=camera, rotations=rotations).fit(image, init)

@@ -61,6 +61,7 @@ def fit_many(
     method: str | Method = DEFAULT_METHOD,
     *,
     camera: CameraModel | None = None,
+    rotations: str = "upright",
     workers: int | None = None,
     progress: bool | None = None,
     errors: str = "raise",
@@ -84,6 +85,8 @@ def fit_many(
         See :data:`liaam.fitting.METHODS`.
     camera : CameraModel, optional
         Of the images; the training camera if left out.
+    rotations : {"upright", "all"}
+        How objects that are searched for may lie.
     workers : int, optional
         Threads; as many as this process may use cores if left out.
     progress : bool, optional
@@ -112,7 +115,7 @@ def fit_many(
     >>> results = fit_many(model, sorted(Path("faces").glob("*.png")))                    # doctest: +SKIP
     >>> shapes = [result.shape for result in results if result.status.ok]               # doctest: +SKIP
     """
-    fitter = Fitter(model, method, SolverOptions.of(**options), camera=camera)
+    fitter = Fitter(model, method, SolverOptions.of(**options), camera=camera, rotations=rotations)
     return list(fit_each(fitter, images, inits, workers=workers, progress=progress, errors=errors))
 
 

@@ -26,7 +26,7 @@ which as wrong; what lies between teaches nothing."""
 OPTIONS = SolverOptions(max_iterations=20)
 """Right fits settle sooner, and wrong ones need not settle."""
 
-PLACES = 4
+PLACES = 3
 """Places of a search that are fitted in a picture, besides those that fill the frame; the worst of them counts."""
 
 SHRINK = 5.0

@@ -138,8 +138,7 @@ class FitResult:
         Covariance of each landmark, image pixels squared: that of p carried to the landmarks, and what fits leave of
         landmarks placed by hand, as learnt by leaving training pictures out.
     evidence : (2,) float64
-        Share of the picture's contrast under the model that the fit explains, and strangeness of its shape
-        (:func:`liaam.fitting.fitter.evidence`).
+        How much of the picture the fit explains, and strangeness of its shape (:func:`liaam.fitting.fitter.evidence`).
     quality : float
         Probability, 0 to 1, that the fit is right, calibrated on pictures left out of training; 0 where the status says
         that the object is lost. NaN for other methods than ``soft-li`` and for models trained without leaving out.

@@ -42,11 +42,20 @@ STEP = 1.2
 LEAST_PIXELS = 20.0
 """Diagonal below which an object is not searched for, pixels of the image."""
 
-TURNS = (-20.0, -10.0, 0.0, 10.0, 20.0)
-"""Rotations of the mean shape, degrees."""
+TURNS: dict[str, tuple[float, ...]] = {
+    "upright": (-20.0, -10.0, 0.0, 10.0, 20.0),
+    "all": tuple(np.arange(-180.0, 180.0, 15.0).tolist()),
+}
+"""Rotations of the mean shape, degrees, where objects lie about as in training, and where they lie in any way."""
 
-BENT_TURNS = (-10.0, 0.0, 10.0)
+BENT_TURNS: dict[str, tuple[float, ...]] = {
+    "upright": (-10.0, 0.0, 10.0),
+    "all": tuple(np.arange(-180.0, 180.0, 30.0).tolist()),
+}
 """Rotations of the bent shapes, degrees."""
+
+FILLING_TURNS: dict[str, tuple[float, ...]] = {"upright": (0.0,), "all": (-180.0, -90.0, 0.0, 90.0)}
+"""Rotations of objects that fill the frame, degrees: some of those of the mean shape."""
 
 BEND = 1.5
 """How far the strongest shape mode is bent, standard deviations. In sets of faces it is the turn of the head;
@@ -106,6 +115,14 @@ MOST = 20
 
 OTHERS = 6
 """Places to try in the end where the one that was found is not the object."""
+
+LOOKED = 10
+"""Places that are looked at for each of these. Measured on photographs of 38 strangers: with 5 one more is lost, with
+15 one less, in half as much time again."""
+
+SIZE_WORTH = 0.05
+"""What a place e times as large is worth, in units of the score: the smaller objects are, the more places there are to
+be wrong at. 0.1 finds the same."""
 
 APART = 0.1
 """Mean distance of two shapes' landmarks, as a share of their size, beyond which they show different places."""
@@ -317,6 +334,8 @@ class Finder:
     Attributes
     ----------
     model : AAM
+    rotations : {"upright", "all"}
+        How objects may lie in the pictures: turned by some 25 degrees at most, or in any way, at four times the time.
 
     Examples
     --------
@@ -325,6 +344,12 @@ class Finder:
     """
 
     model: AAM
+    rotations: str = "upright"
+
+    def __post_init__(self) -> None:
+        """Refuse what is no way to lie."""
+        if self.rotations not in TURNS:
+            raise MethodError(f"rotations {self.rotations!r}: there are {', '.join(TURNS)}")
 
     @cached_property
     def small(self) -> AAM:
@@ -334,7 +359,7 @@ class Finder:
     @cached_property
     def templates(self) -> tuple[Template, ...]:
         """All templates of the small model."""
-        return make_templates(self.small)
+        return make_templates(self.small, self.rotations)
 
     @cached_property
     def _spectra(self) -> dict[tuple[int, int], list[np.ndarray]]:
@@ -381,11 +406,13 @@ class Finder:
         Returns
         -------
         list of Candidate
-            The search's own come first, the best of them first.
+            The search's own come first, the best of them first. Their shapes are the mean shape as it lies there: how
+            the small model bends leads fits astray.
         """
-        search = _Search(self, image, self.model.response if response is None else response, 6 + 4 * most)
-        best = sorted(search.for_all(), key=lambda candidate: -candidate.score)
-        return _different(_different(best)[:most] + search.filling())
+        search = _Search(self, image, self.model.response if response is None else response, LOOKED * most)
+        best = sorted(search.for_all(), key=lambda place: -(place.score + SIZE_WORTH * np.log(place.scale)))
+        mean, places = self.model.shape_model.mean, _different(best)[:most] + search.filling()
+        return [replace(place, shape=align(mean, place.shape)(mean)) for place in _different(places)]
 
     def _responses(self, field: Field, which: int, count: int, worth: float) -> _Peaks:
         """Local maxima of every template's correlation with a field (number ``which``), the best few of each template.
@@ -514,11 +541,12 @@ class _Search:
 
         What lies outside a picture responds to no template, so such places respond little.
         """
-        size, small = np.array(self.image.shape[1::-1]), self.finder.small
+        size, small, rotations = np.array(self.image.shape[1::-1]), self.finder.small, self.finder.rotations
         scales = [share * size.min() / small.diagonal for share in FILLING]
         nearest = [int(np.argmin([abs(np.log(field.scale / scale)) for field in self.fields])) for scale in scales]
-        centre, upright = tuple(0.5 * (size - 1.0)), TURNS.index(0.0)
-        return [self._fitted(_Place(centre, *at, upright)) for at in zip(scales, nearest, strict=True)]
+        centre, turns = tuple(0.5 * (size - 1.0)), [TURNS[rotations].index(turn) for turn in FILLING_TURNS[rotations]]
+        places = [_Place(centre, *at, turn) for turn in turns for at in zip(scales, nearest, strict=True)]
+        return [self._fitted(place) for place in places]
 
     def _peaks(self, sizes: np.ndarray, worth: float = 0.0) -> _Peaks:
         """Best places by correlation alone, of objects of these sizes and of those looked for before."""
@@ -668,18 +696,18 @@ def _read(frame: ReferenceFrame, values: np.ndarray, at: np.ndarray, width: floa
     return (np.stack(channels[:-1], axis=1) / np.maximum(channels[-1], 1e-6)[:, None]).astype(np.float32)
 
 
-def make_templates(small: AAM) -> tuple[Template, ...]:
+def make_templates(small: AAM, rotations: str = "upright") -> tuple[Template, ...]:
     """Templates of a small model: its mean in some rotations, and its strongest shape mode bent both ways."""
     shapes = small.shape_model
     straight = np.zeros(len(shapes.basis))
-    templates = [_template(small, np.deg2rad(turn), straight) for turn in TURNS]
+    templates = [_template(small, np.deg2rad(turn), straight) for turn in TURNS[rotations]]
     if not len(shapes.eigenvalues) or BEND * np.sqrt(shapes.eigenvalues[0] / shapes.n_points) < BEND_WORTH:
         return tuple(templates)
     for bend in (-BEND, BEND):
         p = straight.copy()
         p[0] = bend * np.sqrt(shapes.eigenvalues[0])
         if (signed_areas(shapes.shape(p), small.triangles) > 0).all():
-            templates += [_template(small, np.deg2rad(turn), p) for turn in BENT_TURNS]
+            templates += [_template(small, np.deg2rad(turn), p) for turn in BENT_TURNS[rotations]]
     return tuple(templates)
 
 

@@ -1,0 +1,85 @@
+"""Which of several places is the object's, and how far that is believed."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from liaam.fitting import Candidate, FitStatus, Fitter
+from liaam.fitting.search import LARGE
+from liaam.shape import diagonal_of
+
+HIGH = 0.9
+
+
+@pytest.fixture
+def place(judged, lit_scene, monkeypatch):
+    """Give the function that fits without a start where the search finds places of given sizes and qualities."""
+    image, right = lit_scene.image, Fitter(judged).fit(lit_scene.image, lit_scene.landmarks)
+
+    def call(*places: tuple[float, float]):
+        unit = (lit_scene.landmarks - lit_scene.landmarks.mean(axis=0)) / diagonal_of(lit_scene.landmarks)
+        shapes = [size * min(image.shape[:2]) * unit + 60.0 + 40.0 * i for i, (size, _) in enumerate(places)]
+        found = [Candidate(shape, 0.6, 0.0, 1.0) for shape in shapes]
+        fits = {
+            shape.tobytes(): replace(right, shape=shape, quality=quality, status=FitStatus.CONVERGED)
+            for shape, (_, quality) in zip(shapes, places, strict=True)
+        }
+        fitter = Fitter(judged, restarts=False)
+        vars(fitter)["finder"] = SimpleNamespace(find=lambda *_, **__: found[:1], others=lambda *_: found[1:])
+        monkeypatch.setattr(Fitter, "_fit_from", lambda self, target: fits[target.start.tobytes()])
+        result = fitter.fit(image)
+        return next(i for i, shape in enumerate(shapes) if shape is result.shape), result
+
+    return call
+
+
+def test_a_large_place_of_high_quality_is_believed_and_ends_the_search(place):
+    which, result = place((1.0, HIGH), (1.0, 0.99))
+    assert which == 0
+    assert result.n_starts == 1
+    assert result.quality == pytest.approx(HIGH)
+    assert result.status is FitStatus.CONVERGED
+
+
+def test_the_smaller_a_place_the_less_it_is_believed(place):
+    qualities = [place((size, HIGH))[1].quality for size in (0.15, 0.2, LARGE, 0.8)]
+    assert qualities[0] < qualities[1] < qualities[2]
+    assert qualities[2] == pytest.approx(qualities[3]) == pytest.approx(HIGH)
+    odds = [quality / (1 - quality) for quality in qualities]
+    assert odds[0] / odds[2] == pytest.approx((0.15 / LARGE) ** 2)
+
+
+def test_of_places_that_look_alike_the_largest_is_taken(place):
+    assert place((0.4, 0.3), (0.8, 0.3), (0.2, 0.3))[0] == 1
+    assert place((0.4, 0.3), (0.2, 0.9))[0] == 1
+
+
+def test_where_two_places_look_right_neither_is_believed(place):
+    _, alone = place((0.5, 0.6))
+    _, one_of_two = place((0.5, 0.6), (0.5, 0.59))
+    assert alone.status is FitStatus.CONVERGED
+    assert one_of_two.status is FitStatus.DOUBTFUL
+    assert one_of_two.n_starts == 2
+    own, other = 0.6 / 0.4, 0.59 / 0.41
+    assert one_of_two.quality == pytest.approx(own / (1 + own + other))
+
+
+def test_what_is_lost_everywhere_stays_lost(place):
+    which, result = place((0.5, 0.0), (0.8, 0.0))
+    assert which == 0
+    assert result.quality == 0.0
+
+
+def test_what_is_blurred_or_half_outside_speaks_little_for_a_fit(judged, same_light_scene):
+    image, truth = same_light_scene.image, same_light_scene.landmarks
+    fitter, middle = Fitter(judged, restarts=False), int(truth[:, 0].mean())
+
+    def explained(picture, shape=truth):
+        return fitter.fit(np.ascontiguousarray(picture), shape).evidence[0]
+
+    whole = explained(image)
+    assert explained(cv2.GaussianBlur(image, (0, 0), 12.0)) < 0.5 * whole
+    assert explained(image[:, middle:], truth - [middle, 0]) < 0.8 * whole
