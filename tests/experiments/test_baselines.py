@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from liaam.errors import MethodError
-from liaam.experiments.baselines import COVERED, SITUATIONS, Trial, baselines_experiment, changed_picture, covered
+from liaam.experiments.baselines import (
+    COVERED,
+    SITUATIONS,
+    Setup,
+    Trial,
+    baselines_experiment,
+    changed_picture,
+    covered,
+    run_trial,
+)
 from liaam.experiments.runner import run_experiment
 from liaam.experiments.subjects import get_subject
 
@@ -44,6 +53,15 @@ def test_baselines_and_claims_are_among_the_methods():
     for situation in SITUATIONS:
         assert {situation.baseline, *situation.claimed} <= set(situation.methods)
         assert situation.baseline not in situation.claimed or situation.name == "gain"
+
+
+@pytest.mark.parametrize("number", [10, 17, 18, 21])
+def test_tukeys_loss_comes_free_of_a_patch(number):
+    rows = run_trial(Setup(None, "liaam", 0), Trial("occlusion", number))
+    (tukey,) = (row for row in rows if row["method"] == "grey+tukey")
+    assert tukey["status"] == "converged"
+    assert tukey["error_px"] < 0.1
+    assert tukey["iterations"] < 30
 
 
 def test_a_patch_covers_its_share(rng):
