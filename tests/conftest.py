@@ -16,6 +16,7 @@ import pytest
 from hypothesis import settings
 
 from liaam import cli
+from liaam.datasets import Sample
 from liaam.datasets.scenes import (
     DIFFUSE,
     Head,
@@ -27,7 +28,8 @@ from liaam.datasets.scenes import (
     random_pose,
     render,
 )
-from liaam.io import video_writer
+from liaam.io import Landmarks, video_writer
+from liaam.lamps import Lamps, learn_lamps
 from liaam.model import AAM, SURROUNDINGS
 from liaam.training import train
 from setups import MOVING_FRAMES, between, moving_scene, train_on
@@ -91,21 +93,22 @@ def same_light_scene() -> Scene:
 
 
 @pytest.fixture(scope="session")
-def varied_scenes() -> list[Scene]:
-    """Give six pictures of the same head under three lamps, for the methods that learn what light does."""
-    camera, options = narrow_band_camera(), {"size": SCENE_SIZE, "mixing": "planckian"}
-    lamps = (lateral("left"), lateral("right"), lateral("left", azimuth=0.5, elevation=0.7))
-    return [
-        scene
-        for i, lights in enumerate(lamps)
-        for scene in make_set(2, Head(7), lights, camera, seed=20 + i, **options)
+def lamps() -> Lamps:
+    """Learn three lamps from two pictures of the same head, for the methods that learn what light does."""
+    lights = (DIFFUSE, lateral("left"), lateral("right"), lateral("left", azimuth=0.5, elevation=0.7))
+    options = {"camera": narrow_band_camera(), "seed": 20, "size": SCENE_SIZE, "mixing": "planckian"}
+    shown = [
+        Sample(f"{i}-{lamp}", scene.image, Landmarks(scene.landmarks))
+        for lamp, light in enumerate(lights)
+        for i, scene in enumerate(make_set(2, Head(7), light, **options))
     ]
+    return learn_lamps(shown, "0", response="linear")
 
 
 @pytest.fixture(scope="session")
-def model(scenes, varied_scenes) -> AAM:
+def model(scenes, lamps) -> AAM:
     """Give a small model (diagonal 80) of the scenes, with all appearances that there are."""
-    return train_on(scenes, diagonal=80.0, lit=[(scene.image, scene.landmarks) for scene in varied_scenes])
+    return train_on(scenes, diagonal=80.0, lamps=lamps)
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from liaam.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.datasets import Sample
 from liaam.errors import ImageError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
@@ -113,11 +114,6 @@ def test_every_method_has_its_appearance(model):
 # Pictures under other lights
 
 
-@pytest.fixture
-def lit_pairs(varied_scenes) -> list[tuple[np.ndarray, np.ndarray]]:
-    return [(scene.image, scene.landmarks) for scene in varied_scenes]
-
-
 def test_illumination_is_orthogonal_to_the_identity(model):
     for level in model.levels:
         value, light = level.appearances["value"], level.appearances["illumination"]
@@ -128,22 +124,29 @@ def test_illumination_is_orthogonal_to_the_identity(model):
         np.testing.assert_allclose(flat @ value.mean.ravel() / np.linalg.norm(value.mean), 0, atol=1e-4)
 
 
-def test_other_lights_change_neither_shapes_nor_other_appearances(model, scenes):
+def test_lamps_change_only_what_learns_from_copies(model, scenes):
     plain = train_on(scenes, diagonal=80.0)
     for name in ("mean", "modes", "eigenvalues"):
         assert np.array_equal(getattr(plain.shape_model, name), getattr(model.shape_model, name))
     for without, level in zip(plain.levels, model.levels, strict=True):
         assert set(level.appearances) - set(without.appearances) == {"varied", "illumination"}
-        for name, appearance in without.appearances.items():
-            for part in fields(appearance):
-                ours, theirs = (getattr(a, part.name) for a in (appearance, level.appearances[name]))
+        for name in {*without.appearances} - {*COPIED_APPEARANCES}:
+            for part in fields(AppearanceModel):
+                ours, theirs = (getattr(at.appearances[name], part.name) for at in (without, level))
                 assert np.array_equal(ours, theirs), (name, part.name)
 
 
+def test_no_copies_teach_nothing_of_light(pairs, lamps):
+    for options in ({"copies": 0, "lamps": lamps}, {"copies": 2}):
+        model = train(pairs, diagonal=40.0, leave_out=False, **options)
+        assert not {"varied", "illumination"} & set(model.levels[0].appearances)
+
+
 @pytest.mark.parametrize(("variance", "agree"), [(1.0, True), (0.8, False)])
-def test_aia_and_varied_are_one_where_all_modes_are_kept(scenes, lit_pairs, lit_scene, variance, agree):
+def test_aia_and_varied_are_one_where_all_modes_are_kept(scenes, lamps, lit_scene, variance, agree):
     # Both then compare with the span of all pictures: gain makes the mean a mode like any other.
-    model = train_on(scenes, diagonal=80.0, blurs=(0.5,), variance=1.0, appearance_variance=variance, lit=lit_pairs)
+    options = {"variance": 1.0, "appearance_variance": variance, "lamps": lamps, "copies": 1}
+    model = train_on(scenes, diagonal=80.0, blurs=(0.5,), **options)
     start = disturb(lit_scene.landmarks, 1.01, (0.01, -0.01))
     options = SolverOptions(max_iterations=100, tolerance=1e-4)
     aia, varied = (Fitter(model, name, options).fit(lit_scene.image, start) for name in ("aia", "varied"))
@@ -154,21 +157,6 @@ def test_aia_and_varied_are_one_where_all_modes_are_kept(scenes, lit_pairs, lit_
     else:
         assert apart > 0.05
         assert aia.cost != pytest.approx(varied.cost, rel=0.01)
-
-
-def test_lit_pictures_with_other_landmarks_are_refused_by_name(pairs, lit_pairs):
-    image, points = lit_pairs[1]
-    lit = [Sample("sunny.png", *lit_pairs[0]), Sample("lamp.png", image, Landmarks(points[:-1]))]
-    refused(pairs, "lamp.png has 57 landmarks but sunny.png has 58", lit=lit)
-    refused(pairs, r"lamp.png \(another light\) has 57 landmarks but image 1 has 58", lit=lit[1:])
-
-
-def test_lit_pictures_are_checked_as_the_others_are(pairs, lit_pairs):
-    image, points = lit_pairs[0]
-    refused(pairs, "0 landmarked images are too few to learn from; at least 1", lit=[])
-    refused(pairs, "image 1: its landmarks fold the mesh", lit=[(image, points * [-1, 1] + [179, 0])])
-    refused(pairs, "image 1: the object is almost wholly black", lit=[(0 * image, points)])
-    refused(pairs, "for a folder give liaam.load_folder", lit="faces")
 
 
 # What is refused
@@ -291,12 +279,6 @@ def test_identical_images_leave_no_modes(scenes):
     model = train_on([scenes[0]] * 3, diagonal=40.0)
     assert len(model.shape_model.modes) == 0
     assert model.levels[0].appearances["log"].n_modes == 0
-
-
-def test_lit_pictures_may_not_be_grey_where_the_others_are_in_colour(pairs, lit_pairs):
-    grey = [(np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2), points) for image, points in lit_pairs]
-    with pytest.raises(TrainingError, match=r"under other lights are grey .* unlike those to learn from"):
-        train(pairs, lit=grey)
 
 
 def test_pictures_of_one_object_are_left_out_together():

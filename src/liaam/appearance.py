@@ -12,7 +12,6 @@ from liaam.pca import (
     components_by,
     explained_by_others,
     gram_about,
-    principal_components,
     strongest,
 )
 
@@ -21,21 +20,17 @@ CHANNELS = {"value": 3, "log": 3, "orientation": 2, "soft": 3, "invariant": 1, "
 
 ``value``, ``log`` and ``orientation``: in the encoding of that name. ``soft``: the two components of the softly
 normalised gradient and L(theta) . log RGB. ``invariant``: L(theta) . log RGB, projected before the PCA (the paper's
-LIT). ``varied``: values under the training light and the lights of further pictures in one PCA (training with lighting
-variation, the paper's [11]). ``illumination``: what those further pictures show that ``value`` cannot explain, as modes
-to be added to it (the illumination basis of AIA, the paper's [6]).
+LIT). ``varied``: values of the pictures and of their relit copies in one PCA (training with lighting variation, the
+paper's [11]). ``illumination``: what those copies show that ``value`` cannot explain, as modes to be added to it (the
+illumination basis of AIA, the paper's [6]).
 """
 
 APPEARANCES = tuple(name for name in CHANNELS if name != "illumination")
 """Those that a method can be compared with on their own."""
 
-LIGHT_APPEARANCES = ("varied", "illumination")
-"""Those learnt from pictures under other lights, too."""
-
-
-COPIED_APPEARANCES = ("orientation", "soft")
-"""Those learnt from copies of the training pictures, too: of the search and of the default method. The others belong to
-methods of the paper and its references, which learn from pictures as they are."""
+COPIED_APPEARANCES = ("orientation", "soft", "varied", "illumination")
+"""Those learnt from copies of the training pictures, too: of the search, of the default method, and of the references
+that learn what light does. The others belong to methods that learn from pictures as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +106,10 @@ class Textures:
         if usable.ndim == 3:
             return cls(values, usable > 0, usable.max(axis=2).astype(np.float32))
         return cls(values, np.broadcast_to((usable > 0)[..., None], values.shape), usable)
+
+    def of_rows(self, rows: np.ndarray) -> "Textures":
+        """Some of the textures, by number or mask."""
+        return Textures(self.values[rows], self.seen[rows], self.usable[rows])
 
     @property
     def vectors(self) -> np.ndarray:
@@ -228,14 +227,14 @@ def _unexplained(vectors: np.ndarray, explained: np.ndarray, usable: np.ndarray)
     return moments / np.maximum(usable.sum(axis=0), 1)[:, None, None]
 
 
-def train_illumination(values: AppearanceModel, lit: Textures, variance: float | int) -> AppearanceModel:
+def train_illumination(values: AppearanceModel, relit: Textures, variance: float | int) -> AppearanceModel:
     """Learn an illumination basis: what pictures under other lights show beyond an appearance model.
 
     Parameters
     ----------
     values : AppearanceModel
         The identity's appearance, learnt under one light.
-    lit : Textures
+    relit : Textures
         Under other lights.
     variance : float or int
         Fraction of variance or number of modes to keep.
@@ -246,16 +245,17 @@ def train_illumination(values: AppearanceModel, lit: Textures, variance: float |
         Mean zero; modes orthogonal to those of ``values`` and to its mean, so that identity, gain and
         illumination do not trade off (Kahraman et al., CVPR 2007, orthogonalise likewise).
     """
-    _, n_pixels, c = lit.values.shape
+    _, n_pixels, c = relit.values.shape
     identity = np.concatenate([values.mean[None], values.modes]).reshape(-1, n_pixels * c).astype(np.float64)
-    identity = np.linalg.qr(identity.T)[0]
-    filled, _ = lit.filled(variance)
+    identity = np.linalg.qr(identity.T)[0].astype(np.float32)
+    filled, _ = relit.filled(variance)
     beyond = filled - (filled @ identity) @ identity.T
     # Around zero, not around their mean: the mean change of light is a mode like any other.
-    components = principal_components(np.concatenate([beyond, -beyond]), variance)
+    zero = np.zeros(n_pixels * c)
+    components = components_by(beyond, zero, gram_about(beyond, zero), variance)
     return AppearanceModel(
         mean=np.zeros((n_pixels, c), np.float32),
         modes=components.modes.reshape(-1, n_pixels, c).astype(np.float32),
         eigenvalues=components.eigenvalues,
-        usable=lit.usable.mean(axis=0).astype(np.float32),
+        usable=relit.usable.mean(axis=0).astype(np.float32),
     )

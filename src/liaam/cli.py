@@ -115,10 +115,6 @@ def train(
     response: Annotated[
         str | None, typer.Option(help="Camera response: srgb (unless a camera is given), linear, or a gamma.")
     ] = None,
-    lit: Annotated[
-        Path | None,
-        typer.Option(help="Folder of further landmarked images under other lights, for methods 'varied' and 'aia'."),
-    ] = None,
     lamps: Annotated[
         Path | None,
         typer.Option(
@@ -148,7 +144,6 @@ def train(
     """
     import numpy as np
 
-    from liaam.datasets import load_folder
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
     from liaam.training import train as train_model
@@ -167,9 +162,6 @@ def train(
         )
     data = read_folder(folder, images, recursive)
     options["camera"] = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
-    others = None if lit is None else load_folder(lit, recursive=recursive)
-    if others is not None:
-        say(f"other lights: {others.report()}")
     light = None if lamps is None else read_lamps(lamps, training_lamp, recursive, options["camera"].response)
     warn_of_faults(data, folder)
     with stoppable_progress(counted=False) as tell:
@@ -177,7 +169,6 @@ def train(
             data,
             prior=parse_prior(prior or []),
             diagonal=diagonal,
-            lit=others,
             lamps=light,
             copies=copies,
             name=name or folder.name,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from liaam.appearance import CHANNELS, COPIED_APPEARANCES, LIGHT_APPEARANCES, AppearanceModel
+from liaam.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel
 from liaam.errors import LiaamError, ModelFileError
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.photometry import CameraModel, Response, camera_from, describe_response, parse_response
@@ -47,7 +47,7 @@ class Level:
         Standard deviation of the Gaussian blur of the encoded images, pixels of the reference frame.
     appearances : dict of str to AppearanceModel
         By name of :data:`liaam.appearance.CHANNELS`, all on the pixels of the view. ``invariant`` is absent from
-        a model trained on grey pictures; ``varied`` and ``illumination`` from one trained under one light.
+        a model trained on grey pictures; ``varied`` and ``illumination`` from one trained without lamps.
     """
 
     blur: float
@@ -342,9 +342,8 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
 
 
 def _counts(n_images: int, n_textures: int) -> dict[str, int]:
-    """How many textures each appearance was learnt from, of those that were learnt from the training images alone."""
-    own = dict.fromkeys(set(CHANNELS) - set(LIGHT_APPEARANCES), n_images)
-    return own | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
+    """How many textures each appearance was learnt from."""
+    return dict.fromkeys(CHANNELS, n_images) | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
 
 
 def _views(
@@ -439,7 +438,7 @@ def _appearance(
     channels = CHANNELS[name]
     modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
     # Modes of few images need no more room than their own squares: those are what fits work with.
-    most = min(n_pixels * channels, counts.get(name, n_pixels * channels))
+    most = min(n_pixels * channels, counts[name])
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes, of {most} at most")
     unexplained = None  # absent from an illumination basis

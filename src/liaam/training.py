@@ -18,7 +18,7 @@ from liaam.appearance import (
     train_illumination,
 )
 from liaam.errors import TrainingError
-from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+from liaam.fitting.methods import DEFAULT_METHOD, ENCODING_OF, METHODS
 from liaam.fitting.reliability import LeftOut, calibrate
 from liaam.lamps import Copies, Lamps, learn_lamps
 from liaam.mesh import (
@@ -37,8 +37,8 @@ from liaam.sampling import make_patch, sample_texture
 from liaam.shape import Recipe, align, check_prior, choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.warp import PiecewiseAffineWarp
 
-ENCODINGS_OF = {MESH: ("value", "log", "orientation"), SURROUNDINGS: ("soft",)}
-"""What pictures are sampled in for each view."""
+SAMPLED = {MESH: ("value", "log", "orientation", "varied"), SURROUNDINGS: ("soft",)}
+"""Appearances of each view that pictures are sampled for; ``varied`` where there are relit copies."""
 
 BLURS = {MESH: (3.0, 0.5), SURROUNDINGS: (4.0, 2.0, 1.0)}
 """Blur of the levels of each view from coarse to fine, standard deviation in pixels of the reference frame. Of the
@@ -83,7 +83,6 @@ def train(
     camera: CameraModel | None = None,
     blurs: Blurs | Mapping[str, Blurs] | None = None,
     triangles: np.ndarray | None = None,
-    lit: Iterable | None = None,
     lamps: Lamps | Iterable | None = None,
     training_lamp: str | None = None,
     copies: int | None = None,
@@ -125,17 +124,15 @@ def train(
         views that are left out.
     triangles : (t, 3) int, optional
         The mesh. If left out: the files' connectivity where it is a mesh, else Delaunay of the mean shape.
-    lit : Dataset or iterable, optional
-        Further pictures of the same kind of object under other lights, for the methods that learn what light
-        does (``varied``, ``aia``). Shapes and all other appearances are learnt from ``data`` alone.
     lamps : Lamps, Dataset or iterable of Sample, optional
         Lamps that copies of the pictures are put under, or pictures of a few objects under various lamps to learn these
         from (:func:`liaam.lamps.learn_lamps`).
     training_lamp : str, optional
         Which of the lamps in the pictures' names is the light of ``data``.
     copies : int, optional
-        Relit copies of each picture, fewer of many pictures, that the default method and the search learn from as well;
-        every other one is mirrored where the object is symmetric. Without lamps there is but a mirrored one. If left
+        Relit copies of each picture, fewer of many pictures, that the default method, the search and the methods that
+        learn what light does (``varied``, ``aia``) learn from as well; every other one is mirrored where the object is
+        symmetric. Without lamps there is but a mirrored one. If left
         out :data:`COPIES`, and none where all of the variance is kept, which asks for the pictures and nothing else.
     leave_out : bool
         Leave pictures out in turn and fit them, to learn how far the default method's fits can be trusted
@@ -181,12 +178,10 @@ def train(
     )
     for entry in entries:
         _check_fold(entry, model.frame)
-    others = [] if lit is None else _lit_entries(lit, entries, model.frame)
-    told = _Progress(progress, _work(len(copied.owners), len(others), blurs, folds if leave_out else []))
-    sampled = _sample_all(entries, model, _blurs_by_encoding(blurs), told, copied)
-    lit_sampled = _sample_lit(others, entries, model, blurs[MESH], told, sampled.grey) if others else None
+    told = _Progress(progress, _work(len(copied.owners), blurs, folds if leave_out else []))
+    sampled = _sample_all(entries, model, blurs, told, copied)
     learn = {
-        MESH: lambda i: _appearances(sampled, lit_sampled, i, camera.theta, kept[MESH], folds),
+        MESH: lambda i: _appearances(sampled, i, camera.theta, kept[MESH], folds),
         SURROUNDINGS: lambda i: {"soft": _soft_appearance(sampled, i, kept[SURROUNDINGS], folds)},
     }
     for view in VIEWS:
@@ -213,10 +208,10 @@ def _learning(n: int) -> int:
     return max(1, n // 10)
 
 
-def _work(n: int, n_lit: int, blurs: dict[str, Blurs], folds: list[np.ndarray]) -> int:
-    """How many times as long as sampling a picture it takes to train on n pictures and those under other lights."""
+def _work(n: int, blurs: dict[str, Blurs], folds: list[np.ndarray]) -> int:
+    """How many times as long as sampling a picture it takes to train on n pictures and copies."""
     learning = _learning(n) * (sum(map(len, blurs.values())) + len(folds))
-    return n + n_lit + learning + FITTED * sum(len(_fitted(fold, folds)) for fold in folds)
+    return n + learning + FITTED * sum(len(_fitted(fold, folds)) for fold in folds)
 
 
 @dataclass
@@ -232,14 +227,6 @@ class _Progress:
         if self.tell:
             self.tell(self.done, self.total, what)
         self.done += cost
-
-
-LIT_ENCODINGS: tuple[str, ...] = ("value", "log")
-"""What pictures under other lights are sampled in: to learn from, and to tell whether they show enough."""
-
-
-def _blurs_by_encoding(blurs: dict[str, Blurs]) -> dict[str, Blurs]:
-    return {encoding: blurs[view] for view, encodings in ENCODINGS_OF.items() for encoding in encodings}
 
 
 def _by_view(option: str, given: Any, usual: Mapping[str, Any]) -> dict[str, Any]:
@@ -408,7 +395,7 @@ def _check_fold(entry: _Entry, frame: ReferenceFrame) -> None:
 
 @dataclass(frozen=True)
 class _Sampled:
-    """Textures of all samples by encoding, one per blur.
+    """Textures of all samples by appearance, one per blur.
 
     Attributes
     ----------
@@ -427,30 +414,37 @@ class _Sampled:
     def n_samples(self) -> int:
         return int(self.owners[-1]) + 1
 
-    def rows(self, encoding: str, samples: np.ndarray) -> np.ndarray:
-        """Which textures in an encoding are of some samples."""
-        return np.flatnonzero(np.isin(self.owners, samples)) if encoding in COPIED_APPEARANCES else samples
+    @property
+    def copies(self) -> np.ndarray:
+        """Which textures of :data:`COPIED_APPEARANCES` are of copies, (n_textures,) bool."""
+        return np.diff(self.owners, prepend=-1) == 0
 
-    def folds(self, encoding: str, folds: list[np.ndarray]) -> list[np.ndarray]:
-        """Textures in an encoding to leave out together, for samples to leave out together."""
-        return [self.rows(encoding, fold) for fold in folds]
+    def rows(self, name: str, samples: np.ndarray) -> np.ndarray:
+        """Which textures of an appearance are of some samples."""
+        return np.flatnonzero(np.isin(self.owners, samples)) if name in COPIED_APPEARANCES else samples
+
+    def folds(self, name: str, folds: list[np.ndarray]) -> list[np.ndarray]:
+        """Textures of an appearance to leave out together, for samples to leave out together."""
+        return [self.rows(name, fold) for fold in folds]
 
 
 def _sample_all(
-    entries: list[_Entry], model: AAM, blurs: dict[str, Blurs], told: _Progress, copied: Copies | None = None
+    entries: list[_Entry], model: AAM, blurs: dict[str, Blurs], told: _Progress, copied: Copies
 ) -> _Sampled:
-    """Sample the textures of all entries in every encoding asked for, at each of its blurs, and those of copies."""
-    camera, view_of = model.camera, {encoding: view for view, known in ENCODINGS_OF.items() for encoding in known}
-    warps = {encoding: model.views[view_of[encoding]].warp for encoding in blurs}
-    owners = np.arange(len(entries)) if copied is None else copied.owners
-    counts = {encoding: len(owners) if encoding in COPIED_APPEARANCES else len(entries) for encoding in blurs}
-    room = {encoding: [_room(n, warps[encoding], encoding) for _ in blurs[encoding]] for encoding, n in counts.items()}
+    """Sample the textures of all entries, and those of copies, at each blur of the views' levels."""
+    camera, owners = model.camera, copied.owners
+    view_of = {name: view for view, known in SAMPLED.items() for name in known if name != "varied" or copied.are_relit}
+    counts = {name: len(owners) if name in COPIED_APPEARANCES else len(entries) for name in view_of}
+    warps = {name: model.views[view].warp for name, view in view_of.items()}
+    room = {name: [_room(n, warps[name], name) for _ in blurs[view_of[name]]] for name, n in counts.items()}
 
-    def sample(image: np.ndarray, points: np.ndarray, encoding: str, row: int) -> None:
-        for (values, usable), blur in zip(room[encoding], blurs[encoding], strict=True):
-            found = sample_appearance(image, points, warps[encoding], encoding, camera.response, blur)
+    def sample(image: np.ndarray, points: np.ndarray, name: str, row: int) -> None:
+        encoding = ENCODING_OF[name]
+        for (values, usable), blur in zip(room[name], blurs[view_of[name]], strict=True):
+            found = sample_appearance(image, points, warps[name], encoding, camera.response, blur)
             values[row], usable[row] = _learnt(encoding, *found, camera.theta)
 
+    copied_names = [name for name in view_of if name in COPIED_APPEARANCES]
     grey, first = [], np.searchsorted(owners, np.arange(len(entries)))
     for i, entry in enumerate(entries):
         told.step(entry.name)
@@ -458,14 +452,13 @@ def _sample_all(
         _check_inside(entry, image)
         grey.append(is_grey(image))
         image = camera.flatten(image)
-        for encoding in blurs:
-            sample(image, entry.points, encoding, first[i] if encoding in COPIED_APPEARANCES else i)
-        if copied is not None:
-            made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
-            for row, (copy, points) in enumerate(made, first[i] + 1):
-                told.step(f"a copy of {entry.name}")
-                for encoding in COPIED_APPEARANCES:
-                    sample(copy, points, encoding, row)
+        for name in view_of:
+            sample(image, entry.points, name, first[i] if name in COPIED_APPEARANCES else i)
+        made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
+        for row, (copy, points) in enumerate(made, first[i] + 1):
+            told.step(f"a copy of {entry.name}")
+            for name in copied_names:
+                sample(copy, points, name, row)
         _check_light(entry, image, model.warp.interpolate(entry.points), room["log"][-1][1][i])
     if any(grey) and not all(grey):
         name = entries[grey.index(True)].name
@@ -473,15 +466,15 @@ def _sample_all(
             f"{name} is grey (three equal channels) but others are in colour; leave the grey images out, "
             "or make all grey"
         )
-    textures = {encoding: [Textures.of(*each) for each in by_blur] for encoding, by_blur in room.items()}
+    textures = {name: [Textures.of(*each) for each in by_blur] for name, by_blur in room.items()}
     return _Sampled(textures, owners, all(grey))
 
 
-def _room(n: int, warp: PiecewiseAffineWarp, encoding: str) -> tuple[np.ndarray, np.ndarray]:
-    """Room for the values of n textures in an encoding, and for what is usable of them."""
-    shape = (n, warp.frame.n_pixels, CHANNELS[encoding])
+def _room(n: int, warp: PiecewiseAffineWarp, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Room for the values of n textures of an appearance, and for what is usable of them."""
+    shape = (n, warp.frame.n_pixels, CHANNELS[name])
     # Of ``soft``, gradient and invariant are usable each for itself.
-    return np.empty(shape, np.float32), np.empty(shape if encoding == "soft" else shape[:2], np.float32)
+    return np.empty(shape, np.float32), np.empty(shape if name == "soft" else shape[:2], np.float32)
 
 
 def _learnt(encoding: str, values: np.ndarray, usable: np.ndarray, theta: float) -> tuple[np.ndarray, np.ndarray]:
@@ -494,32 +487,6 @@ def _learnt(encoding: str, values: np.ndarray, usable: np.ndarray, theta: float)
     direction, log_rgb, known = np.split(values, [2, 5], axis=1)
     rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=1)
     return rows, np.column_stack([usable, usable, usable * (known[:, 0] > 0.99)])
-
-
-def _lit_entries(lit: Iterable, entries: list[_Entry], frame: ReferenceFrame) -> list[_Entry]:
-    """Checked pictures under other lights, which have to have the landmarks of the rest."""
-    others, *_ = _entries(lit, at_least=1)
-    for entry in others:
-        if len(entry.points) != len(entries[0].points):
-            raise TrainingError(
-                f"{entry.name} (another light) has {len(entry.points)} landmarks but {entries[0].name} has "
-                f"{len(entries[0].points)}; every image needs the same points in the same order"
-            )
-        _check_fold(entry, frame)
-    return others
-
-
-def _sample_lit(
-    others: list[_Entry], entries: list[_Entry], model: AAM, blurs: Blurs, told: _Progress, grey: bool
-) -> _Sampled:
-    """Sample the pictures under other lights, which have to be in colour as the rest."""
-    sampled = _sample_all(others, model, dict.fromkeys(LIT_ENCODINGS, blurs), told)
-    if sampled.grey != grey:
-        raise TrainingError(
-            f"the pictures under other lights are {'in colour' if grey else 'grey (three equal channels)'}, unlike "
-            f"those to learn from (such as {entries[0].name}); make both alike"
-        )
-    return sampled
 
 
 def sample_appearance(
@@ -585,10 +552,10 @@ def _counted(values: np.ndarray, variance: Variance, folds: list[np.ndarray]) ->
 
 
 def _appearances(
-    sampled: _Sampled, lit: _Sampled | None, level: int, theta: float, asked: Variance, folds: list[np.ndarray]
+    sampled: _Sampled, level: int, theta: float, asked: Variance, folds: list[np.ndarray]
 ) -> dict[str, AppearanceModel]:
     """All appearances of one level of the view ``mesh``."""
-    textures = {name: sampled.textures[name][level] for name in ENCODINGS_OF[MESH]}
+    textures = {name: sampled.textures[name][level] for name in SAMPLED[MESH] if name in sampled.textures}
     if not sampled.grey:
         # LIT: project first, then learn (paper section 4).
         log = textures["log"]
@@ -597,14 +564,10 @@ def _appearances(
     for name, each in textures.items():
         share = _counted(each.values, asked, sampled.folds(name, folds))
         appearances[name] = train_appearance_model(each, share, left_out=sampled.folds(name, every))
-    if lit is not None:
-        # How many other lights ask for, the pictures under one light cannot tell.
-        variance = 0.98 if asked == "auto" else asked
-        value, other = textures["value"], lit.textures["value"][level]
-        values, usable = (np.concatenate(pair) for pair in ((value.values, other.values), (value.usable, other.usable)))
-        varied, left_out = Textures.of(values, usable), some_folds(len(values))
-        appearances["varied"] = train_appearance_model(varied, variance, left_out=left_out)
-        appearances["illumination"] = train_illumination(appearances["value"], other, variance)
+    if "varied" in textures:
+        # How many modes another light asks for, pictures left out under their own cannot tell.
+        share, relit = 0.98 if asked == "auto" else asked, textures["varied"].of_rows(sampled.copies)
+        appearances["illumination"] = train_illumination(appearances["value"], relit, share)
     return appearances
 
 

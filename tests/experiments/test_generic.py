@@ -84,7 +84,7 @@ def test_lamps_reach_the_training(folder, folders, monkeypatch, tmp_path):
         for suffix in ("png", "pts"):
             shutil.copy(folder / f"03-1m.{suffix}", lamps / f"{name}.{suffix}")
     options = {"test": folders[1], "lamps": lamps, "training_lamp": "1m"}
-    request = generic.GenericRequest(folders[0], ("soft-li",), 1, 0, "liaam", **options)
+    request = generic.GenericRequest(folders[0], ("soft-li", "varied"), 1, 0, "liaam", **options)
     generic.get_trained.cache_clear()
     generic.get_trained(request, 0)
     generic.get_trained.cache_clear()

@@ -119,7 +119,7 @@ def test_light_invariance_holds_on_a_real_person(shared_data, tmp_path):
 
 @pytest.mark.parametrize("method", ["aia", "varied+tukey"])
 def test_methods_that_need_other_lights_are_refused_before_any_work(tmp_path, method):
-    with pytest.raises(LiaamError, match=r"needs pictures under other lights .* baselines"):
+    with pytest.raises(LiaamError, match=r"trained with lamps; .* baselines"):
         displacement_experiment(None, (method,), 1)
 
 

@@ -155,7 +155,7 @@ def test_spaces_around_suffixes_do_not_matter():
 
 def test_methods_that_learn_light_need_a_model_that_has(fine_model):
     for name in ("aia", "varied"):
-        with pytest.raises(MethodError, match="--lit"):
+        with pytest.raises(MethodError, match="--lamps"):
             Fitter(fine_model, name)
 
 

@@ -4,13 +4,16 @@ Each situation breaks the plain comparison of luminance in the one way that some
 light of which training has seen the like, a patch that hides a fifth of the face, a change of gain and offset.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from liaam.datasets import Sample
 from liaam.evaluation import error_statistics, or_dash, point_error
 from liaam.experiments.runner import Experiment, Row, markdown_table
 from liaam.experiments.simulated import displaced
@@ -25,6 +28,7 @@ from liaam.experiments.subjects import (
     subject_facts,
 )
 from liaam.fitting import Fitter
+from liaam.io import Landmarks
 from liaam.plotting import figure_of_bars
 
 if TYPE_CHECKING:
@@ -32,6 +36,9 @@ if TYPE_CHECKING:
 
 GAMMA = 4.0
 """Displacement of the start, pixels (standard deviation of each coordinate)."""
+
+COPIES = 4
+"""Relit copies of each picture to learn what light does from."""
 
 COVERED = 0.2
 """Share of the face's bounding box under the patch."""
@@ -87,9 +94,10 @@ SITUATIONS = (
 
 CHOICES = (
     f"Starts are displaced by γ = {GAMMA:g} px; all modes are kept; pictures fitted are those trained on, changed.",
-    "Light: training adds three of the six pictures under simulated shadows from the left and from the right, whose "
-    "edges tilt by 10° either way; the tilt of those fitted is drawn from ±20°. `varied` and `aia` agree where all "
-    "modes are kept, because both then span the same pictures.",
+    "Light: three of the six pictures under simulated shadows from the left and from the right, whose edges tilt by "
+    f"10° either way, are the lamps of training, which learns from {COPIES} relit copies of each picture; the tilt of "
+    "the shadows fitted is drawn from ±20°. `varied` and `aia` agree where all modes are kept, because both then span "
+    "the same pictures.",
     f"Occlusion: a rectangle of {COVERED:.0%} of the face's bounding box, of a random colour, anywhere in its middle.",
     "Gain: stored values become 0.5 to 0.8 of themselves plus 0 to 0.15. `grey` holds gain and offset among its modes, "
     "so the plain comparison is `grey-plain` here.",
@@ -120,17 +128,25 @@ class Setup:
 
 @lru_cache(maxsize=1)
 def get_fitters(data: Path | None, solver: str) -> dict[str, Fitter]:
-    """Train on the subject, with some of its pictures in shadow besides; once per process."""
+    """Train on the subject, with lamps that some of its pictures in shadow teach; once per process."""
     subject = get_subject(data)
-    half = TILT / 2
-    lit = [
-        (simulated_shadow(image, shape, side + tilt)[0], shape)
-        for image, shape in subject.pairs[::2]
-        for side in (0.0, np.pi)
-        for tilt in (-half, half)
-    ]
-    model = get_solver(solver).train(subject.pairs, theta=PAPER_THETA, lit=lit, name=subject.name)
+    model = get_solver(solver).train(
+        subject.pairs,
+        theta=PAPER_THETA,
+        lamps=[shown for i in range(0, len(subject.pairs), 2) for shown in in_shadow(subject, i)],
+        training_lamp="even",
+        copies=COPIES,
+        name=subject.name,
+    )
     return make_fitters(model, sorted({method for situation in SITUATIONS for method in situation.methods}), solver)
+
+
+def in_shadow(subject: Subject, picture: int) -> Iterator[Sample]:
+    """Give one of a subject's pictures as it is and with the shadows that training has seen."""
+    image, shape = subject.pairs[picture]
+    yield Sample(f"{picture}-even", image, Landmarks(shape))
+    for number, (side, tilt) in enumerate(product((0.0, np.pi), (-TILT / 2, TILT / 2))):
+        yield Sample(f"{picture}-shadow{number}", simulated_shadow(image, shape, side + tilt)[0], Landmarks(shape))
 
 
 def changed_picture(subject: Subject, situation: str, picture: int, rng: np.random.Generator) -> np.ndarray:

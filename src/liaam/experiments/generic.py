@@ -120,6 +120,11 @@ class GenericRequest(Request):
         if self.test is not None and self.first is not None:
             raise LiaamError("pictures to fit are those of --test, or those of --data after the --first; give one")
 
+    @property
+    def has_lamps(self) -> bool:
+        """Whether models are trained with lamps."""
+        return self.lamps is not None
+
     def settings(self) -> dict[str, Any]:
         """What decides the results, besides the pictures."""
         own = {"first": self.first, "training_lamp": self.training_lamp, "diagonal": self.diagonal}

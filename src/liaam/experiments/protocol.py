@@ -80,7 +80,12 @@ class Request:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be done, before any work."""
-        check_request(self.methods, self.solver, self.trials)
+        check_request(self.methods, self.solver, self.trials, self.has_lamps)
+
+    @property
+    def has_lamps(self) -> bool:
+        """Whether models are trained with lamps."""
+        return False
 
     def settings(self) -> dict[str, Any]:
         """What decides the results, besides the pictures."""

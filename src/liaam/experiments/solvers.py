@@ -103,14 +103,14 @@ def check_trials(solver: str, trials: int) -> None:
         raise MethodError("trials must be at least 1")
 
 
-def check_request(methods: Sequence[str], solver: str, trials: int) -> None:
-    """Refuse, before any work, methods and solvers that do not exist, and no trials."""
+def check_request(methods: Sequence[str], solver: str, trials: int, lamps: bool = False) -> None:
+    """Refuse, before any work, methods and solvers that do not exist, methods that need lamps, and no trials."""
     for method in methods:
         row = get_method(method)
-        if row.illumination or row.appearance == "varied":
+        if not lamps and (row.illumination or row.appearance == "varied"):
             raise MethodError(
-                f"method {method} needs pictures under other lights to learn from, which this experiment lacks; "
-                "'liaam experiment baselines' compares it"
+                f"method {method} needs a model that has been trained with lamps; "
+                "'liaam experiment generic --lamps' and 'liaam experiment baselines' compare it"
             )
     if not methods:
         raise MethodError("no method is given; see 'liaam methods' for those that exist")

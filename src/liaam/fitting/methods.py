@@ -307,7 +307,7 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             "varied",
-            "as grey, learnt from pictures under varied light (train with --lit)",
+            "as grey, learnt from relit pictures, too (train with --lamps)",
             "value",
             "varied",
             "luminance",
@@ -316,7 +316,7 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             "aia",
-            "active illumination: as grey, plus an illumination basis (train with --lit)",
+            "active illumination: as grey, plus an illumination basis (train with --lamps)",
             "value",
             "value",
             "luminance",

@@ -452,18 +452,14 @@ def _check_holds(model: AAM, method: Method) -> None:
             f"'{'li' if model.is_colour else 'grey'}'"
         )
     for level in model.views[method.view].levels:
-        if method.illumination and "illumination" not in level.appearances:
+        missing = {method.appearance, *(["illumination"] if method.illumination else [])} - set(level.appearances)
+        if missing & {"varied", "illumination"}:
             raise MethodError(
-                f"method {method.name} needs a model that has learnt what light does; train it with pictures under "
-                "other lights ('liaam train --lit FOLDER', or train(..., lit=...))"
+                f"method {method.name} needs a model that has learnt what light does; train it with lamps "
+                "('liaam train --lamps', or train(..., lamps=...))"
             )
-        if method.appearance not in level.appearances:
-            lit = (
-                " with pictures under other lights ('liaam train --lit FOLDER')"
-                if method.appearance == "varied"
-                else ""
-            )
-            raise MethodError(f"method {method.name}: the model has no such appearance; train it again{lit}")
+        if missing:
+            raise MethodError(f"method {method.name}: the model has no such appearance; train it again")
         if method.loss == "learnt" and level.appearances[method.appearance].unexplained is None:
             raise MethodError(f"method {method.name}: the model has not learnt how far it errs; train it again")
 

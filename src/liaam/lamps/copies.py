@@ -47,6 +47,11 @@ class Copies:
         return cls(lamps, np.diff(np.arange(n + 1) * total // n), order)
 
     @property
+    def are_relit(self) -> bool:
+        """Whether any copy is in another light."""
+        return self.lamps is not None and bool(self.counts.any())
+
+    @property
     def owners(self) -> np.ndarray:
         """Number of the picture that each texture is of, the pictures' own first among their copies, (n + total,)."""
         return np.repeat(np.arange(len(self.counts)), 1 + self.counts)
