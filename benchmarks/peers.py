@@ -22,8 +22,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks import fit, iteration
 from benchmarks.metrics import in_turn, quartiles, report
 from benchmarks.track import data_folder
+from experiments.lights import dapples, hard_light
 from liaam.datasets import Dataset, load_folder
-from liaam.experiments.lights import dapples, hard_light
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.objective import Objective
 from liaam.fitting.problem import FitProblem

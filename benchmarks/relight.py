@@ -6,8 +6,7 @@ from time import perf_counter
 import numpy as np
 
 from benchmarks.metrics import report
-from liaam.datasets.scenes import Head
-from liaam.experiments.relit import (
+from experiments.relit import (
     LitPair,
     beyond_error,
     flat_error,
@@ -17,6 +16,7 @@ from liaam.experiments.relit import (
     seam,
     train_on_flat_light,
 )
+from liaam.datasets.scenes import Head
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.relighting import Relighter, paint

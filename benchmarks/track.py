@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from benchmarks.metrics import report
+from experiments.lights import circling_light
 from liaam.datasets import load_folder
-from liaam.experiments.lights import circling_light
 from liaam.fitting import FitResult, Fitter
 from liaam.io import Contour, Landmarks, VideoFrame, VideoReader
 from liaam.model import AAM

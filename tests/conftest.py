@@ -3,6 +3,7 @@
 import os
 import sys
 import zlib
+from functools import partial
 from pathlib import Path
 
 # Before anything is imported that looks at these. Tests that run side by side ('pytest -n logical') leave each other's
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from experiments import cli as experiments_cli
 from liaam import cli
 from liaam.datasets import Sample
 from liaam.datasets.scenes import (
@@ -145,14 +147,20 @@ def clip(moving, tmp_path_factory) -> Path:
 @pytest.fixture
 def run(monkeypatch, capsys):
     """Run 'liaam ...' in this process; gives (exit status, standard output, standard error)."""
+    return partial(_run, cli.main, monkeypatch, capsys)
 
-    def call(*arguments):
-        monkeypatch.setenv("COLUMNS", "200")
-        monkeypatch.setattr(sys, "argv", ["liaam", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            cli.main()
-            raise SystemExit(0)
-        captured = capsys.readouterr()
-        return stopped.value.code or 0, captured.out, captured.err
 
-    return call
+@pytest.fixture
+def run_experiments(monkeypatch, capsys):
+    """Run 'python -m experiments ...' likewise."""
+    return partial(_run, experiments_cli.main, monkeypatch, capsys)
+
+
+def _run(main, monkeypatch, capsys, *arguments):
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "argv", [main.__module__, *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+        raise SystemExit(0)
+    captured = capsys.readouterr()
+    return stopped.value.code or 0, captured.out, captured.err

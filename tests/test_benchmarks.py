@@ -3,9 +3,9 @@
 from itertools import islice
 
 import pytest
-from benchmarks import batch, fit, iteration, many, relight, search, track
 
-from liaam.experiments.relit import lit_pairs
+from benchmarks import batch, fit, iteration, many, relight, search, track
+from experiments.relit import lit_pairs
 
 SMALL = (160, 120)
 

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+
 from benchmarks import __main__ as command
 from benchmarks import metrics
 from benchmarks.metrics import (

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+
 from benchmarks import fit, iteration, peer_opencv, peers
 from benchmarks.metrics import recording
 from benchmarks.peers import MissingError, Peer, Row, floor_bytes, rows_of

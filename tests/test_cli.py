@@ -222,17 +222,6 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "--all"), "leave one of them out"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "there are soft-li, grey, rgb, li"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is a file"),
-        (("experiment", "spot", "--data", "{portraits}", "--out", "o"), "named as the IMM"),
-        (("experiment", "spot", "--data", "{portraits}", "--out", "o", "--methods", ","), "is empty"),
-        (("experiment", "noise", "--out", "o", "--methods", "li,magic"), "'magic' does not exist"),
-        (("experiment", "generic", "--data", "{portraits}", "--out", "o"), "named as the IMM"),
-        (("experiment", "peer", "--data", "{portraits}", "--out", "o", "--methods", "magic"), "'magic' does not exist"),
-        (
-            ("experiment", "displacement", "--out", "o", "--solver", "oracle"),
-            "there are liaam, liaam-smooth, liaam-sample, paper",
-        ),
-        (("experiment", "displacement", "--out", "{image}", "--methods", "li"), "is a file"),
-        (("experiment", "convergence", "--out", "o", "--data", "{missing}"), "does not exist"),
     ],
 )
 def test_wrong_input_is_one_line_that_says_what_to_do(
@@ -294,43 +283,9 @@ def test_images_of_one_stem_do_not_overwrite_each_other(tmp_path):
     assert unique_stems(images) == ["a_x_png", "b_x_png", "y", "b_x_jpg"]
 
 
-@pytest.mark.parametrize(
-    ("name", "column"), [("displacement", "gamma"), ("noise", "sigma_n"), ("convergence", "iteration")]
-)
-def test_experiments_print_medians_and_write_files(run, portraits, tmp_path, name, column):
-    options = ("--data", portraits[0], "--methods", "grey,li", "--trials", 1, "--jobs", 1)
-    code, out, err = run("experiment", name, "--out", tmp_path / "o", *options)
-    assert (code, err) == (0, "")
-    assert f"median error, px, by {column}" in out
-    assert "grey" in out
-    assert f"written to {tmp_path / 'o'}" in out
-    written = sorted(path.name for path in (tmp_path / "o").iterdir())
-    pictures = [] if name == "convergence" else ["pictures.png"]
-    assert written == ["figure.png", "figure.svg", *pictures, "report.md", "results.csv", "summary.json"]
-    assert column in (tmp_path / "o" / "results.csv").read_text().splitlines()[0]
-
-
-def test_a_stopped_experiment_says_how_to_go_on(run, portraits, tmp_path, monkeypatch):
-    from liaam.experiments import simulated
-
-    def stop(_setup, _trial):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(simulated, "run_trial", stop)
-    arguments = ("experiment", "noise", "--data", portraits[0], "--out", tmp_path, "--methods", "li", "--jobs", 1)
-    code, _, err = run(*arguments)
-    assert code == 130
-    assert err.startswith("stopped: 0 of 144 tasks are kept")
-    assert "the same command goes on" in err
-    assert len(err.splitlines()) == 1
-
-
 def test_help_and_methods(run):
-    helped = ("displacement", "noise", "convergence", "spot", "generic", "peer", "basin", "occlusion", "unchanged")
-    helped += ("assisted", "uncertainty")
-    commands = (("train",), ("fit",), ("track",), *(("experiment", name) for name in helped))
-    for arguments in (("--help",), *((*command, "--help") for command in commands)):
-        code, out, _ = run(*arguments)
+    for command in ((), ("train",), ("fit",), ("track",)):
+        code, out, _ = run(*command, "--help")
         assert code == 0
         assert "Usage" in out
     code, out, _ = run("methods")

@@ -14,10 +14,10 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 LAYERS = (
     ("__main__",),
     (
-        *("cli", "cli_batch", "cli_check", "cli_experiments", "cli_inputs", "cli_lamps", "cli_photometry"),
+        *("cli", "cli_batch", "cli_check", "cli_inputs", "cli_lamps", "cli_photometry"),
         *("cli_relight", "cli_studio", "cli_video", "studio", "terminal"),
     ),
-    ("experiments", "batch", "tracking"),
+    ("demo", "batch", "tracking"),
     ("plotting", "plotting_photometry", "plotting_video"),
     ("calibration",),
     ("registration", "relighting"),
@@ -60,6 +60,11 @@ def imports(path: Path) -> set[str]:
 
 
 FILES = sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
+
+
+def test_the_map_for_contributors_is_this_one():
+    text = (SOURCE.parents[1] / "CONTRIBUTING.md").read_text()
+    assert "```\n" + "\n".join(map(", ".join, LAYERS)) + "\n```" in text
 
 
 def test_every_unit_has_a_layer():

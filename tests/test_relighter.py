@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.relit import LIGHTS, flat_error, lit_pairs, mesh_mask, seam, train_on_flat_light
 from liaam.datasets.scenes import Head
 from liaam.errors import LiaamError, MethodError
-from liaam.experiments.relit import LIGHTS, flat_error, lit_pairs, mesh_mask, seam, train_on_flat_light
 from liaam.fitting import Fitter
 from liaam.mesh import ReferenceFrame, delaunay
 from liaam.relighting import Relighter

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.subjects import PAPER_THETA, STRENGTH, TEMPERATURE, Subject, get_subject, simulated_shadow
 from liaam.errors import MethodError
-from liaam.experiments.subjects import PAPER_THETA, STRENGTH, TEMPERATURE, Subject, get_subject, simulated_shadow
 from liaam.fitting import FitResult, Fitter
 from liaam.mesh import signed_areas
 from liaam.model import AAM

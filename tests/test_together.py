@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.relit import train_on_flat_light
 from liaam.datasets.scenes import Head
-from liaam.experiments.relit import train_on_flat_light
 from liaam.model import MESH
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.relighting.appearance import ShadowFree

@@ -1,8 +1,9 @@
-"""Make the documentation's figures: ``python docs/figures/make_figures.py``. Needs no data.
+"""Make the documentation's figures: ``python -m docs.figures.make_figures``. Needs no data.
 
 All show generated scenes. They are the figures that commands write, made by the same code: ``demo.png`` by ``liaam
-demo``, ``shadow.png`` and ``noise.png`` by ``liaam experiment noise``, ``reconstruct.png`` by ``liaam experiment
-reconstruct``, ``calibration.png`` by ``liaam calibrate pair``; the experiments take a few trials only.
+demo``, ``shadow.png`` and ``noise.png`` by ``python -m experiments noise``, ``reconstruct.png`` by
+``python -m experiments reconstruct``, ``calibration.png`` by ``liaam calibrate pair``; the experiments take a few
+trials only.
 """
 
 import os
@@ -12,6 +13,9 @@ from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from experiments.noise import noise_experiment
+from experiments.reconstruct import reconstruct_experiment
+from experiments.runner import run_experiment
 from liaam.datasets import Sample
 from liaam.datasets.scenes import (
     DIFFUSE,
@@ -24,10 +28,7 @@ from liaam.datasets.scenes import (
     render,
     uneven_light,
 )
-from liaam.experiments.demo import run_demo
-from liaam.experiments.noise import noise_experiment
-from liaam.experiments.reconstruct import reconstruct_experiment
-from liaam.experiments.runner import run_experiment
+from liaam.demo import run_demo
 from liaam.io import Landmarks
 from liaam.lamps import learn_lamps
 from liaam.photometry import CameraModel, invariant_image, theta_from_scene

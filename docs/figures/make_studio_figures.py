@@ -1,4 +1,4 @@
-"""Make the pictures of docs/studio.md: ``python docs/figures/make_studio_figures.py``, from the root of the checkout.
+"""Make the pictures of docs/studio.md: ``python -m docs.figures.make_studio_figures``, from the root of the checkout.
 
 Needs what the studio's benchmark needs: Playwright and a Chromium. The portraits are generated.
 """
@@ -7,13 +7,11 @@ import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks.studio import browsing, material, served
+from liaam.datasets.scenes import DIFFUSE, Head, make_set
+from liaam.io import Contour, Landmarks, write_image, write_landmarks
+
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parents[1]))
-
-from benchmarks.studio import browsing, material, served  # noqa: E402
-
-from liaam.datasets.scenes import DIFFUSE, Head, make_set  # noqa: E402
-from liaam.io import Contour, Landmarks, write_image, write_landmarks  # noqa: E402
 
 N_DONE, N_LEFT = 5, 5
 DONE = """() => {

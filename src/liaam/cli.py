@@ -1,7 +1,5 @@
 """The command line: thin. Everything it does is a call that Python users have too."""
 
-import io
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -13,7 +11,6 @@ from rich.table import Table
 from liaam import __version__
 from liaam.cli_batch import batch
 from liaam.cli_check import check, warn_of_faults
-from liaam.cli_experiments import experiments, reproduce
 from liaam.cli_inputs import (
     DOUBT,
     ImagesOption,
@@ -34,7 +31,7 @@ from liaam.cli_relight import relight
 from liaam.cli_studio import studio
 from liaam.cli_video import track
 from liaam.errors import LiaamError
-from liaam.terminal import complain, console, progress_bar, say, stoppable_progress, table_of
+from liaam.terminal import complain, console, make_app, progress_bar, run_app, say, stoppable_progress, table_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,14 +40,7 @@ if TYPE_CHECKING:
     from liaam.model import AAM
     from liaam.photometry import CameraModel
 
-app = typer.Typer(
-    help="Fit deformable models of faces and other objects to colour images under any light.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-app.add_typer(experiments, name="experiment")
+app = make_app(help="Fit deformable models of faces and other objects to colour images under any light.")
 app.add_typer(calibrate, name="calibrate")
 app.command()(batch)
 app.command()(check)
@@ -59,7 +49,6 @@ app.command("lamps")(lamps_command)
 app.command("register")(register_command)
 app.command()(relight)
 app.command()(track)
-app.command()(reproduce)
 app.command()(studio)
 
 
@@ -483,7 +472,7 @@ def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the figure.")] = Path("liaam-demo"),
 ) -> None:
     """Train on simulated portraits under one light, fit under another: grey and RGB drift, LI holds."""
-    from liaam.experiments.demo import run_demo
+    from liaam.demo import run_demo
 
     with progress_bar() as tell:
         rows, start_error = run_demo(output, tell)
@@ -498,14 +487,7 @@ def demo(
 
 def main() -> None:
     """Run the command line; errors become one line and an exit status."""
-    for stream in (sys.stdout, sys.stderr):  # a terminal without × or θ gets a ? instead of a traceback
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
-    try:
-        app()
-    except LiaamError as error:
-        complain(f"error: {error}")
-        sys.exit(1)
+    run_app(app)
 
 
 if __name__ == "__main__":

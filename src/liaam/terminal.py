@@ -1,5 +1,7 @@
 """What commands print with: plain lines, complaints, tables and a progress bar."""
 
+import io
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -7,10 +9,35 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from liaam.errors import LiaamError
+
 console = Console()
 complaints = Console(stderr=True)
 
 Progress = Callable[[int, int, str], None]
+
+
+def make_app(**options) -> typer.Typer:
+    """Make a command line with subcommands, as all of ours are; further ``options`` go to typer."""
+    return typer.Typer(
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        **options,
+    )
+
+
+def run_app(app: typer.Typer) -> None:
+    """Run a command line; errors become one line and an exit status."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal without × or θ gets a ? instead of a traceback
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    try:
+        app()
+    except LiaamError as error:
+        complain(f"error: {error}")
+        sys.exit(1)
 
 
 def say(text: str) -> None:

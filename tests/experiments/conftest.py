@@ -4,8 +4,8 @@ import csv
 
 import pytest
 
-from liaam.experiments import basin, generic, occlusion, peer, unchanged
-from liaam.experiments.runner import run_experiment
+from experiments import basin, generic, occlusion, peer, unchanged
+from experiments.runner import run_experiment
 from setups import copy_files, write_person
 
 METHODS = ("rgb", "li")

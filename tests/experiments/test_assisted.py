@@ -5,10 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from liaam import cli_experiments
+from experiments import assisted, cli
+from experiments.runner import run_experiment
 from liaam.errors import LiaamError, MethodError
-from liaam.experiments import assisted
-from liaam.experiments.runner import run_experiment
 from liaam.workers import one_thread
 from setups import write_person
 
@@ -78,7 +77,7 @@ def test_the_summary_agrees_with_the_rows(finished, read_rows):
     assert "| smooth | uncertain |" in (out / "report.md").read_text()
 
 
-def test_the_command_prints_the_table(finished, six_persons, tmp_path, run, monkeypatch):
+def test_the_command_prints_the_table(finished, six_persons, tmp_path, run_experiments, monkeypatch):
     summary, asked = finished[0], {}
     make = partial(assisted.assisted_experiment, persons=PERSONS, after=AFTER)
     monkeypatch.setattr(assisted, "assisted_experiment", make)
@@ -87,9 +86,9 @@ def test_the_command_prints_the_table(finished, six_persons, tmp_path, run, monk
         asked.update(experiment.settings)
         return summary
 
-    monkeypatch.setattr(cli_experiments, "execute", execute)
+    monkeypatch.setattr(cli, "execute", execute)
     options = ("--recipes", "smooth,sample", "--orders", "drawn", "--trials", 3, "--seed", 4)
-    code, out, err = run("experiment", "assisted", "--data", six_persons, "-o", tmp_path, *options)
+    code, out, err = run_experiments("assisted", "--data", six_persons, "-o", tmp_path, *options)
     assert (code, err) == (0, "")
     assert list(asked["recipes"]) == ["smooth", "sample"]
     assert (asked["orders"], asked["trials"], asked["seed"]) == (["drawn"], 3, 4)

@@ -5,8 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from liaam.errors import MethodError
-from liaam.experiments.baselines import (
+from experiments.baselines import (
     COVERED,
     SITUATIONS,
     Setup,
@@ -16,8 +15,9 @@ from liaam.experiments.baselines import (
     covered,
     run_trial,
 )
-from liaam.experiments.runner import run_experiment
-from liaam.experiments.subjects import get_subject
+from experiments.runner import run_experiment
+from experiments.subjects import get_subject
+from liaam.errors import MethodError
 
 FILES = {"results.csv", "summary.json", "report.md", "figure.png", "figure.svg"}
 

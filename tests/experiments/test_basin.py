@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from liaam.experiments import basin
-from liaam.experiments.runner import run_experiment
+from experiments import basin
+from experiments.runner import run_experiment
 from liaam.shape import align
 
 METHODS = ("rgb", "li")

@@ -5,11 +5,11 @@ import csv
 import numpy as np
 import pytest
 
+from experiments.bound import MEASURES, UNDER, bound_experiment, curves
+from experiments.runner import run_experiment
+from experiments.simulated import make_case, sharp_model
+from experiments.subjects import get_subject
 from liaam.errors import MethodError
-from liaam.experiments.bound import MEASURES, UNDER, bound_experiment, curves
-from liaam.experiments.runner import run_experiment
-from liaam.experiments.simulated import make_case, sharp_model
-from liaam.experiments.subjects import get_subject
 from liaam.fitting.bound import cramer_rao_bound
 
 FILES = {"results.csv", "summary.json", "report.md", "figure.png", "figure.svg"}

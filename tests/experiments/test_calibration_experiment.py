@@ -2,10 +2,10 @@
 
 import pytest
 
+from experiments import calibration
+from experiments.calibration import calibration_experiment, summarise
+from experiments.runner import run_experiment
 from liaam.errors import LiaamError
-from liaam.experiments import calibration
-from liaam.experiments.calibration import calibration_experiment, summarise
-from liaam.experiments.runner import run_experiment
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from liaam.experiments.claims import CLAIMS, LI_METHODS, up_to
+from experiments.claims import CLAIMS, LI_METHODS, up_to
 
 BY_NAME = {claim.name: claim for claim in CLAIMS}
 

@@ -5,11 +5,11 @@ import csv
 import numpy as np
 import pytest
 
+from experiments.convergence import SHOWN, convergence_experiment, errors_by_iteration
+from experiments.runner import run_experiment
+from experiments.simulated import get_fitters, make_case
+from experiments.subjects import get_subject
 from liaam.datasets.scenes import Head, make_set
-from liaam.experiments.convergence import SHOWN, convergence_experiment, errors_by_iteration
-from liaam.experiments.runner import run_experiment
-from liaam.experiments.simulated import get_fitters, make_case
-from liaam.experiments.subjects import get_subject
 from liaam.io import write_image, write_landmarks
 from setups import write_person
 

@@ -1,6 +1,6 @@
 """The demo shows what it says: classical methods drift under lateral light, LI does not."""
 
-from liaam.experiments.demo import run_demo
+from liaam.demo import run_demo
 
 
 def test_li_holds_where_grey_and_rgb_drift(tmp_path):

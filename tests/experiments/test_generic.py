@@ -5,9 +5,9 @@ import shutil
 import numpy as np
 import pytest
 
+from experiments import generic
+from experiments.runner import run_experiment
 from liaam.errors import LiaamError
-from liaam.experiments import generic
-from liaam.experiments.runner import run_experiment
 from setups import copy_files
 
 METHODS = ("rgb", "li")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from liaam.experiments.lights import DAPPLE, LIGHTS, SHADOW, cast_shadow, dapples, hard_light, smooth_light
-from liaam.experiments.subjects import get_subject
+from experiments.lights import DAPPLE, LIGHTS, SHADOW, cast_shadow, dapples, hard_light, smooth_light
+from experiments.subjects import get_subject
 from liaam.photometry import linear_to_srgb, srgb_to_linear
 
 CHANGING = tuple(name for name in LIGHTS if name != "none")

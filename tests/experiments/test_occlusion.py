@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from liaam.experiments import occlusion
+from experiments import occlusion
 
 METHODS = ("rgb", "li")
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from experiments import peer
+from experiments.runner import run_experiment
 from liaam.errors import LiaamError
-from liaam.experiments import peer
-from liaam.experiments.runner import run_experiment
 from liaam.shape import align, diagonal_of
 from setups import copy_files
 

@@ -6,10 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from liaam import cli_experiments
+from experiments import basin, cli, generic, occlusion, peer, protocol, unchanged
+from experiments.runner import run_experiment
 from liaam.errors import LiaamError, MethodError
-from liaam.experiments import basin, generic, occlusion, peer, protocol, unchanged
-from liaam.experiments.runner import run_experiment
 from liaam.io import write_image, write_landmarks
 from liaam.shape import diagonal_of
 from setups import copy_files
@@ -43,16 +42,16 @@ def test_writes_a_row_per_fit_and_all_files(done, name):
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_commands_print_the_table_of_the_report(done, folder, tmp_path, run, monkeypatch, name):
+def test_commands_print_the_table_of_the_report(done, folder, tmp_path, run_experiments, monkeypatch, name):
     asked = {}
 
     def execute(experiment, out, jobs):
         asked.update(experiment.settings)
         return done(name)[0]
 
-    monkeypatch.setattr(cli_experiments, "execute", execute)
+    monkeypatch.setattr(cli, "execute", execute)
     options = ("--methods", "rgb,li", "--trials", 3, "--seed", 4, "--jobs", 1)
-    code, out, err = run("experiment", name, "--data", folder, "-o", tmp_path, *options)
+    code, out, err = run_experiments(name, "--data", folder, "-o", tmp_path, *options)
     assert (code, err) == (0, "")
     assert (asked["methods"], asked["trials"], asked["seed"]) == (["rgb", "li"], 3, 4)
     header, rows = MODULES[name].table(done(name)[0])

@@ -4,11 +4,11 @@ import csv
 
 import pytest
 
+from experiments import reconstruct
+from experiments.reconstruct import reconstruct_experiment
+from experiments.runner import run_experiment
 from liaam.datasets.scenes import Head, make_set
 from liaam.errors import MethodError
-from liaam.experiments import reconstruct
-from liaam.experiments.reconstruct import reconstruct_experiment
-from liaam.experiments.runner import run_experiment
 from liaam.io import write_image, write_landmarks
 from setups import write_person
 

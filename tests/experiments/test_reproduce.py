@@ -5,10 +5,10 @@ import re
 
 import pytest
 
+from experiments import reproduce as module
+from experiments.claims import CLAIMS
+from experiments.reproduce import VARIANTS, Size, plan, reproduce
 from liaam.errors import LiaamError
-from liaam.experiments import reproduce as module
-from liaam.experiments.claims import CLAIMS
-from liaam.experiments.reproduce import VARIANTS, Size, plan, reproduce
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+from experiments.runner import Experiment, run_experiment
 from liaam.errors import LiaamError
-from liaam.experiments.runner import Experiment, run_experiment
 from liaam.plotting import Panel, figure_of_curves
 from liaam.workers import all_cores
 

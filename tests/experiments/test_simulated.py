@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments import simulated
+from experiments.displacement import SWEEP, displacement_experiment
+from experiments.noise import noise_experiment
+from experiments.runner import run_experiment
+from experiments.simulated import angle_error, get_fitters, make_case, run_trial
+from experiments.subjects import get_subject
 from liaam.errors import LiaamError, MethodError
-from liaam.experiments import simulated
-from liaam.experiments.displacement import SWEEP, displacement_experiment
-from liaam.experiments.noise import noise_experiment
-from liaam.experiments.runner import run_experiment
-from liaam.experiments.simulated import angle_error, get_fitters, make_case, run_trial
-from liaam.experiments.subjects import get_subject
 
 LIGHT_INVARIANT = ("li", "li-lit", "li-pc", "li-pcs")
 
@@ -133,6 +133,6 @@ def test_a_milder_shadow_leaves_more_light_and_a_negative_one_is_refused():
 
 def test_the_command_line_offers_the_same_methods():
     """Which it has as text, so that it starts without the engine."""
-    from liaam.cli_experiments import SIMULATED
+    from experiments.cli import SIMULATED
 
     assert tuple(SIMULATED.split(",")) == simulated.METHODS

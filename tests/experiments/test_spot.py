@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
+from experiments.runner import run_experiment
+from experiments.spot import EYES, disturbed_start, find_persons, spot_experiment
 from liaam.errors import LiaamError, MethodError
-from liaam.experiments.runner import run_experiment
-from liaam.experiments.spot import EYES, disturbed_start, find_persons, spot_experiment
 from setups import write_person
 
 

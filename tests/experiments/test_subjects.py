@@ -5,9 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from liaam.datasets.scenes import DIFFUSE, Head, make_set
-from liaam.errors import LiaamError
-from liaam.experiments.subjects import (
+from experiments.subjects import (
     PAPER_THETA,
     folder_subject,
     head_scenes,
@@ -17,6 +15,8 @@ from liaam.experiments.subjects import (
     simulated_shadow,
     subject_facts,
 )
+from liaam.datasets.scenes import DIFFUSE, Head, make_set
+from liaam.errors import LiaamError
 from liaam.io import write_image, write_landmarks
 from liaam.photometry import invariant, srgb_to_linear
 from liaam.shape import diagonal_of

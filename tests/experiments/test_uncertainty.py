@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from liaam import cli_experiments
+from experiments import cli, protocol, uncertainty
+from experiments.runner import run_experiment
 from liaam.evaluation import roc_area
-from liaam.experiments import protocol, uncertainty
-from liaam.experiments.runner import run_experiment
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +89,7 @@ def test_a_lost_start_is_far_from_the_object(rng):
 
 def test_it_runs_from_the_command_line_without_data(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(uncertainty, "PICTURES", 5)
-    cli_experiments.uncertainty(tmp_path / "out", heads=1, jobs=1)
+    cli.uncertainty(tmp_path / "out", heads=1, jobs=1)
     said = capsys.readouterr().out
     assert "generated, noise 5" in said
     assert "…" not in said  # it fits into a terminal

@@ -2,7 +2,7 @@
 
 import pytest
 
-from liaam.experiments import unchanged
+from experiments import unchanged
 
 
 def test_unchanged_compares_with_the_best_plain_method(done):

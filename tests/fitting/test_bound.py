@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.simulated import make_case
+from experiments.solvers import PAPER
+from experiments.subjects import PAPER_THETA, Subject, get_subject
 from liaam.errors import MethodError
 from liaam.evaluation import rms_error
-from liaam.experiments.simulated import make_case
-from liaam.experiments.solvers import PAPER
-from liaam.experiments.subjects import PAPER_THETA, Subject, get_subject
 from liaam.fitting import Fitter, Method, SolverOptions, get_method
 from liaam.fitting.bound import cramer_rao_bound
 from liaam.model import AAM

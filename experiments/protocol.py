@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from experiments import spot
+from experiments.runner import Row, markdown_table
+from experiments.solvers import check_request, get_solver, make_fitters
+from experiments.spot import CONVERGED, EYES
 from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
 from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme, roc_area
-from liaam.experiments import spot
-from liaam.experiments.runner import Row, markdown_table
-from liaam.experiments.solvers import check_request, get_solver, make_fitters
-from liaam.experiments.spot import CONVERGED, EYES
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.photometry import is_grey
@@ -69,7 +69,7 @@ class Request:
         Starts per picture.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     """
 
     data: Path

@@ -4,7 +4,7 @@ Folders are taken as they come: ``data`` to train on, ``test`` to fit, and ``lam
 light (:mod:`liaam.lamps`). Without ``test`` the first few pictures train and the others are fitted; or, of a folder
 named as the spot protocol has it, one half of the persons trains and the other is fitted, in two folds: their diffuse
 pictures, the spot-lit ones, and the diffuse ones under simulated hard light
-(:func:`liaam.experiments.lights.hard_light`).
+(:func:`experiments.lights.hard_light`).
 """
 
 from collections.abc import Sequence
@@ -15,11 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from liaam.datasets import Dataset, Sample, load_folder
-from liaam.errors import LiaamError
-from liaam.evaluation import inter_ocular_distance, or_dash
-from liaam.experiments.lights import hard_light
-from liaam.experiments.protocol import (
+from experiments.lights import hard_light
+from experiments.protocol import (
     METHODS,
     STARTS,
     Header,
@@ -37,9 +34,12 @@ from liaam.experiments.protocol import (
     statistics,
     tell,
 )
-from liaam.experiments.runner import Experiment, Row
-from liaam.experiments.spot import disturbed_start, find_persons, percent
-from liaam.experiments.subjects import data_facts
+from experiments.runner import Experiment, Row
+from experiments.spot import disturbed_start, find_persons, percent
+from experiments.subjects import data_facts
+from liaam.datasets import Dataset, Sample, load_folder
+from liaam.errors import LiaamError
+from liaam.evaluation import inter_ocular_distance, or_dash
 from liaam.fitting import FitStatus
 from liaam.photometry import is_grey
 from liaam.plotting import figure_of_bars, figure_of_pictures
@@ -299,7 +299,7 @@ def generic_experiment(
         Starts per picture.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     **options
         Further fields of :class:`GenericRequest`.
 

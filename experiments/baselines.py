@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.datasets import Sample
-from liaam.evaluation import error_statistics, or_dash, point_error
-from liaam.experiments.runner import Experiment, Row, markdown_table
-from liaam.experiments.simulated import displaced
-from liaam.experiments.solvers import check_trials, get_solver, make_fitters
-from liaam.experiments.subjects import (
+from experiments.runner import Experiment, Row, markdown_table
+from experiments.simulated import displaced
+from experiments.solvers import check_trials, get_solver, make_fitters
+from experiments.subjects import (
     PAPER_THETA,
     TILT,
     Subject,
@@ -27,6 +25,8 @@ from liaam.experiments.subjects import (
     simulated_shadow,
     subject_facts,
 )
+from liaam.datasets import Sample
+from liaam.evaluation import error_statistics, or_dash, point_error
 from liaam.fitting import Fitter
 from liaam.io import Landmarks
 from liaam.plotting import figure_of_bars
@@ -210,7 +210,7 @@ def baselines_experiment(
         Draws per situation.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     """
     check_trials(solver, trials)
     return Experiment(

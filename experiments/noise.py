@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from liaam.experiments.runner import Experiment
-from liaam.experiments.simulated import METHODS, Sweep, simulated_experiment
-from liaam.experiments.subjects import STRENGTH
+from experiments.runner import Experiment
+from experiments.simulated import METHODS, Sweep, simulated_experiment
+from experiments.subjects import STRENGTH
 
 SIGMAS = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0)
 NOISE_METHODS = (*METHODS, "li+noise", "soft-li")
@@ -33,5 +33,5 @@ def noise_experiment(
     sigmas: Sequence[float] = SIGMAS,
     strength: float = STRENGTH,
 ) -> Experiment:
-    """Make the experiment; see :func:`liaam.experiments.simulated.simulated_experiment`."""
+    """Make the experiment; see :func:`experiments.simulated.simulated_experiment`."""
     return simulated_experiment(SWEEP, sigmas, data, methods, trials, seed, solver, strength)

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from liaam.experiments.runner import Experiment
-from liaam.experiments.simulated import METHODS, Sweep, simulated_experiment
-from liaam.experiments.subjects import STRENGTH
+from experiments.runner import Experiment
+from experiments.simulated import METHODS, Sweep, simulated_experiment
+from experiments.subjects import STRENGTH
 
 GAMMAS = (0.0, 2.0, 4.0, 8.0, 12.0, 16.0)
 
@@ -30,5 +30,5 @@ def displacement_experiment(
     gammas: Sequence[float] = GAMMAS,
     strength: float = STRENGTH,
 ) -> Experiment:
-    """Make the experiment; see :func:`liaam.experiments.simulated.simulated_experiment`."""
+    """Make the experiment; see :func:`experiments.simulated.simulated_experiment`."""
     return simulated_experiment(SWEEP, gammas, data, methods, trials, seed, solver, strength)

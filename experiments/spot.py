@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.runner import Experiment, Row, markdown_table
+from experiments.solvers import check_request, get_solver, make_fitters
+from experiments.subjects import data_facts
 from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
 from liaam.evaluation import error_statistics, inter_ocular_distance, nme
-from liaam.experiments.runner import Experiment, Row, markdown_table
-from liaam.experiments.solvers import check_request, get_solver, make_fitters
-from liaam.experiments.subjects import data_facts
 from liaam.fitting import Fitter
 from liaam.model import AAM
 from liaam.photometry import is_grey
@@ -222,7 +222,7 @@ def spot_experiment(
         Starts per person.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     """
     check_request(methods, solver, trials)
     persons, left_out = find_persons(data)

@@ -13,18 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.errors import LiaamError
-from liaam.evaluation import (
-    angle_difference,
-    error_statistics,
-    finite_or_none,
-    point_error,
-    rms_error,
-    root_mean_square,
-)
-from liaam.experiments.runner import Experiment, Row, markdown_table
-from liaam.experiments.solvers import check_request, get_solver, make_fitters
-from liaam.experiments.subjects import (
+from experiments.runner import Experiment, Row, markdown_table
+from experiments.solvers import check_request, get_solver, make_fitters
+from experiments.subjects import (
     PAPER_THETA,
     PENUMBRA,
     STRENGTH,
@@ -34,6 +25,15 @@ from liaam.experiments.subjects import (
     random_side,
     simulated_shadow,
     subject_facts,
+)
+from liaam.errors import LiaamError
+from liaam.evaluation import (
+    angle_difference,
+    error_statistics,
+    finite_or_none,
+    point_error,
+    rms_error,
+    root_mean_square,
 )
 from liaam.fitting import FitResult, Fitter, get_method
 from liaam.fitting.bound import Bound, cramer_rao_bound
@@ -302,7 +302,7 @@ def simulated_experiment(
         Draws of shadow, start and noise; trial i takes picture i modulo 6.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     strength : float
         Of the shadow: change of log light.
     """

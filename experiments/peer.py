@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.datasets import Sample
-from liaam.errors import LiaamError
-from liaam.experiments.lights import LIGHTS
-from liaam.experiments.protocol import (
+from experiments.lights import LIGHTS
+from experiments.protocol import (
     FACE,
     METHODS,
     TRAINED,
@@ -33,9 +31,11 @@ from liaam.experiments.protocol import (
     statistics,
     tell,
 )
-from liaam.experiments.runner import Experiment, Row
-from liaam.experiments.spot import percent
-from liaam.experiments.subjects import data_facts
+from experiments.runner import Experiment, Row
+from experiments.spot import percent
+from experiments.subjects import data_facts
+from liaam.datasets import Sample
+from liaam.errors import LiaamError
 from liaam.plotting import figure_of_bars, figure_of_pictures
 from liaam.shape import diagonal_of, rotation
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = ("none", "smooth", "shadow", "dapples")
-"""Lights of the protocol, of :data:`liaam.experiments.lights.LIGHTS`."""
+"""Lights of the protocol, of :data:`experiments.lights.LIGHTS`."""
 
 PER_FOLD = 2
 """Persons left out together where those fitted are unseen."""
@@ -214,7 +214,7 @@ def peer_experiment(
         Starts per picture and light.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     unseen : bool
         Whether to fit persons that the model has not seen.
     """

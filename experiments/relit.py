@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.reconstruct import EXPOSURE
 from liaam.datasets.scenes import (
     DIFFUSE,
     Camera,
@@ -18,7 +19,6 @@ from liaam.datasets.scenes import (
     render,
 )
 from liaam.evaluation import root_mean_square
-from liaam.experiments.reconstruct import EXPOSURE
 from liaam.model import AAM
 from liaam.photometry.encoding import DARK, SATURATED
 from liaam.photometry.response import from_linear, to_linear

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.evaluation import nme, point_error
-from liaam.experiments.protocol import (
+from experiments.protocol import (
     METHODS,
     TRAINED,
     Header,
@@ -28,9 +27,10 @@ from liaam.experiments.protocol import (
     select,
     tell,
 )
-from liaam.experiments.runner import Experiment, Row
-from liaam.experiments.spot import CONVERGED, group_persons, percent
-from liaam.experiments.subjects import data_facts
+from experiments.runner import Experiment, Row
+from experiments.spot import CONVERGED, group_persons, percent
+from experiments.subjects import data_facts
+from liaam.evaluation import nme, point_error
 from liaam.plotting import Panel, figure_of_curves
 from liaam.shape import rotation
 
@@ -184,7 +184,7 @@ def basin_experiment(
         Starts per picture.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     """
     request = Request(data, tuple(methods), trials, seed, solver)
     splits, left_out = find_splits(data)

@@ -1,6 +1,6 @@
 """What would the object look like without the shadow? (Paper section 6, eq 11, and Fig 4.)
 
-Three kinds of data, as in :mod:`liaam.experiments.convergence`: generated scenes, whose appearance under the
+Three kinds of data, as in :mod:`experiments.convergence`: generated scenes, whose appearance under the
 training light is known because it can be rendered; one person's pictures with a simulated shadow, known before it was
 laid over; and persons under a real spot light, where there is nothing to compare with but the eye.
 """
@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments import simulated, spot
+from experiments.runner import Experiment, Row, markdown_table
+from experiments.solvers import check_request, get_solver, make_fitters
+from experiments.subjects import SCENE_HEAD, get_subject, subject_facts
 from liaam.errors import MethodError
 from liaam.evaluation import error_statistics, or_dash, point_error, root_mean_square
-from liaam.experiments import simulated, spot
-from liaam.experiments.runner import Experiment, Row, markdown_table
-from liaam.experiments.solvers import check_request, get_solver, make_fitters
-from liaam.experiments.subjects import SCENE_HEAD, get_subject, subject_facts
 from liaam.fitting import FitResult, Fitter, get_method
 from liaam.model import AAM
 from liaam.plotting import figure_of_pictures
@@ -213,7 +213,7 @@ def reconstruct_experiment(
         Pictures of each kind.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     """
     for method in methods:
         if get_method(method).appearance != "log":

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from experiments.baselines import baselines_experiment
+from experiments.bound import bound_experiment
+from experiments.claims import CLAIMS, Verdict, up_to
+from experiments.convergence import convergence_experiment
+from experiments.displacement import displacement_experiment
+from experiments.noise import NOISE_METHODS, noise_experiment
+from experiments.reconstruct import reconstruct_experiment
+from experiments.runner import PICTURES, Experiment, Progress, finished, run_experiment
+from experiments.simulated import METHODS, shadow_colour
+from experiments.solvers import get_solver
+from experiments.spot import spot_experiment
+from experiments.subjects import STRENGTH
 from liaam import __version__
 from liaam.errors import LiaamError
-from liaam.experiments.baselines import baselines_experiment
-from liaam.experiments.bound import bound_experiment
-from liaam.experiments.claims import CLAIMS, Verdict, up_to
-from liaam.experiments.convergence import convergence_experiment
-from liaam.experiments.displacement import displacement_experiment
-from liaam.experiments.noise import NOISE_METHODS, noise_experiment
-from liaam.experiments.reconstruct import reconstruct_experiment
-from liaam.experiments.runner import PICTURES, Experiment, Progress, finished, run_experiment
-from liaam.experiments.simulated import METHODS, shadow_colour
-from liaam.experiments.solvers import get_solver
-from liaam.experiments.spot import spot_experiment
-from liaam.experiments.subjects import STRENGTH
 from liaam.io import make_folder, write_text_atomically
 
 

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.evaluation import inter_ocular_distance, or_dash
-from liaam.experiments.protocol import (
+from experiments.protocol import (
     METHODS,
     STARTS,
     TRAINED,
@@ -29,8 +28,9 @@ from liaam.experiments.protocol import (
     statistics,
     tell,
 )
-from liaam.experiments.runner import Experiment, Row
-from liaam.experiments.spot import EYES, Person, disturbed_start, facts_of, find_persons, percent
+from experiments.runner import Experiment, Row
+from experiments.spot import EYES, Person, disturbed_start, facts_of, find_persons, percent
+from liaam.evaluation import inter_ocular_distance, or_dash
 from liaam.plotting import figure_of_bars, figure_of_pictures
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ def occlusion_experiment(
         Starts and patches per picture.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     """
     request = Request(data, tuple(methods), trials, seed, solver)
     persons, left_out = find_persons(data)

@@ -110,7 +110,7 @@ def check_request(methods: Sequence[str], solver: str, trials: int, lamps: bool 
         if not lamps and (row.illumination or row.appearance == "varied"):
             raise MethodError(
                 f"method {method} needs a model that has been trained with lamps; "
-                "'liaam experiment generic --lamps' and 'liaam experiment baselines' compare it"
+                "'python -m experiments generic --lamps' and 'python -m experiments baselines' compare it"
             )
     if not methods:
         raise MethodError("no method is given; see 'liaam methods' for those that exist")

@@ -1,7 +1,7 @@
 """How fast do fits converge under light from the side? (Paper Fig 5.)
 
-Three kinds of data: pictures of many persons as the spot protocol has them (:mod:`liaam.experiments.spot`), one
-person's pictures, over which a shadow is laid (:mod:`liaam.experiments.simulated`), or nothing: generated scenes,
+Three kinds of data: pictures of many persons as the spot protocol has them (:mod:`experiments.spot`), one
+person's pictures, over which a shadow is laid (:mod:`experiments.simulated`), or nothing: generated scenes,
 trained under diffuse and fitted under lateral light.
 """
 
@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments import simulated, spot
+from experiments.runner import Experiment, NumberedTrial, Row
+from experiments.solvers import MAX_ITERATIONS, check_request, get_solver
+from experiments.subjects import get_subject, head_scenes, subject_facts
 from liaam.evaluation import error_statistics, point_error
-from liaam.experiments import simulated, spot
-from liaam.experiments.runner import Experiment, NumberedTrial, Row
-from liaam.experiments.solvers import MAX_ITERATIONS, check_request, get_solver
-from liaam.experiments.subjects import get_subject, head_scenes, subject_facts
 from liaam.fitting import FitResult, Fitter
 from liaam.photometry import THETA_DEFAULT
 from liaam.plotting import Panel, figure_of_curves
@@ -134,7 +134,7 @@ def convergence_experiment(
         Draws of the start; in the spot protocol for each person.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     """
     check_request(tuple(methods), solver, trials)
     setup = Setup(data, tuple(methods), solver, trials, seed)

@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.datasets import Sample
-from liaam.evaluation import finite_or_none, nme, or_dash
-from liaam.experiments.protocol import (
+from experiments.protocol import (
     STARTS,
     VARIANCE,
     Header,
@@ -31,9 +29,11 @@ from liaam.experiments.protocol import (
     select,
     tell,
 )
-from liaam.experiments.runner import Experiment, Row
-from liaam.experiments.solvers import get_solver
-from liaam.experiments.spot import CONVERGED, Person, disturbed_start, facts_of, find_persons, percent
+from experiments.runner import Experiment, Row
+from experiments.solvers import get_solver
+from experiments.spot import CONVERGED, Person, disturbed_start, facts_of, find_persons, percent
+from liaam.datasets import Sample
+from liaam.evaluation import finite_or_none, nme, or_dash
 from liaam.fitting import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.model import AAM
@@ -266,7 +266,7 @@ def uncertainty_experiment(
         Generated heads.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     """
     request = Request(data or Path(), (DEFAULT_METHOD,), heads, seed, solver)
     persons, missing = find_persons(data) if data else ((), ())

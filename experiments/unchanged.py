@@ -9,8 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from liaam.evaluation import inter_ocular_distance, or_dash
-from liaam.experiments.protocol import (
+from experiments.protocol import (
     METHODS,
     STARTS,
     TRAINED,
@@ -25,8 +24,9 @@ from liaam.experiments.protocol import (
     statistics,
     tell,
 )
-from liaam.experiments.runner import Experiment, Row
-from liaam.experiments.spot import CONVERGED, EYES, Person, disturbed_start, facts_of, find_persons, percent
+from experiments.runner import Experiment, Row
+from experiments.spot import CONVERGED, EYES, Person, disturbed_start, facts_of, find_persons, percent
+from liaam.evaluation import inter_ocular_distance, or_dash
 from liaam.plotting import figure_of_errors
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def unchanged_experiment(
         Starts per picture.
     seed : int
     solver : str
-        Of :data:`liaam.experiments.solvers.SOLVERS`.
+        Of :data:`experiments.solvers.SOLVERS`.
     """
     request = Request(data, tuple(methods), trials, seed, solver)
     persons, left_out = find_persons(data)

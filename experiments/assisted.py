@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.protocol import Header, Table, in_percent, select, statistics, tell
+from experiments.runner import Experiment, Row
+from experiments.solvers import check_trials
+from experiments.spot import EYES, facts_of, find_persons, percent
 from liaam.datasets import Sample
 from liaam.errors import LiaamError, MethodError
 from liaam.evaluation import finite_or_none, inter_ocular_distance, median_error, nme
-from liaam.experiments.protocol import Header, Table, in_percent, select, statistics, tell
-from liaam.experiments.runner import Experiment, Row
-from liaam.experiments.solvers import check_trials
-from liaam.experiments.spot import EYES, facts_of, find_persons, percent
 from liaam.fitting import FitResult, Fitter
 from liaam.model import SURROUNDINGS
 from liaam.plotting import figure_of_bars
@@ -71,7 +71,7 @@ COLUMNS = {
 }
 """Columns of results.csv. ``point``: median over the picture's landmarks, where ``nme`` is the mean; ``start_nme``:
 error of where the search starts the fit; ``deviation``: mean standard deviation of a landmark that the fit states, by
-the shape's diagonal; the others as in :mod:`liaam.experiments.protocol`."""
+the shape's diagonal; the others as in :mod:`experiments.protocol`."""
 
 CHOICES = (
     "Pictures: the first (diffuse, frontal) one of each person. Who takes part and in which order is drawn anew for "

@@ -1,4 +1,4 @@
-"""The commands below ``liaam experiment``: they read options, run, and print what came out."""
+"""The commands of ``python -m experiments``: they read options, run, and print what came out."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from liaam.errors import MethodError
-from liaam.terminal import console, say, stoppable_progress, table_of
+from liaam.terminal import console, make_app, run_app, say, stoppable_progress, table_of
 
 if TYPE_CHECKING:
-    from liaam.experiments.runner import Experiment
+    from experiments.runner import Experiment
 
-experiments = typer.Typer(
-    help="Run an experiment; writes rows, a summary, a figure and a report. A stopped one goes on where it was.",
-    no_args_is_help=True,
+app = make_app(
+    help="Run an experiment; writes rows, a summary, a figure and a report. A stopped one goes on where it was."
 )
 
 OneSubject = Annotated[
@@ -63,7 +62,7 @@ def names_in(text: str, option: str = "--methods") -> tuple[str, ...]:
 
 def execute(experiment: "Experiment", out: Path, jobs: int | None) -> dict[str, Any]:
     """Run an experiment behind a progress bar."""
-    from liaam.experiments.runner import run_experiment
+    from experiments.runner import run_experiment
 
     with stoppable_progress() as tell:
         return run_experiment(experiment, out, jobs, tell)
@@ -91,7 +90,7 @@ def print_lines(lines: Mapping[str, Sequence[tuple[float, float | None]]], title
 
 def run_sweep(make: Callable[..., "Experiment"], out: Path, jobs: int | None, **options) -> None:
     """Run a simulated experiment and print its medians."""
-    from liaam.experiments.simulated import curves
+    from experiments.simulated import curves
 
     summary = execute(make(**options), out, jobs)
     print_lines(curves(summary, "error_px", "median"), f"median error, px, by {summary['swept']}")
@@ -128,7 +127,7 @@ def print_protocol(table: tuple[list[str], list[list[str]]], summary: Mapping[st
     conclude(summary, out)
 
 
-@experiments.command()
+@app.command()
 def displacement(
     out: Out,
     data: OneSubject = None,
@@ -140,13 +139,13 @@ def displacement(
     jobs: Jobs = None,
 ) -> None:
     """How far from the object may a fit start, under a simulated shadow? (Paper Fig 3a.)"""
-    from liaam.experiments.displacement import displacement_experiment as make
+    from experiments.displacement import displacement_experiment as make
 
     options = {"data": data, "trials": trials, "seed": seed, "solver": solver, "strength": strength}
     run_sweep(make, out, jobs, methods=names_in(methods), **options)
 
 
-@experiments.command()
+@app.command()
 def noise(
     out: Out,
     data: OneSubject = None,
@@ -158,13 +157,13 @@ def noise(
     jobs: Jobs = None,
 ) -> None:
     """What does noise do to landmarks and angle, under a simulated shadow? (Paper Fig 3b and 3c.)"""
-    from liaam.experiments.noise import noise_experiment as make
+    from experiments.noise import noise_experiment as make
 
     options = {"data": data, "trials": trials, "seed": seed, "solver": solver, "strength": strength}
     run_sweep(make, out, jobs, methods=names_in(methods), **options)
 
 
-@experiments.command()
+@app.command()
 def convergence(
     out: Out,
     data: Annotated[
@@ -181,7 +180,7 @@ def convergence(
     jobs: Jobs = None,
 ) -> None:
     """How fast do fits converge under lateral light? (Paper Fig 5.)"""
-    from liaam.experiments.convergence import convergence_experiment, shown
+    from experiments.convergence import convergence_experiment, shown
 
     experiment = convergence_experiment(data, names_in(methods), trials, seed, solver)
     summary = execute(experiment, out, jobs)
@@ -189,7 +188,7 @@ def convergence(
     conclude(summary, out)
 
 
-@experiments.command()
+@app.command()
 def spot(
     data: Annotated[Path, typer.Option(help="Folder with pictures NN-1 … NN-6 of each person and their landmarks.")],
     out: Out,
@@ -200,7 +199,7 @@ def spot(
     jobs: Jobs = None,
 ) -> None:
     """Person-specific models from diffuse light, fitted to a spot-lit picture (paper section 7.2)."""
-    from liaam.experiments.spot import spot_experiment
+    from experiments.spot import spot_experiment
 
     summary = execute(spot_experiment(data, names_in(methods), trials, seed, solver), out, jobs)
     table = table_of("method", "median NME", "p90", "converged", "iterations", "theta")
@@ -227,7 +226,7 @@ def spot_rows(summary: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
     yield "bound", f"{summary['bound_median']:.2%}"
 
 
-@experiments.command()
+@app.command()
 def bound(
     out: Out,
     data: OneSubject = None,
@@ -236,7 +235,7 @@ def bound(
     jobs: Jobs = None,
 ) -> None:
     """What is the least error that noise leaves, for each way to measure a picture? (Cramér-Rao.)"""
-    from liaam.experiments import bound as module
+    from experiments import bound as module
 
     summary = execute(module.bound_experiment(data, trials, seed), out, jobs)
     for light in module.UNDER:
@@ -244,11 +243,11 @@ def bound(
     conclude(summary, out)
 
 
-@experiments.command()
+@app.command()
 def calibration(out: Out, trials: Trials = 24, seed: Seed = 0, jobs: Jobs = None) -> None:
     """How well do calibrations find the camera's angle, and are their error bars honest?"""
+    from experiments.calibration import calibration_experiment
     from liaam.evaluation import or_dash
-    from liaam.experiments.calibration import calibration_experiment
 
     summary = execute(calibration_experiment(trials, seed), out, jobs)
     table = table_of("camera", "kind", "noise", "told", "median", "p95", "stated", "coverage", "plain squares")
@@ -262,7 +261,7 @@ def calibration(out: Out, trials: Trials = 24, seed: Seed = 0, jobs: Jobs = None
     conclude(summary, out)
 
 
-@experiments.command()
+@app.command()
 def baselines(
     out: Out,
     data: OneSubject = None,
@@ -272,8 +271,8 @@ def baselines(
     jobs: Jobs = None,
 ) -> None:
     """Do AIA, robust losses and normalisation help where their papers say so?"""
+    from experiments.baselines import SITUATIONS, baselines_experiment
     from liaam.evaluation import or_dash
-    from liaam.experiments.baselines import SITUATIONS, baselines_experiment
 
     summary = execute(baselines_experiment(data, trials, seed, solver), out, jobs)
     for situation in SITUATIONS:
@@ -286,7 +285,7 @@ def baselines(
     conclude(summary, out)
 
 
-@experiments.command()
+@app.command()
 def reconstruct(
     out: Out,
     data: Annotated[
@@ -303,8 +302,8 @@ def reconstruct(
     jobs: Jobs = None,
 ) -> None:
     """What would the object look like without the shadow? (Paper section 6 and Fig 4.)"""
+    from experiments import reconstruct as module
     from liaam.evaluation import or_dash
-    from liaam.experiments import reconstruct as module
 
     summary = execute(module.reconstruct_experiment(data, names_in(methods), trials, seed, solver), out, jobs)
     table = table_of("pictures", "method", "landmarks, px", "input", "rebuilt", "model")
@@ -317,7 +316,7 @@ def reconstruct(
     conclude(summary, out)
 
 
-@experiments.command()
+@app.command()
 def generic(
     data: Annotated[
         Path,
@@ -354,7 +353,7 @@ def generic(
     jobs: Jobs = None,
 ) -> None:
     """What does another light cost a generic model, on objects it has never seen?"""
-    from liaam.experiments import generic as module
+    from experiments import generic as module
 
     options = {"test": test, "first": first, "lamps": lamps, "training_lamp": training_lamp, "unit": unit}
     options |= {"starts": names_in(starts, "--starts"), "diagonal": diagonal}
@@ -362,7 +361,7 @@ def generic(
     run_protocol(module.generic_experiment, module.table, out, jobs, request, **options)
 
 
-@experiments.command()
+@app.command()
 def peer(
     data: PersonsFolder,
     out: Out,
@@ -376,12 +375,12 @@ def peer(
     jobs: Jobs = None,
 ) -> None:
     """How do we compare with menpofit's published figures, on its own protocol?"""
-    from liaam.experiments import peer as module
+    from experiments import peer as module
 
     run_protocol(module.peer_experiment, module.table, out, jobs, (data, methods, trials, seed, solver), unseen=unseen)
 
 
-@experiments.command()
+@app.command()
 def basin(
     data: Annotated[
         Path, typer.Option(help="Folder of the spot protocol, or of pictures named after persons, as 01_01.")
@@ -394,12 +393,12 @@ def basin(
     jobs: Jobs = None,
 ) -> None:
     """From how far away do fits still find the object?"""
-    from liaam.experiments import basin as module
+    from experiments import basin as module
 
     run_protocol(module.basin_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
 
 
-@experiments.command()
+@app.command()
 def occlusion(
     data: SpotFolder,
     out: Out,
@@ -410,12 +409,12 @@ def occlusion(
     jobs: Jobs = None,
 ) -> None:
     """What does a textured patch over a fifth of the face cost?"""
-    from liaam.experiments import occlusion as module
+    from experiments import occlusion as module
 
     run_protocol(module.occlusion_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
 
 
-@experiments.command()
+@app.command()
 def unchanged(
     data: SpotFolder,
     out: Out,
@@ -426,12 +425,12 @@ def unchanged(
     jobs: Jobs = None,
 ) -> None:
     """What does invariance cost where the light has not changed? (Leave-one-out on diffuse pictures.)"""
-    from liaam.experiments import unchanged as module
+    from experiments import unchanged as module
 
     run_protocol(module.unchanged_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
 
 
-@experiments.command()
+@app.command()
 def assisted(
     data: SpotFolder,
     out: Out,
@@ -444,14 +443,14 @@ def assisted(
     jobs: Jobs = None,
 ) -> None:
     """How near does a model of the first few annotated pictures place the next one's points?"""
-    from liaam.experiments import assisted as module
+    from experiments import assisted as module
 
     given = names_in(recipes, "--recipes"), names_in(orders, "--orders")
     summary = execute(module.assisted_experiment(data, *given, trials, seed), out, jobs)
     print_protocol(module.table(summary), summary, out)
 
 
-@experiments.command()
+@app.command()
 def uncertainty(
     out: Out,
     data: Annotated[
@@ -463,18 +462,19 @@ def uncertainty(
     jobs: Jobs = None,
 ) -> None:
     """Do the ellipses hold the truth, and does the quality tell right fits from wrong ones?"""
-    from liaam.experiments import uncertainty as module
+    from experiments import uncertainty as module
 
     summary = execute(module.uncertainty_experiment(data, heads, seed, solver), out, jobs)
     print_protocol(module.table(summary), summary, out)
 
 
+@app.command()
 def reproduce(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and a folder for each experiment.")],
     person: Annotated[
         Path | None, typer.Option(help="Folder of one person's landmarked pictures under homogeneous light.")
     ] = None,
-    persons: Annotated[Path | None, typer.Option(help="Folder of many persons, as 'experiment spot' takes it.")] = None,
+    persons: Annotated[Path | None, typer.Option(help="Folder of many persons, as 'spot' takes it.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few trials: minutes instead of an hour or so.")] = False,
     seed: Seed = 0,
     jobs: Jobs = None,
@@ -483,7 +483,7 @@ def reproduce(
 
     Generated pictures are always used; real ones beside them if folders are given.
     """
-    from liaam.experiments.reproduce import reproduce as run
+    from experiments.reproduce import reproduce as run
 
     with stoppable_progress() as tell:
         verdicts = run(out, person, persons, "quick" if quick else "full", seed, jobs, tell)
@@ -493,10 +493,15 @@ def reproduce(
 
 def print_verdicts(verdicts: Mapping[str, Mapping[str, Any]]) -> None:
     """Say for each kind of data and choice which of the paper's claims hold."""
-    from liaam.experiments.claims import CLAIMS
+    from experiments.claims import CLAIMS
 
     for column, found in verdicts.items():
         failed = [claim for claim in CLAIMS if claim.name in found and not found[claim.name].holds]
         say(f"{column}: {len(found) - len(failed)} of {len(found)} claims hold")
         for claim in failed:
             say(f"  not: {claim.text} ({found[claim.name].evidence})")
+
+
+def main() -> None:
+    """Run the command line."""
+    run_app(app)

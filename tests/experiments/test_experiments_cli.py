@@ -1,0 +1,78 @@
+"""``python -m experiments``: what it prints and writes, and what it refuses."""
+
+import pytest
+
+from experiments import simulated
+from liaam.datasets.scenes import make_set
+from liaam.io import Landmarks, write_image, write_landmarks
+
+
+@pytest.fixture(scope="module")
+def person(tmp_path_factory):
+    """Six landmarked pictures of one head."""
+    folder = tmp_path_factory.mktemp("person")
+    for i, scene in enumerate(make_set(6, size=(160, 120))):
+        write_image(folder / f"p{i}.png", scene.image)
+        write_landmarks(folder / f"p{i}.pts", Landmarks(scene.landmarks))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "column"), [("displacement", "gamma"), ("noise", "sigma_n"), ("convergence", "iteration")]
+)
+def test_medians_are_printed_and_files_written(run_experiments, person, tmp_path, name, column):
+    options = ("--data", person, "--methods", "grey,li", "--trials", 1, "--jobs", 1)
+    code, out, err = run_experiments(name, "--out", tmp_path / "o", *options)
+    assert (code, err) == (0, "")
+    assert f"median error, px, by {column}" in out
+    assert "grey" in out
+    assert f"written to {tmp_path / 'o'}" in out
+    written = sorted(path.name for path in (tmp_path / "o").iterdir())
+    pictures = [] if name == "convergence" else ["pictures.png"]
+    assert written == ["figure.png", "figure.svg", *pictures, "report.md", "results.csv", "summary.json"]
+    assert column in (tmp_path / "o" / "results.csv").read_text().splitlines()[0]
+
+
+def test_a_stopped_experiment_says_how_to_go_on(run_experiments, person, tmp_path, monkeypatch):
+    def stop(_setup, _trial):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(simulated, "run_trial", stop)
+    options = ("--data", person, "--out", tmp_path, "--methods", "li", "--jobs", 1)
+    code, _, err = run_experiments("noise", *options)
+    assert code == 130
+    assert err.startswith("stopped: 0 of 144 tasks are kept")
+    assert "the same command goes on" in err
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("spot", "--data", "{person}", "--out", "o"), "named as the IMM"),
+        (("spot", "--data", "{person}", "--out", "o", "--methods", ","), "is empty"),
+        (("noise", "--out", "o", "--methods", "li,magic"), "'magic' does not exist"),
+        (("generic", "--data", "{person}", "--out", "o"), "named as the IMM"),
+        (("peer", "--data", "{person}", "--out", "o", "--methods", "magic"), "'magic' does not exist"),
+        (("displacement", "--out", "o", "--solver", "oracle"), "there are liaam, liaam-smooth, liaam-sample, paper"),
+        (("displacement", "--out", "{person}/p0.png", "--methods", "li"), "is a file"),
+        (("convergence", "--out", "o", "--data", "missing"), "does not exist"),
+    ],
+)
+def test_wrong_input_is_one_line_that_says_what_to_do(
+    run_experiments, arguments, message, person, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run_experiments(*(text.format(person=person) for text in arguments))
+    assert code == 1
+    assert err.startswith("error: ")
+    assert message in err
+    assert len(err.splitlines()) == 1
+
+
+def test_help(run_experiments):
+    commands = ("displacement", "noise", "convergence", "spot", "generic", "peer", "basin", "occlusion", "unchanged")
+    for command in ((), *((name,) for name in (*commands, "assisted", "uncertainty", "reproduce"))):
+        code, out, _ = run_experiments(*command, "--help")
+        assert code == 0
+        assert "Usage" in out
