@@ -314,6 +314,10 @@ def odd_response(header, tensors):
     header["response"] = "film"
 
 
+def absurd_response(header, tensors):
+    header["response"] = {"stored": [0.1, 1], "linear": [1e-30, 1e30]}
+
+
 def many_images(header, tensors):
     header["n_images"] = float("inf")
 
@@ -401,6 +405,7 @@ FORGERIES = [
     (endless_blur, "not a finite number"),
     (no_theta, "not a finite number"),
     (odd_response, "'film' is not known"),
+    (absurd_response, "gamma of 60"),
     (many_images, "infinity"),
     (other_pixels, "does not match its pixels"),
     (no_name, "name"),

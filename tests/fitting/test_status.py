@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
+from liaam.fitting.objective import Objective
 from liaam.shape import align
 
 
@@ -16,3 +17,11 @@ def test_shape_far_outside_training_has_diverged(model, scenes, deviations, stat
     result = Fitter(model, "rgb", SolverOptions(max_iterations=0)).fit(scenes[0].image, start)
     assert result.status == status
     np.testing.assert_allclose(result.shape, result.start, atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [np.nan, np.inf, 1e-320])
+def test_a_fit_whose_residuals_are_no_numbers_states_that_it_knows_nothing(model, scenes, monkeypatch, unit):
+    monkeypatch.setattr(Objective, "unit", lambda self, work: unit)
+    result = Fitter(model, "grey", SolverOptions(max_iterations=0)).fit(scenes[0].image, scenes[0].landmarks)
+    assert np.isfinite(result.covariance).all()
+    assert (result.deviations > 0).all()

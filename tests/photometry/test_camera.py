@@ -60,6 +60,18 @@ def change(path, **facts):
         ({"vignetting": [-1.5]}, "contradicts itself.*vignetting"),
         ({"noise": {"slope": -1, "offset": 0}}, "contradicts itself.*noise"),
         ({"noise": {"slope": 1}}, "contradicts itself.*offset"),
+        ({"noise": {"slope": 1e300, "offset": 0}}, "contradicts itself.*at most"),
+        ({"noise": {"slope": float("nan"), "offset": 0}}, "contradicts itself.*noise"),
+        ({"noise": [1]}, "contradicts itself"),
+        ({"vignetting": [1e300]}, "contradicts itself.*times the light"),
+        ({"vignetting": [float("nan")]}, "contradicts itself.*vignetting"),
+        ({"vignetting": [0.0] * 17}, "contradicts itself.*17 coefficients"),
+        ({"theta_standard_error_deg": float("inf")}, "contradicts itself.*theta_deviation"),
+        ({"response": {"stored": [0.1, 1], "linear": [1e-30, 1e30]}}, "contradicts itself.*gamma of 60"),
+        ({"response": {"stored": [0.1, 1], "linear": [1e-300, 1e-299]}}, "contradicts itself.*1e-299"),
+        ({"response": {"stored": [0.1, 1], "linear": [1e300, 1e301]}}, "contradicts itself.*1e301"),
+        ({"response": {"stored": [0.5, 0.5 + 1e-8, 1], "linear": [1e-2, 0.5, 1]}}, "contradicts itself.*power"),
+        ({"response": {"stored": [1e-300, 1.1e-300], "linear": [1e-9, 1]}}, "contradicts itself.*response"),
         ({"respnse": "srgb"}, "knows no respnse"),
     ],
 )
@@ -117,14 +129,15 @@ def test_noise_grows_with_the_light():
 
 @given(
     stored=st.lists(st.floats(0.01, 1.0), min_size=2, max_size=12, unique_by=lambda v: round(v, 2)),
-    growth=st.lists(st.floats(0.05, 3.0), min_size=12, max_size=12),
-    value=st.floats(0.005, 1.0),
+    growth=st.lists(st.floats(0.05, 2.5), min_size=12, max_size=12),
+    value=st.floats(0.03, 1.0),
 )
 def test_a_curve_encodes_what_it_decodes_and_rises(stored, growth, value):
     from liaam.photometry import from_linear, log_slope, to_linear
 
     stored = tuple(sorted(stored))
-    curve = ResponseCurve(stored, tuple(np.exp(np.cumsum(growth[: len(stored)])) * 1e-3))
+    steps = np.diff(np.log(stored), append=0.0)  # rising by some power from point to point
+    curve = ResponseCurve(stored, tuple(np.exp(-np.cumsum((steps * growth[: len(stored)])[::-1])[::-1])))
     light = to_linear(np.array([value, value * 1.001]), curve)
     assert light[1] > light[0] > 0
     assert from_linear(light, curve)[0] == pytest.approx(value, rel=1e-6)

@@ -414,7 +414,8 @@ def covariance(stage: Stage, strength: float = 1.0) -> np.ndarray:
     """
     objective, solution = stage.objective, stage.solution
     unit = max(objective.unit(solution.work), 1e-12)
-    precision = np.nan_to_num(solution.work.base) / unit
+    # Of a fit that has run off it need not be a number, and then says nothing.
+    precision = np.nan_to_num(solution.work.base / unit, posinf=0.0, neginf=0.0)
     n_p = objective.warp.n_parameters
     precision[np.arange(n_p), np.arange(n_p)] += strength * objective.prior
     values, vectors = np.linalg.eigh(precision)

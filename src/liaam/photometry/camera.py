@@ -17,8 +17,14 @@ from liaam.photometry.response import Response, describe_response, from_linear, 
 FORMAT = "liaam-camera"
 VERSION = 1
 
-DIMMEST = 0.02
-"""Least share of light that vignetting may leave."""
+DIMMEST, BRIGHTEST = 0.02, 50.0
+"""Least and largest share of light that vignetting may leave."""
+
+MOST_COEFFICIENTS = 16
+"""Coefficients of vignetting: each costs a pass over the picture."""
+
+NOISIEST = 100.0
+"""Largest slope and offset of noise, on the curve's own scale of light; more has no meaning, and squares of it end."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +44,11 @@ class NoiseModel:
 
     def __post_init__(self) -> None:
         """Refuse what is no noise."""
-        if not np.isfinite([self.slope, self.offset]).all() or min(self.slope, self.offset) < 0:
-            raise CameraError(f"noise of slope {self.slope} and offset {self.offset}: give two numbers of at least 0")
+        if not all(0 <= part <= NOISIEST for part in (self.slope, self.offset)):  # NaN is not
+            raise CameraError(
+                f"noise of slope {self.slope} and offset {self.offset}: give two numbers of at least 0, "
+                f"and of {NOISIEST:g} at most"
+            )
 
     def variance(self, linear: np.ndarray) -> np.ndarray:
         """Variance of linear light of given values (any shape)."""
@@ -78,11 +87,10 @@ class CameraModel:
         """Refuse a camera that cannot be."""
         if not np.isfinite(self.theta) or abs(self.theta) > 2 * np.pi:
             raise CameraError(f"theta {self.theta}: give the camera's angle in radians (122 degrees are 2.13)")
-        if self.theta_deviation is not None and not self.theta_deviation >= 0:
+        if self.theta_deviation is not None and not 0 <= self.theta_deviation < np.inf:
             raise CameraError(f"theta_deviation {self.theta_deviation}: give a standard error of at least 0, or None")
         parse_response(self.response)
-        if not np.isfinite(self.vignetting).all() or least_share(self.vignetting) < DIMMEST:
-            raise CameraError(f"vignetting {self.vignetting}: hardly any light would arrive off the centre")
+        _check_vignetting(self.vignetting)
 
     def falloff(self, height: int, width: int) -> np.ndarray:
         """Share of light that arrives at each pixel, (h, w) float32: 1 in the centre."""
@@ -143,6 +151,19 @@ class CameraModel:
         write_text_atomically(path, text + "\n", CameraError)
 
 
+def _check_vignetting(vignetting: tuple[float, ...]) -> None:
+    if len(vignetting) > MOST_COEFFICIENTS:
+        raise CameraError(f"vignetting of {len(vignetting)} coefficients: give {MOST_COEFFICIENTS} at most")
+    with np.errstate(over="ignore", invalid="ignore"):
+        shares = _shares(vignetting)
+    if not shares.min() >= DIMMEST:  # NaN is not
+        raise CameraError(f"vignetting {vignetting}: hardly any light would arrive off the centre")
+    if shares.max() > BRIGHTEST:
+        raise CameraError(
+            f"vignetting {vignetting}: more than {BRIGHTEST:g} times the light would arrive off the centre"
+        )
+
+
 def squared_radius(x: np.ndarray, y: np.ndarray, height: int, width: int) -> np.ndarray:
     """Squared distance of points from a picture's centre, 1 in its corners; x and y, pixels, are broadcast."""
     middle_x, middle_y = (width - 1) / 2.0, (height - 1) / 2.0
@@ -157,7 +178,12 @@ def falloff_at(squared: np.ndarray, vignetting: Sequence[float] | np.ndarray) ->
 
 def least_share(vignetting: Sequence[float] | np.ndarray) -> float:
     """Least share of light that arrives anywhere in the picture."""
-    return float(falloff_at(np.square(np.linspace(0.0, 1.0, 101)), vignetting).min())
+    return float(_shares(vignetting).min())
+
+
+def _shares(vignetting: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Shares of light that arrive from the centre to the corners."""
+    return falloff_at(np.square(np.linspace(0.0, 1.0, 101)), vignetting)
 
 
 def load_camera(path: str | os.PathLike) -> CameraModel:

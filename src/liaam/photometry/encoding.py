@@ -190,6 +190,9 @@ def encode(
     return np.concatenate([channels[..., : WIDTHS[encoding]], channels[..., -1:]], axis=2)
 
 
+BRIGHTEST = 1e6
+"""Stored value and linear light that count at most, where highlights of floats are still brighter."""
+
 ALL = 0.999
 """Share of a block's pixels above which all are meant."""
 
@@ -246,7 +249,8 @@ def block_means(
         table = _table(image.dtype.str, "linear", response)
         return Means(averaging.stored_means(image, table, (low, high), start, size, (rows, columns)), None, grey)
     stored, usable, finite = _stored_and_usable(image, encoding)
-    linear = to_linear(stored, response).astype(np.float32, copy=False)
+    # A curve may take the highlights of a picture of floats beyond what single precision holds.
+    linear = np.minimum(to_linear(stored, response), BRIGHTEST).astype(np.float32, copy=False)
     light = np.concatenate([np.moveaxis(linear, -1, 0), usable[None]], axis=0, dtype=np.float32)
     pixels = Means(light, None if finite.all() else finite.astype(np.float32), grey)
     return pixels.averaged(start, size, (rows, columns))
@@ -326,7 +330,7 @@ def _usable_range(dtype: np.dtype) -> tuple[int, int]:
 def _stored_and_usable(image: np.ndarray, encoding: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Finite values in [0, 1] of a picture of floats, and the masks of usable and of finite pixels."""
     finite = np.asarray(np.isfinite(image).all(axis=-1))
-    stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, 1e6), np.float32(0.0))
+    stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, BRIGHTEST), np.float32(0.0))
     if encoding not in LOGARITHMIC:
         return stored, finite, finite
     return stored, finite & np.asarray(((stored >= DARK) & (stored <= SATURATED)).all(axis=-1)), finite

@@ -43,6 +43,7 @@ class ResponseCurve:
             raise ImageError("a response curve needs two or more pairs of positive stored values and linear light")
         if not (np.diff(points, axis=1) > 0).all() or points[0, -1] > 1:
             raise ImageError("a response curve must rise from point to point, with stored values of at most 1")
+        _refuse_absurd(self, np.log(points))
 
 
 Response = Literal["srgb", "linear"] | float | ResponseCurve
@@ -131,6 +132,43 @@ def log_slope(stored: np.ndarray, response: Response = "srgb") -> np.ndarray:
     if isinstance(response, ResponseCurve):
         return _power_law_ends(_spline(response), np.log(v), slope=True) / v
     return (1.0 if response == "linear" else float(response)) / v
+
+
+MOST_POINTS = 65536
+"""Points of a curve: as many as there are values of 16 bits."""
+
+MOST_STEEP = 100.0
+"""Largest slope of a curve in logarithms from point to point; beyond it the noise of a logarithm is no number."""
+
+MOST_CONTRAST = 10.0
+"""Gamma that a curve may be like on the whole; twice the largest that may be given by itself."""
+
+WHITES = (1e-6, 1e6)
+"""Linear light that stored value 1 may stand for."""
+
+BLACKEST = 0.02
+"""Stored value from which light has to be told from none."""
+
+
+def _refuse_absurd(curve: ResponseCurve, logs: np.ndarray) -> None:
+    """Raise about a curve that no camera has, on whose light single precision would run out.
+
+    ``logs``: of its points, (2, n).
+    """
+    steps = np.diff(logs, axis=1)
+    if logs.shape[1] > MOST_POINTS or not (steps[1] <= MOST_STEEP * steps[0]).all() or not (steps[0] > 0).all():
+        raise ImageError(
+            f"a response curve has {MOST_POINTS} points at most, and rises by the power {MOST_STEEP:g} at most from "
+            "one to the next: measure it again ('liaam calibrate response')"
+        )
+    black, white = _power_law_ends(_spline(curve), np.log([BLACKEST, 1.0]))
+    exponent = (white - black) / -np.log(BLACKEST)
+    if not (exponent <= MOST_CONTRAST and np.log(WHITES[0]) <= white <= np.log(WHITES[1])):
+        raise ImageError(
+            f"a response curve that is like a gamma of {exponent:.3g} and takes white to light of about "
+            f"1e{white / np.log(10.0):.0f} is no camera's: its gamma has to be {MOST_CONTRAST:g} at most, "
+            f"and white {WHITES[0]:g} to {WHITES[1]:g} (1 is usual)"
+        )
 
 
 SMALLEST = 1e-12
