@@ -1,0 +1,1 @@
+"""Hostile inputs, thousands a second, in child processes with limits on time and memory: ``python -m fuzz``."""

@@ -1,0 +1,205 @@
+"""Landmark files of all formats, and folders that hold them."""
+
+from __future__ import annotations
+
+import json
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fuzz.mutate import NUMBERS, TEXTS, Random, one_of, spoilt, spoilt_json
+from fuzz.target import Target
+
+POINTS = [[1.5, 2.0], [30.25, 4.0], [16.0, 20.5], [8.0, 9.0]]
+
+_PTS = (
+    b"version: 1\nn_points: 4\n{\n1.5 2.0\n30.25 4.0\n16 20.5\nnan nan\n}\n",
+    b"version: 1 n_points: 3 {\n1 2\n3 4\n5 6\n}",
+    b"# made by hand\n{\n1 2 // first\n3 4\n}\n",
+)
+_TEM = (b"3\n1.0\t2.0\n3.0\t4.0\n5.0\t6.0\n2\n0\n2\n0 1\n1\n3\n0 1 2\n", b"2\n1 2\n3 4\n")
+_ASF = (
+    b"# points\n3\n# path type x y point from to\n0 0 0.1 0.2 0 2 1\n0 0 0.3 0.4 1 0 2\n0 0 0.5 0.6 2 1 0\nface.jpg\n",
+    b"2\n0 4 0.1 0.2 0 0 1 9\n0 4 0.3 0.4 1 0 1 9\n",
+)
+_CSV = (
+    b"x,y,name\r\n1,2,a\r\n3,4,b\r\n,,c\r\n",
+    b"image,x,y\n01.png,1,2\n01.png,3,4\n02.png,5,6\n02.png,7,8\n",
+    b"x;y\n1,5;2,5\n3;4\n",
+    b'name\tx\ty\n"a ""b"" c"\t1\t2\n',
+)
+_XML = (
+    b"<?xml version='1.0' encoding='ISO-8859-1'?>\n<dataset><name>x</name><images>\n"
+    b"<image file='01.png'><box top='1' left='2' width='30' height='40'><label>face</label>"
+    b"<part name='00' x='5' y='6'/><part name='01' x='7' y='8'/></box></image>\n"
+    b"<image file='02.png'><box top='1' left='2' width='3' height='4'/>"
+    b"<box top='1' left='2' width='9' height='9'>"
+    b"<part name='10' x='5' y='6'/><part name='2' x='7' y='8'/></box></image>"
+    b"</images></dataset>",
+)
+_COCO = (
+    {
+        "images": [{"id": 1, "file_name": "01.png"}, {"id": 2, "file_name": "02.png"}],
+        "annotations": [
+            {"id": 5, "image_id": 1, "category_id": 1, "keypoints": [1, 2, 2, 3, 4, 1, 0, 0, 0], "area": 12.5},
+            {"id": 6, "image_id": 1, "category_id": 1, "keypoints": [1, 2, 2, 3, 4, 1, 5, 6, 2], "bbox": [0, 0, 5, 6]},
+            {"id": 7, "image_id": 2, "category_id": 1, "keypoints": [1, 2, 2, 3, 4, 1, 7, 8, 2]},
+        ],
+        "categories": [{"id": 1, "keypoints": ["a", "b", "c"], "skeleton": [[1, 2], [2, 3]]}],
+    },
+)
+_LJSON = (
+    {
+        "labels": [{"label": "all", "mask": [0, 1, 2, 3]}, {"label": "invisible", "mask": [2]}],
+        "landmarks": {"points": POINTS, "connectivity": [[0, 1], [1, 2], [2, 0]]},
+        "version": 2,
+    },
+    {"version": 3, "groups": {"main": {"landmarks": {"points": [[1, 2], [None, None]]}, "labels": []}}},
+    {
+        "labels": [{"label": name, "mask": [i]} for i, name in enumerate("abcd")],
+        "landmarks": {"points": POINTS},
+        "version": 2,
+    },
+)
+_WORDS = {
+    ".pts": (b"n_points", b"npoints:", b"version:", b"{", b"}", b" ", b"\n", b"#", b"//", b"%", b"nan", b"1 2\n"),
+    ".tem": (b"\n", b"1\n", b"0 1\n", b" ", b"99\n"),
+    ".asf": (b"#", b"\n", b"0 0 0.1 0.2 0 2 1\n", b" ", b"-1"),
+    ".csv": (b",", b";", b"\t", b'"', b"\r", b"\n", b"image", b"x", b"y", b"name", b"\xef\xbb\xbf", b"\xff\xfe"),
+    ".xml": (
+        b"<box>",
+        b"</box>",
+        b"<image>",
+        b"</image>",
+        b"<part ",
+        b"name='",
+        b"&#1;",
+        b"&amp;",
+        b"<!--",
+        b"<![CDATA[",
+    ),
+    ".json": (b"[", b"{", b"]", b"}", b'"', b",", b":", b"null", b"1e999", b'"keypoints"', b'"skeleton"'),
+    ".ljson": (b"[", b"{", b"]", b"}", b'"', b",", b":", b"null", b"NaN", b'"points"', b'"connectivity"'),
+}
+_JSON = {".json": _COCO, ".ljson": _LJSON}
+
+
+@cache
+def corpus(suffix: str) -> tuple[bytes, ...]:
+    """Valid files of a format."""
+    if suffix in _JSON:
+        return tuple(json.dumps(document).encode() for document in _JSON[suffix])
+    return {".pts": _PTS, ".tem": _TEM, ".asf": _ASF, ".csv": _CSV, ".xml": _XML}[suffix]
+
+
+def make(suffix: str, rng: Random) -> bytes:
+    """Spoil a file of a format."""
+    kind = rng.random()
+    if suffix == ".xml" and kind < 0.4:
+        return _tree(rng)
+    if suffix in _JSON and kind < 0.7:
+        return spoilt_json(rng, _JSON[suffix])
+    if suffix == ".csv" and kind < 0.02:  # of many pictures
+        rows = (f"{i % 997}.png,{i},{i}" for i in range(int(rng.integers(20_000))))
+        return "\n".join(["image,x,y", *rows]).encode()
+    return spoilt(rng, corpus(suffix), _WORDS[suffix])
+
+
+def _tree(rng: Random) -> bytes:
+    """Well-formed XML of imglab's elements in any order, wide or deep."""
+    tags = ("dataset", "images", "image", "box", "part")
+    parts, open_tags = ["<dataset>"], ["dataset"]
+    deep = rng.random()
+    for _ in range(int(rng.integers(1, 3000 if rng.random() < 0.03 else 60))):
+        if len(open_tags) > 1 and rng.random() > deep:
+            parts.append(f"</{open_tags.pop()}>")
+            continue
+        tag = one_of(rng, tags)
+        given = {key: _attribute(rng) for key in ("file", "name", "x", "y", "width", "height") if rng.random() < 0.5}
+        parts.append(f"<{tag} " + " ".join(f'{key}="{value}"' for key, value in given.items()) + ">")
+        open_tags.append(tag)
+    return "".join([*parts, *(f"</{tag}>" for tag in reversed(open_tags))]).encode("utf-8", "replace")
+
+
+def _attribute(rng: Random) -> str:
+    if rng.random() < 0.7:
+        return str(int(rng.integers(30)))
+    text = one_of(rng, (*TEXTS, *(number.decode() for number in NUMBERS)))
+    return "".join(letter for letter in text if letter.isprintable() and letter not in '<&"')
+
+
+def check(suffix: str, data: bytes) -> None:
+    """Parse it; what is accepted holds finite points, and can be written and read again."""
+    from liaam.io.landmarks import FORMATS, Landmarks, parse_landmark_data
+
+    parsed = parse_landmark_data(f"x{suffix}", data, (640.0, 480.0))
+    for landmarks in [parsed] if isinstance(parsed, Landmarks) else parsed.values():
+        assert not np.isinf(landmarks.points).any()
+    if isinstance(parsed, Landmarks) and (dump := FORMATS[suffix].dump) is not None and len(parsed) < 1000:
+        again = parse_landmark_data(f"x{suffix}", dump(parsed).encode("utf-8", "surrogatepass"))
+        assert isinstance(again, Landmarks)
+        np.testing.assert_allclose(again.points, parsed.points, rtol=1e-12)
+
+
+def _prepare(suffix: str) -> None:
+    for data in corpus(suffix):
+        check(suffix, data)
+
+
+# Folders ------------------------------------------------------------------------------------------
+
+
+_PICTURES = (
+    "01.png",
+    "02.png",
+    "a.b.png",
+    ".hidden.png",
+    "01.ppm",
+    "x" * 240 + ".png",
+    "\x1b[31m.png",
+    "ü.png",
+    "²1.png",
+)
+
+
+def make_folder(rng: Random) -> list[tuple[str, bytes]]:
+    """Give files of a folder: pictures and landmark files, of names that may not agree."""
+    files = [(one_of(rng, _PICTURES), _picture()) for _ in range(int(rng.integers(1, 4)))]
+    for _ in range(int(rng.integers(1, 4))):
+        suffix = one_of(rng, list(_WORDS))
+        stems = ("all", "x", "²", "1" * 240, *(name.rpartition(".")[0] for name, _ in files))
+        data = one_of(rng, corpus(suffix)) if rng.random() < 0.5 else make(suffix, rng)
+        files.append((f"{one_of(rng, stems)}{suffix}", data))
+    return files
+
+
+@cache
+def _picture() -> bytes:
+    return b"P6 4 4 255\n" + bytes(48)
+
+
+def check_folder(files: list[tuple[str, bytes]]) -> None:
+    """Load a folder of such files, and say what was found."""
+    from liaam.datasets import load_folder
+
+    folder = Path("folder")
+    folder.mkdir(exist_ok=True)
+    for path in folder.iterdir():
+        path.unlink()
+    for name, data in files:
+        (folder / name).write_bytes(data)
+    load_folder(folder).report()
+
+
+def _targets() -> list[Target]:
+    formats = [
+        Target(f"landmarks{suffix}", partial(make, suffix), partial(check, suffix), partial(_prepare, suffix), suffix)
+        for suffix in _WORDS
+    ]
+    valid: Any = [("01.png", _picture()), ("01.pts", _PTS[0])]
+    return [*formats, Target("folder", make_folder, check_folder, partial(check_folder, valid), share=0.5)]
+
+
+TARGETS = _targets()

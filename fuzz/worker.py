@@ -1,0 +1,178 @@
+"""A child process that runs cases, and may die of them."""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import os
+import resource
+import signal
+import time
+import traceback
+import warnings
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from fuzz.target import MODULES, Target, targets_of
+from liaam.errors import LiaamError
+
+TRACE = "trace.txt"
+"""File in the child's folder that tells where it was when it crashed or was stopped."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a case may take."""
+
+    seconds: float = 2.0
+    """Processor time; five times as much by the clock, which also runs while others have the processor."""
+    n_bytes: int = 10**9
+    """Resident memory, beyond that of a child that is prepared."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Cases of a target."""
+
+    name: str
+    seed: int
+    first: int
+    stop: int
+    modules: tuple[str, ...] = MODULES
+    """Where the target is looked for."""
+    keep_in: str | None = None
+    """Folder to write the inputs to; they are not run then."""
+
+    @property
+    def target(self) -> Target:
+        return targets_of(*self.modules)[self.name]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A case that breaks the property."""
+
+    name: str
+    seed: int
+    case: int
+    kind: str
+    """exception, time, memory, or the name of a signal."""
+    what: str
+    """An error and where, in a few lines."""
+
+
+class Progress(ctypes.Structure):
+    """How far a child is, in memory that its parent sees, so that it survives the child."""
+
+    _fields_ = (
+        ("case", ctypes.c_int64),  # under way, or -1
+        ("wall", ctypes.c_double),  # when it began, seconds
+        ("processor", ctypes.c_double),
+        ("returned", ctypes.c_int64),
+        ("refused", ctypes.c_int64),
+        ("slowest", ctypes.c_double),
+        ("growth", ctypes.c_int64),
+    )
+
+
+def work(pipe: Connection, progress: Any, limits: Limits, folder: str) -> None:
+    """Do jobs until there is none; the answer to each is the first case that was not done, after its failures."""
+    os.chdir(folder)
+    quiet = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        os.dup2(quiet, stream)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    warnings.simplefilter("ignore")
+    with Path(TRACE).open("w") as trace:
+        faulthandler.enable(trace, all_threads=False)
+        faulthandler.register(signal.SIGUSR1, trace, all_threads=False)
+        try:
+            for job in iter(pipe.recv, None):
+                pipe.send(_keep(job) if job.keep_in else _run(job, pipe, progress, limits))
+        except Exception:  # the target's making or preparing, or this module: no case's fault
+            traceback.print_exc(file=trace)
+            raise
+
+
+def _keep(job: Job) -> int:
+    target, folder = job.target, Path(str(job.keep_in))
+    for case in range(job.first, job.stop):
+        data = target.input_of(job.seed, case)
+        path = folder / f"{job.name}-{job.seed}-{case}{target.suffix}"
+        path.write_bytes(data if isinstance(data, bytes) else repr(data).encode("utf-8", "backslashreplace"))
+    return job.stop
+
+
+def _run(job: Job, pipe: Connection, progress: Any, limits: Limits) -> int:
+    target = job.target
+    target.prepare()
+    _forget_peak()
+    base, size = _memory("VmRSS"), _memory("VmSize")
+    _, hardest = resource.getrlimit(resource.RLIMIT_AS)
+    # Twice the limit: addresses that are asked for and never used are no memory, and the machine must live.
+    resource.setrlimit(resource.RLIMIT_AS, (size + 2 * limits.n_bytes, hardest))
+    try:
+        for case in range(job.first, job.stop):
+            data = target.input_of(job.seed, case)
+            progress.wall, progress.processor = time.monotonic(), time.process_time()
+            progress.case = case  # from here on the parent looks at the clock
+            fault = _fault_of(target, data, progress)
+            progress.slowest = max(progress.slowest, time.process_time() - progress.processor)
+            progress.case = -1
+            growth = _memory("VmHWM") - base
+            progress.growth = max(progress.growth, growth)
+            if growth > limits.n_bytes and fault is None:
+                fault = "memory", f"{growth / 1e6:.0f} MB more than before"
+            if fault is not None:
+                pipe.send(Failure(job.name, job.seed, case, *fault))
+                if fault[0] == "memory":  # what it has left behind is not the next case's
+                    return case + 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (hardest, hardest))
+    return job.stop
+
+
+def _fault_of(target: Target, data: Any, progress: Any) -> tuple[str, str] | None:
+    """Run a case; gives the kind of a fault and what it is."""
+    try:
+        target.check(data)
+    except LiaamError as error:
+        if _lacked_memory(error):
+            return "memory", _in_short(error)
+        progress.refused += 1
+        return None
+    except MemoryError as error:
+        return "memory", _in_short(error)
+    except BaseException as error:
+        return "exception", _in_short(error)
+    progress.returned += 1
+    return None
+
+
+def _lacked_memory(error: BaseException | None) -> bool:
+    """Whether an error stands for memory that could not be had; -4 is OpenCV's number for it."""
+    while error is not None:
+        if isinstance(error, MemoryError) or getattr(error, "code", None) == -4:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _in_short(error: BaseException) -> str:
+    """Error, and the frames that it came through, the innermost last."""
+    places = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in traceback.extract_tb(error.__traceback__)[1:]]
+    message = str(error).encode("ascii", "backslashreplace").decode()
+    return f"{type(error).__name__}: {message[:200]}\n{' '.join(places[-6:])}"
+
+
+def _memory(what: str) -> int:
+    """Memory of this process in bytes: VmRSS, VmHWM (its peak) or VmSize."""
+    with open("/proc/self/status") as file:  # noqa: PTH123 (once a case)
+        line = next(line for line in file if line.startswith(what))
+    return int(line.split()[1]) * 1024
+
+
+def _forget_peak() -> None:
+    Path("/proc/self/clear_refs").write_text("5")

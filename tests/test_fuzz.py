@@ -1,0 +1,102 @@
+"""Hostile inputs: some hundred cases of every target, and the fuzzer itself, which has to notice whatever happens."""
+
+import pytest
+from fuzz.__main__ import keep, main, report
+from fuzz.parent import run
+from fuzz.target import MODULES, targets_of
+from fuzz.worker import Job, Limits
+
+LIMITS = Limits(seconds=0.4, n_bytes=100_000_000)
+HERE = ("hostile_targets",)
+TARGETS = targets_of(*MODULES)
+KINDS = {
+    "crash": "SIGSEGV",
+    "leave": "exit 3",
+    "spin": "time",
+    "sleep": "time",
+    "gorge": "memory",
+    "swallow_lack": "memory",
+    "foreign": "exception",
+    "depart": "exception",
+}
+
+
+@pytest.fixture(scope="module")
+def faulty():
+    jobs = [Job(name, 0, 0, 12, HERE) for name in (*KINDS, "sound")]
+    return run(jobs, n_children=2, limits=LIMITS)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_fault_is_told_with_its_kind_and_case_and_the_others_go_on(faulty, name):
+    tally = faulty[name]
+    assert [(failure.kind, failure.case) for failure in tally.failures] == [(KINDS[name], 5)]
+    assert (tally.cases, tally.returned + tally.refused) == (12, 11)
+
+
+def test_a_fault_says_where_it_was(faulty):
+    assert "ValueError: what a user would see" in faulty["foreign"].failures[0].what
+    for name in ("crash", "spin", "sleep"):
+        assert f"in {name}" in faulty[name].failures[0].what
+
+
+def test_a_sound_target_has_no_failures(faulty):
+    tally = faulty["sound"]
+    assert not tally.failures and tally.returned and tally.refused and tally.returned + tally.refused == 12
+
+
+def test_the_report_says_how_to_run_a_failure_again(faulty):
+    text = "\n".join(report(faulty))
+    assert "time: python -m fuzz spin --seed 0 --case 5" in text
+    assert "sound" in text
+
+
+def test_failing_inputs_are_kept(faulty, tmp_path):
+    keep(faulty["crash"].failures + faulty["foreign"].failures, tmp_path, HERE)
+    targets = targets_of(*HERE)
+    for name in ("crash", "foreign"):
+        assert (tmp_path / f"{name}-0-5.bin").read_bytes() == targets[name].input_of(0, 5)
+
+
+def test_memory_is_counted_beyond_what_was_there_before():
+    before = Limits(n_bytes=300_000_000)  # more than the case takes, less than it and the libraries
+    assert not run([Job("gorge", 0, 0, 8, HERE)], 1, before)["gorge"].failures
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_case_depends_on_target_seed_and_number_alone(name):
+    target = TARGETS[name]
+    alone = [repr(target.input_of(3, 7)) for _ in range(2)]
+    for case in range(20):
+        target.input_of(3, case)
+    assert repr(target.input_of(3, 7)) == alone[0] == alone[1]
+    assert repr(target.input_of(4, 7)) != alone[0] or repr(target.input_of(4, 8)) != repr(target.input_of(3, 8))
+
+
+@pytest.fixture(scope="module")
+def all_targets():
+    cases = {name: max(10, round(300 * target.share)) for name, target in TARGETS.items()}
+    return run([Job(name, 1, 0, n) for name, n in cases.items()], n_children=2)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_hostile_inputs_are_read_or_refused(all_targets, name):
+    tally = all_targets[name]
+    assert not tally.failures, "\n".join(report({name: tally}))
+    assert tally.returned and tally.refused, "all inputs meet with the same: they test little"
+
+
+def test_the_command_line_gives_a_status(capsys, tmp_path):
+    assert main(["landmarks.pts", "--cases", "20", "--jobs", "1", "--keep", str(tmp_path / "kept")]) == 0
+    assert "landmarks.pts" in capsys.readouterr().out
+    assert not (tmp_path / "kept").exists()
+    assert main(["nonsense"]) == 2
+    assert "no target nonsense" in capsys.readouterr().err
+
+
+def test_the_command_line_fails_where_a_case_does(capsys, tmp_path):
+    assert main(["foreign", "--cases", "6", "--jobs", "1", "--keep", str(tmp_path)], HERE) == 1
+    out = capsys.readouterr().out
+    assert "--case 5" in out and "1 of 6 cases failed" in out
+    assert main(["foreign", "--case", "4", "--jobs", "1", "--keep", str(tmp_path)], HERE) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["foreign-0-5.bin"]
