@@ -164,3 +164,18 @@ def test_surroundings_widen_the_mesh_all_around(rng):
     assert plain.n_pixels < wide.n_pixels
     own_pixels = {tuple(p) for p in plain.pixels + plain.origin[::-1].astype(int)}
     assert own_pixels <= {tuple(p) for p in wide.pixels + wide.origin[::-1].astype(int)}
+
+
+def test_a_fan_of_long_triangles_is_refused_before_hours_are_spent_on_its_pixels():
+    away = np.linspace(0.0, 20.0, 900)
+    fan = np.concatenate([[[0.0, 0.0]], np.column_stack([1400 - away, 1380 + away])])
+    i = np.arange(1, len(fan) - 1)
+    with pytest.raises(TrainingError, match=r"899 triangles, too many of them too long.*smaller diagonal"):
+        ReferenceFrame(fan, np.column_stack([0 * i, i, i + 1]).astype(np.int32))
+
+
+@pytest.mark.parametrize("width", [0.0, 1e-300])
+def test_surroundings_of_points_on_one_line_are_refused(width):
+    line = np.column_stack([np.linspace(0, 50, 6), width * np.arange(6)])
+    with pytest.raises(TrainingError, match="lie on one line"):
+        surroundings(line, np.array([[0, 1, 2]]))

@@ -353,6 +353,61 @@ def many_appearance_modes(header, tensors):
     tensors["mesh/0/log.eigenvalues"] = np.zeros(5)
 
 
+def huge_shape_modes(header, tensors):
+    tensors["mesh/shape.modes"] = tensors["mesh/shape.modes"] * 1e30
+
+
+def rigid_shape_modes(header, tensors):
+    """A mode that is the mean itself, so that the pose and it trade off."""
+    mean = tensors["mean"].ravel()
+    tensors["mesh/shape.modes"] = (mean / np.linalg.norm(mean))[None]
+    tensors["mesh/shape.eigenvalues"] = np.ones(1)
+
+
+def huge_appearance_modes(header, tensors):
+    tensors["mesh/0/log.modes"] = tensors["mesh/0/log.modes"] * np.float32(1e30)
+
+
+def many_landmarks(header, tensors):
+    """A file of 100 KB, whose surroundings would take gigabytes."""
+    angle = np.linspace(0, 2 * np.pi, 20_000, endpoint=False)
+    tensors["mean"] = 8 * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def flat(header, tensors):
+    tensors["mean"] = tensors["mean"] * [1.0, 0.0]
+
+
+def flat_surroundings_first(header, tensors):
+    flat(header, tensors)
+    header["views"] = dict(reversed(header["views"].items()))
+
+
+def sliver(header, tensors):
+    tensors["mean"] = tensors["mean"] * [1.0, 1e-200]
+
+
+def empty(header, tensors):
+    tensors["triangles"] = tensors["triangles"][:0]
+
+
+def large_frame(header, tensors):
+    """A kilobyte of landmarks that asks for a frame of a million pixels."""
+    tensors["mean"] = tensors["mean"] * 80
+
+
+def no_pixels(header, tensors):
+    header["views"][MESH]["n_pixels"] = 0
+
+
+def huge_number(header, tensors):
+    header["views"][MESH]["blurs"] = [10**400]
+
+
+def wide_blur(header, tensors):
+    header["views"][MESH]["blurs"] = [100.0]
+
+
 def odd_camera(header, tensors):
     header["camera"] = [1]
 
@@ -381,6 +436,18 @@ def empty_view(header, tensors):
 FORGERIES = [
     (many_shape_modes, "60000 shape modes of 4 landmarks"),
     (many_appearance_modes, "0/log has 5 modes, of 4 at most"),
+    (huge_shape_modes, "shape.modes are not orthonormal"),
+    (rigid_shape_modes, "shape.modes are not orthonormal"),
+    (huge_appearance_modes, "0/log.modes are not of unit length"),
+    (many_landmarks, "20000 landmarks"),
+    (flat, "the mesh is flat"),
+    (flat_surroundings_first, "the mesh is flat"),
+    (sliver, "contradicts itself"),
+    (empty, "the mesh does not belong"),
+    (large_frame, "does not match its pixels"),
+    (no_pixels, "0 is no count"),
+    (huge_number, "contradicts itself"),
+    (wide_blur, "blurs"),
     (odd_camera, r"camera \[1\]"),
     (odd_views, "there is no view mesh"),
     (odd_view, r"view surroundings is described by \[1\]"),
@@ -407,7 +474,7 @@ FORGERIES = [
     (odd_response, "'film' is not known"),
     (absurd_response, "gamma of 60"),
     (many_images, "infinity"),
-    (other_pixels, "does not match its pixels"),
+    (other_pixels, "0/soft.modes has type float32 and shape"),
     (no_name, "name"),
     (overweight, "0/log.usable"),
     (bad_eigenvalue, "shape.eigenvalues"),
@@ -419,6 +486,22 @@ def test_a_forged_model_is_refused(tiny_file, tmp_path, change, match):
     header, tensors = parts(tiny_file)
     change(header, tensors)
     assert_refused(forge(tmp_path / "forged.liaam", header, tensors), match)
+
+
+@pytest.mark.parametrize("name", ["\ud800", "x" * 100_000, "\u00e9"])
+def test_a_models_name_can_be_written(tiny_file, tmp_path, name):
+    header, tensors = parts(tiny_file)
+    header["name"] = name
+    loaded = load_model(forge(tmp_path / "named.liaam", header, tensors))
+    assert 1 <= len(loaded.name.encode()) <= 2000
+
+
+def test_a_small_frame_under_a_wide_blur_still_fits(tiny_file, tmp_path, rng):
+    header, tensors = parts(tiny_file)
+    header["views"][MESH]["blurs"] = [10.0]
+    loaded = load_model(forge(tmp_path / "blurred.liaam", header, tensors))
+    result = Fitter(loaded, "grey").fit(rng.integers(0, 256, (60, 60, 3), dtype=np.uint8), (15, 15, 45, 45))
+    assert np.isfinite(result.shape).all()
 
 
 def test_an_unforged_model_is_not_refused(tiny_file, tmp_path):

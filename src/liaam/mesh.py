@@ -13,6 +13,9 @@ FOLD_TOLERANCE = 0.15
 and lids touch and cross by a pixel in good annotations; a wrong order of points turns over far more."""
 
 
+_NO_MESH = "the landmarks lie on one line or in one place, so they span no mesh; check their order and units"
+
+
 def delaunay(points: np.ndarray) -> np.ndarray:
     """Delaunay triangles of points, all of positive signed area, slivers on the border left out.
 
@@ -29,9 +32,7 @@ def delaunay(points: np.ndarray) -> np.ndarray:
     try:
         triangles = np.asarray(Delaunay(points).simplices)
     except QhullError as error:
-        raise TrainingError(
-            "the landmarks lie on one line or in one place, so they span no mesh; check their order and units"
-        ) from error
+        raise TrainingError(_NO_MESH) from error
     areas = signed_areas(points, triangles)
     triangles = np.where(areas[:, None] < 0, triangles[:, ::-1], triangles)
     return triangles[np.abs(areas) > 1e-6 * np.abs(areas).sum()].astype(np.int32)
@@ -137,9 +138,12 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
     width : float
         Of the ring, as a share of each hull point's distance from the centre.
     """
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
-    hull = np.asarray(ConvexHull(points).vertices)  # counter-clockwise: the ring's triangles have positive areas
+    try:
+        hull = np.asarray(ConvexHull(points).vertices)  # counter-clockwise: the ring's triangles have positive areas
+    except QhullError as error:
+        raise TrainingError(_NO_MESH) from error
     n, r = len(points), len(hull)
     beyond = np.full((r, n), -width / n)
     beyond[np.arange(r), hull] += 1.0 + width
@@ -149,6 +153,10 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
     areas = signed_areas(extension @ points, strip)
     strip = strip[areas > 1e-6 * np.abs(areas).sum()]
     return Surroundings(extension, np.concatenate([triangles, strip]).astype(np.int32))
+
+
+MOST_LOOKS = 2e7
+"""Pixels that may lie in the boxes around a mesh's triangles, each looked at once when the frame is made."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +181,12 @@ class ReferenceFrame:
             raise TrainingError(
                 f"the mesh is folded on the mean shape (triangle of points {where}, counting from 0): "
                 "check the triangles, or leave them out to have the mesh made from the landmarks"
+            )
+        corners = self.points[self.triangles]
+        if np.prod(np.ptp(corners, axis=1) + 2.0, axis=1).sum() > MOST_LOOKS:
+            raise TrainingError(
+                f"the mesh has {len(self.triangles)} triangles, too many of them too long, for a frame of "
+                f"{self.size[0]}×{self.size[1]} pixels: take a smaller diagonal, or leave the triangles out"
             )
 
     @cached_property

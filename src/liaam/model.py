@@ -10,9 +10,10 @@ import numpy as np
 
 from liaam.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel
 from liaam.errors import LiaamError, ModelFileError
+from liaam.io.files import writable
 from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.photometry import CameraModel, Response, camera_from, describe_response, parse_response
-from liaam.shape import ShapeModel, diagonal_of
+from liaam.shape import ShapeModel, diagonal_of, similarity_modes
 from liaam.warp import PiecewiseAffineWarp, mesh_warp, surrounded_warp
 
 SCHEMA_VERSION = 3
@@ -20,6 +21,21 @@ SCHEMA_VERSION = 3
 
 MAX_DIAGONAL = 2000.0
 """Largest reference frame, pixels: a larger one is a forged file or a slip of the pen."""
+
+MAX_POINTS = 4000
+"""Most landmarks: what surrounds a mesh takes their number squared."""
+
+ROOMY = 4.0
+"""Square pixels of a mesh for each of its pixels, above which these cannot be its own: a frame of a few has borders."""
+
+UNIT = 0.1
+"""How far squared lengths and products of modes may be off those of orthonormal ones: weak ones hold much rounding."""
+
+LONGEST_NAME = 1000
+"""Letters of a model's name that are kept."""
+
+MAX_BLUR, MAX_LEVELS = 10.0, 10
+"""Largest blur, pixels of the reference frame, and most levels."""
 
 FORMAT = "liaam-aam"
 
@@ -321,6 +337,8 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     mean = _tensor(tensors, "mean", np.float64, (None, 2))
     n = len(mean)
     triangles = _tensor(tensors, "triangles", np.int32, (None, 3))
+    if n > MAX_POINTS:
+        raise ValueError(f"it has {n} landmarks, and {MAX_POINTS} are the most")
     if n < 3 or not len(triangles) or triangles.min() < 0 or triangles.max() >= n:
         raise ValueError("the mesh does not belong to the landmarks")
     # The mean is centred, so that no coordinate exceeds the diagonal; differences of larger ones might overflow.
@@ -329,6 +347,8 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
     area = float(np.abs(signed_areas(mean, triangles)).sum())
     if len(triangles) > 2 * n or area > 1.001 * float(np.prod(np.ptp(mean, axis=0))):
         raise ValueError("the mesh overlaps itself")
+    if not (signed_areas(mean, triangles) > 0).all():
+        raise ValueError("the mesh is flat or folded")
     n_images, n_textures = int(header["n_images"]), int(header.get("n_textures", 0))
     return AAM(
         views=_views(header["views"], tensors, mean, triangles, _counts(n_images, n_textures)),
@@ -336,7 +356,7 @@ def _build(header: dict, tensors: dict[str, np.ndarray]) -> AAM:
         camera=_camera(header),
         n_images=n_images,
         contours=_contours(header["contours"], n),
-        name=str(header["name"]),
+        name=writable(str(header["name"]))[:LONGEST_NAME],
         n_textures=n_textures,
     )
 
@@ -368,23 +388,28 @@ def _view(
     if not isinstance(about, dict):
         raise ValueError(f"view {name} is described by {about!r}")
     tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
-    blurs, n = _blurs(about["blurs"]), len(mean)
-    view = make_view(name, _shape_model(about, tensors, mean), triangles, (), _reliability(tensors, n))
-    n_pixels = view.warp.frame.n_pixels
-    if n_pixels != about["n_pixels"]:
-        raise ValueError("its reference frame does not match its pixels")
+    blurs, n, n_pixels = _blurs(about["blurs"]), len(mean), _count(about["n_pixels"])
+    # First what the file is full of: a frame of many pixels then is of a large file.
     levels = tuple(Level(blur, _appearances(tensors, i, n_pixels, counts)) for i, blur in enumerate(blurs))
     needed = {"value", "log"} if name == MESH else set()
     if not all(level.appearances and needed <= set(level.appearances) for level in levels):
         raise ValueError("an appearance is missing")
-    return replace(view, levels=levels)
+    if signed_areas(mean, triangles).sum() > ROOMY * max(n_pixels, 1):
+        raise ValueError("its reference frame does not match its pixels")
+    view = make_view(name, _shape_model(about, tensors, mean), triangles, levels, _reliability(tensors, n))
+    if n_pixels != view.warp.frame.n_pixels:
+        raise ValueError("its reference frame does not match its pixels")
+    return view
 
 
 def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
     n = len(mean)
     modes = _tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
-    if len(modes) > 2 * n - 4:  # they are orthogonal to each other and to the four similarity vectors
+    if len(modes) > max(2 * n - 4, 0):  # they are orthogonal to each other and to the four similarity vectors
         raise ValueError(f"{len(modes)} shape modes of {n} landmarks")
+    basis = np.concatenate([modes, similarity_modes(mean)])
+    if not _are_unit(modes) or np.abs(modes @ basis.T - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:
+        raise ValueError("shape.modes are not orthonormal")
     eigenvalues = _tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
     unexplained = None
     if "shape.unexplained" in tensors:
@@ -405,7 +430,7 @@ def _camera(header: dict) -> CameraModel:
 
 def _blurs(blurs: list) -> list[float]:
     blurs = [_finite(blur) for blur in blurs]
-    if not 1 <= len(blurs) <= 10 or not all(0 <= blur <= 100 for blur in blurs):
+    if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
         raise ValueError(f"blurs {blurs}")
     return blurs
 
@@ -441,6 +466,8 @@ def _appearance(
     most = min(n_pixels * channels, counts[name])
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes, of {most} at most")
+    if not _are_unit(modes.reshape(len(modes), -1)):
+        raise ValueError(f"{prefix}.modes are not of unit length")
     unexplained = None  # absent from an illumination basis
     if f"{prefix}.unexplained" in tensors:
         unexplained = _covariances(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels))
@@ -475,6 +502,19 @@ def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple)
     ):
         raise ValueError(f"{key} has values out of range")
     return tensor
+
+
+def _are_unit(modes: np.ndarray) -> bool:
+    """Whether modes (m, d) are of unit length; otherwise steps along them may be of any."""
+    if np.abs(modes).max(initial=0.0) > 2.0:  # before squares of it overflow
+        return False
+    return bool((np.abs(np.einsum("md,md->m", modes, modes) - 1.0) < UNIT).all())
+
+
+def _count(number: int) -> int:
+    if not isinstance(number, int) or number < 1:
+        raise ValueError(f"{number!r} is no count")
+    return number
 
 
 def _finite(value: float) -> float:

@@ -29,7 +29,19 @@ from liaam.mesh import (
     signed_areas,
     triangles_from_edges,
 )
-from liaam.model import AAM, MAX_DIAGONAL, MESH, SURROUNDINGS, VIEWS, Level, Reliability, make_view
+from liaam.model import (
+    AAM,
+    MAX_BLUR,
+    MAX_DIAGONAL,
+    MAX_LEVELS,
+    MAX_POINTS,
+    MESH,
+    SURROUNDINGS,
+    VIEWS,
+    Level,
+    Reliability,
+    make_view,
+)
 from liaam.pca import Variance, check_variance, count_by_evidence, some_folds
 from liaam.photometry import CameraModel, Response, exposure_faults, invariant_row, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
@@ -254,9 +266,11 @@ def _check_options(
             f"diagonal {diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels"
         )
     for view, given in blurs.items():
-        if not given or list(given) != sorted(given, reverse=True) or not 0 <= given[-1] <= given[0] <= 10:
+        falling = list(given) == sorted(given, reverse=True)
+        if not 1 <= len(given) <= MAX_LEVELS or not falling or not 0 <= given[-1] <= given[0] <= MAX_BLUR:
             raise TrainingError(
-                f"blurs {given} of the view {view}: give 0 to 10 pixels of the reference frame, from coarse to fine"
+                f"blurs {given} of the view {view}: give 1 to {MAX_LEVELS} of 0 to {MAX_BLUR:g} pixels of the "
+                "reference frame, from coarse to fine"
             )
 
 
@@ -348,6 +362,10 @@ def _entry(item, i: int) -> tuple[_Entry, tuple]:
     points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
         raise TrainingError(f"{name}: landmarks of shape {points.shape} are not (n, 2) points with n of at least 3")
+    if len(points) > MAX_POINTS:
+        raise TrainingError(
+            f"{name}: {len(points)} landmarks are more than {MAX_POINTS}: leave some out of all pictures"
+        )
     missing = ~np.isfinite(points).all(axis=1)
     if missing.any():
         which = ", ".join(str(j + 1) for j in np.flatnonzero(missing)[:5])

@@ -189,6 +189,8 @@ class PiecewiseAffineWarp:
             kept = np.flatnonzero((rows + columns) % 2 < (2 if spacing < 1.25 else 1))
         else:
             kept = np.flatnonzero((rows % round(spacing) == 0) & (columns % round(spacing) == 0))
+        if len(kept) < min(FEWEST, len(rows)):  # of a small frame under a wide blur
+            return self.every(0.5 * spacing)
         return kept[np.argsort(self.frame.owners[kept], kind="stable")]
 
     def at(self, kept: np.ndarray) -> "PiecewiseAffineWarp":
@@ -222,6 +224,9 @@ class PiecewiseAffineWarp:
         back = _inverse_slopes(self.frame.points, self._vertices_of(p), self.frame.triangles)[self._owners]
         return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
 
+
+FEWEST = 8
+"""Pixels of a frame that are looked at, at least."""
 
 FLAT = 0.05
 """Share of its area at rest below which a triangle counts as flat."""

@@ -26,6 +26,11 @@ def is_number(text: str) -> bool:
         return False
 
 
+def writable(text: str) -> str:
+    """Give a text without halves of surrogate pairs, which JSON may hold and no file or terminal can."""
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
 def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:
     """Check that a file is there and not empty.
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from liaam.errors import CameraError, LiaamError
 from liaam.io import write_text_atomically
+from liaam.io.files import writable
 from liaam.photometry.encoding import DARK, SATURATED, stored_values
 from liaam.photometry.invariant import THETA_DEFAULT
 from liaam.photometry.response import Response, describe_response, from_linear, parse_response, to_linear
@@ -228,5 +229,5 @@ def camera_from(facts: Mapping) -> CameraModel:
         response=parse_response(facts.get("response", "srgb")),
         vignetting=tuple(float(v) for v in facts.get("vignetting", ())),
         noise=None if noise is None else NoiseModel(float(noise["slope"]), float(noise["offset"])),
-        history=tuple(str(line) for line in facts.get("history", ())),
+        history=tuple(writable(str(line)) for line in facts.get("history", ())),
     )
