@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -80,11 +81,22 @@ def test_a_few_nan_pixels_do_no_harm(model, same_light_scene, method, rng):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_noise_gives_a_result(model, start, method, rng):
-    image = rng.integers(0, 256, (240, 180, 3), dtype=np.uint8)
-    result = Fitter(model, method).fit(image, start)
-    assert isinstance(result.status, FitStatus)
-    assert result.n_iterations <= 100
+@pytest.mark.parametrize("grain", [1, 2, 5])
+def test_noise_is_no_object_whatever_the_method(model, method, grain, rng):
+    fitter = Fitter(model, method)
+    for low, high in ((0, 256), (60, 200)):
+        grains = rng.integers(low, high, (240 // grain, 180 // grain, 3), dtype=np.uint8)
+        image = cv2.resize(grains, (180, 240), interpolation=cv2.INTER_CUBIC)
+        result = fitter.fit(image, (40, 50, 140, 190))
+        assert not result.status.ok
+        assert result.n_iterations <= 100
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_method_without_a_quality_says_so(model, same_light_scene, method):
+    result = Fitter(model, method).fit(same_light_scene.image, disturb(same_light_scene.landmarks))
+    assert result.status.ok and np.isnan(result.quality)
+    assert result.message.startswith("The fit settled.") and "Whether it is right is not known" in result.message
 
 
 def test_a_start_half_outside_gives_a_status(model, lit_scene):

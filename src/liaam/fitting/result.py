@@ -52,7 +52,7 @@ _MESSAGES = {
     ),
     FitStatus.DOUBTFUL: (
         "The fit settled, but explains the picture no better than fits that were wrong when pictures were left out of "
-        "training; look at it, and start nearer to the object if it is wrong."
+        "training (or, where none were, than fits to noise); look at it, and start nearer to the object if it is wrong."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit was still moving when its iterations ran out; start nearer to the object or allow more iterations."
@@ -74,6 +74,12 @@ _MESSAGES = {
         "The picture is flat where the fit started: there is nothing to fit to; check the start and the file."
     ),
 }
+
+
+_NO_QUALITY = (
+    "Whether it is right is not known: only method 'soft-li' with a model trained by leaving pictures out tells that; "
+    "look at it."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +184,8 @@ class FitResult:
     @property
     def message(self) -> str:
         """What happened, and what to do about it."""
+        if self.status.ok and np.isnan(self.quality):
+            return f"{self.status.message} {_NO_QUALITY}"
         return self.status.message
 
     @property
