@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from benchmarks import batch, fit, iteration, many, metrics, peers, relight, search, studio, track
+from benchmarks import batch, fit, iteration, load, many, metrics, peers, relight, search, studio, track
 from benchmarks.metrics import Metrics
 from liaam.errors import LiaamError
 
@@ -14,6 +14,7 @@ BENCHMARKS = {
     "search": search.main,
     "track": track.main,
     "studio": studio.main,
+    "load": load.main,
     "batch": batch.main,
     "many": many.main,
     "relight": relight.main,

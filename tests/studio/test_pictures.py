@@ -3,6 +3,7 @@
 import io
 import struct
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -17,6 +18,7 @@ from liaam.studio.pictures import (
     CHROMA_STEP,
     Kept,
     Pictures,
+    Room,
     block_size,
     checked_size,
     chroma,
@@ -28,6 +30,7 @@ from liaam.studio.pictures import (
     source_of,
 )
 from liaam.studio.safety import Refusal
+from liaam.studio.uploads import Uploads
 
 LIMIT = 50_000_000
 
@@ -292,3 +295,37 @@ class TestChroma:
 
     def test_a_picture_of_holes_is_masked_all_over(self):
         assert (chroma(np.full((20, 20, 3), np.nan, np.float32), 640) == CHROMA_MASKED).all()
+
+
+class TestRoom:
+    def test_who_wants_more_than_is_left_waits(self):
+        room, most, now, lock = Room(10), [0], [0], threading.Lock()
+
+        def take(n: int) -> None:
+            with room.of(n):
+                with lock:
+                    now[0] += min(n, 10)
+                    most[0] = max(most[0], now[0])
+                time.sleep(0.002)
+                with lock:
+                    now[0] -= min(n, 10)
+
+        with ThreadPoolExecutor(8) as pool:
+            list(pool.map(take, [6, 4, 99, 5, 5, 10, 1, 3] * 4))
+        assert 5 < most[0] <= 10 and room.left == 10
+
+    def test_it_is_given_back_after_a_fault(self):
+        room = Room(10)
+        with pytest.raises(ImageError), room.of(7):
+            raise ImageError("damaged")
+        assert room.left == 10
+
+    def test_dropped_and_other_pictures_are_decoded_in_the_same_room(self):
+        pictures = Pictures()
+        pictures.room = Room(1)
+        with ThreadPoolExecutor(1) as pool:
+            with pictures.room.of(1):
+                adding = pool.submit(Uploads(pictures).add, png_bytes(smooth(20, 30)), "a.png")
+                with pytest.raises(TimeoutError):
+                    adding.result(0.2)
+            assert adding.result(20).width == 30

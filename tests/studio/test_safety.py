@@ -3,6 +3,7 @@
 import json
 import socket
 import struct
+import time
 import zlib
 from collections import Counter
 from pathlib import Path
@@ -315,7 +316,157 @@ def test_bodies_of_another_type_are_refused(running):
         assert answer.status_code == 415
 
 
+# Crowds, and requests that do not end
+
+
+def picture(shade: int = 90) -> bytes:
+    return png(40, 30, zlib.compress(bytes([0] + [shade] * 120) * 30))
+
+
+def upload_line(running, length: int) -> bytes:
+    return request(running, "/api/uploads?name=x.png", "POST").replace(
+        b"Content-Length: 0", b"Content-Length: %d" % length
+    )
+
+
+def wait_until(condition, seconds: float = 5.0) -> None:
+    due = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < due
+        time.sleep(0.01)
+
+
+def upload(running) -> httpx.Response:
+    return running.client.post("/api/uploads?name=x.png", content=picture())
+
+
+def test_more_uploads_than_there_is_room_for_are_asked_to_come_again(home, serve):
+    running = serve(home, uploads_at_once=2, drain_seconds=0.2)
+    held = [socket.create_connection(("127.0.0.1", running.port), 5) for _ in range(2)]
+    for connection in held:
+        connection.sendall(upload_line(running, 1000) + b"\x89PNG")
+    wait_until(lambda: upload(running).status_code == 503)
+    answer = upload(running)
+    assert answer.status_code == 503 and int(answer.headers["retry-after"]) >= 1
+    assert "try again" in answer.json()["error"]
+    assert is_up(running)  # who brings no picture is not kept out
+    for connection in held:
+        connection.close()
+    wait_until(lambda: upload(running).status_code == 201)
+
+
+def test_bodies_under_way_hold_so_many_bytes_together(home, serve):
+    running = serve(home, bodies_bytes=100_000, drain_seconds=0.2)
+    with socket.create_connection(("127.0.0.1", running.port), 5) as connection:
+        connection.sendall(upload_line(running, 99_999) + b"x" * 99_990)
+        wait_until(lambda: upload(running).status_code == 503)
+        assert is_up(running)
+    wait_until(lambda: upload(running).status_code == 201)
+
+
+def test_uploads_that_are_kept_hold_so_many_bytes_together(home, serve):
+    running = serve(home, uploads_bytes=len(picture()) * 3)
+    kept = [upload(running).json()["id"] for _ in range(5)]
+    seen = [running.client.get(f"/api/uploads/{each}/image").status_code for each in kept]
+    assert seen == [404, 404, 200, 200, 200]
+
+
+def ends(running, data: bytes) -> bytes:
+    """What comes back until the server hangs up, which it has to."""
+    with socket.create_connection(("127.0.0.1", running.port), 5) as connection:
+        connection.settimeout(15)
+        connection.sendall(data)
+        parts = []
+        while part := connection.recv(65536):
+            parts.append(part)
+    return b"".join(parts)
+
+
+@pytest.mark.parametrize("sent", [b"", b"G", b"GET / HTTP/1.1\r\nHost: x\r\n"])
+def test_half_a_header_is_not_waited_for_for_ever(home, serve, sent):
+    assert ends(serve(home, header_seconds=0.3), sent) == b""
+
+
+def test_half_a_second_request_is_not_waited_for_for_ever(home, serve):
+    running = serve(home, header_seconds=0.3)
+    first = request(running, "/api/project").replace(b"Connection: close\r\n", b"")
+    assert ends(running, first + b"GET / HT").count(b"HTTP/1.1 200") == 1
+
+
+def test_drips_do_not_make_a_header_last(home, serve):
+    running, dripped = serve(home, header_seconds=0.3), 0
+    with socket.create_connection(("127.0.0.1", running.port), 5) as connection, pytest.raises(OSError):
+        for dripped in range(60):  # noqa: B007
+            connection.sendall(b"X")
+            time.sleep(0.05)
+    assert dripped < 40
+
+
+@pytest.mark.parametrize("target", ["/api/uploads?name=x.png", "/api/fits"])
+def test_half_a_body_is_not_waited_for_for_ever(home, serve, target):
+    running = serve(home, body_seconds=0.3)
+    lines = request(running, target, "POST", "Content-Type: application/json")
+    answer = ends(running, lines.replace(b"Content-Length: 0", b"Content-Length: 50") + b'{"picture"')
+    assert status_of(answer) == 408 and b"send it again" in answer
+
+
+def test_a_body_that_nobody_reads_is_not_waited_for_for_ever(home, serve):
+    running = serve(home, header_seconds=0.3)
+    lines = request(running, "/api/project").replace(b"Connection: close\r\n", b"")
+    assert status_of(ends(running, lines.replace(b"Content-Length: 0", b"Content-Length: 50") + b"x")) == 200
+
+
+def test_requests_that_stay_half_sent_keep_nobody_waiting(home, serve):
+    running = serve(home, header_seconds=0.5, body_seconds=0.5, drain_seconds=0.2)
+    half = (b"GET / HTTP/1.1\r\n", upload_line(running, 100_000) + b"x", upload_line(running, 70_000) + b"x" * 60_000)
+    connections = [socket.create_connection(("127.0.0.1", running.port), 5) for _ in range(120)]
+    for i, connection in enumerate(connections):
+        connection.sendall(half[i % 3])
+    begun = time.monotonic()
+    assert is_up(running)
+    assert time.monotonic() - begun < 1.0
+    for connection in connections:
+        connection.settimeout(5)
+        while connection.recv(65536):
+            pass
+        connection.close()
+    assert upload(running).status_code == 201
+
+
+def test_an_event_stream_lasts(home, serve):
+    running = serve(home, header_seconds=0.2, body_seconds=0.2, heartbeat_seconds=0.1)
+    with running.client.stream("GET", "/api/events") as stream:
+        lines, begun = stream.iter_lines(), time.monotonic()
+        while time.monotonic() - begun < 0.8:
+            next(lines)
+
+
 # Nonsense
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("POST", "/api/fits", b'{"picture": "\\ud800"}'),
+        ("POST", "/api/fits", b'{"upload": "\\udfff\\ud800"}'),
+        ("POST", "/api/fits", b'{"picture": "p1.png", "method": "\\ud800"}'),
+        ("PUT", "/api/template", b'{"names": ["\\ud800", "b", "c"]}'),
+        ("PUT", "/api/pictures/p1.png/landmarks", b'{"\\ud800": 1}'),
+        ("POST", "/api/training", b'{"id": "\\ud800"}'),
+    ],
+)
+def test_half_a_surrogate_pair_is_refused(running, method, path, body):
+    answer = running.client.request(method, path, content=body, headers={"content-type": "application/json"})
+    assert answer.status_code == 400 and "surrogates" in answer.json()["error"]
+
+
+def test_a_whole_surrogate_pair_is_a_letter(running):
+    answer = running.client.put(
+        "/api/template",
+        content=b'{"names": ["\\ud83d\\ude00", "b", "c"]}',
+        headers={"content-type": "application/json"},
+    )
+    assert answer.status_code == 200 and answer.json()["names"][0] == "\U0001f600"
 
 
 GOOD_TARGETS = (

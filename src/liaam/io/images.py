@@ -441,14 +441,28 @@ def _decode_shallow(path: Path | str, data: bytes, header: _Header, preview: int
         if preview is not None:
             image.draft(None, (preview, preview))  # does something for JPEG only
         image.load()
-        if "transparency" in image.info:  # a palette with transparency has no direct way to RGB
-            image = image.convert("RGBA")
-        array = np.array(image.convert("RGB"))
+        array = _rgb_of(image)
     except MemoryError:
         raise
     except Exception as fault:  # Pillow's decoders meet bad bytes with errors of any class
         raise _damaged(path, fault) from fault
     return _upright(array, header)
+
+
+ROWS_AT_ONCE = 256
+"""Rows of a picture that are converted at a time: Pillow's conversions take several times the picture's memory."""
+
+
+def _rgb_of(image: Any) -> np.ndarray:
+    """Pixels of a Pillow image, (h, w, 3) uint8."""
+    width, height = image.size
+    array = np.empty((height, width, 3), np.uint8)
+    for top in range(0, height, ROWS_AT_ONCE):
+        strip = image.crop((0, top, width, min(top + ROWS_AT_ONCE, height)))
+        if "transparency" in image.info:  # a palette with transparency has no direct way to RGB
+            strip = strip.convert("RGBA")
+        array[top : top + strip.height] = strip.convert("RGB")
+    return array
 
 
 def _decode_deep(path: Path | str, data: bytes, header: _Header) -> np.ndarray:

@@ -10,8 +10,9 @@ import os
 import struct
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -37,9 +38,11 @@ CHROMA_STEP = 1 / 4096
 CHROMA_MASKED = -32768
 """In chroma: a pixel that is dark or saturated in a channel, so that its logarithm says nothing."""
 
-DECODED_BYTES = 600_000_000
+DECODED_BYTES = 300_000_000
 ENCODED_BYTES = 200_000_000
-DECODERS = 2
+
+DECODED_AT_ONCE = 50_000_000
+"""Pixels: two pictures of an ordinary camera, or one of the largest. Decoding takes 7 to 14 bytes a pixel."""
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
@@ -115,6 +118,28 @@ class Kept(Generic[K, V]):
         self.weight += weight
         while self.weight > self.limit:
             self.weight -= self._values.popitem(last=False)[1][1]
+
+
+class Room:
+    """Room for pixels: a thread that wants more than is left waits."""
+
+    def __init__(self, size: int) -> None:
+        self.size = self.left = size
+        self._changed = threading.Condition()
+
+    @contextmanager
+    def of(self, n: int) -> Iterator[None]:
+        """Take room for so many, all there is at most, for a while."""
+        n = min(n, self.size)
+        with self._changed:
+            self._changed.wait_for(lambda: self.left >= n)
+            self.left -= n
+        try:
+            yield
+        finally:
+            with self._changed:
+                self.left += n
+                self._changed.notify_all()
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,14 +229,14 @@ class Pictures:
         self._decoded: Kept[Hashable, np.ndarray] = Kept(decoded, lambda image: image.nbytes)
         self._encoded: Kept[Hashable, bytes] = Kept(encoded, len)
         # A page asks for many thumbnails at once, and pictures on their way are as large as those that are kept.
-        self._turn = threading.BoundedSemaphore(DECODERS)
+        self.room = Room(DECODED_AT_ONCE)
 
     def pixels(self, source: Source) -> np.ndarray:
         """Decoded picture, three channels. Shared: nobody may write to it."""
         from liaam.photometry.encoding import as_colour
 
         def read() -> np.ndarray:
-            with self._turn:
+            with self.room.of(source.width * source.height):
                 return as_colour(source.read(), source.name)
 
         return self._decoded.get((source.name, source.tag), read)
@@ -236,7 +261,7 @@ class Pictures:
     def _image(self, source: Source, size: int) -> bytes:
         # Half as large as it is or smaller: there may be a short way, which does not depend on what is kept.
         if source.preview is not None and 2 * size <= max(source.width, source.height):
-            with self._turn:
+            with self.room.of(source.width * source.height):
                 return _displayed(source, source.preview(size), size)
         return _displayed(source, self.pixels(source), size)
 

@@ -11,7 +11,9 @@ import hmac
 import ipaddress
 import json
 import socket
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
@@ -64,6 +66,7 @@ class Guard:
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app
         self.settings = settings
+        self.crowd = Crowd(settings)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer or refuse one request."""
@@ -129,25 +132,25 @@ class Guard:
 
     async def _limited(self, scope: Scope, headers: _Headers, receive: Receive, send: Send) -> None:
         """Pass a request on, with its body counted while it is read."""
-        limit = self.settings.upload_bytes if scope["path"] == UPLOADS else self.settings.json_bytes
-        refusal = Refusal(413, f"the request is larger than {limit:,} bytes: send less")
+        is_upload = scope["path"] == UPLOADS
+        limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
         declared = headers.one("content-length")
         if declared.isdecimal() and int(declared[:20]) > limit:
-            await self._refuse_body(receive, send, refusal)
+            await self._refuse_body(receive, send, _too_large(limit))
             return
-        body = _Counted(receive, limit)
         watched = _Watched(send)
         try:
-            await self.app(scope, body, watched)
-        except TooLarge:
+            with self.crowd.one(is_upload and scope["method"] == "POST") as hold:
+                await self.app(scope, _Body(receive, limit, self.settings.body_seconds, hold), watched)
+        except Stopped as stopped:
             if not watched.started:
-                await self._refuse_body(receive, send, refusal)
+                await self._refuse_body(receive, send, stopped.refusal)
 
     async def _refuse_body(self, receive: Receive, send: Send, refusal: Refusal) -> None:
         """Throw away what comes, for a while: a sender that is cut off does not read the answer."""
         import anyio
 
-        left = self.settings.upload_bytes
+        left = self.settings.upload_bytes if refusal.status != 408 else 0  # whose sender sends nothing
         with anyio.move_on_after(self.settings.drain_seconds):
             while left > 0:
                 message = await receive()
@@ -157,22 +160,88 @@ class Guard:
         await _refuse(send, refusal, close=True)
 
 
-class TooLarge(Exception):  # noqa: N818 (what happened, not a fault of this program)
-    """More body came than is allowed."""
+def _too_large(limit: int) -> Refusal:
+    return Refusal(413, f"the request is larger than {limit:,} bytes: send less")
 
 
-class _Counted:
-    """The body's reader, which stops at a limit."""
+RETRY_AFTER = 2
+"""Seconds after which to ask a busy studio again."""
 
-    def __init__(self, receive: Receive, limit: int) -> None:
+
+def _busy() -> Refusal:
+    return Refusal(503, "the studio is busy with other pictures: try again in a moment", retry_after=RETRY_AFTER)
+
+
+class Stopped(Exception):  # noqa: N818 (what happened, not a fault of this program)
+    """A request is not read any further. It passes by the application's own answers to errors."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        super().__init__(str(refusal))
+        self.refusal = refusal
+
+
+class Crowd:
+    """Requests under way: so many bytes of bodies at a time, and so many uploads. Of one thread, so without locks."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.n_bytes = 0
+        self.uploads = 0
+
+    @contextmanager
+    def one(self, is_upload: bool) -> Iterator[Callable[[int], None]]:
+        """Let a request in until it is answered; gives what to call with the sizes of what it holds.
+
+        Raises
+        ------
+        Stopped
+            503 for an upload while too many are under way, and from what it gives where all hold too many bytes.
+        """
+        if is_upload and self.uploads >= self.settings.uploads_at_once:
+            raise Stopped(_busy())
+        held = 0
+
+        def hold(n_bytes: int) -> None:
+            nonlocal held
+            if self.n_bytes + n_bytes > self.settings.bodies_bytes:
+                raise Stopped(_busy())
+            self.n_bytes += n_bytes
+            held += n_bytes
+
+        self.uploads += is_upload
+        try:
+            yield hold
+        finally:
+            self.uploads -= is_upload
+            self.n_bytes -= held
+
+
+class _Body:
+    """The body's reader, which stops at a limit of bytes, its own or everyone's, and of time."""
+
+    def __init__(self, receive: Receive, limit: int, seconds: float, hold: Callable[[int], None]) -> None:
         self.receive = receive
-        self.left = limit
+        self.limit = self.left = limit
+        self.due = time.monotonic() + seconds
+        self.hold = hold
+        self.whole = False
 
     async def __call__(self) -> Message:
-        message = await self.receive()
-        self.left -= len(message.get("body", b""))
+        import anyio
+
+        if self.whole:  # who listens now waits for the end of the connection
+            return await self.receive()
+        message = None
+        with anyio.move_on_after(self.due - time.monotonic()):
+            message = await self.receive()
+        if message is None:
+            raise Stopped(Refusal(408, "the rest of the request did not come in time: send it again"))
+        self.whole = not message.get("more_body", False)
+        n_bytes = len(message.get("body", b""))
+        self.left -= n_bytes
         if self.left < 0:
-            raise TooLarge
+            raise Stopped(_too_large(self.limit))
+        self.hold(n_bytes)
         return message
 
 
@@ -245,6 +314,8 @@ def _with_headers(send: Send) -> Send:
 
 async def _refuse(send: Send, refusal: Refusal, html: bool = False, close: bool = False) -> None:
     headers = [(b"connection", b"close")] if close else []
+    if "retry_after" in refusal.details:
+        headers.append((b"retry-after", str(refusal.details["retry_after"]).encode()))
     if html:
         text = f"<!doctype html><meta charset=utf-8><title>liaam studio</title><p>{refusal}</p>"  # of fixed sentences
         headers.append((b"content-type", b"text/html; charset=utf-8"))

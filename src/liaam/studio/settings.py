@@ -31,6 +31,16 @@ class Settings:
     whole_pixels: int = 16_000_000
     """Of a picture that is relit in full size at most: it takes a hundred bytes a pixel, and a second a megapixel."""
     uploads_kept: int = 8
+    uploads_bytes: int = 130_000_000
+    """Of the files of those, all together."""
+    uploads_at_once: int = 8
+    """Uploads that are read, wait or are decoded at a time; the next one is asked to come again."""
+    bodies_bytes: int = 130_000_000
+    """Of all requests that are under way: two of the largest uploads."""
+    header_seconds: float = 10.0
+    """How long a request's line and headers may take to come."""
+    body_seconds: float = 60.0
+    """How long its body may."""
     fits_kept: int = 64
     points: int = 1000
     """Landmarks of a template at most."""

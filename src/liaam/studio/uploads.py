@@ -82,7 +82,8 @@ class Uploads:
         name = plain_name(name)
         width, height = self._checked(data, name)
         try:
-            image = as_colour(decode_image(data, name, self._settings.pixels), name)
+            with self._pictures.room.of(width * height):
+                image = as_colour(decode_image(data, name, self._settings.pixels), name)
         except ImageError as fault:
             raise Refusal(422, str(fault)) from fault
         upload = Upload(secrets.token_urlsafe(9), name, data, width, height)
@@ -90,11 +91,16 @@ class Uploads:
         self._pictures.keep(source, image)
         with self._lock:
             self._uploads[upload.id] = upload
-            while len(self._uploads) > self._settings.uploads_kept:
+            while self._too_many():
                 self._uploads.popitem(last=False)
         for listener in self.listeners:
             listener(source)
         return upload
+
+    def _too_many(self) -> bool:
+        n_bytes = sum(len(upload.data) for upload in self._uploads.values())
+        limits = self._settings
+        return len(self._uploads) > limits.uploads_kept or (len(self._uploads) > 1 and n_bytes > limits.uploads_bytes)
 
     def get(self, number: str) -> Upload:
         """Upload of an id.
@@ -186,8 +192,12 @@ async def read_json(request: Request, limit: int) -> Any:
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json":
         raise Refusal(415, f"the request is of type '{kind[:50]}': send application/json")
+    body = await read_body(request, limit)
     try:
-        return json.loads(await read_body(request, limit), parse_constant=_no_number)
+        asked = json.loads(body, parse_constant=_no_number)
+        if b"\\u" in body:  # half of a surrogate pair can be neither answered nor written
+            json.dumps(asked, ensure_ascii=False).encode()
+        return asked
     except (ValueError, RecursionError) as fault:  # UnicodeDecodeError is a ValueError
         raise Refusal(400, f"the request is not JSON ({str(fault)[:100]})") from fault
 

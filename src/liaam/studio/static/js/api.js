@@ -24,17 +24,41 @@ export function url(...parts) {
   return `/api/${path}${text ? `?${text}` : ""}`;
 }
 
+const TRIES = 6; // of a request that a busy server asks to repeat: half a minute or so
+
 async function send(address, options) {
   let response;
-  try {
-    response = await fetch(address, { credentials: "same-origin", ...options });
-  } catch (fault) {
-    if (fault.name === "AbortError") throw fault;
-    throw new ApiError(UNREACHABLE, 0);
+  for (let tries = 1; ; tries += 1) {
+    try {
+      response = await fetch(address, { credentials: "same-origin", ...options });
+    } catch (fault) {
+      if (fault.name === "AbortError") throw fault;
+      throw new ApiError(UNREACHABLE, 0);
+    }
+    // Only where the server says so: of a 503 without a time the page tells, such as of a disk that refuses to write.
+    const wait = Number(response.headers.get("retry-after"));
+    if (response.status !== 503 || !(wait > 0) || tries === TRIES) break;
+    await later(1000 * Math.min(wait, 10) * (1 + Math.random()), options?.signal); // not all at once
   }
   if (response.ok) return response;
   const body = await response.json().catch(() => null);
   throw new ApiError(body?.error ?? `The server answered ${response.status} ${response.statusText}.`, response.status, body);
+}
+
+/** Wait; rejects at once where the signal says that nobody waits any more. */
+function later(milliseconds, signal) {
+  return new Promise((resolve, reject) => {
+    signal?.throwIfAborted();
+    const stop = () => {
+      clearTimeout(timer);
+      reject(signal.reason);
+    };
+    const timer = setTimeout(() => {
+      signal?.removeEventListener("abort", stop);
+      resolve();
+    }, milliseconds);
+    signal?.addEventListener("abort", stop, { once: true });
+  });
 }
 
 async function json(address, options) {

@@ -1,0 +1,52 @@
+// What the page asks the server, and how often. Run by test_api_module.py, by Node.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { api, ApiError } from "./modules/api.js";
+
+/** Answer requests one by one; waits take no time. */
+function served(t, ...answers) {
+  const asked = [];
+  const waits = [];
+  t.mock.method(globalThis, "fetch", async (address, options) => {
+    asked.push([address, options.method ?? "GET"]);
+    return answers.length > 1 ? answers.shift()() : answers[0]();
+  });
+  t.mock.method(globalThis, "setTimeout", (call, milliseconds) => {
+    waits.push(milliseconds);
+    queueMicrotask(call);
+  });
+  return { asked, waits };
+}
+
+const busy = () => new Response('{"error": "busy"}', { status: 503, headers: { "retry-after": "2" } });
+const full = () => new Response('{"error": "the disk refuses"}', { status: 503 });
+const good = () => new Response('{"id": 7}');
+
+test("a busy server is asked again after the time that it says", async (t) => {
+  const { asked, waits } = served(t, busy, busy, good);
+  assert.deepEqual(await api.upload("/api/uploads", "bytes"), { id: 7 });
+  assert.deepEqual(asked, Array(3).fill(["/api/uploads", "POST"]));
+  assert.ok(waits.length === 2 && waits.every((wait) => wait >= 2000 && wait <= 4000), waits);
+});
+
+test("but not for ever", async (t) => {
+  const { asked } = served(t, busy);
+  await assert.rejects(api.get("/api/project"), (fault) => fault instanceof ApiError && fault.status === 503 && fault.message === "busy");
+  assert.equal(asked.length, 6);
+});
+
+test("a refusal that names no time is told at once", async (t) => {
+  const { asked } = served(t, full);
+  await assert.rejects(api.put("/api/template", {}), { message: "the disk refuses", status: 503 });
+  assert.equal(asked.length, 1);
+});
+
+test("who no longer waits asks no more", async (t) => {
+  const { asked } = served(t, busy);
+  const stop = new AbortController();
+  stop.abort();
+  await assert.rejects(api.get("/api/project", { signal: stop.signal }), { name: "AbortError" });
+  assert.equal(asked.length, 1);
+});
