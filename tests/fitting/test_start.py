@@ -37,6 +37,12 @@ def test_a_point_and_a_size(model):
     assert diagonal_of(shape) == pytest.approx(90)
 
 
+def straying(far: float) -> np.ndarray:
+    shape = np.linspace(20, 150, 116).reshape(58, 2)
+    shape[7, 1] = far
+    return shape
+
+
 def few(n_numbers: int) -> np.ndarray:
     shape = np.full((58, 2), np.nan)
     shape[:n_numbers] = 50
@@ -63,6 +69,9 @@ def few(n_numbers: int) -> np.ndarray:
         (np.full((58, 2), 1e9), "lies outside the image"),
         (np.full((58, 2), 80.0), "only 0.0 pixels large"),
         ((80, 80, 1e-300), "only 0.0 pixels large"),
+        (straying(1e5), "the start is 417 times as large as the image"),
+        (straying(-1e30), "times as large as the image"),
+        (straying(1e308), "times as large as the image"),
     ],
 )
 def test_a_start_that_makes_no_sense_is_refused(model, init, match):

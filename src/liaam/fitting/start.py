@@ -6,6 +6,9 @@ from liaam.errors import StartError
 from liaam.model import AAM
 from liaam.shape import align, diagonal_of
 
+WIDEST = 10.0
+"""Size of a start at most, in larger sides of the picture: an object that is cut off on all sides is no larger."""
+
 
 def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "image") -> np.ndarray:
     """Turn what a person gives into a start shape.
@@ -43,6 +46,12 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
         raise StartError(
             f"{name}: the start lies outside the image (centre {centre[0]:.0f}, {centre[1]:.0f}; the image is "
             f"{width}×{height} pixels); give a start in pixels of this image"
+        )
+    extent = np.ptp(shape / max(width, height), axis=0).max()
+    if not extent <= WIDEST:
+        raise StartError(
+            f"{name}: the start is {extent:.3g} times as large as the image ({width}×{height} pixels), and may be "
+            f"{WIDEST:g} times as large; give a start in pixels of this image"
         )
     # Of the mean shape once aligned: points on one spot leave no size.
     size = diagonal_of(model.shape_model.mean) * align(model.shape_model.mean, shape).scale
