@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-MODULES = ("fuzz.landmarks",)
+MODULES = ("fuzz.landmarks", "fuzz.engine", "fuzz.studio")
 """Modules whose ``TARGETS`` are fuzzed."""
 
 
