@@ -21,6 +21,7 @@ from liaam.io import (
     write_collection,
     write_landmarks,
 )
+from liaam.io.landmarks import parse_landmark_data
 from liaam.io.landmarks.base import chain_edges, contour_of, edges_of
 
 SOME = settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -575,3 +576,81 @@ def test_london_has_189_points_and_its_lines(shared_data: Path) -> None:
         assert sum(contour.closed for contour in template.contours) == 2  # the irises
     pupils = read_landmarks(shared_data / "london/001_03.tem").points[:2]
     assert pupils.tolist() == [[188.3333, 210.6667], [259.3333, 208.0]]
+
+
+# What grows faster than the file ------------------------------------------------------------------
+
+
+def _within_a_moment(read) -> str:
+    """Message of what is refused; what would take minutes is stopped by the clock of the test's process."""
+    import time
+
+    begin = time.process_time()
+    try:
+        read()
+        message = ""
+    except LandmarkError as fault:
+        message = str(fault)
+    assert time.process_time() - begin < 1.0
+    return message
+
+
+def _of_text(name: str, text: str):
+    return lambda: parse_landmark_data(name, text.encode())
+
+
+@pytest.mark.parametrize("header", ["n_points" + " " * 30_000, "n_points:" + " \n" * 30_000, "n_points" * 20_000])
+def test_a_pts_header_of_blanks_is_read_in_a_moment(header: str) -> None:
+    _within_a_moment(_of_text("x.pts", header + "{1 2\n3 4}"))
+
+
+def test_a_count_may_stand_apart_from_its_word() -> None:
+    assert "promises 3 points" in _within_a_moment(_of_text("x.pts", "n_points\n :\n 3 {\n1 2\n}"))
+
+
+def test_nested_boxes_are_read_in_a_moment() -> None:
+    deep = "<image file='a'>" * 400 + "<box><part name='1' x='1' y='2'/>" * 400 + "</box>" * 400 + "</image>" * 400
+    _within_a_moment(_of_text("x.xml", f"<dataset>{deep}</dataset>"))
+
+
+def test_parts_belong_to_the_box_that_they_stand_in() -> None:
+    inner = "<box width='9' height='9'><part name='2' x='3' y='4'/></box>"
+    text = f"<dataset><image file='a'><box><part name='1' x='1' y='2'/>{inner}</box></image></dataset>"
+    parsed = parse_landmark_data("x.xml", text.encode())
+    assert isinstance(parsed, dict)
+    assert parsed["a"].names == ("1",)
+
+
+def test_pictures_of_a_dlib_file_that_share_no_parts_are_refused() -> None:
+    images = "".join(f"<image file='{i}'><box><part name='{i}' x='1' y='2'/></box></image>" for i in range(3000))
+    message = _within_a_moment(_of_text("x.xml", f"<dataset>{images}</dataset>"))
+    assert "hardly any of the 3000 part names" in message
+
+
+def test_names_of_thousands_of_digits_are_sorted() -> None:
+    names = ["10" + "0" * 5000, "9", "10"]
+    parts = "".join(f"<part name='{name}' x='1' y='2'/>" for name in names)
+    parsed = parse_landmark_data("x.xml", f"<dataset><image file='a'><box>{parts}</box></image></dataset>".encode())
+    assert isinstance(parsed, dict)
+    assert parsed["a"].names == ("9", "10", names[0])
+
+
+@pytest.mark.parametrize("end", ["Infinity", "NaN", "1e999", "1.5", '"2"', "true"])
+def test_a_skeleton_of_what_are_no_numbers_of_points_is_refused(end: str) -> None:
+    text = json.dumps(
+        {
+            "images": [{"id": 1, "file_name": "a.png"}],
+            "annotations": [{"image_id": 1, "category_id": 1, "keypoints": [1, 2, 2, 3, 4, 2]}],
+            "categories": [{"id": 1, "skeleton": [[1, "END"]]}],
+        }
+    ).replace('"END"', end)
+    assert "lacks the parts of a COCO" in _within_a_moment(_of_text("x.json", text))
+
+
+def test_a_long_skeleton_is_chained_once() -> None:
+    content = {
+        "images": [{"id": i, "file_name": f"{i}.png"} for i in range(2000)],
+        "annotations": [{"image_id": i, "category_id": 1, "keypoints": [1, 2, 2, 3, 4, 2]} for i in range(2000)],
+        "categories": [{"id": 1, "skeleton": [[1, 2]] * 5000}],
+    }
+    assert not _within_a_moment(_of_text("x.json", json.dumps(content)))

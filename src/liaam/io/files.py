@@ -6,6 +6,7 @@ import difflib
 import math
 import os
 import re
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from liaam.errors import LiaamError
 
 def natural_key(text: str) -> list[Any]:
     """Give a sort key under which ``img2`` comes before ``img10``, whatever the case of the letters."""
-    parts = re.split(r"([0-9]+)", text.casefold())
-    return [int(part) if part.isdecimal() and part.isascii() else part for part in parts]
+    words = re.split(r"([0-9]+)", text.casefold())  # every other one is a number, of any length: int has a limit
+    numbers = ((len(digits), digits) for digits in (word.lstrip("0") for word in words[1::2]))
+    return [*chain.from_iterable(zip(words[::2], numbers, strict=False)), words[-1]]
 
 
 def is_number(text: str) -> bool:
@@ -56,6 +58,7 @@ def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: s
     path = Path(path)
     try:
         if path.is_dir():
+            os.scandir(path).close()  # fails where it may not be read, which is what there is to say then
             raise error(f"{path} is a folder; give the name of one {kind} inside it.")
         if not path.exists():
             raise error(f"{path} does not exist. {_closest(path)}")

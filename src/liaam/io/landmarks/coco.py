@@ -14,7 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, chain_edges, check_number, make_landmarks, parse_json
+from liaam.io.landmarks.base import Contour, Landmarks, chain_edges, check_number, make_landmarks, parse_json
+
+_Lines = tuple[tuple[str, ...], tuple[Contour, ...]]
+_NO_LINES: _Lines = ((), ())
 
 
 def parse(path: Path, text: str) -> dict[str, Landmarks]:
@@ -28,12 +31,12 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
     content = parse_json(path, text)
     try:
         files = {image["id"]: str(image["file_name"]) for image in content["images"]}
-        categories = {category["id"]: category for category in content.get("categories") or ()}
+        categories = {category["id"]: _lines(category) for category in content.get("categories") or ()}
         chosen = _largest(path, content["annotations"])
-        found = {
-            files[image]: _landmarks(path, annotation, categories.get(annotation.get("category_id"), {}), files[image])
-            for image, annotation in chosen.items()
-        }
+        found = {}
+        for image, annotation in chosen.items():
+            lines = categories.get(annotation.get("category_id"), _NO_LINES)
+            found[files[image]] = _landmarks(path, annotation, lines, files[image])
     except (TypeError, KeyError, ValueError, AttributeError, IndexError) as fault:
         raise LandmarkError(
             f"{path} lacks the parts of a COCO keypoints file (images, annotations, categories): export it again."
@@ -64,7 +67,16 @@ def _area(path: Path, annotation: Any) -> float:
     return 0.0 if math.isnan(area) else area
 
 
-def _landmarks(path: Path, annotation: Any, category: Any, image: str) -> Landmarks:
+def _lines(category: Any) -> _Lines:
+    """Give the names of a category's keypoints, and their contours."""
+    edges = [(start, end) for start, end in category.get("skeleton") or ()]
+    if not all(type(number) is int for edge in edges for number in edge):
+        raise ValueError("a skeleton joins keypoints by their numbers")
+    names = tuple(map(str, category.get("keypoints") or ()))
+    return names, chain_edges((start - 1, end - 1) for start, end in edges)
+
+
+def _landmarks(path: Path, annotation: Any, lines: _Lines, image: str) -> Landmarks:
     values = annotation["keypoints"]
     if len(values) % 3:
         raise LandmarkError(
@@ -73,6 +85,5 @@ def _landmarks(path: Path, annotation: Any, category: Any, image: str) -> Landma
     numbers = [check_number(path, value, f"the keypoints of image '{image}'") for value in values]
     triples = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)
     points = [(x, y) if v else (math.nan, math.nan) for x, y, v in triples]
-    names = tuple(map(str, category.get("keypoints") or ()))
-    edges = [(int(start) - 1, int(end) - 1) for start, end in category.get("skeleton") or ()]
-    return make_landmarks(path, points, chain_edges(edges), names, image)
+    names, contours = lines
+    return make_landmarks(path, points, contours, names, image)

@@ -17,6 +17,9 @@ from liaam.io.landmarks.base import Landmarks, make_landmarks, parse_number
 
 _Parts = dict[str, tuple[float, float]]
 
+_MOST_MISSING = 20
+"""Parts that images lack, for each that is there, beyond which names cannot be meant as they are."""
+
 
 def parse(path: Path, text: str) -> dict[str, Landmarks]:
     """Parse the text of an ``imglab`` file into landmarks by the image's file name.
@@ -29,7 +32,7 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
     chosen: dict[str, tuple[float, _Parts]] = {}
     for image in _root(path, text).iter("image"):
         name = image.get("file", "")
-        for box in image.iter("box"):
+        for box in image.iterfind("box"):  # its own: those of images within it would be looked at again and again
             parts = _parts(path, name, box)
             area = _area(path, name, box)
             if parts and area > chosen.get(name, (-math.inf, {}))[0]:
@@ -37,6 +40,7 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
     if not chosen:
         raise LandmarkError(f"{path} has no image with landmarks (part elements in a box): check that it is imglab's.")
     names = sorted({name for _, parts in chosen.values() for name in parts}, key=natural_key)
+    _check_shared(path, names, chosen)
     absent = (math.nan, math.nan)
     return {
         image: make_landmarks(path, [parts.get(name, absent) for name in names], names=names, image_name=image)
@@ -59,9 +63,19 @@ def _root(path: Path, text: str) -> Any:
         raise LandmarkError(f"{path} is not complete XML ({fault}); it may be cut short: export it again.") from fault
 
 
+def _check_shared(path: Path, names: list[str], chosen: dict[str, tuple[float, _Parts]]) -> None:
+    """Refuse images with parts of their own each: all would be filled up with the others' as missing."""
+    n_there = sum(len(parts) for _, parts in chosen.values())
+    if len(names) * len(chosen) > _MOST_MISSING * n_there:
+        raise LandmarkError(
+            f"{path}: its {len(chosen)} images have hardly any of the {len(names)} part names in common: give a part "
+            "the same name in all images."
+        )
+
+
 def _parts(path: Path, image: str, box: Any) -> _Parts:
     parts: _Parts = {}
-    for part in box.iter("part"):
+    for part in box.iterfind("part"):
         where = f"part '{part.get('name')}' of image '{image}'"
         if part.get("name") in parts:
             raise LandmarkError(f"{path}: {where} is there twice: remove one of them.")

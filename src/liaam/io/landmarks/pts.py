@@ -12,7 +12,7 @@ from pathlib import Path
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import Landmarks, make_landmarks, parse_count, parse_pair
 
-_COUNT = re.compile(r"n_?points\s*[:=]?\s*(\S+)", re.IGNORECASE)
+_COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would try all ways to share blanks
 _COMMENT = re.compile(r"(#|//|%).*")
 
 
