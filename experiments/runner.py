@@ -210,7 +210,7 @@ def finished(experiment: Experiment, out: Path) -> dict[str, Any] | None:
         return None
     try:
         summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     same = isinstance(summary, dict) and summary.get("fingerprint") == experiment.fingerprint
     return summary if same else None
@@ -266,12 +266,20 @@ def _whole_lines(path: Path) -> list[str]:
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True):
         try:
             entry = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             break
-        if not line.endswith("\n") or not isinstance(entry, dict) or set(entry) != {"key", "rows", "fault"}:
+        if not line.endswith("\n") or not _is_entry(entry):
             break
         whole.append(line.rstrip("\n"))
     return whole
+
+
+def _is_entry(entry: Any) -> bool:
+    """Whether a line of a journal is a finished task."""
+    if not isinstance(entry, dict) or set(entry) != {"key", "rows", "fault"} or not isinstance(entry["key"], str):
+        return False
+    rows, fault = entry["rows"], entry["fault"]
+    return isinstance(rows, list) and all(isinstance(row, dict) for row in rows) and isinstance(fault, str | None)
 
 
 def _plain(value: Any) -> Any:

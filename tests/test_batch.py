@@ -7,8 +7,11 @@ import multiprocessing
 import os
 import random
 import signal
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
+from hashlib import sha256
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,11 +19,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from liaam import __version__
 from liaam.batch import Settings, find_pictures, listed_pictures, run_batch
 from liaam.batch import cluster as cluster_module
 from liaam.batch.cluster import on_cluster
 from liaam.batch.journal import Journal, place_of
 from liaam.batch.pools import in_processes
+from liaam.batch.run import earlier_summary
 from liaam.batch.work import Job, _shorts
 from liaam.datasets.scenes import Head, make_set
 from liaam.errors import LiaamError
@@ -577,3 +582,99 @@ def test_the_command(run, world, expected, tmp_path, monkeypatch):
     assert (code, "no pictures: name" in err) == (1, True)
     code, _, err = run("batch", world.model, "--list", tmp_path / "none.txt", *options)
     assert (code, "none.txt does not exist" in err) == (1, True)
+
+
+@pytest.fixture
+def locked(world, tmp_path, monkeypatch):
+    """A folder with a picture in it, beside one that may not be listed, whoever runs the tests."""
+    for name in ("open", "closed", "open/deep/closed"):
+        (tmp_path / name).mkdir(parents=True)
+        write_image(tmp_path / name / "1.png", np.zeros((8, 8, 3), np.uint8))
+    scandir = os.scandir
+
+    def guarded(path="."):
+        if not isinstance(path, int) and Path(path).name == "closed":
+            raise PermissionError(13, "Permission denied", path)
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", guarded)
+    return tmp_path
+
+
+@pytest.mark.parametrize("pattern", ["", "**", "**/*.png", "*/1.png"])
+def test_a_folder_that_may_not_be_read_is_a_row(locked, pattern):
+    found = {os.path.relpath(path, locked) for path in find_pictures(f"{locked}/{pattern}")}
+    deep = set() if pattern == "*/1.png" else {"open/deep/closed"}
+    assert found - {"closed/1.png"} == {"open/1.png", "closed", *deep}
+
+
+def test_the_row_of_a_folder_that_may_not_be_read_says_so(locked, world, tmp_path):
+    batch_of(world, tmp_path / "out.jsonl", locked / "closed")
+    row = next(row for row in rows_of(tmp_path / "out.jsonl") if row["path"].endswith("closed"))
+    assert row["status"] == "error"
+    assert "closed cannot be read (Permission denied): check the name and the rights" in row["message"]
+
+
+def damage(world, output, change):
+    """Leave a batch half done, and change its journal."""
+    journal_of(world, output)
+    with closing(sqlite3.connect(output.with_name(f"{output.name}.parts") / "journal.sqlite")) as base:
+        base.execute(change)
+        base.commit()
+
+
+def journal_of(world, output):
+    """Leave a journal with one row of two pictures."""
+    job = Job(world.model.read_bytes(), world.settings, str(world.pictures))
+    folder = output.with_name(f"{output.name}.parts")
+    with Journal(folder) as journal:
+        journal.restart({"liaam": __version__, "model": sha256(job.model_file).hexdigest(), **job.settings.describe()})
+        journal.list([str(world.pictures / "face2.png"), str(world.pictures / "face4.png")], job.start_file)
+        journal.keep([str(world.pictures / "face2.png")], job.rows([str(world.pictures / "face2.png")]))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE facts SET text = '{'",
+        "UPDATE facts SET text = '[]'",
+        "UPDATE facts SET text = CAST(x'ff' AS TEXT)",
+        "UPDATE pictures SET row = '{' WHERE row IS NOT NULL",
+        "UPDATE pictures SET row = '{}' WHERE row IS NOT NULL",
+        "UPDATE pictures SET row = '[]' WHERE row IS NOT NULL",
+        "UPDATE pictures SET row = 7 WHERE row IS NOT NULL",
+        "UPDATE pictures SET row = replace(row, '\"landmarks\": [', '\"landmarks\": [1, ')",
+        "UPDATE pictures SET row = CAST(x'ff' AS TEXT) WHERE row IS NOT NULL",
+        "UPDATE pictures SET status = NULL WHERE row IS NOT NULL",
+        "UPDATE pictures SET status = x'07'",
+    ],
+)
+@pytest.mark.parametrize("suffix", [".csv", ".jsonl", ".parquet"])
+def test_a_journal_with_a_damaged_cell_says_how_to_go_on(world, tmp_path, change, suffix):
+    output = tmp_path / f"r{suffix}"
+    damage(world, output, change)
+    pictures = [world.pictures / "face2.png", world.pictures / "face4.png"]
+    with pytest.raises(LiaamError, match=r"is damaged.*remove .*\.parts and begin anew"):
+        batch_of(world, output, pictures)
+    assert not output.exists()
+    assert batch_of(world, output, pictures, restart=True).total == 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"statuses": value} for value in (None, [], {"converged": "x"}, {"converged": -1}, {"converged": 1e400})),
+        *({"settings": []}, {"settings": None}, {"pictures": {}}, {"bytes": []}),
+    ],
+    ids=str,
+)
+def test_a_damaged_summary_is_none(tmp_path, change):
+    output = tmp_path / "r.csv"
+    output.write_bytes(b"a,b\n")
+    facts = {"settings": {}, "statuses": {"converged": 1}, "pictures": "ab", "bytes": 4}
+    (tmp_path / "r.csv.json").write_text(json.dumps(facts))
+    assert earlier_summary(output) == facts
+    (tmp_path / "r.csv.json").write_text(json.dumps({**facts, **change}))
+    assert earlier_summary(output) is None
+    (tmp_path / "r.csv.json").write_text("[" * 100_000)
+    assert earlier_summary(output) is None

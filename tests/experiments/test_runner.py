@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from experiments.runner import Experiment, run_experiment
+from experiments.runner import Experiment, Journal, run_experiment
 from liaam.errors import LiaamError
 from liaam.plotting import Panel, figure_of_curves
 from liaam.workers import all_cores
@@ -190,3 +190,16 @@ def test_refuses_what_makes_no_sense(tmp_path):
 
 def never(_task):
     raise LiaamError("never")
+
+
+@pytest.mark.parametrize(
+    "line",
+    ['{"key": [], "rows": [], "fault": null}', '{"key": "b", "rows": [1], "fault": null}', "[" * 100_000,
+     '{"key": "b", "rows": null, "fault": null}', '{"key": "b", "rows": [], "fault": 7}'],
+    ids=range(5),
+)  # fmt: skip
+def test_a_journal_counts_up_to_its_first_damaged_line(tmp_path, line):
+    first, last = (json.dumps({"key": key, "rows": [{"x": 1}], "fault": None}) for key in "ac")
+    (tmp_path / "j.jsonl").write_text("\n".join([first, line, last, ""]))
+    with Journal(tmp_path / "j.jsonl") as journal:
+        assert list(journal.outcomes) == ["a"]

@@ -49,3 +49,19 @@ def test_refuses_what_is_no_start(tmp_path, text, message):
 def test_checks_a_start_before_there_is_a_picture(text):
     with pytest.raises(StartError):
         check_start(text)
+
+
+def test_numbers_too_many_for_a_name_are_counted(tmp_path):
+    shape = ",".join(["123.25"] * 136)
+    for complain in (check_start, lambda text: read_start(text, IMAGE, SIZE)):
+        with pytest.raises(StartError, match="not 136"):
+            complain(shape)
+
+
+def test_a_start_that_may_not_be_looked_at_is_told(monkeypatch):
+    def forbidden(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "stat", forbidden)
+    with pytest.raises(StartError, match=r"secret/anna.pts cannot be looked at \(Permission denied\)"):
+        check_start("secret/anna.pts")

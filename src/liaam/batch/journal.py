@@ -10,7 +10,7 @@ import json
 import os
 import re
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -91,8 +91,16 @@ class Journal:
     @property
     def facts(self) -> dict[str, Any] | None:
         """Settings that the rows were made with; None in a journal that is new."""
-        found = self._ask("SELECT text FROM facts").fetchone()
-        return None if found is None else json.loads(found[0])
+        found = self._ask("SELECT text FROM facts")
+        if not found:
+            return None
+        try:
+            facts = json.loads(found[0][0])
+        except (ValueError, TypeError, RecursionError):
+            facts = None
+        if not isinstance(facts, dict):
+            raise self.damage("its settings cannot be read")
+        return facts
 
     def restart(self, facts: dict[str, Any]) -> None:
         """Forget all rows, and note the settings of those to come."""
@@ -118,14 +126,17 @@ class Journal:
     @property
     def total(self) -> int:
         """Number of pictures."""
-        return self._ask("SELECT count(*) FROM pictures").fetchone()[0]
+        return self._ask("SELECT count(*) FROM pictures")[0][0]
 
     @property
     def statuses(self) -> dict[str, int]:
         """Number of rows by status."""
-        return dict(
+        found = dict(
             self._ask("SELECT status, count(*) FROM pictures WHERE row IS NOT NULL GROUP BY status ORDER BY status")
         )
+        if not all(isinstance(status, str) for status in found):
+            raise self.damage("a row has no status")
+        return found
 
     def todo(self, size: int) -> Iterator[tuple[str, ...]]:
         """Pictures without a row, in chunks, in their order."""
@@ -146,7 +157,10 @@ class Journal:
 
     def rows(self) -> Iterator[str]:
         """All rows, in the order of the pictures."""
-        return (row for (row,) in self._pages("row", "row IS NOT NULL"))
+        for (row,) in self._pages("row", "row IS NOT NULL"):
+            if not isinstance(row, str):
+                raise self.damage("a row is no text")
+            yield row
 
     def digest(self) -> str:
         """Digest of which pictures there are, of what size and age, and their starts."""
@@ -171,15 +185,23 @@ class Journal:
                 f"SELECT place, path, {columns} FROM pictures WHERE (place, path) > (?, ?) AND {which} "
                 f"ORDER BY place, path LIMIT {PAGE}",
                 last,
-            ).fetchall()
+            )
             if not page:
                 return
+            if not all(isinstance(key, bytes) for entry in page for key in entry[:2]):
+                raise self.damage("a picture has no name")
             last = page[-1][:2]
             yield from (entry[2:] for entry in page)
 
-    def _ask(self, question: str, values: tuple = ()) -> sqlite3.Cursor:
-        with self._explained():
-            return self._base.execute(question, values)
+    def damage(self, what: object) -> LiaamError:
+        """Say that the journal is damaged, and how to go on."""
+        return LiaamError(
+            f"{self._file} is damaged, or of another version ({what}): remove {self.folder} and begin anew"
+        )
+
+    def _ask(self, question: str, values: tuple = ()) -> Sequence[tuple]:
+        with self._explained():  # rows may turn out to be damaged when they are fetched
+            return self._base.execute(question, values).fetchall()
 
     @contextmanager
     def _change(self) -> Iterator[None]:

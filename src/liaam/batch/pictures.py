@@ -18,7 +18,8 @@ def find_pictures(*sources: str | os.PathLike[str]) -> Iterator[str]:
     Parameters
     ----------
     *sources : path-like
-        Folders, of which all pictures are taken, those of sub-folders too; patterns such as ``images/**/left*.png``,
+        Folders, of which all pictures are taken, those of sub-folders too (a folder that may not be read is given in
+        their place, so that its row says so); patterns such as ``images/**/left*.png``,
         where ``**`` stands for any folders; or files, whatever they are called. Hidden files and folders are passed
         over.
 
@@ -60,14 +61,38 @@ def listed_pictures(lines: Iterable[bytes]) -> Iterator[str]:
 
 
 def _in_folder(folder: str) -> Iterator[str]:
-    for parent, folders, names in os.walk(folder):
+    closed: list[str] = []
+    for parent, folders, names in os.walk(folder, onerror=lambda fault: closed.append(fault.filename)):
         folders[:] = [name for name in folders if not name.startswith(".")]
         yield from (os.path.join(parent, name) for name in names if _is_picture(name))  # noqa: PTH118
+    yield from closed
 
 
 def _of_pattern(pattern: str) -> Iterator[str]:
     found = glob.iglob(pattern, recursive=True)  # noqa: PTH207 (Path.glob sorts nothing either, and makes objects)
-    return (path for path in found if _is_picture(Path(path).name) and not os.path.isdir(path))  # noqa: PTH112
+    yield from (path for path in found if _is_picture(Path(path).name) and not os.path.isdir(path))  # noqa: PTH112
+    yield from _closed(pattern)
+
+
+def _closed(pattern: str) -> Iterator[str]:
+    """Folders that a pattern leads into and that may not be read, which glob passes over."""
+    told: set[str] = set()
+    folders = pattern if pattern.endswith("**") else os.path.dirname(pattern)  # noqa: PTH120
+    while folders and folders.rstrip(os.sep):
+        for folder in glob.iglob(os.path.join(folders, ""), recursive=True):  # noqa: PTH118, PTH207
+            folder = folder.rstrip(os.sep)
+            if folder not in told and not _may_be_listed(folder):
+                told.add(folder)
+                yield folder
+        folders = os.path.dirname(folders)  # noqa: PTH120
+
+
+def _may_be_listed(folder: str) -> bool:
+    try:
+        os.scandir(folder).close()
+    except OSError:
+        return False
+    return True
 
 
 def _is_picture(name: str) -> bool:

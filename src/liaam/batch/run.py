@@ -16,7 +16,7 @@ from liaam import __version__
 from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
 from liaam.batch.pools import Chunk, Finished, in_processes, in_turn
-from liaam.batch.tables import Table, check_format, write_table
+from liaam.batch.tables import Table, check_format, is_row, write_table
 from liaam.batch.work import Job, Settings
 from liaam.errors import LiaamError
 from liaam.io import write_text_atomically
@@ -178,10 +178,6 @@ class _Batch:
         return {"liaam": __version__, "model": digest, **self.job.settings.describe()}
 
     @property
-    def summary_file(self) -> Path:
-        return self.output.with_name(f"{self.output.name}.json")
-
-    @property
     def parts(self) -> Path:
         return self.output.with_name(f"{self.output.name}.parts")
 
@@ -215,7 +211,7 @@ class _Batch:
         """Complain, before the work, about a table that would undo another."""
         if not self.output.exists():
             return
-        earlier = self._earlier()
+        earlier = earlier_summary(self.output)
         if earlier is None:
             raise LiaamError(
                 f"{self.output} exists and is not from an earlier batch; give another name with -o, or add --restart "
@@ -225,11 +221,11 @@ class _Batch:
 
     def _take_up(self, journal: Journal, restart: bool) -> None:
         """Go on with a journal of the same settings, or begin one."""
-        before = journal.facts
-        if before is not None and journal.statuses and not restart:
-            self._refuse_others(before)
-            return
         if not restart:
+            before = journal.facts
+            if before is not None and journal.statuses:
+                self._refuse_others(before)
+                return
             self._check_earlier()
         journal.restart(self.facts)
 
@@ -243,25 +239,16 @@ class _Batch:
                 "--restart to begin anew"
             )
 
-    def _earlier(self) -> dict[str, Any] | None:
-        """Summary of the batch that has written the output; None where there is none."""
-        try:
-            summary = json.loads(self.summary_file.read_text(encoding="utf-8"))
-            known = summary["bytes"] == self.output.stat().st_size
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
-        return summary if known and {"statuses", "settings", "pictures"} <= set(summary) else None
-
     def _complete(self, journal: Journal) -> dict[str, Any] | None:
         """Summary of an earlier batch of the same settings and the very same pictures."""
-        earlier = self._earlier()
+        earlier = earlier_summary(self.output)
         same = earlier is not None and (earlier["settings"], earlier["pictures"]) == (self.facts, journal.digest())
         return earlier if same else None
 
     def _finish(self, journal: Journal, workers: _Workers, tell: Progress) -> Summary:
         summary = self._fit(journal, workers, tell)
         tell(summary.total, summary.total, f"writing {self.output.name}")
-        table = Table(journal.rows(), self.job.model.n_points, self.job.settings.covariance, self.facts)
+        table = Table(self._rows(journal), self.job.model.n_points, self.job.settings.covariance, self.facts)
         write_table(self.output, table)
         facts = {
             "settings": self.facts,
@@ -269,8 +256,15 @@ class _Batch:
             "pictures": journal.digest(),
             "bytes": self.output.stat().st_size,
         }
-        write_text_atomically(self.summary_file, json.dumps(facts, indent=1) + "\n")
+        write_text_atomically(summary_file(self.output), json.dumps(facts, indent=1) + "\n")
         return summary
+
+    def _rows(self, journal: Journal) -> Iterator[str]:
+        """All rows, none of which may be damaged."""
+        for row in journal.rows():
+            if not is_row(row, self.job.model.n_points, self.job.settings.covariance):
+                raise journal.damage("a row cannot be read")
+            yield row
 
     def _fit(self, journal: Journal, workers: _Workers, tell: Progress) -> Summary:
         """Fit what the journal does not hold yet."""
@@ -294,6 +288,24 @@ class _Batch:
             raise KeyboardInterrupt(f"stopped: {kept}; the same command goes on from there") from None
         summary = Summary(self.output, dict(sorted(statuses.items())))
         return replace(summary, fitted=summary.total - before, seconds=perf_counter() - begin)
+
+
+def summary_file(output: Path) -> Path:
+    """File beside a table that says how it was made."""
+    return output.with_name(f"{output.name}.json")
+
+
+def earlier_summary(output: Path) -> dict[str, Any] | None:
+    """Summary of the batch that has written a table; None where there is none, or it is damaged or of another table."""
+    try:
+        summary = json.loads(summary_file(output).read_bytes())
+        known = summary["bytes"] == output.stat().st_size
+        statuses, settings, pictures = (summary[key] for key in ("statuses", "settings", "pictures"))
+        sound = isinstance(settings, dict) and isinstance(pictures, str) and isinstance(statuses, dict)
+        counted = sound and all(type(number) is int and number >= 0 for number in statuses.values())
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return summary if known and counted else None
 
 
 @contextmanager

@@ -61,6 +61,28 @@ class Table:
         return [name for name in COLUMNS if self.covariance or name != "covariance"]
 
 
+def is_row(text: str, n_points: int, covariance: bool) -> bool:
+    """Whether a text is a row that can be written: JSON with all columns, each of its type."""
+    try:
+        row = json.loads(text)
+    except (ValueError, RecursionError):
+        return False
+    names = [name for name in COLUMNS if covariance or name != "covariance"]
+    if not isinstance(row, dict) or not row.keys() >= set(names):
+        return False
+    return all(_is_cell(row[name], COLUMNS[name], n_points * len(_PARTS.get(name, ()))) for name in names)
+
+
+def _is_cell(value: Any, kind: str, width: int) -> bool:
+    if kind == "string":
+        return isinstance(value, str)
+    if value is None:
+        return True
+    if width:
+        return isinstance(value, list) and len(value) == width and all(_is_cell(item, "float32", 0) for item in value)
+    return type(value) is int and abs(value) < 2**31 if kind == "int32" else type(value) in (int, float)
+
+
 def check_format(output: Path) -> None:
     """Complain about a format that cannot be written, before the work."""
     if output.suffix.lower() not in _WRITERS:

@@ -147,7 +147,7 @@ class Job:
         start = self._start(path)
         try:
             return None if start is None else start_file(start, Path(path))
-        except OSError:  # the row will say why
+        except LiaamError:  # the row will say why
             return None
 
     def rows(self, chunk: Iterable[str]) -> list[KeptRow]:
