@@ -375,3 +375,15 @@ def test_many_landmarks_have_no_smooth_deformations_unasked(pairs, monkeypatch):
 def test_a_prior_that_does_not_exist_is_refused(pairs):
     for prior in ("flat", {SURROUNDINGS: "flat"}):
         refused(pairs, "prior 'flat' does not exist; there are sample, shrunk, smooth", prior=prior)
+
+
+@pytest.mark.parametrize("bad", ["ab", [["a", "b"]] * 5, [[1, 2], [3]]])
+def test_landmarks_that_are_no_numbers_are_refused(pairs, bad):
+    pairs[1] = (pairs[1][0], bad)
+    refused(pairs, "image 2: the landmarks are no numbers")
+
+
+@pytest.mark.parametrize("height", [0.02, 1e-3, 1e-12])
+def test_landmarks_almost_on_a_line_are_refused(pairs, height):
+    flat = [(image, points * [1, height] + [0, 50]) for image, points in pairs]
+    refused(flat, "lie almost on one line")

@@ -153,14 +153,13 @@ def read_patches(path: Path) -> "np.ndarray":
     """Boxes of a CSV file, (n, 4) float64."""
     import numpy as np
 
-    from liaam.io.files import is_number
+    from liaam.io.files import existing_file, is_number, read_bytes
 
+    data = read_bytes(existing_file(path, CameraError, "file of patches"), CameraError, limit=10_000_000)
     try:
-        rows = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        rows = [line for line in data.decode("utf-8-sig").splitlines() if line.strip()]
         rows = rows[1:] if rows and not any(map(is_number, rows[0].split(","))) else rows
         boxes = np.array([[float(part) for part in row.split(",")] for row in rows])
-    except OSError as error:
-        raise CameraError(f"{path}: the file of patches cannot be read ({error.strerror or error})") from error
     except ValueError:
         boxes = np.zeros((0, 0))
     if boxes.ndim != 2 or boxes.shape[1] != 4:

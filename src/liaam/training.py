@@ -66,6 +66,9 @@ tells landmarks from their surroundings is as large as a share of the object: fa
 COPIES, MOST_COPIES = 3, 20
 """Relit copies of each picture to learn from, and the most that make sense."""
 
+FLATTEST = 0.05
+"""Least spread of the landmarks across, as a share of that along: the search's smallest frame has pixels then."""
+
 KEPT = 0.85
 """Share of the variance that appearances of the surroundings keep, unless asked. Their coordinates have a prior, and
 what modes leave counts as error: as good as 0.98 on IMM (persons seen and not) and under hard flashes, and fits to
@@ -176,6 +179,7 @@ def train(
     mean = scaled_mean(shapes, diagonal)
     recipes = {asked: choose_recipe(mean, shapes, asked, folds) for asked in dict.fromkeys(priors.values())}
     learnt = {asked: shape_model_on(mean, shapes, variance, recipe, folds) for asked, recipe in recipes.items()}
+    _check_flat(mean)
     triangles = _triangles(mean, triangles, edges)
     each = (0 if _is_whole(variance) else COPIES) if copies is None else copies
     copied = _copies(lamps, training_lamp, each, mean, len(entries), camera)
@@ -359,7 +363,10 @@ def _entry(item, i: int) -> tuple[_Entry, tuple]:
             ) from None
         name = f"image {i + 1}"
         read = lambda: image  # noqa: E731
-    points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
+    try:
+        points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TrainingError(f"{name}: the landmarks are no numbers; give (n, 2) points") from None
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
         raise TrainingError(f"{name}: landmarks of shape {points.shape} are not (n, 2) points with n of at least 3")
     if len(points) > MAX_POINTS:
@@ -386,6 +393,16 @@ def _edges(contours: tuple) -> np.ndarray:
         if closed:
             pairs.append((indices[-1], indices[0]))
     return np.array(pairs, dtype=int).reshape(-1, 2)
+
+
+def _check_flat(mean: np.ndarray) -> None:
+    """Refuse a shape so flat that hardly a pixel's centre lies inside it, least of all where the search looks."""
+    along, across = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)
+    if across < FLATTEST * along:
+        raise TrainingError(
+            f"the landmarks lie almost on one line, {across / along:.1%} as wide as long on the whole; check their "
+            f"order and units, or add some beside it: {FLATTEST:.0%} are needed"
+        )
 
 
 def _triangles(mean: np.ndarray, given: np.ndarray | None, edges: np.ndarray) -> np.ndarray:

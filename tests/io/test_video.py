@@ -438,3 +438,15 @@ def test_damage_before_the_end_of_a_part_is_told(tmp_path):
     if len(frames) < 60:  # some decoders make something of it
         assert "damaged" in video.fault
     assert not video.ended
+
+
+def test_words_in_a_video_that_are_no_text_do_not_keep_it_from_being_read(tmp_path):
+    path = tmp_path / "x.mp4"
+    with video_writer(path) as video:
+        for _ in range(2):
+            video.write(np.zeros((32, 48, 3), np.uint8))
+    data = path.read_bytes()
+    assert b"Lavf" in data  # the program that wrote it, which FFmpeg gives as metadata
+    path.write_bytes(data.replace(b"Lavf", b"La\x80f"))
+    with VideoReader(path) as frames:
+        assert len(list(frames)) == 2

@@ -1,7 +1,9 @@
 """Camera files: small, readable, complete, and checked when read."""
 
 import json
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -167,3 +169,18 @@ def test_an_interval_follows_from_the_standard_error():
     assert told.observable and told.interval == pytest.approx((1.804, 2.196))
     untold = replace(told, standard_error=np.inf)
     assert not untold.observable and untold.interval == (0.0, np.pi)
+
+
+@pytest.mark.parametrize("kind", ["fifo", "device", "large", "long name"])
+def test_what_is_no_file_on_disk_is_refused_before_it_is_read(tmp_path, kind):
+    path = tmp_path / ("a" * 300 if kind == "long name" else "camera.json")
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "device":
+        path = Path("/dev/zero")
+    elif kind == "large":
+        with path.open("wb") as file:
+            file.truncate(10**8)
+    message = {"large": "more than the", "long name": "name too long"}.get(kind, "is not an ordinary file")
+    with pytest.raises(CameraError, match=f"(?i){message}"):
+        load_camera(path)

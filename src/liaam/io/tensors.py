@@ -33,10 +33,10 @@ def read_tensors(
     """
     from safetensors import SafetensorError, safe_open
 
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise error(f"{path}: the {kind} {what}; make one with '{make}'")
     try:
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "is no ordinary file" if path.exists() else "does not exist"
+            raise error(f"{path}: the {kind} {what}; make one with '{make}'")
         with safe_open(path, framework="numpy") as file:
             header = parse((file.metadata() or {}).get("liaam", ""))
             return header, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (no mapping)

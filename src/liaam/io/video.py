@@ -205,7 +205,7 @@ class _File:
         av = _pyav(f"{path} is a video")
         self.path = existing_file(path, VideoError, "video")
         try:
-            self.container = av.open(str(self.path))
+            self.container = av.open(str(self.path), metadata_errors="replace")
         except av.error.FFmpegError as fault:
             raise VideoError(
                 f"{path} is no video that FFmpeg can open ({fault.strerror}): it is of another kind, or cut short "
@@ -262,7 +262,7 @@ class _File:
     def _pieces(self, count: int) -> list[tuple[int | None, bool]]:
         """Time of the first pieces of the file in their order, and whether they are shown; nothing is decoded."""
         av = _pyav(f"{self.path} is a video")
-        with av.open(str(self.path)) as container:
+        with av.open(str(self.path), metadata_errors="replace") as container:
             pieces = (piece for piece in container.demux(container.streams.video[0]) if piece.size)
             return [(piece.pts, not piece.is_discard) for piece in islice(pieces, count)]
 
@@ -278,7 +278,7 @@ class _File:
     def _reopen(self) -> None:
         av = _pyav(f"{self.path} is a video")
         self.container.close()
-        self.container = av.open(str(self.path))
+        self.container = av.open(str(self.path), metadata_errors="replace")
         self._begin(av, self.container.streams.video[0])
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
@@ -334,7 +334,7 @@ class _Device(_File):
     def __init__(self, number: int):
         av = _pyav(f"camera {number}")
         self.path = Path(f"/dev/video{number}")
-        self.container = av.open(str(self.path), format="v4l2")
+        self.container = av.open(str(self.path), format="v4l2", metadata_errors="replace")
         self._begin(av, self.container.streams.video[0])
         self.n_frames = None
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from liaam.errors import CameraError, LiaamError
 from liaam.io import write_text_atomically
-from liaam.io.files import writable
+from liaam.io.files import existing_file, read_bytes, writable
 from liaam.photometry.encoding import DARK, SATURATED, stored_values
 from liaam.photometry.invariant import THETA_DEFAULT
 from liaam.photometry.response import Response, describe_response, from_linear, parse_response, to_linear
@@ -26,6 +26,9 @@ MOST_COEFFICIENTS = 16
 
 NOISIEST = 100.0
 """Largest slope and offset of noise, on the curve's own scale of light; more has no meaning, and squares of it end."""
+
+LARGEST = 10_000_000
+"""Bytes of a camera file at most."""
 
 
 @dataclass(frozen=True)
@@ -197,11 +200,11 @@ def load_camera(path: str | os.PathLike) -> CameraModel:
     """
     path = Path(path)
     try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CameraError(
-            f"{path}: the camera file cannot be read ({error.strerror or error}); make one with 'liaam calibrate'"
-        ) from error
+        data = read_bytes(existing_file(path, CameraError, "camera file"), CameraError, LARGEST)
+    except CameraError as fault:
+        raise CameraError(f"{fault} So there is no camera file; make one with 'liaam calibrate'") from fault
+    try:
+        facts = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError):
         facts = None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT:
