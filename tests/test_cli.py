@@ -1,6 +1,8 @@
 """The command line as a person types it."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -291,3 +293,104 @@ def test_help_and_methods(run):
     code, out, _ = run("methods")
     assert code == 0
     assert all(name in out for name in ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs", "chroma"))
+
+
+LONG = "a" * 300
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fit", f"{LONG}.liaam", "x.png"],
+        ["fit", "{model}", f"{LONG}.png"],
+        ["fit", "{model}", "{picture}", "--init", LONG],
+        ["fit", "{model}", "{picture}", "--init", "1,2,3", "--camera", LONG],
+        ["fit", "{model}", "{picture}", "--init", "1,2,3", "-o", LONG],
+        ["info", LONG],
+        ["show", LONG],
+        ["show", "{model}", "-o", f"{LONG}.png"],
+        ["train", LONG, "-o", "x.liaam"],
+        ["train", "{folder}", "-o", LONG],
+        ["train", "{folder}", "-o", f"{LONG}/x.liaam"],
+        ["check", LONG],
+        ["invariant", f"{LONG}.png"],
+        ["lamps", "{folder}", "-o", f"{LONG}.lamps"],
+        ["batch", "{model}", f"{LONG}.png", "-o", "x.csv"],
+        ["batch", "{model}", "{picture}", "-o", f"{LONG}.csv"],
+        ["batch", "{model}", "{picture}", "--init", LONG, "-o", "x.csv"],
+        ["track", "{model}", f"{LONG}.mp4", "-o", "x.csv"],
+        ["relight", "{model}", f"{LONG}.png"],
+    ],
+    ids=lambda arguments: " ".join(arguments).replace(LONG, "LONG"),
+)
+def test_a_name_that_no_file_can_have_is_one_line(run, portraits, model_file, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    places = {"model": model_file, "picture": portraits[1], "folder": portraits[0]}
+    status, _, err = run(*(text.format_map(places) for text in arguments))
+    assert status == 1
+    assert err.startswith("error: ") and len(err.splitlines()) == 1
+
+
+def test_rights_that_are_missing_are_one_line(run, portraits, model_file, monkeypatch):
+    def forbidden(*_, **__):
+        raise PermissionError(13, "Permission denied", "secret/face.liaam")
+
+    monkeypatch.setattr("liaam.model.load_model", forbidden)
+    status, _, err = run("info", "face.liaam")
+    assert status == 1
+    assert err.strip() == "error: secret/face.liaam: Permission denied; check the name, the rights and the free space"
+
+
+WITHOUT_POWERS = """
+import ctypes, os
+if os.getuid() == 0:  # may read anything, unless it gives its capabilities up
+    assert ctypes.CDLL(None).capset((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()) == 0
+from liaam import cli
+cli.main()
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="capabilities are Linux's")
+def test_folders_without_permission_are_one_line(portraits, tmp_path):
+    (tmp_path / "locked").mkdir()
+    (tmp_path / "locked" / "x.png").write_bytes(b"x")
+    (tmp_path / "locked").chmod(0)
+    try:
+        for command in (["info", "locked/x.png"], ["check", "locked/sub"], ["lamps", ".", "-o", "locked/x.lamps"]):
+            done = subprocess.run(
+                [sys.executable, "-c", WITHOUT_POWERS, *command],
+                cwd=tmp_path,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            assert done.returncode == 1, done.stderr
+            assert "Permission denied" in done.stderr and "Traceback" not in done.stderr
+            assert len(done.stderr.splitlines()) == 1
+    finally:
+        (tmp_path / "locked").chmod(0o700)
+
+
+EVIL = "\x1b]0;owned\x07\x1b[31mred\x9b2J\u202eface"
+
+
+def test_escape_sequences_of_a_models_name_do_not_reach_the_terminal(run, portraits, tmp_path):
+    from liaam.datasets import load_folder
+    from liaam.training import train
+
+    train(load_folder(portraits[0]), diagonal=50, leave_out=False, name=EVIL).save(tmp_path / "evil.liaam")
+    _, out, _ = run("info", tmp_path / "evil.liaam")
+    assert not set("\x1b\x07\x9b\u202e") & set(out)
+    assert "red" in out and "face" in out
+
+
+def test_what_is_said_has_no_escape_sequences(run):
+    for arguments in (["info", f"{EVIL}.liaam"], ["nonsense" + EVIL], ["fit", "x", "y", "--iterations", EVIL]):
+        status, out, err = run(*arguments)
+        assert status and not set("\x1b\x07\x9b\u202e") & set(out + err)
+
+
+@pytest.mark.parametrize("name", ["", ".", "/"])
+def test_a_folder_is_not_drawn(run, name):
+    status, _, err = run("show", name)
+    assert status == 1 and "is a folder" in err

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from liaam import __version__
@@ -31,7 +30,7 @@ from liaam.cli_relight import relight
 from liaam.cli_studio import studio
 from liaam.cli_video import track
 from liaam.errors import LiaamError
-from liaam.terminal import complain, console, make_app, progress_bar, run_app, say, stoppable_progress, table_of
+from liaam.terminal import cell, complain, console, make_app, progress_bar, run_app, say, stoppable_progress, table_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -264,7 +263,7 @@ def fit(
                 complain(f"error: {results}")
                 continue
             for result in results:
-                table.add_row(escape(image.name), *row_of(result))
+                table.add_row(cell(image.name), *row_of(result))
                 if not result.status.ok:
                     failed += 1
                     advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
@@ -379,6 +378,9 @@ def show(
     ] = None,
 ) -> None:
     """Draw a model: mean, mesh, and what its shape and appearance modes do. Or lamps: a picture under all of them."""
+    from liaam.io.files import existing_file
+
+    existing_file(file, LiaamError, "model or file of lamps")
     lit = file.suffix.lower() == LAMPS_SUFFIX
     path = output or file.with_name(f"{file.stem}_{'lamps' if lit else 'model'}.png")
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
@@ -404,7 +406,7 @@ def info(
 
     table = Table.grid(padding=(0, 2))
     for key, value in describe(load_model(model_file), model_file).items():
-        table.add_row(key, escape(value))
+        table.add_row(key, cell(value))
     console.print(table)
 
 

@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
 
 from liaam.cli_inputs import ImagesOption, LandmarkedFolder, RecursiveOption, read_folder
 from liaam.errors import LiaamError
-from liaam.terminal import Progress, complain, console, progress_bar, say, stoppable_progress, table_of
+from liaam.terminal import Progress, cell, complain, console, progress_bar, say, stoppable_progress, table_of
 
 if TYPE_CHECKING:
     from liaam.datasets import Dataset, Sample
@@ -47,7 +46,7 @@ def check(
     table = table_of("image", "landmarks")
     for sample, own in faults:
         for fault in own:
-            table.add_row(escape(sample.name), fault.message)
+            table.add_row(cell(sample.name), cell(fault.message))
     console.print(table)
     if output is not None:
         write_faults(output, folder, faults)

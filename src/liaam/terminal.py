@@ -1,25 +1,68 @@
 """What commands print with: plain lines, complaints, tables and a progress bar."""
 
 import io
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
+from typer.core import TyperGroup
 
 from liaam.errors import LiaamError
 
 console = Console()
 complaints = Console(stderr=True)
 
+
+def plain(text: str) -> str:
+    """Text without what a terminal obeys: a file's name or a model's may hold anything.
+
+    Control characters, those that turn the direction of writing, and halves of characters are shown as escapes.
+    """
+    return "".join(letter if letter.isprintable() or letter in "\n\t" else ascii(letter)[1:-1] for letter in text)
+
+
+def cell(text: str) -> str:
+    """Text for a table, as it is: brackets are no markup."""
+    return escape(plain(text))
+
+
 Progress = Callable[[int, int, str], None]
 
 
-def make_app(**options) -> typer.Typer:
+class _Commands(TyperGroup):
+    """Commands; what a person typed is repeated in complaints without what a terminal obeys."""
+
+    def make_context(self, *arguments: Any, **options: Any) -> Any:
+        """Read the arguments of the program."""
+        with _plain_complaints():
+            return super().make_context(*arguments, **options)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Read the arguments of a command, and run it."""
+        with _plain_complaints():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _plain_complaints() -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        if isinstance(message := getattr(error, "message", None), str):  # of click, which typer may bring along
+            error.__dict__["message"] = plain(message)
+        raise
+
+
+def make_app(**options: Any) -> typer.Typer:
     """Make a command line with subcommands, as all of ours are; further ``options`` go to typer."""
     return typer.Typer(
+        cls=_Commands,
         no_args_is_help=True,
         add_completion=False,
         pretty_exceptions_enable=False,
@@ -38,16 +81,26 @@ def run_app(app: typer.Typer) -> None:
     except LiaamError as error:
         complain(f"error: {error}")
         sys.exit(1)
+    except OSError as error:  # a name that no file can have, missing rights, a disk that is full or gone
+        complain(f"error: {_sentence_of(error)}")
+        sys.exit(1)
+
+
+def _sentence_of(error: OSError) -> str:
+    """Say what the system has refused, and of which file."""
+    name = "" if error.filename is None else os.fsdecode(error.filename)
+    shown = f"{name[:60]}...: " if len(name) > 255 else f"{name}: " if name else ""
+    return f"{shown}{error.strerror or error}; check the name, the rights and the free space"
 
 
 def say(text: str) -> None:
     """Print plain text (no markup: file names hold brackets)."""
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def complain(text: str) -> None:
     """Print to standard error."""
-    complaints.print(text, markup=False, highlight=False, soft_wrap=True)
+    complaints.print(plain(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def table_of(*header: str) -> Table:
@@ -76,7 +129,7 @@ def progress_bar(counted: bool = True) -> Iterator[Progress]:
         task = bar.add_task("")
 
         def tell(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
+            bar.update(task, completed=done, total=total, description=plain(what))
 
         yield tell
 
