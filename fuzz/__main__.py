@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from fuzz.parent import Tally, run
@@ -69,10 +70,11 @@ def main(arguments: list[str], modules: tuple[str, ...] = MODULES) -> int:
         print(f"no target {', '.join(unknown)}; there are all, {', '.join(targets)}", file=sys.stderr)
         return 2
     everything = "all" in asked.names
-    counts = share_out(targets, asked.cases) if everything else dict.fromkeys(asked.names, asked.cases)
-    alone: int | None = asked.case
-    spans = {name: (0, n) if alone is None else (alone, alone + 1) for name, n in counts.items()}
-    tallies = run([Job(name, asked.seed, *span, modules) for name, span in spans.items()], asked.jobs)
+    counts = share_out(targets, asked.cases) if everything else dict.fromkeys(asked.names, int(asked.cases))
+    jobs = [Job(name, asked.seed, 0, count, modules) for name, count in counts.items()]
+    if asked.case is not None:
+        jobs = [replace(job, first=asked.case, stop=asked.case + 1) for job in jobs]
+    tallies = run(jobs, asked.jobs)
     print("\n".join(report(tallies)))
     failures = [failure for tally in tallies.values() for failure in tally.failures]
     if not failures:

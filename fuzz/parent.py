@@ -63,7 +63,7 @@ def run(jobs: Iterable[Job], n_children: int, limits: Limits | None = None) -> d
     children: list[_Child] = []
     try:
         while waiting or any(child.job for child in children):
-            children = [child for child in children if child.alive]
+            children = [child for child in children if child.alive or child.job]  # the dead have to be looked at
             idle = [child for child in children if child.job is None]
             while waiting and (idle or len(children) < n_children):
                 if not idle:
@@ -196,7 +196,8 @@ class _Child:
 
     def _trace(self) -> str:
         lines = (Path(self._folder.name) / TRACE).read_text(errors="replace").splitlines()
-        return "\n".join(line.strip() for line in lines[-12:])
+        innermost_last = bool(lines) and lines[0].startswith("Traceback")
+        return "\n".join(line.strip() for line in (lines[-12:] if innermost_last else lines[:12]))
 
 
 def _processor_time(pid: int | None) -> float:

@@ -1,166 +1,116 @@
-"""Requests to the studio: hostile paths, headers and bodies, past the server's own parser straight to its door."""
+"""What the studio keeps in a project's folder, templates among it."""
 
 from __future__ import annotations
 
-import asyncio
 import json
-from functools import cache
+import shutil
+from copy import deepcopy
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
-from urllib.parse import unquote
+from typing import Any
 
 import numpy as np
 
 from fuzz.mutate import Random, one_of, spoilt, spoilt_json
 from fuzz.target import Target
 
-HOST, TOKEN = "127.0.0.1:8765", "token"
-
-_TARGETS = (
-    *(b"/", b"/?token=token", b"/style.css", b"/js/../index.html", b"/api/project", b"/api/project?stamp=1-0-idle"),
-    *(b"/api/pictures/p1.png/image?size=64", b"/api/pictures/p1.png/thumbnail", b"/api/pictures/p1.png/chroma?size=20"),
-    *(b"/api/pictures/p1.png/landmarks", b"/api/template", b"/api/template/file?name=x.pts", b"/api/training"),
-    *(
-        b"/api/uploads?name=x.png",
-        b"/api/uploads/abc/image",
-        b"/api/model/file",
-        b"/api/fits",
-        b"/api/fits/x/layers/flat",
-    ),
-    *(b"/api/fits/x/relit?x=1&y=0&z=1&ambient=0.5", b"/api/fits/x/export?what=pts", b"/api/nothing"),
-)
-_WORDS = (
-    b"%2e%2e/",
-    b"../",
-    b"%00",
-    b"%ff",
-    b"%ED%A0%80",
-    b"%",
-    b"?",
-    b"&",
-    b"=",
-    b"size=",
-    b"name=",
-    b"p1.png",
-    b"//",
-    b"#",
-)
-_BODIES = (
-    {"id": "x", "names": ["a", "b", "c"], "contours": [{"indices": [0, 1, 2], "closed": True}], "mapping": [0, 1, 2]},
-    {"points": [[1, 2], [30, 2], [15, 20]], "invisible": [2], "revision": None},
-    {"picture": "p1.png", "method": "soft-li", "start": {"box": [1, 2, 30, 20]}},
-    {"upload": "abc", "method": "grey", "start": {"shape": [[1, 2], None, [3, 4]]}},
-)
+POINTS = [[1.0, 2.0], [30.5, 2.25], [15.0, 20.0]]
+TEMPLATE = {
+    "names": ["a", "b", "c"],
+    "contours": [{"indices": [0, 1, 2], "closed": True}],
+    "mirror": [1, 0, 2],
+    "points": POINTS,
+    "revision": "ab",
+    "order": "cd",
+}
+_PROPOSAL = {
+    "points": POINTS,
+    "covariances": [[[1, 0], [0, 1]]] * 3,
+    "quality": 0.9,
+    "status": "converged",
+    "ok": True,
+    "message": "The fit settled.",
+    "found": True,
+    "doubtful": False,
+    "uncertainty": 0.01,
+    "tag": None,
+}
+_FILES = {
+    "template.json": [TEMPLATE],
+    "proposals.json": [{"p1.png": _PROPOSAL, "p2.png": _PROPOSAL}],
+    "invisible.json": [{"p1.pts": {"revision": "ab", "points": [0, 2]}}],
+    "change.json": [
+        {"template": TEMPLATE, "files": [{"file": "p1.ljson", "before": None, "text": "{}", "invisible": [1]}]},
+    ],
+    "model.json": [{"source": "studio", "trained": None, "pictures": {"p1.png": "ab"}, "order": "cd"}],
+    "id": ["0123456789abcdef"],
+}
+_WORDS = (b"[", b"]", b"{", b"}", b'"', b",", b":", b"null", b"NaN", b"1e999", b'"p1.png"', b'"points"')
 
 
-class Request(NamedTuple):
-    """A request as the server has parsed it."""
-
-    method: str
-    target: bytes
-    headers: list[tuple[bytes, bytes]]
-    body: list[bytes]
-
-
-def make(rng: Random) -> Request:
-    """Give a request with some faults, most often from one who knows the token."""
-    target = one_of(rng, _TARGETS) if rng.random() < 0.5 else _visible(spoilt(rng, _TARGETS, _WORDS)[:2000])
-    method = one_of(rng, ("GET", "GET", "PUT", "POST", "POST", "DELETE", "HEAD", "OPTIONS", "PATCH", "X"))
-    headers = [(b"host", HOST.encode()), (b"authorization", f"Bearer {TOKEN}".encode())]
-    headers.append((b"content-type", one_of(rng, (b"application/json", b"application/json", b"image/png", b""))))
-    for _ in range(int(rng.geometric(0.6)) - 1):
-        name = one_of(
-            rng, (b"host", b"origin", b"cookie", b"if-none-match", b"range", b"content-length", b"accept", b"x")
-        )
-        value = spoilt(
-            rng, (HOST.encode(), b"http://" + HOST.encode(), b"bytes=0-5,7-", b"text/html", b"12", b'W/"x-64"')
-        )
-        headers.append((name, value[:2000]))
-    if rng.random() < 0.05:
-        headers.pop(int(rng.integers(2)))
-    body = spoilt_json(rng, _BODIES) if rng.random() < 0.8 else spoilt(rng, (_png(), b"version: 1\n{\n1 2\n}\n", b"[]"))
-    at = np.sort(rng.integers(len(body) + 1, size=int(rng.integers(3)))).tolist()
-    return Request(method, target, headers, [body[i:j] for i, j in zip([0, *at], [*at, len(body)], strict=True)])
+def make_state(rng: Random) -> tuple[str, bytes]:
+    """Give the name of one of the studio's files, and spoil what it holds."""
+    name = one_of(rng, list(_FILES))
+    if rng.random() < 0.3:
+        return name, spoilt(rng, [json.dumps(document).encode() for document in _FILES[name]], _WORDS)
+    return name, spoilt_json(rng, _FILES[name])
 
 
-def _visible(target: bytes) -> bytes:
-    """Target as the server lets it in: of visible ASCII."""
-    return bytes(byte for byte in target if 0x21 <= byte <= 0x7E)
+def check_state(given: tuple[str, bytes]) -> None:
+    """Open the project and show all of it; a damaged file is told and passed over."""
+    from liaam.studio.model_store import ModelStore, load_studio_model
+    from liaam.studio.project import Project
+
+    name, data = given
+    root = Path("project")
+    _fresh(root)
+    (root / ".liaam-studio" / name).write_bytes(data)
+    project = Project(root)
+    load_studio_model(project, ModelStore())
+    overview = project.overview()
+    answers: list[Any] = [overview.pictures, project.template_json(), project.problems, project.id]
+    answers += [project.marks(picture["name"]) for picture in overview.pictures]
+    json.dumps(answers, allow_nan=False).encode()  # what the page is told
+    if project.template is not None and len(project.template) == 3:
+        project.save_marks("p1.png", {"points": POINTS, "invisible": [], "revision": None})
+
+
+def _fresh(root: Path) -> None:
+    """Make a project of two small pictures, as if it were new."""
+    shutil.rmtree(root, ignore_errors=True)
+    (root / ".liaam-studio").mkdir(parents=True)
+    for name in ("p1.png", "p2.png"):
+        (root / name).write_bytes(_png())
 
 
 @cache
 def _png() -> bytes:
-    from liaam.studio.pictures import png_bytes
+    import cv2
 
-    return png_bytes(np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8))
-
-
-@cache
-def _app(folder: str) -> Any:
-    """Give the studio on a folder of one picture."""
-    from fuzz.engine import tiny
-    from liaam.studio.app import make_app, make_studio
-    from liaam.studio.settings import Settings
-
-    home = Path(folder) / "project"
-    home.mkdir()
-    (home / "p1.png").write_bytes(_png())
-    tiny().save(Path(folder) / "m.liaam")
-    return make_app(make_studio(home, Path(folder) / "m.liaam", Settings(token=TOKEN, drain_seconds=0.1)))
+    return cv2.imencode(".png", np.full((24, 32, 3), 90, np.uint8))[1].tobytes()
 
 
-async def _answer(app: Any, request: Request) -> tuple[int, dict[bytes, bytes], bytes]:
-    path, _, query = request.target.partition(b"?")
-    parts, sent = list(request.body), []
-
-    async def receive() -> dict:
-        if not parts:
-            return {"type": "http.disconnect"}
-        return {"type": "http.request", "body": parts.pop(0), "more_body": bool(parts)}
-
-    async def send(message: dict) -> None:
-        sent.append(message)
-
-    scope = {
-        "type": "http",
-        "asgi": {"version": "3.0", "spec_version": "2.3"},
-        "http_version": "1.1",
-        "scheme": "http",
-        "method": request.method,
-        "path": unquote(path.decode("latin-1")),
-        "raw_path": path,
-        "root_path": "",
-        "query_string": query,
-        "headers": request.headers,
-        "client": ("127.0.0.1", 1),
-        "server": ("127.0.0.1", 8765),
-    }
-    await app(scope, receive, send)
-    begin, *rest = sent
-    body = b"".join(message.get("body", b"") for message in rest)
-    return begin["status"], {name.lower(): value for name, value in begin["headers"]}, body
-
-
-def check(request: Request) -> None:
-    """Ask; what goes wrong is told with a sentence, and is never the studio's own fault."""
+def check_template(data: bytes) -> None:
+    """Read a template that was sent, and give it as JSON again."""
     from liaam.errors import LiaamError
+    from liaam.studio.template import parse_template
 
-    status, headers, body = asyncio.run(_answer(_app(str(Path.cwd())), request))
-    assert status < 500, (status, body[:200])
-    assert b"content-security-policy" in headers
-    names = {path.name for path in Path.cwd().iterdir()}
-    assert names <= {"project", "m.liaam", "trace.txt"}, names
-    if status >= 400 and headers.get(b"content-type") == b"application/json":
-        raise LiaamError(json.loads(body)["error"])
-
-
-def prepare() -> None:
-    """Put the studio together, and ask for each thing once."""
-    for target in _TARGETS:
-        for method, body in (("GET", b""), ("POST", b"{}"), ("POST", json.dumps(_BODIES[2]).encode())):
-            headers = [(b"host", HOST.encode()), (b"authorization", f"Bearer {TOKEN}".encode())]
-            request = Request(method, target, [*headers, (b"content-type", b"application/json")], [body])
-            asyncio.run(_answer(_app(str(Path.cwd())), request))
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError) as fault:
+        raise LiaamError("no JSON") from fault
+    template = parse_template(content, 1000)
+    assert parse_template(deepcopy(template.as_json()), 1000) == template
+    json.dumps(template.as_json(), allow_nan=False).encode()
 
 
-TARGETS = (Target("requests", make, check, prepare, ".txt", 0.2),)
+TARGETS = (
+    Target("studio-state", make_state, check_state, lambda: check_state(("id", b'"0123456789abcdef"')), share=0.2),
+    Target(
+        "studio-template",
+        partial(lambda documents, rng: spoilt_json(rng, documents), [TEMPLATE]),
+        check_template,
+        lambda: check_template(json.dumps(TEMPLATE).encode()),
+        ".json",
+    ),
+)

@@ -10,7 +10,10 @@ from typing import Any
 
 import numpy as np
 
-MODULES = ("fuzz.landmarks", "fuzz.engine", "fuzz.studio")
+MODULES = (
+    *("fuzz.landmarks", "fuzz.pictures", "fuzz.files", "fuzz.studio", "fuzz.commands"),
+    *("fuzz.engine", "fuzz.requests"),
+)
 """Modules whose ``TARGETS`` are fuzzed."""
 
 

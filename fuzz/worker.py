@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import faulthandler
 import os
@@ -106,7 +107,13 @@ def _keep(job: Job) -> int:
 
 
 def _run(job: Job, pipe: Connection, progress: Any, limits: Limits) -> int:
-    target = job.target
+    target, folder = job.target, Path(job.name)
+    folder.mkdir(exist_ok=True)
+    with contextlib.chdir(folder):  # targets do not find each other's files
+        return _run_there(job, target, pipe, progress, limits)
+
+
+def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits: Limits) -> int:
     target.prepare()
     _forget_peak()
     base, size = _memory("VmRSS"), _memory("VmSize")

@@ -1,0 +1,332 @@
+"""Other files that are read: lamps, starts, journals, summaries, tables of patches and sensitivities, lists."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import tempfile
+from contextlib import closing
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fuzz import landmarks
+from fuzz.mutate import NUMBERS, TEXTS, Random, one_of, spoilt, spoilt_json
+from fuzz.target import Target
+from liaam.errors import LiaamError
+
+# Lamps --------------------------------------------------------------------------------------------
+
+_ABOUT = {"format": "liaam-lamps", "schema": 1, "names": ["left", "right"]}
+
+
+def _safetensors(tensors: dict[str, np.ndarray], about: Any) -> bytes:
+    from safetensors.numpy import save
+
+    return save(tensors, {"liaam": about if isinstance(about, str) else json.dumps(about)})
+
+
+@cache
+def _lamps() -> bytes:
+    return _safetensors({"mean": _MEAN, "fields": np.zeros((2, 128, 128, 3), np.float16)}, _ABOUT)
+
+
+_MEAN = np.array([[-0.4, -0.3], [0.4, -0.3], [0.0, 0.4]])
+
+
+def make_lamps(rng: Random) -> bytes:
+    """Spoil a file of lamps: its bytes, what it says of itself, or its tensors."""
+    kind = rng.random()
+    if kind < 0.3:
+        return spoilt(
+            rng, [_lamps()], (b'"mean"', b'"fields"', b'"F16"', b'"F64"', b'"BF16"', b'"data_offsets"', b"[0,0]")
+        )
+    about = spoilt_json(rng, [_ABOUT]).decode("utf-8", "replace") if kind < 0.7 else json.dumps(_ABOUT)
+    mean = (
+        _MEAN if rng.random() < 0.5 else rng.choice([0.0, 1.0, 1e-300, np.nan, np.inf], size=(int(rng.integers(5)), 2))
+    )
+    shape = (
+        (2, 128, 128, 3) if rng.random() < 0.5 else tuple(rng.choice([0, 1, 2, 3, 128], size=int(rng.integers(1, 5))))
+    )
+    values = rng.choice([0.0, 1.0, -1.0, np.nan, np.inf, 6e4], p=[0.8, 0.05, 0.05, 0.02, 0.02, 0.06], size=2)
+    fields = np.full(shape, values[0], one_of(rng, (np.float16, np.float16, np.float32, np.uint8)))
+    return _safetensors({"mean": mean, "fields": fields}, about)
+
+
+def check_lamps(data: bytes) -> None:
+    """Load lamps; those that are accepted can light a picture."""
+    from liaam.lamps import load_lamps
+
+    path = Path("x.lamps")
+    path.write_bytes(data)
+    lamps = load_lamps(path)
+    points = np.random.default_rng(0).uniform(4, 28, (len(lamps.mean), 2))
+    (lit,) = lamps.relit(np.full((32, 32, 3), 90, np.uint8), points, [len(lamps) - 1])
+    assert lit.shape == (32, 32, 3) and lit.dtype == np.uint8
+
+
+# Starts -------------------------------------------------------------------------------------------
+
+
+def _number(rng: Random) -> str:
+    return (
+        one_of(rng, NUMBERS).decode("utf-8", "replace")
+        if rng.random() < 0.3
+        else str(round(float(rng.normal(50, 60)), 1))
+    )
+
+
+def make_start(rng: Random) -> tuple[str, bytes]:
+    """Give a start as people write it, and what the file of that name holds."""
+    numbers = ",".join(_number(rng) for _ in range(int(rng.integers(2, 6))))
+    kind = rng.random()
+    if kind < 0.4:
+        return numbers, b""
+    if kind < 0.7:
+        return "start.box", spoilt(
+            rng, [b"1,2,30,40\n", b"5 6 70\n"], (b",", b" ", b"\n")
+        ) if kind < 0.6 else numbers.encode()
+    suffix = one_of(rng, (".pts", ".csv", ".ljson", ".xml", ".json"))
+    if kind < 0.9:
+        return f"start{suffix}", landmarks.make(suffix, rng)
+    return one_of(rng, ("a" * 300, "x\0y", "", ".", "/", "/dev/zero", "/dev/null", "\udcff", "~", "*", *TEXTS)), b""
+
+
+def check_start(given: tuple[str, bytes]) -> None:
+    """Read a start as the command line does."""
+    from liaam.io import check_start, read_start
+
+    text, data = given
+    for path in Path().glob("start.*"):
+        path.unlink()
+    if data:
+        Path(text).write_bytes(data)
+    check_start(text)
+    read_start(text, Path("x.png"), (640, 480))
+
+
+# What a batch or an experiment keeps --------------------------------------------------------------
+
+_FACTS = {"liaam": "0.1.0", "model": "ab", "method": "soft-li", "init": None, "camera": {"theta_deg": 122.0}}
+_COLUMNS = (
+    *("path", "status", "message", "quality", "found", "theta_deg", "cost", "iterations", "landmarks", "covariance"),
+    "seconds",
+)
+_ROW = {
+    **dict.fromkeys(_COLUMNS),
+    "path": "01.png",
+    "status": "ok",
+    "message": "",
+    "quality": 0.9,
+    "landmarks": [1.0, 2.0],
+}
+
+
+@cache
+def _journal() -> bytes:
+    from liaam.batch.journal import Journal
+
+    with tempfile.TemporaryDirectory() as folder:
+        with Journal(Path(folder) / "x.parts") as journal:
+            journal.restart(_FACTS)
+            journal.list([f"{i}.png" for i in range(5)], lambda path: None)
+            journal.keep(["0.png", "1.png"], [("converged", json.dumps(_ROW)), ("error", json.dumps(_ROW))])
+        return (Path(folder) / "x.parts" / "journal.sqlite").read_bytes()
+
+
+def make_journal(rng: Random) -> bytes:
+    """Spoil a batch's journal: its bytes, or what stands in its cells."""
+    if rng.random() < 0.5:
+        return spoilt(rng, [_journal()], (b"SQLite format 3\0", b"CREATE TABLE", b"pictures", b"facts", b"null"))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.sqlite"
+        path.write_bytes(_journal())
+        with closing(sqlite3.connect(path)) as base:
+            table, column = one_of(
+                rng, [("facts", "text"), *(("pictures", name) for name in ("place", "path", "state", "row", "status"))]
+            )
+            values = (None, 7, 1.5, b"\xff\xfe", "", "{", "[]", "null", "x" * 10_000, json.dumps(_FACTS), b"", "a\0b")
+            which = "WHERE rowid = 1" if rng.random() < 0.7 else ""
+            text = (
+                one_of(rng, values)
+                if rng.random() < 0.6
+                else spoilt_json(rng, [_FACTS, _ROW]).decode("utf-8", "replace")
+            )
+            try:
+                base.execute(f"UPDATE OR REPLACE {table} SET {column} = ? {which}", (text,))
+                base.execute("PRAGMA journal_mode = DELETE")
+                base.commit()
+            except (sqlite3.Error, UnicodeEncodeError):
+                pass
+        return path.read_bytes()
+
+
+def check_journal(data: bytes) -> None:
+    """Go on with it, as ``liaam batch`` does, up to the table."""
+    from liaam.batch.journal import Journal
+    from liaam.batch.tables import Table, is_row, write_table
+
+    folder = Path("x.parts")
+    folder.mkdir(exist_ok=True)
+    for path in folder.iterdir():
+        path.unlink()
+    (folder / "journal.sqlite").write_bytes(data)
+    with Journal(folder) as journal:
+        _ = journal.facts, journal.statuses, journal.total
+        journal.list([f"{i}.png" for i in range(1, 6)], lambda path: None)
+        for chunk in journal.todo(2):
+            journal.keep(chunk, [("error", json.dumps(_ROW)) for _ in chunk])
+        rows = list(journal.rows())
+        if not all(is_row(row, 1, True) for row in rows):
+            raise journal.damage("a row")
+        for suffix in (".csv", ".jsonl"):
+            write_table(Path(f"x{suffix}"), Table(rows, 1, True, _FACTS))
+        journal.digest()
+
+
+_SUMMARY = {"settings": _FACTS, "statuses": {"converged": 3, "error": 1}, "pictures": "ab", "bytes": 4}
+
+
+def make_summary(rng: Random) -> bytes:
+    """Spoil the summary beside a table."""
+    if rng.random() < 0.3:
+        return spoilt(rng, [json.dumps(_SUMMARY).encode()], (b"[", b"{", b"null", b'"bytes"', b'"settings"'))
+    return spoilt_json(rng, [_SUMMARY])
+
+
+def check_summary(data: bytes) -> None:
+    """Ask whether a batch is complete, as one that is given again does."""
+    from liaam.batch.run import earlier_summary
+
+    Path("x.csv").write_bytes(b"a,b\n")
+    Path("x.csv.json").write_bytes(data)
+    earlier = earlier_summary(Path("x.csv"))
+    if earlier is None:
+        raise LiaamError("none")
+    assert sum(earlier["statuses"].values()) >= 0
+    assert isinstance(earlier["settings"], dict)
+
+
+_OUTCOME = {"key": "a", "rows": [{"x": 1, "y": "b"}], "fault": None}
+
+
+def make_experiment(rng: Random) -> bytes:
+    """Spoil an experiment's journal."""
+    lines = [json.dumps({**_OUTCOME, "key": key}).encode() for key in "abc"]
+    lines = [spoilt_json(rng, [_OUTCOME]) if rng.random() < 0.3 else line for line in lines]
+    return spoilt(rng, [b"\n".join([*lines, b""])], (b"\n", b"{", b"}", b'"key"'))
+
+
+_LINE = json.dumps(_OUTCOME).encode() + b"\n"
+
+
+def check_experiment(data: bytes) -> None:
+    """Open it; a journal with a damaged line keeps those before."""
+    from liaam.experiments.runner import Journal
+
+    path = Path("x.jsonl")
+    path.write_bytes(data)
+    with Journal(path) as journal:
+        if not journal.outcomes:
+            raise LiaamError("nothing is kept")
+        assert all(isinstance(key, str) for key in journal.outcomes)
+        assert all(isinstance(row, dict) for outcome in journal.outcomes.values() for row in outcome.rows)
+
+
+# Tables and lists ---------------------------------------------------------------------------------
+
+_PATCHES = (b"x0,y0,x1,y1\n1,2,3,4\n5,6,7,8\n", b"1,2,3,4\n")
+_CELLS = (b",", b";", b"\t", b"\n", b'"', b"\xef\xbb\xbf", b"#")
+
+
+def check_patches(data: bytes) -> None:
+    """Read boxes of patches."""
+    from liaam.cli_inputs import read_patches
+
+    path = Path("x.csv")
+    path.write_bytes(data)
+    assert read_patches(path).shape[1] == 4
+
+
+@cache
+def _sensitivities() -> tuple[bytes, ...]:
+    nm = np.arange(400, 701, 10)
+    curves = np.stack([np.exp(-(((nm - middle) / 40.0) ** 2)) for middle in (600, 540, 450)], axis=1)
+    rows = [f"{x},{r:.4f},{g:.4f},{b:.4f}" for x, (r, g, b) in zip(nm, curves, strict=True)]
+    return ("\n".join(["# made by hand", "wavelength_nm,R,G,B", *rows]).encode(),)
+
+
+def check_sensitivities(data: bytes) -> None:
+    """Read a camera's sensitivities."""
+    from liaam.photometry.spectral import read_sensitivities
+
+    path = Path("x.csv")
+    path.write_bytes(data)
+    read_sensitivities(path)
+
+
+def check_list(data: bytes) -> None:
+    """List pictures, keep them in a journal's order, and look for each as if it were named."""
+    from liaam.batch import find_pictures, listed_pictures
+    from liaam.batch.journal import Journal
+
+    with Journal(Path("y.parts")) as journal:
+        journal.list(listed_pictures(data.splitlines(keepends=True)), lambda name: None)
+        listed = [path for chunk in journal.todo(100) for path in chunk]
+        journal.remove()
+    for path in listed[:3]:
+        _ = list(find_pictures(path.lstrip("/").replace("..", "_") or "x"))
+
+
+def _prepare_list() -> None:
+    for name in ("01.png", "1.png", "2.png", "folder/02.png"):
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).touch()
+    check_list(_LISTS[1])
+
+
+def _bytes(corpus: tuple[bytes, ...], words: tuple[bytes, ...], rng: Random) -> bytes:
+    return spoilt(rng, corpus, words)
+
+
+def _make_sensitivities(rng: Random) -> bytes:
+    return spoilt(rng, _sensitivities(), (*_CELLS, b"wavelength_nm", b"R", b"400", b"-1"))
+
+
+_LISTS = (b"01.png\nfolder/02.png\n./03.png\n", b"\xef\xbb\xbf1.png\r\n\r\n2.png")
+
+TARGETS = (
+    Target("lamps", make_lamps, check_lamps, lambda: check_lamps(_lamps()), ".lamps", share=0.2),
+    Target("starts", make_start, check_start, lambda: check_start(("start.box", b"1,2,30")), ".txt"),
+    Target("journals", make_journal, check_journal, lambda: check_journal(_journal()), ".sqlite", share=0.2),
+    Target("summaries", make_summary, check_summary, lambda: check_summary(json.dumps(_SUMMARY).encode()), ".json"),
+    Target(
+        "experiment-journals", make_experiment, check_experiment, lambda: check_experiment(_LINE), ".jsonl", share=0.3
+    ),
+    Target(
+        "patches",
+        partial(_bytes, _PATCHES, _CELLS),
+        check_patches,
+        lambda: check_patches(_PATCHES[0]),
+        ".csv",
+        share=0.5,
+    ),
+    Target(
+        "sensitivities",
+        _make_sensitivities,
+        check_sensitivities,
+        lambda: check_sensitivities(_sensitivities()[0]),
+        ".csv",
+        share=0.3,
+    ),
+    Target(
+        "lists",
+        partial(_bytes, _LISTS, (b"\n", b"\r", b"/", b"./", b"1")),
+        check_list,
+        _prepare_list,
+        ".txt",
+        share=0.2,
+    ),
+)
