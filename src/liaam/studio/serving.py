@@ -176,7 +176,7 @@ def _give_memory_back() -> None:
     """Have large blocks go back to the system when they are freed.
 
     Each thread of glibc keeps blocks of up to 32 MB to itself otherwise, and pictures are decoded in many threads, in
-    blocks of 16 MB: under 200 uploads at once that came to 2.0 GB instead of 0.8.
+    blocks of 16 MB: under 200 uploads at once that came to 2.0 GB instead of 0.9.
     """
     import ctypes
 
