@@ -110,12 +110,15 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     "methods": (),
     "nonsense": (),
 }
+_SOUND = ("methods", "--version", "fit --help", "invariant x.png -o out.png")
 _FLAGS = ("--all", "--recursive")
 _FILED = ("--init", "--camera", "--list", "--image", "--lit", "--lamps", "--like", "--patches")
 
 
 def make(rng: Random) -> list[str]:
     """Give the arguments of a command."""
+    if rng.random() < 0.2:
+        return one_of(rng, _SOUND).split()
     command = one_of(rng, list(_COMMANDS))
     arguments = command.split()
     arguments += [one_of(rng, _INPUTS) for _ in range(int(rng.integers(0, 4)))]

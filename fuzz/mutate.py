@@ -168,7 +168,7 @@ def _spoil(rng: Random, value: Any) -> Any:
     if rng.random() < 0.1:
         del value[key]
     elif rng.random() < 0.05 and isinstance(value, list):
-        value[key:key] = value[key : key + 1] * int(rng.integers(1, 50))
+        value[key:key] = value[key : key + 1] * int(rng.integers(1, max(2, 2000 // len(value))))
     elif rng.random() < 0.05 and isinstance(value, dict):
         value[one_of(rng, TEXTS)] = value.pop(key)
     else:

@@ -21,6 +21,9 @@ CHUNK = 1000
 _LOOK = 0.05
 """Seconds between looks at the clock."""
 
+_SCRATCH = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+"""Where children have their folders: in memory, or files would take most of the time."""
+
 _PREPARING = 300.0
 """Seconds that a child may prepare itself."""
 
@@ -92,7 +95,7 @@ class _Child:
         spawn = get_context("spawn")  # nothing of the parent's, not even its memory
         self.limits = limits
         self.job: Job | None = None
-        self._folder = tempfile.TemporaryDirectory(prefix="liaam-fuzz-")
+        self._folder = tempfile.TemporaryDirectory(prefix="liaam-fuzz-", dir=_SCRATCH)
         self._progress = spawn.RawValue(Progress)
         self._progress.case = -1
         self._pipe, theirs = spawn.Pipe()

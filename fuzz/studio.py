@@ -13,6 +13,7 @@ import numpy as np
 
 from fuzz.mutate import Random, one_of, spoilt, spoilt_json
 from fuzz.target import Target
+from liaam.errors import LiaamError
 
 POINTS = [[1.0, 2.0], [30.5, 2.25], [15.0, 20.0]]
 TEMPLATE = {
@@ -73,6 +74,8 @@ def check_state(given: tuple[str, bytes]) -> None:
     json.dumps(answers, allow_nan=False).encode()  # what the page is told
     if project.template is not None and len(project.template) == 3:
         project.save_marks("p1.png", {"points": POINTS, "invisible": [], "revision": None})
+    if project.problems:
+        raise LiaamError(project.problems[0])
 
 
 def _fresh(root: Path) -> None:
@@ -92,7 +95,6 @@ def _png() -> bytes:
 
 def check_template(data: bytes) -> None:
     """Read a template that was sent, and give it as JSON again."""
-    from liaam.errors import LiaamError
     from liaam.studio.template import parse_template
 
     try:

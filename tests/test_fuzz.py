@@ -75,7 +75,7 @@ def test_a_case_depends_on_target_seed_and_number_alone(name):
 
 @pytest.fixture(scope="module")
 def all_targets():
-    cases = {name: max(10, round(120 * target.share)) for name, target in TARGETS.items()}
+    cases = {name: max(40, round(120 * target.share)) for name, target in TARGETS.items()}
     return run([Job(name, 1, 0, n) for name, n in cases.items()], n_children=2)
 
 
