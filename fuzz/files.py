@@ -224,7 +224,7 @@ _LINE = json.dumps(_OUTCOME).encode() + b"\n"
 
 def check_experiment(data: bytes) -> None:
     """Open it; a journal with a damaged line keeps those before."""
-    from liaam.experiments.runner import Journal
+    from experiments.runner import Journal
 
     path = Path("x.jsonl")
     path.write_bytes(data)

@@ -5,8 +5,8 @@ import os
 import time
 
 import numpy as np
-from fuzz.target import Target
 
+from fuzz.target import Target
 from liaam.errors import LiaamError
 
 KEPT: list[np.ndarray] = []

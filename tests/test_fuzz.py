@@ -1,6 +1,7 @@
 """Hostile inputs: some hundred cases of every target, and the fuzzer itself, which has to notice whatever happens."""
 
 import pytest
+
 from fuzz.__main__ import keep, main, report
 from fuzz.parent import run
 from fuzz.target import MODULES, targets_of
