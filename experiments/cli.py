@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from liaam.cli.terminal import console, make_app, run_app, say, stoppable_progress, table_of
 from liaam.errors import MethodError
-from liaam.terminal import console, make_app, run_app, say, stoppable_progress, table_of
 
 if TYPE_CHECKING:
     from experiments.runner import Experiment

@@ -167,7 +167,7 @@ def _scene() -> None:
 
 def check(arguments: list[str]) -> None:
     """Run the command line as ``liaam`` does; it ends with a status, says why, and sends no escape sequence."""
-    from liaam.cli import main
+    from liaam.cli.main import main
     from liaam.errors import LiaamError
 
     _scene()

@@ -243,7 +243,7 @@ _CELLS = (b",", b";", b"\t", b"\n", b'"', b"\xef\xbb\xbf", b"#")
 
 def check_patches(data: bytes) -> None:
     """Read boxes of patches."""
-    from liaam.cli_inputs import read_patches
+    from liaam.cli.inputs import read_patches
 
     path = Path("x.csv")
     path.write_bytes(data)

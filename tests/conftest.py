@@ -17,7 +17,7 @@ import pytest
 from hypothesis import settings
 
 from experiments import cli as experiments_cli
-from liaam import cli
+from liaam.cli.main import main as liaam_main
 from liaam.datasets import Sample
 from liaam.datasets.scenes import (
     DIFFUSE,
@@ -147,7 +147,7 @@ def clip(moving, tmp_path_factory) -> Path:
 @pytest.fixture
 def run(monkeypatch, capsys):
     """Run 'liaam ...' in this process; gives (exit status, standard output, standard error)."""
-    return partial(_run, cli.main, monkeypatch, capsys)
+    return partial(_run, liaam_main, monkeypatch, capsys)
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from liaam import cli
-from liaam.cli_inputs import unique_stems
+from liaam.cli.inputs import unique_stems
+from liaam.cli.train import parse_prior
 from liaam.datasets.scenes import Head, lateral, make_set, render
 from liaam.io import read_image, read_landmarks, write_image, write_landmarks
 
@@ -75,7 +75,7 @@ def test_training_that_is_stopped_leaves_one_line_and_no_file(run, portraits, tm
     ],
 )
 def test_priors_are_for_all_views_or_for_one(given, priors):
-    assert cli.parse_prior(given) == priors
+    assert parse_prior(given) == priors
 
 
 def test_a_prior_of_no_view_is_refused(run, portraits, tmp_path):
@@ -345,8 +345,8 @@ WITHOUT_POWERS = """
 import ctypes, os
 if os.getuid() == 0:  # may read anything, unless it gives its capabilities up
     assert ctypes.CDLL(None).capset((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()) == 0
-from liaam import cli
-cli.main()
+from liaam.cli.main import main
+main()
 """
 
 

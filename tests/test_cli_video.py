@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from liaam import cli_video
+from liaam.cli import video as cli_video
 from liaam.evaluation import ranges_of
 from liaam.io import VideoFrame, VideoReader, video_writer, write_landmarks
 from liaam.tracking import Tracker, TrackingOptions, stretches

@@ -13,10 +13,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 
 LAYERS = (
     ("__main__",),
-    (
-        *("cli", "cli_batch", "cli_check", "cli_inputs", "cli_lamps", "cli_photometry"),
-        *("cli_relight", "cli_studio", "cli_video", "studio", "terminal"),
-    ),
+    ("cli", "studio"),
     ("demo", "batch", "tracking"),
     ("plotting", "plotting_photometry", "plotting_video"),
     ("calibration",),

@@ -1,5 +1,5 @@
 """``python -m liaam`` is the command ``liaam``."""
 
-from liaam.cli import main
+from liaam.cli.main import main
 
 main()

@@ -289,7 +289,7 @@ def command(folder):
     started = []
 
     def start(*arguments):
-        code = "from liaam.cli import main; main()"
+        code = "from liaam.cli.main import main; main()"
         line = [sys.executable, "-c", code, "studio", *map(str, arguments), "--no-browser"]
         process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         started.append(process)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from liaam.cli_inputs import (
+from liaam.cli.inputs import (
     camera_for,
     check_camera_output,
     check_output,
@@ -21,8 +21,8 @@ from liaam.cli_inputs import (
     starting_camera,
     unique_stems,
 )
+from liaam.cli.terminal import complain, console, say, stoppable_progress, table_of
 from liaam.errors import CameraError, LiaamError
-from liaam.terminal import complain, console, say, stoppable_progress, table_of
 
 if TYPE_CHECKING:
     import numpy as np

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from liaam.cli_inputs import camera_for, check_output, read_init
+from liaam.cli.inputs import camera_for, check_output, read_init
+from liaam.cli.terminal import Progress, complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
-from liaam.terminal import Progress, complain, console, progress_bar, say, table_of
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult

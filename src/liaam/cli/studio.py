@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from liaam.terminal import complain, say
+from liaam.cli.terminal import complain, say
 
 
 def studio(

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from liaam.cli.terminal import say
 from liaam.errors import CameraError, LiaamError
-from liaam.terminal import say
 
 if TYPE_CHECKING:
     import numpy as np

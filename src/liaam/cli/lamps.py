@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli_inputs import RecursiveOption, check_output, read_folder
+from liaam.cli.inputs import RecursiveOption, check_output, read_folder
+from liaam.cli.terminal import progress_bar, say
 from liaam.errors import LiaamError
-from liaam.terminal import progress_bar, say
 
 if TYPE_CHECKING:
     from liaam.datasets import Sample

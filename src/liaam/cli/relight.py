@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli_inputs import DOUBT, camera_for, check_output, numbers_in, read_init, refuse_inputs
+from liaam.cli.inputs import DOUBT, camera_for, check_output, numbers_in, read_init, refuse_inputs
+from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
-from liaam.terminal import complain, progress_bar, say
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli_inputs import RotationsOption
+from liaam.cli.inputs import RotationsOption
+from liaam.cli.terminal import complain, say, stoppable_progress
 from liaam.errors import LiaamError
-from liaam.terminal import complain, say, stoppable_progress
 
 
 def batch(

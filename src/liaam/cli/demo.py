@@ -1,0 +1,26 @@
+"""``liaam demo``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from liaam.cli.fit import angle_degrees
+from liaam.cli.terminal import console, progress_bar, say, table_of
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the figure.")] = Path("liaam-demo"),
+) -> None:
+    """Train on simulated portraits under one light, fit under another: grey and RGB drift, LI holds."""
+    from liaam.demo import run_demo
+
+    with progress_bar() as tell:
+        rows, start_error = run_demo(output, tell)
+    table = table_of("method", "error (px)", "status", "theta")
+    table.add_row("start", f"{start_error:.2f}", "", "")
+    for row in rows:
+        angle = angle_degrees(row.result)
+        table.add_row(row.method, f"{row.error:.2f}", str(row.result.status), f"{angle:.1f}°" if angle else "–")
+    console.print(table)
+    say(f"written to {output / 'figure.png'}")

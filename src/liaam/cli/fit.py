@@ -1,0 +1,182 @@
+"""``liaam fit``: fits to pictures, and what is written of them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from liaam.cli.inputs import DOUBT, RotationsOption, camera_for, read_init, unique_stems
+from liaam.cli.terminal import cell, complain, console, progress_bar, say, table_of
+from liaam.errors import LiaamError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from liaam.fitting import FitResult, Fitter
+
+
+def fit(
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Images to fit.")],
+    init: Annotated[
+        str | None,
+        typer.Option(
+            help="Where to start: a box x0,y0,x1,y1 around the landmarks; a centre and the box's diagonal x,y,size; "
+            "a landmark file; or a folder with a landmark file for each image. Searched for if left out."
+        ),
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Fit every object that the search finds; results are numbered NAME_1 and on.")
+    ] = False,
+    method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "soft-li",
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
+    rotations: RotationsOption = "upright",
+    iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
+    history: Annotated[bool, typer.Option("--history", help="Also write each iteration's cost and shape.")] = False,
+    ellipses: Annotated[
+        bool, typer.Option("--ellipses", help="Draw the ellipse that holds each landmark with 95 % probability.")
+    ] = False,
+    camera_file: Annotated[
+        Path | None, typer.Option("--camera", help="Camera file of these images' camera, if not the training camera's.")
+    ] = None,
+    response: Annotated[
+        str | None, typer.Option(help="Response of these images' camera, if not the training camera's.")
+    ] = None,
+) -> None:
+    """Fit a model to images; writes landmarks (.pts, .csv, .json) and an overlay picture for each."""
+    from liaam.fitting import Fitter, SolverOptions
+    from liaam.io import make_folder
+    from liaam.model import load_model
+    from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
+
+    if every and init is not None:
+        raise LiaamError("--all searches for all objects, and --init says where one is; leave one of them out")
+    options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
+    camera = camera_for(images, camera_file, response, model.camera)
+    fitter = Fitter(model, method, options, camera=camera, rotations=rotations)
+    make_folder(output)
+    table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
+    advice: dict[str, list[str]] = {}
+    failed = 0
+    writing = Writing(output, history, ellipses)
+
+    def results_of(named: tuple[Path, str]) -> "list[FitResult] | LiaamError":
+        try:
+            return fit_file(fitter, named[0], init, every, writing, named[1])
+        except LiaamError as error:
+            return error
+
+    threads = min(len(images), all_cores())
+    # The search of a single picture may have all cores.
+    with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as tell:
+        tell(0, len(images), images[0].name)
+        done = in_order(results_of, zip(images, unique_stems(images), strict=True), threads)
+        for i, (image, results) in enumerate(zip(images, done, strict=True), 1):
+            tell(i, len(images), image.name)
+            if isinstance(results, LiaamError):
+                failed += 1
+                complain(f"error: {results}")
+                continue
+            for result in results:
+                table.add_row(cell(image.name), *row_of(result))
+                if not result.status.ok:
+                    failed += 1
+                    advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
+                if result.place_doubtful:
+                    advice.setdefault(DOUBT, []).append(image.name)
+    if table.row_count:
+        console.print(table)
+        say(f"written to {output}")
+    for text, names in advice.items():
+        complain(f"{', '.join(names[:5])}{' …' if len(names) > 5 else ''}: {text}")
+    if failed:
+        raise typer.Exit(1)
+
+
+def row_of(result: "FitResult") -> tuple[str, ...]:
+    """Start, status, quality, typical error of a landmark, iterations and angle of a fit, for the table."""
+    import numpy as np
+
+    start = "given" if result.found is None else f"found, {result.found.score:.2f}"
+    angle = f"{angle_degrees(result):.1f}°" if angle_degrees(result) is not None else "–"
+    quality = "unknown" if np.isnan(result.quality) else f"{result.quality:.2f}"
+    error = f"{np.median(result.deviations):.1f} px" if result.status.ok else "–"
+    return start, str(result.status), quality, error, str(result.n_iterations), angle
+
+
+@dataclass(frozen=True)
+class Writing:
+    """Where results of fits go, and what is written beside landmarks and picture."""
+
+    folder: Path
+    history: bool = False
+    ellipses: bool = False
+
+
+def fit_file(
+    fitter: "Fitter", image: Path, init: str | None, every: bool, writing: Writing, stem: str
+) -> "list[FitResult]":
+    """Fit one image file, from the start that is given, the one that is found, or all of these."""
+    from liaam.io import read_image
+
+    if not every:
+        refuse_to_overwrite(writing.folder, stem)
+        pixels = read_image(image)
+        start = None if init is None else read_init(init, image, pixels.shape[1::-1])
+        return [fit_one(fitter, pixels, start, image, writing, stem)]
+    pixels = read_image(image)
+    found = fitter.find_all(pixels, name=image.name)
+    stems = [f"{stem}_{i}" for i in range(1, len(found) + 1)]
+    for name in stems:
+        refuse_to_overwrite(writing.folder, name)
+    return [fit_one(fitter, pixels, start, image, writing, name) for start, name in zip(found, stems, strict=True)]
+
+
+def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, writing: Writing, stem: str) -> "FitResult":
+    """Fit one object of an image and write what belongs to it."""
+    from liaam.io import Contour, Landmarks, write_fit, write_image
+    from liaam.plotting import overlay
+
+    model = fitter.model
+    result = fitter.fit(pixels, start, image.name)
+    contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
+    write_fit(writing.folder, stem, Landmarks(result.shape, contours), result.facts(image.name))
+    drawn = result.landmark_covariances if writing.ellipses else None
+    write_image(writing.folder / f"{stem}_fit.png", overlay(pixels, result.shape, model, covariances=drawn))
+    if writing.history:
+        write_history(writing.folder / f"{stem}_history.csv", result)
+    return result
+
+
+def refuse_to_overwrite(output: Path, stem: str) -> None:
+    """Complain if landmarks that no fit has written would be lost (a person's own annotations, say)."""
+    if (output / f"{stem}_fit.png").exists():  # an earlier fit's results may be renewed
+        return
+    for suffix in (".pts", ".csv", ".json"):
+        if (output / f"{stem}{suffix}").exists():
+            raise LiaamError(
+                f"{output / stem}{suffix} exists and is not from an earlier fit; give another folder with -o to keep it"
+            )
+
+
+def angle_degrees(result: "FitResult") -> float | None:
+    """Estimated angle of the image's camera in degrees, or None for methods without one."""
+    from liaam.fitting.angles import angle_degrees as degrees
+
+    return degrees(result)
+
+
+def write_history(path: Path, result: "FitResult") -> None:
+    """Write one row per accepted iteration: level, cost, theta, and all landmarks."""
+    import numpy as np
+
+    from liaam.io import write_text_atomically
+
+    n = len(result.shape)
+    lines = [",".join(["iteration", "level", "cost", "theta_deg", *(f"{a}{i}" for i in range(n) for a in "xy")])]
+    for i, step in enumerate(result.history):
+        theta = f"{np.rad2deg(step.theta):.4f}" if np.isfinite(step.theta) else ""
+        coordinates = (f"{v:.3f}" for v in step.shape.ravel())
+        lines.append(",".join([str(i), str(step.level), f"{step.cost:.8g}", theta, *coordinates]))
+    write_text_atomically(path, "\n".join(lines) + "\n")

@@ -1,0 +1,46 @@
+"""The commands of ``liaam``, put together."""
+
+from typing import Annotated
+
+import typer
+
+from liaam import __version__
+from liaam.cli.batch import batch
+from liaam.cli.check import check
+from liaam.cli.demo import demo
+from liaam.cli.fit import fit
+from liaam.cli.lamps import lamps
+from liaam.cli.models import info, methods, show
+from liaam.cli.photometry import calibrate, invariant, register_command
+from liaam.cli.relight import relight
+from liaam.cli.studio import studio
+from liaam.cli.terminal import make_app, run_app, say
+from liaam.cli.train import train
+from liaam.cli.video import track
+
+app = make_app(help="Fit deformable models of faces and other objects to colour images under any light.")
+for command in (train, fit, batch, track, relight, studio, check, lamps, show, info, methods, demo, invariant):
+    app.command()(command)
+app.command("register")(register_command)
+app.add_typer(calibrate, name="calibrate")
+
+
+def version(show: bool) -> None:
+    """Print the version and stop."""
+    if show:
+        say(f"liaam {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """Fit deformable models of faces and other objects to colour images under any light."""
+
+
+def main() -> None:
+    """Run the command line; errors become one line and an exit status."""
+    run_app(app)

@@ -1,0 +1,116 @@
+"""``liaam show``, ``info`` and ``methods``: what models hold and methods do."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from liaam.cli.inputs import read_sample
+from liaam.cli.lamps import LAMPS_SUFFIX, draw_lamps, read_lamps
+from liaam.cli.terminal import cell, console, say, table_of
+from liaam.errors import LiaamError
+
+if TYPE_CHECKING:
+    from liaam.model import AAM
+    from liaam.photometry import CameraModel
+
+
+def show(
+    file: Annotated[Path, typer.Argument(help="Model of 'liaam train', or lamps of 'liaam lamps'.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Picture to write; beside the file if left out.")
+    ] = None,
+    image: Annotated[
+        Path | None,
+        typer.Option(help="Lamps: picture to draw them on, with landmarks beside it; plain grey if left out."),
+    ] = None,
+) -> None:
+    """Draw a model: mean, mesh, and what its shape and appearance modes do. Or lamps: a picture under all of them."""
+    from liaam.io.files import existing_file
+
+    existing_file(file, LiaamError, "model or file of lamps")
+    lit = file.suffix.lower() == LAMPS_SUFFIX
+    path = output or file.with_name(f"{file.stem}_{'lamps' if lit else 'model'}.png")
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise LiaamError(f"{path}: give a picture file that ends in .png, .svg or .pdf")
+    if lit:
+        draw_lamps(read_lamps(file), path, None if image is None else read_sample(image))
+    else:
+        from liaam.model import load_model
+        from liaam.plotting import figure_of_model, save_figure
+
+        if image is not None:
+            raise LiaamError("--image is for lamps; a model is drawn by itself")
+        save_figure(figure_of_model(load_model(file)), path)
+    say(f"written to {path}")
+
+
+def info(
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+) -> None:
+    """Describe a model file."""
+    from liaam.model import load_model
+
+    table = Table.grid(padding=(0, 2))
+    for key, value in describe(load_model(model_file), model_file).items():
+        table.add_row(key, cell(value))
+    console.print(table)
+
+
+def count_modes(model: "AAM") -> str:
+    """Shape modes, and those of views with others than the mesh."""
+    counts = {name: len(view.shape_model.modes) for name, view in model.views.items()}
+    others = [f"{count} of {name}" for name, count in counts.items() if count != len(model.shape_model.modes)]
+    return f"{len(model.shape_model.modes)}" + (f" ({', '.join(others)})" if others else "")
+
+
+def describe(model: "AAM", path: Path) -> dict[str, str]:
+    """Facts of a model in words."""
+    import numpy as np
+
+    appearances = model.levels[-1].appearances
+    spread = np.sqrt((model.shape_model.eigenvalues.sum()) / model.n_points)
+    width, height = model.frame.size
+    return {
+        "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
+        "trained on": f"{model.n_images} {'colour' if model.is_colour else 'grey'} images{_copies(model)}",
+        "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
+        "shape modes": f"{count_modes(model)} + 4 (position, size, turn); spread {spread:.1f} px",
+        "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
+        "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
+        "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
+        "camera": describe_camera(model.camera),
+    }
+
+
+def _copies(model: "AAM") -> str:
+    """Copies of the images that a model has learnt from, too."""
+    more = model.n_textures - model.n_images
+    return f", and {more} copies of them, mirrored or under other lamps" if more > 0 else ""
+
+
+def describe_camera(camera: "CameraModel") -> str:
+    """What is known of a camera, in a line."""
+    import numpy as np
+
+    error = "assumed" if camera.theta_deviation is None else f"± {np.rad2deg(camera.theta_deviation):.2f}°"
+    response = camera.response if isinstance(camera.response, (str, float)) else "measured"
+    known = [name for name in ("vignetting", "noise") if getattr(camera, name)]
+    return f"response {response}, theta {np.rad2deg(camera.theta):.1f}° ({error})" + "".join(f", {n}" for n in known)
+
+
+def methods() -> None:
+    """List the fitting methods."""
+    from liaam.fitting import METHODS
+    from liaam.fitting.losses import LOSSES
+    from liaam.fitting.methods import NOISE_SUFFIX
+
+    table = table_of("method", "compares", "what it is")
+    for method in METHODS.values():
+        table.add_row(method.name, f"{method.encoding}, {method.metric}", method.summary)
+    console.print(table)
+    say(
+        f"Any of them stands occlusion with one of {', '.join(f'+{name}' for name in LOSSES)}, such as grey+tukey; "
+        f"those of logarithms weigh pixels by the picture's noise with +{NOISE_SUFFIX}, such as li+{NOISE_SUFFIX}."
+    )

@@ -1,0 +1,144 @@
+"""``liaam train``."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from liaam.cli.check import warn_of_faults
+from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, camera_for, check_output, read_folder
+from liaam.cli.lamps import TrainingLampOption, read_lamps
+from liaam.cli.models import count_modes
+from liaam.cli.terminal import complain, say, stoppable_progress
+from liaam.errors import LiaamError
+
+
+def train(
+    folder: LandmarkedFolder,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write.")],
+    images: ImagesOption = None,
+    recursive: RecursiveOption = False,
+    variance: Annotated[
+        str,
+        typer.Option(
+            help="Share of the variance to keep (0.98), a whole number of modes (12), or 'auto': as many as make "
+            "left-out pictures likeliest."
+        ),
+    ] = "0.98",
+    appearance_variance: Annotated[
+        str | None, typer.Option(help="The same for the appearance; if left out as --variance, and 0.85 for soft-li.")
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What shapes may look like besides those of the pictures: sample (nothing else), smooth (smooth "
+            "deformations too), or shrunk (variances of shapes left out); for one of the model's views alone as "
+            "surroundings=sample (soft-li, the default method) or mesh=smooth (all others). Repeatable. If left out "
+            "sample, and smooth for soft-li unless all of the variance is kept or there are more than 200 landmarks."
+        ),
+    ] = None,
+    diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
+    camera_file: Annotated[
+        Path | None,
+        typer.Option("--camera", help="Camera file of 'liaam calibrate': angle, response, vignetting, noise."),
+    ] = None,
+    theta: Annotated[
+        float | None, typer.Option(help="Angle of the training camera, degrees; 122 for an unknown one.")
+    ] = None,
+    response: Annotated[
+        str | None, typer.Option(help="Camera response: srgb (unless a camera is given), linear, or a gamma.")
+    ] = None,
+    lamps: Annotated[
+        Path | None,
+        typer.Option(
+            help="Learn from the pictures as other lamps would show them, too: a file of 'liaam lamps', or a folder "
+            "of a few objects under various lamps, named by object and lamp, such as 037-00."
+        ),
+    ] = None,
+    training_lamp: TrainingLampOption = None,
+    copies: Annotated[
+        int | None,
+        typer.Option(
+            help="Copies of each picture under other lamps, every other one mirrored where the object is symmetric "
+            "(without --lamps one that is mirrored); 0 for none."
+        ),
+    ] = None,
+    leave_out: Annotated[
+        bool,
+        typer.Option(
+            help="Leave pictures out in turn and fit them, to learn how far fits can be trusted; takes twice as long."
+        ),
+    ] = True,
+    name: Annotated[str | None, typer.Option(help="What the model shows, for 'liaam info'.")] = None,
+) -> None:
+    """Train a model on a folder of landmarked images.
+
+    Landmarks: .pts, .asf, .tem, .ljson, .csv beside each image, or one dlib .xml, COCO .json or .csv for all.
+    """
+    import numpy as np
+
+    from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+    from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
+    from liaam.training import train as train_model
+
+    if theta is not None and not 60 <= theta <= 180:
+        raise LiaamError(f"--theta {theta:g}: give the camera's angle in degrees; cameras lie in 90 to 135")
+    options = {
+        "variance": parse_variance(variance),
+        "appearance_variance": None if appearance_variance is None else parse_variance(appearance_variance),
+        "theta": None if theta is None else float(np.deg2rad(theta)),
+    }
+    check_output(output)
+    if output.exists() and output.suffix.lower() in {*IMAGE_SUFFIXES, *LANDMARK_SUFFIXES}:
+        raise LiaamError(
+            f"{output} is an image or landmark file; name the model otherwise, such as {folder.name}.liaam"
+        )
+    data = read_folder(folder, images, recursive)
+    options["camera"] = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
+    light = None if lamps is None else read_lamps(lamps, training_lamp, recursive, options["camera"].response)
+    warn_of_faults(data, folder)
+    with stoppable_progress(counted=False) as tell:
+        model = train_model(
+            data,
+            prior=parse_prior(prior or []),
+            diagonal=diagonal,
+            lamps=light,
+            copies=copies,
+            name=name or folder.name,
+            leave_out=leave_out,
+            progress=tell,
+            **options,
+        )
+    model.save(output)
+    learnt = "" if light is None else f" and {model.n_textures - model.n_images} copies under {len(light)} lamps"
+    modes = f"{count_modes(model)} shape and {model.levels[-1].appearances['value'].n_modes} appearance modes"
+    say(f"{output}: {modes} from {model.n_images} images{learnt}, {model.n_pixels} pixels")
+    view = model.views[METHODS[DEFAULT_METHOD].view]
+    bound = view.shape_model.left_out_bound
+    say(
+        f"left-out bound: even a perfect fit to a new picture is {bound:.1f} pixels off "
+        f"({bound / model.diagonal:.1%} of the object's size)"
+    )
+    if leave_out and view.reliability is None:
+        complain("too few fits to pictures left out were right to tell right fits from wrong ones: give more pictures")
+
+
+def parse_prior(given: list[str]) -> dict[str, str] | None:
+    """Read priors of views: ``smooth`` for all, or ``mesh=smooth`` for one; None where nothing is given."""
+    from liaam.model import VIEWS
+
+    priors = {}
+    for text in given:
+        view, _, prior = text.rpartition("=")
+        priors |= {view: prior} if view else dict.fromkeys(VIEWS, prior)
+    return priors or None
+
+
+def parse_variance(text: str) -> float | int | Literal["auto"]:
+    """Read a share (with a point: 0.98, 1.0), a count (without: 12), or ``auto``."""
+    if text.strip() == "auto":
+        return "auto"
+    try:
+        return int(text) if text.strip().isdigit() else float(text)
+    except ValueError:
+        raise LiaamError(f"variance {text!r}: give a share such as 0.98, a whole number of modes, or 'auto'") from None
