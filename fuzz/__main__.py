@@ -79,7 +79,7 @@ def main(arguments: list[str], modules: tuple[str, ...] = MODULES) -> int:
     failures = [failure for tally in tallies.values() for failure in tally.failures]
     if not failures:
         return 0
-    keep(failures[:100], asked.keep, modules)
+    keep([f for f in failures if f.kind != "making"][:100], asked.keep, modules)
     print(f"\n{len(failures)} of {sum(t.cases for t in tallies.values())} cases failed; inputs are in {asked.keep}")
     return 1
 

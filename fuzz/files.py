@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fuzz import landmarks
-from fuzz.mutate import NUMBERS, TEXTS, Random, one_of, spoilt, spoilt_json
+from fuzz.mutate import LONGEST, NUMBERS, TEXTS, Random, one_of, spoilt, spoilt_json
 from fuzz.target import Target
 from liaam.errors import LiaamError
 
@@ -25,7 +25,8 @@ _ABOUT = {"format": "liaam-lamps", "schema": 1, "names": ["left", "right"]}
 def _safetensors(tensors: dict[str, np.ndarray], about: Any) -> bytes:
     from safetensors.numpy import save
 
-    return save(tensors, {"liaam": about if isinstance(about, str) else json.dumps(about)})
+    text = about if isinstance(about, str) else json.dumps(about)
+    return save(tensors, {"liaam": text[:LONGEST]})  # safetensors writes no longer header than some MB
 
 
 @cache

@@ -168,7 +168,8 @@ def _spoil(rng: Random, value: Any) -> Any:
     if rng.random() < 0.1:
         del value[key]
     elif rng.random() < 0.05 and isinstance(value, list):
-        value[key:key] = value[key : key + 1] * int(rng.integers(1, max(2, 2000 // len(value))))
+        most = 2 if isinstance(value[key], list | dict) else 1000  # what holds others would grow beyond all bounds
+        value[key:key] = value[key : key + 1] * int(rng.integers(1, most))
     elif rng.random() < 0.05 and isinstance(value, dict):
         value[one_of(rng, TEXTS)] = value.pop(key)
     else:

@@ -59,7 +59,7 @@ class Failure:
     seed: int
     case: int
     kind: str
-    """exception, time, memory, or the name of a signal."""
+    """exception, time, memory, the name of a signal, or making: the input could not be made."""
     what: str
     """An error and where, in a few lines."""
 
@@ -122,7 +122,11 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
     resource.setrlimit(resource.RLIMIT_AS, (size + 2 * limits.n_bytes, hardest))
     try:
         for case in range(job.first, job.stop):
-            data = target.input_of(job.seed, case)
+            try:
+                data = target.input_of(job.seed, case)
+            except Exception as error:  # the fuzzer's own fault, which must not cost what is known of other cases
+                pipe.send(Failure(job.name, job.seed, case, "making", _in_short(error)))
+                continue
             progress.wall, progress.processor = time.monotonic(), time.process_time()
             progress.case = case  # from here on the parent looks at the clock
             fault = _fault_of(target, data, progress)

@@ -63,7 +63,15 @@ def depart():
     raise SystemExit(0)
 
 
+def unmade(rng):
+    data = make(rng)
+    if data == Target("unmade", make, sound).input_of(0, 5):
+        raise ValueError("no input")
+    return data
+
+
 TARGETS = (
+    Target("unmade", unmade, sound),
     *(only(5, fault) for fault in (crash, leave, spin, sleep, gorge, swallow_lack, foreign, depart)),
     Target("sound", make, sound),
 )

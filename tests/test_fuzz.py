@@ -19,6 +19,7 @@ KINDS = {
     "swallow_lack": "memory",
     "foreign": "exception",
     "depart": "exception",
+    "unmade": "making",
 }
 
 
