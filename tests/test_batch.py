@@ -678,3 +678,12 @@ def test_a_damaged_summary_is_none(tmp_path, change):
     assert earlier_summary(output) is None
     (tmp_path / "r.csv.json").write_text("[" * 100_000)
     assert earlier_summary(output) is None
+
+
+def test_a_journal_whose_own_words_are_no_text_is_damaged(tmp_path):
+    with Journal(tmp_path / "r.parts"):
+        pass
+    file = tmp_path / "r.parts" / "journal.sqlite"
+    file.write_bytes(file.read_bytes().replace(b"facts (text", b"facts \xff(ext"))
+    with pytest.raises(LiaamError, match=r"is damaged.*begin anew"), Journal(tmp_path / "r.parts"):
+        pass

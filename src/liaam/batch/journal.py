@@ -223,7 +223,7 @@ class Journal:
             raise LiaamError(
                 f"{self.folder} cannot be written ({error.strerror or error}): check the rights and the free space"
             ) from error
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter of a message that repeats damaged bytes
             if "locked" in str(error):
                 raise LiaamError(
                     f"{self.folder} is in use: another batch works on the same output; wait for it, or give another "
