@@ -400,8 +400,8 @@ def _check_flat(mean: np.ndarray) -> None:
     along, across = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)
     if across < FLATTEST * along:
         raise TrainingError(
-            f"the landmarks lie almost on one line, {across / along:.1%} as wide as long on the whole; check their "
-            f"order and units, or add some beside it: {FLATTEST:.0%} are needed"
+            f"the landmarks lie on one line or in one place, or almost so ({across / along:.1%} as wide as long, "
+            f"and {FLATTEST:.0%} are needed); check their order and units, or add some beside that line"
         )
 
 

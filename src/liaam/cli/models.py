@@ -29,8 +29,10 @@ def show(
     """Draw a model: mean, mesh, and what its shape and appearance modes do. Or lamps: a picture under all of them."""
     from liaam.io.files import existing_file
 
-    existing_file(file, LiaamError, "model or file of lamps")
     lit = file.suffix.lower() == LAMPS_SUFFIX
+    if image is not None and not lit:
+        raise LiaamError("--image is for lamps; a model is drawn by itself")
+    existing_file(file, LiaamError, "model or file of lamps")
     path = output or file.with_name(f"{file.stem}_{'lamps' if lit else 'model'}.png")
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise LiaamError(f"{path}: give a picture file that ends in .png, .svg or .pdf")
@@ -40,8 +42,6 @@ def show(
         from liaam.model import load_model
         from liaam.plotting import figure_of_model, save_figure
 
-        if image is not None:
-            raise LiaamError("--image is for lamps; a model is drawn by itself")
         save_figure(figure_of_model(load_model(file)), path)
     say(f"written to {path}")
 
