@@ -24,6 +24,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import liaam
 from liaam import __version__
 from liaam.errors import LiaamError
 from liaam.io import make_folder, write_text_atomically
@@ -149,11 +150,11 @@ class Outcome:
 
 @lru_cache(maxsize=1)
 def _code_digest() -> str:
-    """Digest of the library's source, so that no result outlives the code that gave it."""
-    root = Path(__file__).resolve().parents[1]
+    """Digest of the library's source and the experiments', so that no result outlives the code that gave it."""
     digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    for root in (Path(liaam.__file__).parent, Path(__file__).parent):
+        for path in sorted(root.rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 

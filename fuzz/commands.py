@@ -98,7 +98,17 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     "show": ("--image", "-o"),
     "check": ("--images", "--recursive"),
     "batch": ("--init", "--camera", "--response", "--list", "--method", "--jobs", "-o"),
-    "train": ("--camera", "--theta", "--response", "--variance", "--prior", "--lit", "--lamps", "--images", "-o"),
+    "train": (
+        "--camera",
+        "--theta",
+        "--response",
+        "--variance",
+        "--prior",
+        "--lamps",
+        "--training-lamp",
+        "--copies",
+        "-o",
+    ),
     "track": ("--init", "--camera", "--response", "-o"),
     "invariant": ("--camera", "--theta", "--response", "-o"),
     "lamps": ("--training-lamp", "--recursive", "-o"),
@@ -112,7 +122,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
 }
 _SOUND = ("methods", "--version", "fit --help", "invariant x.png -o out.png")
 _FLAGS = ("--all", "--recursive")
-_FILED = ("--init", "--camera", "--list", "--image", "--lit", "--lamps", "--like", "--patches")
+_FILED = ("--init", "--camera", "--list", "--image", "--lamps", "--like", "--patches")
 
 
 def make(rng: Random) -> list[str]:

@@ -12,6 +12,7 @@ from liaam.mesh import (
     barycentric,
     delaunay,
     folded_share,
+    model_frame,
     signed_areas,
     surroundings,
     triangles_from_edges,
@@ -171,7 +172,12 @@ def test_a_fan_of_long_triangles_is_refused_before_hours_are_spent_on_its_pixels
     fan = np.concatenate([[[0.0, 0.0]], np.column_stack([1400 - away, 1380 + away])])
     i = np.arange(1, len(fan) - 1)
     with pytest.raises(TrainingError, match=r"899 triangles, too many of them too long.*smaller diagonal"):
-        ReferenceFrame(fan, np.column_stack([0 * i, i, i + 1]).astype(np.int32))
+        model_frame(fan, np.column_stack([0 * i, i, i + 1]).astype(np.int32))
+
+
+def test_frames_of_large_pictures_are_not_refused(model):
+    # Relighting paints in a frame of the picture's own pixels.
+    ReferenceFrame(60.0 * model.shape_model.mean, model.triangles)
 
 
 @pytest.mark.parametrize("width", [0.0, 1e-300])

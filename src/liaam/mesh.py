@@ -155,10 +155,6 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
     return Surroundings(extension, np.concatenate([triangles, strip]).astype(np.int32))
 
 
-MOST_LOOKS = 2e7
-"""Pixels that may lie in the boxes around a mesh's triangles, each looked at once when the frame is made."""
-
-
 @dataclass(frozen=True, eq=False)
 class ReferenceFrame:
     """Pixels of the mean shape: where the model's appearance lives.
@@ -181,12 +177,6 @@ class ReferenceFrame:
             raise TrainingError(
                 f"the mesh is folded on the mean shape (triangle of points {where}, counting from 0): "
                 "check the triangles, or leave them out to have the mesh made from the landmarks"
-            )
-        corners = self.points[self.triangles]
-        if np.prod(np.ptp(corners, axis=1) + 2.0, axis=1).sum() > MOST_LOOKS:
-            raise TrainingError(
-                f"the mesh has {len(self.triangles)} triangles, too many of them too long, for a frame of "
-                f"{self.size[0]}×{self.size[1]} pixels: take a smaller diagonal, or leave the triangles out"
             )
 
     @cached_property
@@ -299,3 +289,18 @@ def _spline_slopes(number: np.ndarray, axis: int) -> tuple:
         shape=(len(own), len(own)),
     )
     return difference, splu(system).solve
+
+
+MOST_LOOKS = 2e7
+"""Pixels that may lie in the boxes around the triangles of a model's mesh; each is looked at when the frame is made."""
+
+
+def model_frame(points: np.ndarray, triangles: np.ndarray) -> ReferenceFrame:
+    """Frame of a model, whose mesh may be anybody's: one that would take minutes to fill with pixels is refused."""
+    frame = ReferenceFrame(points, triangles)
+    if np.prod(np.ptp(points[triangles], axis=1) + 2.0, axis=1).sum() > MOST_LOOKS:
+        raise TrainingError(
+            f"the mesh has {len(triangles)} triangles, too many of them too long, for a frame of "
+            f"{frame.size[0]}×{frame.size[1]} pixels: take a smaller diagonal, or leave the triangles out"
+        )
+    return frame

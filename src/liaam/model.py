@@ -466,7 +466,7 @@ def _appearance(
     most = min(n_pixels * channels, counts[name])
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes, of {most} at most")
-    if not _are_unit(modes.reshape(len(modes), -1)):
+    if not _are_unit(modes.reshape(len(modes), n_pixels * channels)):
         raise ValueError(f"{prefix}.modes are not of unit length")
     unexplained = None  # absent from an illumination basis
     if f"{prefix}.unexplained" in tensors:

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from liaam.kernels.fields import Double2, Long1, Long2, Single2
-from liaam.mesh import ReferenceFrame, surroundings
+from liaam.mesh import ReferenceFrame, model_frame, surroundings
 from liaam.shape import ShapeModel, Similarity
 
 
@@ -246,13 +246,13 @@ def _inverse_slopes(rest: np.ndarray, shape: np.ndarray, triangles: np.ndarray) 
 
 def mesh_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
     """Warp of a mesh on the mean shape."""
-    return PiecewiseAffineWarp(ReferenceFrame(shape_model.mean, triangles), shape_model)
+    return PiecewiseAffineWarp(model_frame(shape_model.mean, triangles), shape_model)
 
 
 def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
     """Warp of a mesh on the mean shape and of what surrounds it (see :class:`liaam.mesh.Surroundings`)."""
     around = surroundings(shape_model.mean, triangles)
-    frame = ReferenceFrame(around.extension @ shape_model.mean, around.triangles)
+    frame = model_frame(around.extension @ shape_model.mean, around.triangles)
     return PiecewiseAffineWarp(frame, shape_model, around.extension)
 
 

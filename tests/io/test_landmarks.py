@@ -644,7 +644,7 @@ def test_a_skeleton_of_what_are_no_numbers_of_points_is_refused(end: str) -> Non
             "categories": [{"id": 1, "skeleton": [[1, "END"]]}],
         }
     ).replace('"END"', end)
-    assert "lacks the parts of a COCO" in _within_a_moment(_of_text("x.json", text))
+    assert "the skeleton of a category" in _within_a_moment(_of_text("x.json", text))
 
 
 def test_a_long_skeleton_is_chained_once() -> None:

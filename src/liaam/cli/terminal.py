@@ -3,6 +3,7 @@
 import io
 import os
 import sys
+import unicodedata
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -18,13 +19,22 @@ from liaam.errors import LiaamError
 console = Console()
 complaints = Console(stderr=True)
 
+TURNING = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
+"""Classes of the characters that turn the direction of writing (Unicode Standard Annex 9)."""
+
 
 def plain(text: str) -> str:
     """Text without what a terminal obeys: a file's name or a model's may hold anything.
 
     Control characters, those that turn the direction of writing, and halves of characters are shown as escapes.
     """
-    return "".join(letter if letter.isprintable() or letter in "\n\t" else ascii(letter)[1:-1] for letter in text)
+    return "".join(ascii(letter)[1:-1] if _is_obeyed(letter) else letter for letter in text)
+
+
+def _is_obeyed(letter: str) -> bool:
+    if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp"):
+        return letter not in "\n\t"
+    return unicodedata.bidirectional(letter) in TURNING
 
 
 def cell(text: str) -> str:

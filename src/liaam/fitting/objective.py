@@ -456,7 +456,7 @@ def _check_holds(model: AAM, method: Method) -> None:
         if missing & {"varied", "illumination"}:
             raise MethodError(
                 f"method {method.name} needs a model that has learnt what light does; train it with lamps "
-                "('liaam train --lamps', or train(..., lamps=...))"
+                "and one copy of each picture at least ('liaam train --lamps', or train(..., lamps=...))"
             )
         if missing:
             raise MethodError(f"method {method.name}: the model has no such appearance; train it again")

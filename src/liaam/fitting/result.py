@@ -51,8 +51,8 @@ _MESSAGES = {
         "unexplained, to tell the cameras' angle, so it was held."
     ),
     FitStatus.DOUBTFUL: (
-        "The fit settled, but explains the picture no better than fits that were wrong when pictures were left out of "
-        "training (or, where none were, than fits to noise); look at it, and start nearer to the object if it is wrong."
+        "The fit settled, but explains the picture no better than wrong fits do; look at it, and start nearer to the "
+        "object if it is wrong."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit was still moving when its iterations ran out; start nearer to the object or allow more iterations."

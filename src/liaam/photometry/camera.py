@@ -24,7 +24,7 @@ DIMMEST, BRIGHTEST = 0.02, 50.0
 MOST_COEFFICIENTS = 16
 """Coefficients of vignetting: each costs a pass over the picture."""
 
-NOISIEST = 100.0
+NOISIEST = 1e8
 """Largest slope and offset of noise, on the curve's own scale of light; more has no meaning, and squares of it end."""
 
 LARGEST = 10_000_000
@@ -202,7 +202,7 @@ def load_camera(path: str | os.PathLike) -> CameraModel:
     try:
         data = read_bytes(existing_file(path, CameraError, "camera file"), CameraError, LARGEST)
     except CameraError as fault:
-        raise CameraError(f"{fault} So there is no camera file; make one with 'liaam calibrate'") from fault
+        raise CameraError(f"{fault} Camera files are made with 'liaam calibrate'.") from fault
     try:
         facts = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError):

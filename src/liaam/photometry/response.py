@@ -43,7 +43,7 @@ class ResponseCurve:
             raise ImageError("a response curve needs two or more pairs of positive stored values and linear light")
         if not (np.diff(points, axis=1) > 0).all() or points[0, -1] > 1:
             raise ImageError("a response curve must rise from point to point, with stored values of at most 1")
-        _refuse_absurd(self, np.log(points))
+        _check_range(self, np.log(points))
 
 
 Response = Literal["srgb", "linear"] | float | ResponseCurve
@@ -137,37 +137,41 @@ def log_slope(stored: np.ndarray, response: Response = "srgb") -> np.ndarray:
 MOST_POINTS = 65536
 """Points of a curve: as many as there are values of 16 bits."""
 
-MOST_STEEP = 100.0
-"""Largest slope of a curve in logarithms from point to point; beyond it the noise of a logarithm is no number."""
+MOST_STEEP = 1e5
+"""Largest slope of a curve in logarithms from point to point. Codes of 16 bits just above a black level have 10,000;
+beyond, squares of a logarithm's noise leave single precision."""
 
 MOST_CONTRAST = 10.0
 """Gamma that a curve may be like on the whole; twice the largest that may be given by itself."""
 
-WHITES = (1e-6, 1e6)
+WHITES = (1e-4, 1e4)
 """Linear light that stored value 1 may stand for."""
 
 BLACKEST = 0.02
 """Stored value from which light has to be told from none."""
 
 
-def _refuse_absurd(curve: ResponseCurve, logs: np.ndarray) -> None:
+def _check_range(curve: ResponseCurve, logs: np.ndarray) -> None:
     """Raise about a curve that no camera has, on whose light single precision would run out.
 
     ``logs``: of its points, (2, n).
     """
     steps = np.diff(logs, axis=1)
-    if logs.shape[1] > MOST_POINTS or not (steps[1] <= MOST_STEEP * steps[0]).all() or not (steps[0] > 0).all():
-        raise ImageError(
-            f"a response curve has {MOST_POINTS} points at most, and rises by the power {MOST_STEEP:g} at most from "
-            "one to the next: measure it again ('liaam calibrate response')"
-        )
+    if logs.shape[1] > MOST_POINTS:
+        raise ImageError(f"a response curve of {logs.shape[1]} points: give {MOST_POINTS} at most")
+    if not (steps[1] <= MOST_STEEP * steps[0]).all() or not (steps[0] > 0).all():
+        raise ImageError("a response curve has two points that are almost one, with light far apart: leave one out")
     black, white = _power_law_ends(_spline(curve), np.log([BLACKEST, 1.0]))
-    exponent = (white - black) / -np.log(BLACKEST)
-    if not (exponent <= MOST_CONTRAST and np.log(WHITES[0]) <= white <= np.log(WHITES[1])):
+    if not np.log(WHITES[0]) <= white <= np.log(WHITES[1]):
         raise ImageError(
-            f"a response curve that is like a gamma of {exponent:.3g} and takes white to light of about "
-            f"1e{white / np.log(10.0):.0f} is no camera's: its gamma has to be {MOST_CONTRAST:g} at most, "
-            f"and white {WHITES[0]:g} to {WHITES[1]:g} (1 is usual)"
+            f"a response curve takes white to linear light of about 1e{white / np.log(10.0):.0f}: scale its light, so "
+            f"that white lies between {WHITES[0]:g} and {WHITES[1]:g} (1 is usual)"
+        )
+    exponent = (white - black) / -np.log(BLACKEST)
+    if not exponent <= MOST_CONTRAST:
+        raise ImageError(
+            f"a response curve is like a gamma of {exponent:.3g} on the whole, which no camera has ({MOST_CONTRAST:g} "
+            "at most): its points give linear light for stored values of 0 to 1"
         )
 
 
@@ -175,8 +179,9 @@ SMALLEST = 1e-12
 """Stored value or light below which a curve gives 0: its logarithm has to end somewhere."""
 
 
-FLATTEST = 1e-3
-"""Least slope of a curve in logarithms: rising points may still meet with a flat end."""
+FLATTEST, STEEPEST_END = 1e-3, 5.0
+"""Least slope of a curve in logarithms, since rising points may still meet with a flat end; and the largest beyond its
+first and last point: just above a black level a curve is far steeper than below it."""
 
 
 @lru_cache(maxsize=8)
@@ -190,8 +195,11 @@ def _spline(curve: ResponseCurve):
 def _power_law_ends(spline, log_values: np.ndarray, slope: bool = False) -> np.ndarray:
     """Value (or slope) of a log-log curve, with straight ends beyond its first and last point."""
     inside = np.clip(log_values, spline.x[0], spline.x[-1])
-    steepness = np.maximum(spline(inside, 1), FLATTEST)
-    return steepness if slope else spline(inside) + steepness * (log_values - inside)
+    within = np.maximum(spline(inside, 1), FLATTEST)
+    beyond = np.minimum(within, STEEPEST_END)
+    if slope:
+        return np.where(log_values == inside, within, beyond)
+    return spline(inside) + beyond * (log_values - inside)
 
 
 def _decode_curve(values: np.ndarray, curve: ResponseCurve) -> np.ndarray:
@@ -203,7 +211,7 @@ def _encode_curve(linear: np.ndarray, curve: ResponseCurve) -> np.ndarray:
     """Invert by table and a few Newton steps in logarithms: exact, and monotone like the curve."""
     spline, wanted = _spline(curve), np.log(np.maximum(linear, SMALLEST))
     grid = np.linspace(spline.x[0], spline.x[-1], 2048)
-    ends = _power_law_ends(spline, np.array([grid[0], grid[-1]]), slope=True)
+    ends = _power_law_ends(spline, np.array([grid[0] - 1.0, grid[-1] + 1.0]), slope=True)
     heights = spline(grid)
     found = np.interp(wanted, heights, grid)
     found = np.where(wanted < heights[0], grid[0] + (wanted - heights[0]) / ends[0], found)

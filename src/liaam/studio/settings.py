@@ -39,7 +39,7 @@ class Settings:
     """Of all requests that are under way: two of the largest uploads."""
     header_seconds: float = 10.0
     """How long a request's line and headers may take to come."""
-    body_seconds: float = 60.0
+    body_seconds: float = 300.0
     """How long its body may."""
     fits_kept: int = 64
     points: int = 1000

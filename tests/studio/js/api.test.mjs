@@ -34,7 +34,7 @@ test("a busy server is asked again after the time that it says", async (t) => {
 test("but not for ever", async (t) => {
   const { asked } = served(t, busy);
   await assert.rejects(api.get("/api/project"), (fault) => fault instanceof ApiError && fault.status === 503 && fault.message === "busy");
-  assert.equal(asked.length, 6);
+  assert.equal(asked.length, 10);
 });
 
 test("a refusal that names no time is told at once", async (t) => {

@@ -31,12 +31,16 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
     content = parse_json(path, text)
     try:
         files = {image["id"]: str(image["file_name"]) for image in content["images"]}
-        categories = {category["id"]: _lines(category) for category in content.get("categories") or ()}
+        categories = {category["id"]: category for category in content.get("categories") or ()}
         chosen = _largest(path, content["annotations"])
-        found = {}
-        for image, annotation in chosen.items():
-            lines = categories.get(annotation.get("category_id"), _NO_LINES)
-            found[files[image]] = _landmarks(path, annotation, lines, files[image])
+        used = {annotation.get("category_id") for annotation in chosen.values()} & set(categories)
+        lines = {number: _lines(path, categories[number]) for number in used}
+        found = {
+            files[image]: _landmarks(
+                path, annotation, lines.get(annotation.get("category_id"), _NO_LINES), files[image]
+            )
+            for image, annotation in chosen.items()
+        }
     except (TypeError, KeyError, ValueError, AttributeError, IndexError) as fault:
         raise LandmarkError(
             f"{path} lacks the parts of a COCO keypoints file (images, annotations, categories): export it again."
@@ -67,13 +71,14 @@ def _area(path: Path, annotation: Any) -> float:
     return 0.0 if math.isnan(area) else area
 
 
-def _lines(category: Any) -> _Lines:
+def _lines(path: Path, category: Any) -> _Lines:
     """Give the names of a category's keypoints, and their contours."""
-    edges = [(start, end) for start, end in category.get("skeleton") or ()]
-    if not all(type(number) is int for edge in edges for number in edge):
-        raise ValueError("a skeleton joins keypoints by their numbers")
+    what = "the skeleton of a category"
+    edges = [tuple(check_number(path, number, what) for number in edge) for edge in category.get("skeleton") or ()]
+    if not all(len(edge) == 2 and all(number.is_integer() for number in edge) for edge in edges):
+        raise LandmarkError(f"{path}: {what} is no list of pairs of keypoints' numbers: export it again.")
     names = tuple(map(str, category.get("keypoints") or ()))
-    return names, chain_edges((start - 1, end - 1) for start, end in edges)
+    return names, chain_edges((int(start) - 1, int(end) - 1) for start, end in edges)
 
 
 def _landmarks(path: Path, annotation: Any, lines: _Lines, image: str) -> Landmarks:

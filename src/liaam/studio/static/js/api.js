@@ -24,7 +24,7 @@ export function url(...parts) {
   return `/api/${path}${text ? `?${text}` : ""}`;
 }
 
-const TRIES = 6; // of a request that a busy server asks to repeat: half a minute or so
+const TRIES = 10; // of a request that a busy server asks to repeat: half a minute or so
 
 async function send(address, options) {
   let response;
