@@ -14,7 +14,7 @@ from experiments.convergence import convergence_experiment
 from experiments.displacement import displacement_experiment
 from experiments.noise import NOISE_METHODS, noise_experiment
 from experiments.reconstruct import reconstruct_experiment
-from experiments.runner import PICTURES, Experiment, Progress, finished, run_experiment
+from experiments.runner import PICTURES, Experiment, finished, run_experiment
 from experiments.simulated import METHODS, shadow_colour
 from experiments.solvers import get_solver
 from experiments.spot import spot_experiment
@@ -22,6 +22,7 @@ from experiments.subjects import STRENGTH
 from liaam import __version__
 from liaam.errors import LiaamError
 from liaam.io import make_folder, write_text_atomically
+from liaam.progress import Progress
 
 
 @dataclass(frozen=True)

@@ -29,14 +29,13 @@ from liaam import __version__
 from liaam.errors import LiaamError
 from liaam.io import make_folder, write_text_atomically
 from liaam.plotting import save_figure
+from liaam.progress import Progress
 from liaam.workers import WorkerDied, all_cores, in_workers, one_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Row = dict[str, Any]
-Progress = Callable[[int, int, str], None]
-
 PICTURES = "pictures.png"
 """File in the results' folder that shows what was fitted, where an experiment has such pictures."""
 

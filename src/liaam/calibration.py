@@ -1,6 +1,6 @@
 """Calibrations that need the engine: of scenes whose pictures have to be aligned first, and from fits of a model."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +10,9 @@ from liaam.evaluation import rms_error
 from liaam.fitting import FitResult, FitStatus
 from liaam.photometry import AngleEstimate, CameraModel
 from liaam.photometry.estimate import WIDEST_ERROR, axis_difference
+from liaam.progress import Progress
 from liaam.registration import Registration, register
 from liaam.warp import apply_homography, picture_corners
-
-Progress = Callable[[int, int, str], None]
 
 STILL = 0.25
 """Movement of the corners, pixels, up to which a picture counts as aligned and is not sampled anew."""

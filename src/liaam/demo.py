@@ -1,6 +1,5 @@
 """The demo: train on simulated portraits under one light, fit under a hard lateral one."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from liaam.evaluation import point_error
 from liaam.fitting import FitResult, Fitter
 from liaam.io import Contour, Landmarks, make_folder
 from liaam.plotting import figure_of_fits, save_figure
+from liaam.progress import Progress
 from liaam.shape import align, rotation
 from liaam.training import train
 
@@ -39,7 +39,7 @@ class DemoRow:
     result: FitResult
 
 
-def run_demo(folder: Path, progress: Callable[[int, int, str], None] | None = None) -> tuple[list[DemoRow], float]:
+def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoRow], float]:
     """Render, train, fit and write ``figure.png`` to a folder.
 
     Parameters

@@ -4,7 +4,7 @@ A contour begun at the other end is no shape, yet a model learns it as one, and 
 What a picture's landmarks should look like, the pictures nearest to it tell, by medians: a few faults do not count.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.evaluation import ranges_of
 from liaam.io.landmarks import Landmarks
+from liaam.progress import Progress
 from liaam.shape import diagonal_of, mirror_order, procrustes_mean
 
 LEAST_PICTURES = 8
@@ -98,9 +99,7 @@ class LabelFault:
         return f"{said} ({self.distance:.1f} px off{once})"
 
 
-def find_label_faults(
-    shapes: Sequence[np.ndarray], progress: Callable[[int, int, str], None] | None = None
-) -> list[LabelFault]:
+def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = None) -> list[LabelFault]:
     """Find landmarks that were labelled by another rule than in the other pictures.
 
     Parameters

@@ -1,9 +1,12 @@
-"""A progress bar for calls that may take long."""
+"""How calls that may take long tell how far they are."""
 
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
+
+Progress = Callable[[int, int, str], None]
+"""What long calls are given to tell how far they are: called with (done, total, what)."""
 
 PATIENCE = 2.0
 """Seconds before a bar appears that nobody has asked for."""
@@ -45,11 +48,12 @@ class _Bar:
     def __init__(self, what: str, total: int | None) -> None:
         # Heavy: imported when first needed.
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
 
         console = Console(stderr=True)
         columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}, left:"), TimeRemainingColumn()
-        self._bar = Progress(*columns, console=console, transient=console.is_terminal)
+        self._bar = Bar(*columns, console=console, transient=console.is_terminal)
         self._task = self._bar.add_task(what, total=total)
         self._bar.start()
 

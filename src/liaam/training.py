@@ -45,6 +45,7 @@ from liaam.model import (
 from liaam.pca import Variance, check_variance, count_by_evidence, some_folds
 from liaam.photometry import CameraModel, Response, exposure_faults, invariant_row, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
+from liaam.progress import Progress
 from liaam.sampling import make_patch, sample_texture
 from liaam.shape import Recipe, align, check_prior, choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.warp import PiecewiseAffineWarp
@@ -103,7 +104,7 @@ def train(
     copies: int | None = None,
     leave_out: bool = True,
     name: str = "",
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> AAM:
     """Train an active appearance model.
 
@@ -234,7 +235,7 @@ def _work(n: int, blurs: dict[str, Blurs], folds: list[np.ndarray]) -> int:
 class _Progress:
     """Tells of all that training does on one scale."""
 
-    tell: Callable[[int, int, str], None] | None
+    tell: Progress | None
     total: int
     done: int = 0
 

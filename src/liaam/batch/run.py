@@ -4,7 +4,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -20,9 +20,8 @@ from liaam.batch.tables import Table, check_format, is_row, write_table
 from liaam.batch.work import Job, Settings
 from liaam.errors import LiaamError
 from liaam.io import write_text_atomically
+from liaam.progress import Progress
 from liaam.workers import all_cores
-
-Progress = Callable[[int, int, str], None]
 
 CHUNK = 16
 """Pictures that a worker does at a time, and at most so many of each worker are done again after a kill."""

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, read_folder
-from liaam.cli.terminal import Progress, cell, complain, console, progress_bar, say, stoppable_progress, table_of
+from liaam.cli.terminal import cell, complain, console, progress_bar, say, stoppable_progress, table_of
 from liaam.errors import LiaamError
+from liaam.progress import Progress
 
 if TYPE_CHECKING:
     from liaam.datasets import Dataset, Sample

@@ -4,7 +4,7 @@ import io
 import os
 import sys
 import unicodedata
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,6 +15,7 @@ from rich.table import Table
 from typer.core import TyperGroup
 
 from liaam.errors import LiaamError
+from liaam.progress import Progress
 
 console = Console()
 complaints = Console(stderr=True)
@@ -40,9 +41,6 @@ def _is_obeyed(letter: str) -> bool:
 def cell(text: str) -> str:
     """Text for a table, as it is: brackets are no markup."""
     return escape(plain(text))
-
-
-Progress = Callable[[int, int, str], None]
 
 
 class _Commands(TyperGroup):

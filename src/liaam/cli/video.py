@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from liaam.cli.inputs import camera_for, check_output, read_init
-from liaam.cli.terminal import Progress, complain, console, progress_bar, say, table_of
+from liaam.cli.terminal import complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
+from liaam.progress import Progress
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult

@@ -11,6 +11,7 @@ from liaam.evaluation import point_error
 from liaam.lamps.bank import DARK, Lamps, anchors, as_srgb, square
 from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour
+from liaam.progress import Progress
 from liaam.shape import diagonal_of, procrustes_mean
 
 BLUR = 0.016
@@ -33,7 +34,7 @@ def learn_lamps(
     training_lamp: str | None = None,
     *,
     response: Response = "srgb",
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Lamps:
     """Learn lamps from a few objects, each in the light of training and under other lamps.
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from liaam.errors import ImageError, LiaamError, TrainingError
 from liaam.io.landmarks import Contour, Landmarks
+from liaam.progress import Progress
 from liaam.studio.pictures import file_tag
 from liaam.studio.project import Annotated
 
@@ -120,7 +121,7 @@ class _Worker:
         without = f", without {', '.join(self.left_out)}" if self.left_out else ""
         return f"trained on {model.n_images} pictures{without}"
 
-    def _progress(self, phase: str) -> Callable[[int, int, str], None]:
+    def _progress(self, phase: str) -> Progress:
         def progress(done: int, total: int, what: str) -> None:
             self.tell(("progress", {"phase": phase, "done": done, "total": total, "what": what}))
 
