@@ -22,7 +22,7 @@ import psutil
 from benchmarks.metrics import report
 from liaam.datasets.scenes import Head, make_set
 from liaam.io import write_image
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from liaam.training import train
 
 SIZE = (160, 120)

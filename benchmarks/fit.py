@@ -98,7 +98,7 @@ def measure_growth() -> None:
 def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray) -> Callable[[], object]:
     """Ten looks at the sharpest level, each with the Hessian and the gradient there."""
     from liaam.fitting.problem import FitProblem
-    from liaam.shape import align
+    from liaam.model.shape import align
 
     pose = align(objective.warp.rest, shape)
     problem = FitProblem.at(image, shape, pose, objective.method, "srgb", fitter.model.levels[-1].blur)

@@ -16,15 +16,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.metrics import in_turn, quartiles, report
-from liaam.appearance import AppearanceModel
 from liaam.fitting import METHODS, SolverOptions, get_method
 from liaam.fitting.kernel import get_kernel
 from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.problem import FitProblem
-from liaam.mesh import ReferenceFrame, delaunay, signed_areas
 from liaam.model import AAM, MESH, Level, make_view
+from liaam.model.appearance import AppearanceModel
+from liaam.model.mesh import ReferenceFrame, delaunay, signed_areas
+from liaam.model.shape import ShapeModel, Similarity, similarity_modes
 from liaam.photometry import CameraModel
-from liaam.shape import ShapeModel, Similarity, similarity_modes
 
 N_PIXELS, N_SHAPE_MODES, N_APPEARANCE_MODES = 10_000, 20, 20
 N_SIDE = 8  # landmarks along each side of the grid

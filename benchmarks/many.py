@@ -15,7 +15,7 @@ from benchmarks.metrics import report
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, make_set
 from liaam.fitting import Fitter, fit_each
 from liaam.model import AAM
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from liaam.training import train
 
 SIZE = (240, 180)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from liaam.model import AAM
-from liaam.shape import similarity_modes
+from liaam.model.shape import similarity_modes
 
 ITERATIONS, SHAPE_MODES = 50, 10
 BORDER = 2.0

@@ -28,7 +28,7 @@ from liaam.fitting import FitResult, Fitter
 from liaam.fitting.objective import Objective
 from liaam.fitting.problem import FitProblem
 from liaam.model import AAM
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from liaam.tracking import Tracker
 from liaam.training import train
 

@@ -19,9 +19,9 @@ from experiments.relit import (
 from liaam.datasets.scenes import Head
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
+from liaam.model.shape import align
 from liaam.relighting import Relighter, paint
 from liaam.relighting.painting import eight_bits, log_light
-from liaam.shape import align
 
 PERSONS = (3, 5, 8, 11)
 """Seeds of the generated heads."""

@@ -16,8 +16,8 @@ from benchmarks.metrics import report
 from liaam.datasets import Dataset, load_folder
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.fitting import Finder
+from liaam.model.shape import diagonal_of
 from liaam.photometry import is_grey
-from liaam.shape import diagonal_of
 from liaam.training import train
 
 EYES = 0.3

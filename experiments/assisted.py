@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.charts import figure_of_bars
 from experiments.protocol import Header, Table, in_percent, select, statistics, tell
 from experiments.runner import Experiment, Row
 from experiments.solvers import check_trials
@@ -23,8 +24,7 @@ from liaam.errors import LiaamError, MethodError
 from liaam.evaluation import finite_or_none, inter_ocular_distance, median_error, nme
 from liaam.fitting import FitResult, Fitter
 from liaam.model import SURROUNDINGS
-from liaam.plotting import figure_of_bars
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from liaam.training import train
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.charts import figure_of_bars
 from experiments.runner import Experiment, Row, markdown_table
 from experiments.simulated import displaced
 from experiments.solvers import check_trials, get_solver, make_fitters
@@ -29,7 +30,6 @@ from liaam.datasets import Sample
 from liaam.evaluation import error_statistics, or_dash, point_error
 from liaam.fitting import Fitter
 from liaam.io import Landmarks
-from liaam.plotting import figure_of_bars
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.charts import Panel, figure_of_curves
 from experiments.protocol import (
     METHODS,
     TRAINED,
@@ -31,8 +32,7 @@ from experiments.runner import Experiment, Row
 from experiments.spot import CONVERGED, group_persons, percent
 from experiments.subjects import data_facts
 from liaam.evaluation import nme, point_error
-from liaam.plotting import Panel, figure_of_curves
-from liaam.shape import rotation
+from liaam.model.shape import rotation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.charts import figure_of_bars
 from experiments.runner import Experiment, NumberedTrial, Row
+from liaam.calibration import AngleEstimate, least_squares_angle, theta_from_chart, theta_from_image, theta_from_scene
+from liaam.calibration.estimate import axis_difference
 from liaam.datasets.scenes import (
     Camera,
     colour_chart,
@@ -22,9 +25,6 @@ from liaam.datasets.scenes import (
 )
 from liaam.errors import LiaamError
 from liaam.evaluation import or_dash, root_mean_square
-from liaam.photometry import AngleEstimate, least_squares_angle, theta_from_chart, theta_from_image, theta_from_scene
-from liaam.photometry.estimate import axis_difference
-from liaam.plotting import figure_of_bars
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments import simulated, spot
+from experiments.charts import Panel, figure_of_curves
 from experiments.runner import Experiment, NumberedTrial, Row
 from experiments.solvers import MAX_ITERATIONS, check_request, get_solver
 from experiments.subjects import get_subject, head_scenes, subject_facts
 from liaam.evaluation import error_statistics, point_error
 from liaam.fitting import FitResult, Fitter
 from liaam.photometry import THETA_DEFAULT
-from liaam.plotting import Panel, figure_of_curves
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

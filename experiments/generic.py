@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from experiments.charts import figure_of_bars
 from experiments.lights import hard_light
 from experiments.protocol import (
     METHODS,
@@ -42,7 +43,7 @@ from liaam.errors import LiaamError
 from liaam.evaluation import inter_ocular_distance, or_dash
 from liaam.fitting import FitStatus
 from liaam.photometry import is_grey
-from liaam.plotting import figure_of_bars, figure_of_pictures
+from liaam.plotting import figure_of_pictures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.charts import figure_of_bars
 from experiments.lights import LIGHTS
 from experiments.protocol import (
     FACE,
@@ -36,8 +37,8 @@ from experiments.spot import percent
 from experiments.subjects import data_facts
 from liaam.datasets import Sample
 from liaam.errors import LiaamError
-from liaam.plotting import figure_of_bars, figure_of_pictures
-from liaam.shape import diagonal_of, rotation
+from liaam.model.shape import diagonal_of, rotation
+from liaam.plotting import figure_of_pictures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,9 +20,9 @@ from liaam.errors import LiaamError
 from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme, roc_area
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
+from liaam.model.shape import diagonal_of
 from liaam.photometry import is_grey
 from liaam.photometry.encoding import as_colour
-from liaam.shape import diagonal_of
 
 METHODS = ("rgb", "grey", "li", "igo", "soft-li")
 """Methods that are compared if none are named."""

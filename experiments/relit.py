@@ -20,11 +20,11 @@ from liaam.datasets.scenes import (
 )
 from liaam.evaluation import root_mean_square
 from liaam.model import AAM
+from liaam.model.shape import diagonal_of
 from liaam.photometry.encoding import DARK, SATURATED
 from liaam.photometry.response import from_linear, to_linear
 from liaam.relighting import paint
 from liaam.relighting.painting import REACH, log_light
-from liaam.shape import diagonal_of
 from liaam.training import sample_appearance, train
 
 LIGHTS: dict[str, Lights] = {

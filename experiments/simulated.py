@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.charts import Panel, figure_of_curves
 from experiments.runner import Experiment, Row, markdown_table
 from experiments.solvers import check_request, get_solver, make_fitters
 from experiments.subjects import (
@@ -39,7 +40,7 @@ from liaam.fitting import FitResult, Fitter, get_method
 from liaam.fitting.bound import Bound, cramer_rao_bound
 from liaam.model import AAM
 from liaam.photometry import encode, invariant, temperature_direction
-from liaam.plotting import Panel, figure_of_curves, figure_of_pictures
+from liaam.plotting import figure_of_pictures
 from liaam.training import train
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.charts import figure_of_errors
 from experiments.runner import Experiment, Row, markdown_table
 from experiments.solvers import check_request, get_solver, make_fitters
 from experiments.subjects import data_facts
@@ -23,9 +24,8 @@ from liaam.errors import LiaamError
 from liaam.evaluation import error_statistics, inter_ocular_distance, nme
 from liaam.fitting import Fitter
 from liaam.model import AAM
+from liaam.model.shape import rotation
 from liaam.photometry import is_grey
-from liaam.plotting import figure_of_errors
-from liaam.shape import rotation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.charts import Panel, figure_of_curves
 from experiments.protocol import (
     STARTS,
     VARIANCE,
@@ -37,8 +38,7 @@ from liaam.evaluation import finite_or_none, nme, or_dash
 from liaam.fitting import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.model import AAM
-from liaam.plotting import Panel, figure_of_curves
-from liaam.shape import rotation, shifted_into
+from liaam.model.shape import rotation, shifted_into
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

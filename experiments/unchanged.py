@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from experiments.charts import figure_of_errors
 from experiments.protocol import (
     METHODS,
     STARTS,
@@ -27,7 +28,6 @@ from experiments.protocol import (
 from experiments.runner import Experiment, Row
 from experiments.spot import CONVERGED, EYES, Person, disturbed_start, facts_of, find_persons, percent
 from liaam.evaluation import inter_ocular_distance, or_dash
-from liaam.plotting import figure_of_errors
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

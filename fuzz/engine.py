@@ -327,11 +327,11 @@ def check_loops(case: tuple[int, np.ndarray]) -> None:
     """Call what compiled loops are called through, with sizes and numbers of any kind."""
     from liaam.fitting import find
     from liaam.kernels import fast
+    from liaam.model.sampling import make_patch, sample_texture
+    from liaam.model.shape import Similarity
     from liaam.photometry import encode, invariant_image, noise_deviation
     from liaam.photometry.averaging import area_means
     from liaam.photometry.encoding import ENCODINGS, as_colour
-    from liaam.sampling import make_patch, sample_texture
-    from liaam.shape import Similarity
 
     rng, image = np.random.default_rng(case[0]), as_colour(case[1], "image")
     encoding, reduce = one_of(rng, (*ENCODINGS, "else")), float(one_of(rng, (1.0, 1.5, 2.0, 3.7)))

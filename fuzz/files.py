@@ -261,7 +261,7 @@ def _sensitivities() -> tuple[bytes, ...]:
 
 def check_sensitivities(data: bytes) -> None:
     """Read a camera's sensitivities."""
-    from liaam.photometry.spectral import read_sensitivities
+    from liaam.calibration.spectral import read_sensitivities
 
     path = Path("x.csv")
     path.write_bytes(data)

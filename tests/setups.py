@@ -24,7 +24,7 @@ from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.problem import FitProblem
 from liaam.io import write_image, write_landmarks
 from liaam.model import AAM
-from liaam.shape import align, diagonal_of
+from liaam.model.shape import align, diagonal_of
 from liaam.training import train
 
 MOVING_FRAMES = 24

@@ -13,10 +13,10 @@ from liaam.fitting.kernel import get_kernel
 from liaam.fitting.problem import FitProblem
 from liaam.fitting.reference import jacobian
 from liaam.io import read_image
+from liaam.model.shape import align
+from liaam.model.warp import apply_homography
 from liaam.photometry import THETA_DEFAULT
 from liaam.registration import OPTIONS, _levels, register
-from liaam.shape import align
-from liaam.warp import apply_homography
 
 SIZE = (160, 200)
 

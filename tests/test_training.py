@@ -5,13 +5,13 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from liaam.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.datasets import Sample
 from liaam.errors import ImageError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
 from liaam.io import Contour, Landmarks
-from liaam.mesh import delaunay, signed_areas
 from liaam.model import SURROUNDINGS
+from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
+from liaam.model.mesh import delaunay, signed_areas
 from liaam.photometry import CameraModel, invariant
 from liaam.training import _folds, train
 from setups import disturb, model_pixels, train_on

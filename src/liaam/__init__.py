@@ -4,11 +4,14 @@ Train a deformable model on landmarked colour images taken under one light and f
 other. The public names below load on first use, so that ``import liaam`` is quick.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
+from liaam.lazy import attach
+
 if TYPE_CHECKING:
+    from liaam.calibration import theta_from_chart, theta_from_scene
     from liaam.datasets import Dataset, Sample, load_folder
+    from liaam.datasets.label_faults import LabelFault, find_label_faults
     from liaam.errors import LiaamError
     from liaam.fitting import (
         METHODS,
@@ -23,9 +26,8 @@ if TYPE_CHECKING:
         fit_many,
     )
     from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
-    from liaam.label_faults import LabelFault, find_label_faults
     from liaam.model import AAM, load_model
-    from liaam.photometry import CameraModel, invariant_image, load_camera, theta_from_chart, theta_from_scene
+    from liaam.photometry import CameraModel, invariant_image, load_camera
     from liaam.registration import Registration, register
     from liaam.tracking import TrackedFrame, Tracker, TrackingOptions, track_video
     from liaam.training import train
@@ -71,7 +73,9 @@ __all__ = [
 ]
 
 _HOMES = {
+    "calibration": ("theta_from_chart", "theta_from_scene"),
     "datasets": ("Dataset", "Sample", "load_folder"),
+    "datasets.label_faults": ("LabelFault", "find_label_faults"),
     "errors": ("LiaamError",),
     "fitting": (
         "METHODS",
@@ -86,23 +90,10 @@ _HOMES = {
         "fit_many",
     ),
     "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
-    "label_faults": ("LabelFault", "find_label_faults"),
     "model": ("AAM", "load_model"),
-    "photometry": ("CameraModel", "invariant_image", "load_camera", "theta_from_chart", "theta_from_scene"),
+    "photometry": ("CameraModel", "invariant_image", "load_camera"),
     "registration": ("Registration", "register"),
     "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
     "training": ("train",),
 }
-_HOME = {name: home for home, names in _HOMES.items() for name in names}
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOME:
-        raise AttributeError(f"module 'liaam' has no attribute {name!r}")
-    value = getattr(import_module(f"liaam.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+__getattr__, __dir__ = attach(__name__, _HOMES)

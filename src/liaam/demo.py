@@ -9,9 +9,9 @@ import numpy as np
 from liaam.evaluation import point_error
 from liaam.fitting import FitResult, Fitter
 from liaam.io import Contour, Landmarks, make_folder
+from liaam.model.shape import align, rotation
 from liaam.plotting import figure_of_fits, save_figure
 from liaam.progress import Progress
-from liaam.shape import align, rotation
 from liaam.training import train
 
 if TYPE_CHECKING:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from liaam.appearance import AppearanceModel
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
 from liaam.fitting.fitter import covariance
@@ -17,11 +16,12 @@ from liaam.fitting.objective import Objective
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import correlated_pixels, slope_left
 from liaam.fitting.solver import scored
+from liaam.model.appearance import AppearanceModel
+from liaam.model.sampling import make_patch
+from liaam.model.shape import Similarity
+from liaam.model.warp import GENERATORS, HomographyWarp, apply_homography, picture_corners
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
-from liaam.sampling import make_patch
-from liaam.shape import Similarity
-from liaam.warp import GENERATORS, HomographyWarp, apply_homography, picture_corners
 
 METHOD = "igo+tukey"
 """Gradient orientations are blind to the light's strength; what is left of cast shadows, their edges, is for the

@@ -9,32 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from liaam.appearance import (
-    CHANNELS,
-    COPIED_APPEARANCES,
-    AppearanceModel,
-    Textures,
-    train_appearance_model,
-    train_illumination,
-)
 from liaam.errors import TrainingError
 from liaam.fitting.methods import DEFAULT_METHOD, ENCODING_OF, METHODS
 from liaam.fitting.reliability import LeftOut, calibrate
 from liaam.lamps import Copies, Lamps, learn_lamps
-from liaam.mesh import (
-    FOLD_TOLERANCE,
-    ReferenceFrame,
-    delaunay,
-    folded_share,
-    signed_areas,
-    triangles_from_edges,
-)
 from liaam.model import (
     AAM,
-    MAX_BLUR,
-    MAX_DIAGONAL,
-    MAX_LEVELS,
-    MAX_POINTS,
     MESH,
     SURROUNDINGS,
     VIEWS,
@@ -42,13 +22,30 @@ from liaam.model import (
     Reliability,
     make_view,
 )
-from liaam.pca import Variance, check_variance, count_by_evidence, some_folds
+from liaam.model.appearance import (
+    CHANNELS,
+    COPIED_APPEARANCES,
+    AppearanceModel,
+    Textures,
+    train_appearance_model,
+    train_illumination,
+)
+from liaam.model.file import MAX_BLUR, MAX_DIAGONAL, MAX_LEVELS, MAX_POINTS
+from liaam.model.mesh import (
+    FOLD_TOLERANCE,
+    ReferenceFrame,
+    delaunay,
+    folded_share,
+    signed_areas,
+    triangles_from_edges,
+)
+from liaam.model.pca import Variance, check_variance, count_by_evidence, some_folds
+from liaam.model.sampling import make_patch, sample_texture
+from liaam.model.shape import Recipe, align, check_prior, choose_recipe, mirror_order, scaled_mean, shape_model_on
+from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import CameraModel, Response, exposure_faults, invariant_row, is_grey, parse_response
 from liaam.photometry.encoding import as_colour
 from liaam.progress import Progress
-from liaam.sampling import make_patch, sample_texture
-from liaam.shape import Recipe, align, check_prior, choose_recipe, mirror_order, scaled_mean, shape_model_on
-from liaam.warp import PiecewiseAffineWarp
 
 SAMPLED = {MESH: ("value", "log", "orientation", "varied"), SURROUNDINGS: ("soft",)}
 """Appearances of each view that pictures are sampled for; ``varied`` where there are relit copies."""

@@ -7,7 +7,7 @@ import pytest
 
 from experiments import basin
 from experiments.runner import run_experiment
-from liaam.shape import align
+from liaam.model.shape import align
 
 METHODS = ("rgb", "li")
 

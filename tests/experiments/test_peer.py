@@ -6,7 +6,7 @@ import pytest
 from experiments import peer
 from experiments.runner import run_experiment
 from liaam.errors import LiaamError
-from liaam.shape import align, diagonal_of
+from liaam.model.shape import align, diagonal_of
 from setups import copy_files
 
 

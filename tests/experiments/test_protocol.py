@@ -10,7 +10,7 @@ from experiments import basin, cli, generic, occlusion, peer, protocol, unchange
 from experiments.runner import run_experiment
 from liaam.errors import LiaamError, MethodError
 from liaam.io import write_image, write_landmarks
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from setups import copy_files
 
 METHODS = ("rgb", "li")

@@ -10,9 +10,9 @@ from functools import partial
 import numpy as np
 import pytest
 
+from experiments.charts import Panel, figure_of_curves
 from experiments.runner import Experiment, Journal, run_experiment
 from liaam.errors import LiaamError
-from liaam.plotting import Panel, figure_of_curves
 from liaam.workers import all_cores
 
 FILES = ["figure.png", "figure.svg", "report.md", "results.csv", "summary.json"]

@@ -18,8 +18,8 @@ from experiments.subjects import (
 from liaam.datasets.scenes import DIFFUSE, Head, make_set
 from liaam.errors import LiaamError
 from liaam.io import write_image, write_landmarks
+from liaam.model.shape import diagonal_of
 from liaam.photometry import invariant, srgb_to_linear
-from liaam.shape import diagonal_of
 
 
 @pytest.fixture(scope="module")

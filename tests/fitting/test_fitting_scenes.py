@@ -5,7 +5,7 @@ import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions, fit
 from liaam.io import write_image
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from setups import disturb, model_pixels, train_on
 
 STARTS = [(1.03, (0.02, -0.015)), (0.97, (-0.02, 0.02)), (1.0, (0.03, 0.0))]

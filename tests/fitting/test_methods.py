@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from liaam.appearance import CHANNELS
 from liaam.errors import MethodError
 from liaam.fitting import METHODS, Fitter, Method, fit, get_method
+from liaam.model.appearance import CHANNELS
 from liaam.photometry import invariant_row
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from liaam.fitting import Candidate, FitStatus, Fitter
 from liaam.fitting.search import LARGE
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 
 HIGH = 0.9
 

@@ -11,7 +11,7 @@ from liaam.errors import ModelFileError
 from liaam.fitting import METHODS, FitStatus, Fitter
 from liaam.fitting.reliability import MOST_UNDERSTATED, _landmarks, _logistic, _surprise, _understated, _weights
 from liaam.model import SURROUNDINGS, load_model
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from setups import disturb
 
 

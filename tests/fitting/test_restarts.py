@@ -10,7 +10,7 @@ from liaam.fitting.fitter import SLOW
 from liaam.fitting.levels import is_sane
 from liaam.fitting.restarts import APART, other_starts
 from liaam.model import SURROUNDINGS
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from liaam.tracking import Tracker
 from setups import disturb, model_pixels, train_on
 

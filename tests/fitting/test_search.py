@@ -24,7 +24,7 @@ from liaam.fitting.search import (
     soft_directions,
 )
 from liaam.model import AAM, MESH, Level
-from liaam.shape import diagonal_of, rotation
+from liaam.model.shape import diagonal_of, rotation
 from liaam.workers import one_thread
 from setups import model_pixels, train_on
 

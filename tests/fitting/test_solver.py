@@ -11,7 +11,7 @@ from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
 from liaam.fitting.levels import prepare_level
 from liaam.fitting.solver import solve
 from liaam.model import SURROUNDINGS
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from setups import disturb, finest_objective, make_problem, model_pixels
 
 EXACT = {"tolerance": 1e-4, "hurry": 0.0, "max_iterations": 300, "shape_prior": 0.0}

@@ -5,7 +5,7 @@ import pytest
 
 from liaam.errors import StartError
 from liaam.fitting.start import start_shape
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 
 SIZE = (180, 240)
 

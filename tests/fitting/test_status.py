@@ -5,7 +5,7 @@ import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
 from liaam.fitting.objective import Objective
-from liaam.shape import align
+from liaam.model.shape import align
 
 
 @pytest.mark.parametrize(("deviations", "status"), [(1.0, FitStatus.MAX_ITERATIONS), (12.0, FitStatus.DIVERGED)])

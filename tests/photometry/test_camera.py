@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from liaam.calibration import AngleEstimate
 from liaam.errors import CameraError
-from liaam.photometry import AngleEstimate, CameraModel, NoiseModel, ResponseCurve, load_camera
+from liaam.photometry import CameraModel, NoiseModel, ResponseCurve, load_camera
 from liaam.photometry.encoding import SATURATED
 
 KNOWN = CameraModel(

@@ -17,8 +17,8 @@ from liaam.fitting import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks, decode_image, read_landmarks, write_image, write_landmarks
 from liaam.model import AAM, SURROUNDINGS
+from liaam.model.shape import diagonal_of
 from liaam.photometry import to_linear
-from liaam.shape import diagonal_of
 from liaam.studio import layers
 from liaam.studio.app import make_app, make_studio
 from liaam.studio.fit_files import FILES, attachment, file_of

@@ -6,7 +6,7 @@ import pytest
 from liaam.fitting import Fitter
 from liaam.fitting.fitter import fitted_covariances
 from liaam.model import SURROUNDINGS
-from liaam.shape import rotation
+from liaam.model.shape import rotation
 from liaam.tracking.motion import LARGEST, Motion, landmark_covariances, rescaled
 from setups import disturb
 

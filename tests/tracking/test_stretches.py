@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from liaam.errors import LiaamError, StartError
 from liaam.io import VideoReader, video_writer
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from liaam.tracking import Tracker, TrackStatus, stretches, track_video
 from liaam.tracking.stretches import (
     Stretch,

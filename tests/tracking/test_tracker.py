@@ -10,7 +10,7 @@ from liaam.datasets.scenes import lateral
 from liaam.errors import ImageError, MethodError, StartError, VideoError
 from liaam.fitting import Candidate, FitStatus, Fitter
 from liaam.model import SURROUNDINGS
-from liaam.shape import align, diagonal_of
+from liaam.model.shape import align, diagonal_of
 from liaam.tracking import Tracker, TrackingOptions, TrackStatus, track_video
 from liaam.tracking.tracker import sharpest
 from setups import MOVING_FRAMES, moving_scene

@@ -13,8 +13,8 @@ from liaam.progress import Progress
 
 if TYPE_CHECKING:
     from liaam.datasets import Dataset, Sample
+    from liaam.datasets.label_faults import LabelFault
     from liaam.io import Landmarks
-    from liaam.label_faults import LabelFault
 
 TOLD = 3
 """Faults that training tells before it refers to ``liaam check``."""
@@ -61,7 +61,7 @@ def without_missing(data: "Dataset") -> "list[Sample]":
 
 def faults_by_sample(samples: "list[Sample]", tell: Progress) -> "list[tuple[Sample, list[LabelFault]]]":
     """Samples with faults, and theirs; none may have missing landmarks."""
-    from liaam.label_faults import find_label_faults
+    from liaam.datasets.label_faults import find_label_faults
 
     found: dict[int, list[LabelFault]] = defaultdict(list)
     for fault in find_label_faults([sample.landmarks.points for sample in samples], tell):
@@ -107,7 +107,7 @@ def write_mended(place: Path, landmarks: "Landmarks") -> None:
 
 def warn_of_faults(data: "Dataset", folder: Path) -> None:
     """Tell of landmarks in another order than those of the other pictures, before a model learns it."""
-    from liaam.label_faults import LEAST_PICTURES
+    from liaam.datasets.label_faults import LEAST_PICTURES
 
     whole = without_missing(data)
     if len(whole) < LEAST_PICTURES:

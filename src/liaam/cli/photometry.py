@@ -27,7 +27,8 @@ from liaam.errors import CameraError, LiaamError
 if TYPE_CHECKING:
     import numpy as np
 
-    from liaam.photometry import AngleEstimate, Averaged, CameraModel, VignettingEstimate
+    from liaam.calibration import AngleEstimate, Averaged, VignettingEstimate
+    from liaam.photometry import CameraModel
 
 calibrate = typer.Typer(
     help="Find out what light invariance needs to know of a camera: its angle, response, vignetting and noise. "
@@ -77,7 +78,7 @@ def spectral(
     trust: Trust = False,
 ) -> None:
     """Angle from the sensors' spectra: from peak wavelengths (Wien's law), or from measured sensitivities."""
-    from liaam.photometry import read_sensitivities, theta_from_peaks, theta_from_sensitivities
+    from liaam.calibration import read_sensitivities, theta_from_peaks, theta_from_sensitivities
 
     check_camera_output(output, start)
     if (peaks is None) == (curves is None):
@@ -130,7 +131,7 @@ def angle_of_scene(
     trust: bool,
 ) -> None:
     """Read, align, estimate, and write what belongs to it."""
-    from liaam.photometry import theta_from_scene
+    from liaam.calibration import theta_from_scene
 
     check_camera_output(output, start, paths)
     camera, pictures = read_pictures(paths, start, response, at_least=2)
@@ -177,7 +178,7 @@ def chart(
     trust: Trust = False,
 ) -> None:
     """Angle from pictures of a colour chart under lights of different colour; no alignment is needed."""
-    from liaam.photometry import chart_patches, theta_from_chart
+    from liaam.calibration import chart_patches, theta_from_chart
 
     check_camera_output(output, start, images)
     if (corners is None) == (patches is None):
@@ -207,7 +208,7 @@ def image(
     trust: Trust = False,
 ) -> None:
     """Angle from one picture with shadows (entropy minimisation): a last resort that often cannot be trusted."""
-    from liaam.photometry import theta_from_image
+    from liaam.calibration import theta_from_image
 
     check_camera_output(output, start, [picture])
     camera, (pixels,) = read_pictures([picture], start, response)
@@ -268,8 +269,8 @@ def response_command(
     start: Start = None,
 ) -> None:
     """Response, and with --vignetting the light's falloff, from pictures of one scene at different exposures."""
-    from liaam.photometry import calibrate_response
-    from liaam.plotting_photometry import figure_of_response, save_figure
+    from liaam.calibration import calibrate_response
+    from liaam.plotting.photometry import figure_of_response, save_figure
 
     check_camera_output(output, start, images)
     camera, pictures = read_pictures(images, start, None, at_least=2)
@@ -304,7 +305,7 @@ def vignetting_command(
     response: ResponseOption = None,
 ) -> None:
     """Vignetting from one picture of an evenly lit white wall or paper."""
-    from liaam.photometry import vignetting_from_flat_field
+    from liaam.calibration import vignetting_from_flat_field
 
     check_camera_output(output, start, [picture])
     camera, (pixels,) = read_pictures([picture], start, response)
@@ -338,7 +339,7 @@ def noise_command(
     """Noise from plain surfaces (--flat), from two pictures of one scene under one light, or from one picture."""
     import numpy as np
 
-    from liaam.photometry import noise_from_flat, noise_from_image, noise_from_pair
+    from liaam.calibration import noise_from_flat, noise_from_image, noise_from_pair
 
     check_camera_output(output, start, images)
     camera, pictures = read_pictures(images, start, response)
@@ -392,7 +393,7 @@ def write_check(
 ) -> None:
     """Write the pictures beside their invariant images, for people to see whether the light is gone."""
     from liaam.photometry import invariant_image
-    from liaam.plotting_photometry import figure_of_invariants, save_figure
+    from liaam.plotting.photometry import figure_of_invariants, save_figure
 
     names = unique_stems(list(paths[:6]))
     figure = figure_of_invariants(
@@ -427,7 +428,7 @@ def invariant(
 
     from liaam.io import make_folder, write_bytes_atomically, write_image
     from liaam.photometry import invariant_image
-    from liaam.plotting_photometry import figure_of_sweep, invariant_picture, save_figure
+    from liaam.plotting.photometry import figure_of_sweep, invariant_picture, save_figure
 
     camera, pictures = read_pictures(images, camera_file, response)
     if theta is not None:
@@ -476,8 +477,8 @@ def average_pictures(
     mask_file: Path | None,
 ) -> "Averaged":
     """Average registered pictures in blocks, where a mask's file is white."""
+    from liaam.calibration import averaged
     from liaam.io import read_image
-    from liaam.photometry import averaged
     from liaam.photometry.encoding import stored_values
 
     mask = None if mask_file is None else stored_values(read_image(mask_file)[..., 0]) > 0.5
@@ -488,9 +489,9 @@ def compare_pictures(pictures: Sequence["np.ndarray"], paths: Sequence[Path], se
     """Write and print how well invariant images agree, each with each, with log-grey beside them."""
     import numpy as np
 
+    from liaam.calibration import agreement
     from liaam.io import write_text_atomically
-    from liaam.photometry import agreement
-    from liaam.plotting_photometry import figure_of_agreement, save_figure
+    from liaam.plotting.photometry import figure_of_agreement, save_figure
 
     found = agreement(seen)
     lines = ["first,second,invariant,log_grey,share"]
@@ -522,7 +523,7 @@ def register_command(
     import json
 
     from liaam.io import write_image, write_text_atomically
-    from liaam.plotting_photometry import checkerboard
+    from liaam.plotting.photometry import checkerboard
     from liaam.registration import METHOD, register
 
     output = output or Path(f"{second.stem}_registered.png")

@@ -232,7 +232,7 @@ def open_sinks(
 
 def drawing(writer: Any, model: "AAM", ellipses: bool) -> Sink:
     """Give what writes annotated frames."""
-    from liaam.plotting_video import annotated
+    from liaam.plotting.video import annotated
 
     def write(frame: "VideoFrame", tracked: "TrackedFrame", _result: "FitResult | None") -> None:
         landmarks = tracked.landmarks if tracked.ok else None

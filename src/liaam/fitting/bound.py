@@ -15,11 +15,11 @@ from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.problem import FitProblem
 from liaam.fitting.reference import angle_column, jacobian
 from liaam.fitting.solver import SolverOptions
-from liaam.mesh import signed_areas
 from liaam.model import AAM
+from liaam.model.mesh import signed_areas
+from liaam.model.shape import align
 from liaam.photometry import Response, from_linear, log_slope, srgb_to_linear
 from liaam.photometry.encoding import as_colour
-from liaam.shape import align
 
 
 @dataclass(frozen=True, eq=False)

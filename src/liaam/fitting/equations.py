@@ -12,9 +12,9 @@ Compiled loops write to arrays that they are given: what they would make themsel
 
 import numpy as np
 
-from liaam.jit import jit
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2
+from liaam.kernels.jit import jit
 
 
 @compiled

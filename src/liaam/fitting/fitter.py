@@ -19,11 +19,11 @@ from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration
 from liaam.fitting.search import DOUBTFUL, LARGE, Candidate, Finder, are_apart
 from liaam.fitting.solver import Solution, SolverOptions, scored, settle_lambda
 from liaam.fitting.start import start_shape
-from liaam.mesh import folded_share
 from liaam.model import AAM, Level, Reliability, View
+from liaam.model.mesh import folded_share
+from liaam.model.shape import ShapeModel, Similarity, align, diagonal_of
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.encoding import stored_values
-from liaam.shape import ShapeModel, Similarity, align, diagonal_of
 
 FOLD_LIMIT = 0.3
 """Share of the mesh turned over beyond which a fit has diverged."""

@@ -13,9 +13,9 @@ each function has to give.
 import numpy as np
 
 from liaam.fitting.equations import clear
-from liaam.jit import F
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2, Long1, Long2, Single1, Single2, Single3
+from liaam.kernels.jit import F
 from liaam.kernels.vectors import SIZE, every, halves, load, store
 
 FLAT = 0.05

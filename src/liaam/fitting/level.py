@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
 from liaam.kernels.fields import Bool1, Double1, Double2, Double3, Int1, Single1, Single2, Single3
-from liaam.warp import Mesh
+from liaam.model.warp import Mesh
 
 WIDE = 8
 """Numbers that compiled loops take at a time (:data:`liaam.kernels.vectors.SIZE`), and channels of a picture."""
@@ -52,7 +52,7 @@ class Template(NamedTuple):
     """What a picture is compared with: the model's side of the residual (paper eq 9)."""
 
     warp: Annotated[Any, Mesh]
-    """The reference kernel takes any :class:`liaam.warp.Warp`."""
+    """The reference kernel takes any :class:`liaam.model.warp.Warp`."""
     rows: Single2
     """(1 + m, n k) float32: P(theta_1) A0 and P(theta_1) A_i."""
     lines: Single1

@@ -12,9 +12,9 @@ from liaam.fitting.objective import Objective, State
 from liaam.fitting.problem import MARGIN, NEAR, FitProblem, noise_around
 from liaam.fitting.result import Iteration
 from liaam.fitting.solver import Solution, SolverOptions, solve
+from liaam.model.sampling import Light
+from liaam.model.shape import Similarity, align, diagonal_of
 from liaam.photometry import NoiseModel, Response
-from liaam.sampling import Light
-from liaam.shape import Similarity, align, diagonal_of
 
 SCALE_LIMITS = (1 / 3, 3.0)
 """Change of size from the start beyond which a fit has diverged."""

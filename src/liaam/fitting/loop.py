@@ -27,8 +27,8 @@ from liaam.fitting.steps import (
     squared_length,
 )
 from liaam.fitting.weights import BY_ROWS
-from liaam.jit import jit
 from liaam.kernels.compiled import compiled
+from liaam.kernels.jit import jit
 
 TRUSTED_DAMPING, DAMPING_LIMIT = 1e-2, 1e7
 """Damping up to which the size of a step says that the fit has settled, and at which it stops."""

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from liaam.appearance import APPEARANCES
 from liaam.errors import MethodError
 from liaam.fitting.losses import LOSSES
 from liaam.model import MESH, SURROUNDINGS, VIEWS
+from liaam.model.appearance import APPEARANCES
 from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE
 
 METRICS = {

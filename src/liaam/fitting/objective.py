@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
 from liaam.fitting.kernel import get_kernel
 from liaam.fitting.level import (
@@ -31,8 +30,9 @@ from liaam.fitting.losses import LOSSES, gaussian_median
 from liaam.fitting.methods import WEIGHTS, Method
 from liaam.fitting.problem import FitProblem, correlated_pixels
 from liaam.model import AAM, Level
-from liaam.shape import ShapeModel
-from liaam.warp import Mesh, Warp
+from liaam.model.appearance import AppearanceModel
+from liaam.model.shape import ShapeModel
+from liaam.model.warp import Mesh, Warp
 
 
 class State(NamedTuple):

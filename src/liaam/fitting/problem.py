@@ -7,9 +7,9 @@ import numpy as np
 
 from liaam.fitting.level import Picture
 from liaam.fitting.methods import Method
+from liaam.model.sampling import Light, Patch, make_patch
+from liaam.model.shape import Similarity
 from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
-from liaam.sampling import Light, Patch, make_patch
-from liaam.shape import Similarity
 
 MARGIN = 0.4
 """Surroundings of the start that a fit may visit, as a share of the object's diagonal."""

@@ -2,7 +2,7 @@
 
 The contract of the functions of the same names in :mod:`liaam.fitting.residual`, ``jacobian``, ``weights``,
 ``equations`` and ``evaluate``, whose docstrings say what goes in and out. Jacobians are formed in full, in double
-precision, and any warp will do: :attr:`liaam.fitting.level.Template.warp` is the :class:`liaam.warp.Warp` itself.
+precision, and any warp will do: :attr:`liaam.fitting.level.Template.warp` is the :class:`liaam.model.warp.Warp` itself.
 """
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy as np
 from liaam.fitting.level import COLOUR, CORRELATED, GRADIENTS, Picture, Template, Work
 from liaam.fitting.weights import FACTORS, LEARNT, MOST_DIRECTION_NOISE, UNKNOWN
 from liaam.kernels.reference import sample
+from liaam.model.warp import Warp
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
-from liaam.warp import Warp
 
 
 def by_reference(fields):

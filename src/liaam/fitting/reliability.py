@@ -17,7 +17,7 @@ from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.fitting.search import Finder, is_searchable
 from liaam.fitting.solver import SolverOptions
 from liaam.model import AAM, Reliability
-from liaam.shape import align, diagonal_of, rotation, shifted_into
+from liaam.model.shape import align, diagonal_of, rotation, shifted_into
 
 RIGHT, WRONG = 0.03, 0.06
 """Mean distance from the landmarks, as a share of the shape's diagonal, up to which a fit counts as right and beyond

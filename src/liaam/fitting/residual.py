@@ -10,9 +10,9 @@ import numpy as np
 
 from liaam.fitting.equations import cholesky, clear
 from liaam.fitting.level import BLOCK
-from liaam.jit import F
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2, Int1, Long1, Long2, Single1, Single2, Single3
+from liaam.kernels.jit import F
 from liaam.kernels.vectors import SIZE, lane, load, store, total
 
 
@@ -72,7 +72,7 @@ def place(
     Parameters
     ----------
     beta, starts, triangles
-        Of the mesh (:class:`liaam.warp.Mesh`).
+        Of the mesh (:class:`liaam.model.warp.Mesh`).
     points : (v, 2) float64
         Its vertices, model pixels.
     similarity : (2, 3) float64

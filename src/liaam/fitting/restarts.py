@@ -11,7 +11,7 @@ import numpy as np
 from liaam.fitting.levels import Stage, Target, is_sane, prepare_level, spare
 from liaam.fitting.objective import Objective
 from liaam.fitting.solver import SolverOptions, solve
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 
 BENT = 2.5
 """Standard deviations by which the mean shape is bent along its strongest mode, either way."""

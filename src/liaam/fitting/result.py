@@ -7,7 +7,7 @@ import numpy as np
 
 from liaam.fitting.methods import Method
 from liaam.fitting.search import Candidate
-from liaam.shape import Similarity
+from liaam.model.shape import Similarity
 
 
 class FitStatus(StrEnum):

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.appearance import AppearanceModel
 from liaam.errors import MethodError
 from liaam.evaluation import point_error
 from liaam.fitting.methods import get_method
@@ -21,12 +20,13 @@ from liaam.fitting.objective import THINNING, Objective, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import FitProblem
 from liaam.fitting.solver import Solution, SolverOptions, solve
-from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.model import AAM, MESH, Level, View
+from liaam.model.appearance import AppearanceModel
+from liaam.model.mesh import ReferenceFrame, signed_areas
+from liaam.model.shape import ShapeModel, Similarity, align, diagonal_of, rotation
+from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import Response
 from liaam.photometry.encoding import soft_direction, value_luminance
-from liaam.shape import ShapeModel, Similarity, align, diagonal_of, rotation
-from liaam.warp import PiecewiseAffineWarp
 from liaam.workers import in_threads
 
 TEMPLATE = 40.0

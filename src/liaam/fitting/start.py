@@ -4,7 +4,7 @@ import numpy as np
 
 from liaam.errors import StartError
 from liaam.model import AAM
-from liaam.shape import align, diagonal_of
+from liaam.model.shape import align, diagonal_of
 
 WIDEST = 10.0
 """Size of a start at most, in larger sides of the picture: an object that is cut off on all sides is no larger."""

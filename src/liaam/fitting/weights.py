@@ -8,9 +8,9 @@ import numpy as np
 
 from liaam.fitting.equations import clear
 from liaam.fitting.level import COLOUR, CORRELATED, GRADIENTS, PLANE
-from liaam.jit import F, jit
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2, Single1, Single2
+from liaam.kernels.jit import F, jit
 from liaam.kernels.vectors import SIZE
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 

@@ -21,12 +21,11 @@ import numpy as np
 from liaam.errors import ImageError
 from liaam.io.atomic import write_bytes_atomically
 from liaam.io.files import existing_file, read_bytes
+from liaam.io.pixels import MAX_PIXELS, as_three_channels, check_size
+from liaam.io.raw import is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
 """Endings (lower case) of the image files that can be read and written; those without loss come first."""
-
-MAX_PIXELS = 200_000_000
-"""Default limit on width x height: larger images are refused before they are decoded."""
 
 _MAX_BYTES = 4_000_000_000
 _SIGNATURES = (
@@ -111,8 +110,6 @@ def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np
         If the file is missing, a folder, empty, cut short, damaged, not an image of these formats, has more
         than `max_pixels`, or holds values that have no place here (32-bit integers, signed integers ...).
     """
-    from liaam.io.raw import is_raw, read_raw  # it needs this module
-
     if is_raw(path):
         return read_raw(path, max_pixels)
     path, header = _checked_file(path, max_pixels)
@@ -139,8 +136,6 @@ def read_preview(path: str | os.PathLike[str], size: int, max_pixels: int = MAX_
     ImageError
         See :func:`read_image`.
     """
-    from liaam.io.raw import is_raw  # it needs this module
-
     if is_raw(path):
         return read_image(path, max_pixels)
     path, header = _checked_file(path, max_pixels)
@@ -190,8 +185,6 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     ImageError
         If the file is missing, a folder, empty, or its header cannot be read.
     """
-    from liaam.io.raw import is_raw, raw_size  # it needs this module
-
     if is_raw(path):
         return raw_size(path)
     return _read_header(existing_file(path, ImageError, "image")).size
@@ -209,15 +202,6 @@ def _check_header(path: Path | str, header: _Header, max_pixels: int) -> None:
     check_size(path, header.width, header.height, max_pixels)
     if header.fault:
         raise ImageError(f"{path} {header.fault}")
-
-
-def check_size(path: Path | str, width: int, height: int, max_pixels: int) -> None:
-    """Refuse an image of too many pixels."""
-    if width * height > max_pixels:
-        raise ImageError(
-            f"{path} has {width} x {height} pixels, more than the {max_pixels:,} allowed: "
-            "make the image smaller, or raise max_pixels."
-        )
 
 
 def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
@@ -506,14 +490,6 @@ def _upright(array: np.ndarray, header: _Header) -> np.ndarray:
     if header.orientation in (2, 3, 6, 7):
         array = array[:, ::-1]
     return np.ascontiguousarray(array)
-
-
-def as_three_channels(grey: np.ndarray) -> np.ndarray:
-    """Give a grey image (h, w) three equal channels."""
-    return np.repeat(grey[:, :, None], 3, axis=2)
-
-
-# Encoding -----------------------------------------------------------------------------------------
 
 
 def _check_writable(path: Path, array: np.ndarray) -> str:

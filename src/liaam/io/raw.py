@@ -16,7 +16,7 @@ import numpy as np
 
 from liaam.errors import ImageError
 from liaam.io.files import existing_file
-from liaam.io.images import MAX_PIXELS, as_three_channels, check_size
+from liaam.io.pixels import MAX_PIXELS, as_three_channels, check_size
 
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 """Endings (lower case) of the RAW files that can be read. They are told by name: many are TIFF files inside, whose

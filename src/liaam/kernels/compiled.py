@@ -29,7 +29,7 @@ from numba.core.typing.templates import infer_getattr as _infer_getattr
 from numba.extending import lower_builtin, models, register_model, typeof_impl
 from numba.extending import lower_getattr_generic as _lower_getattr_generic
 
-from liaam.jit import jit
+from liaam.kernels.jit import jit
 from liaam.kernels.spans import SpanType, make_span
 
 infer_getattr: Any = _infer_getattr

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from liaam.jit import F as _F
-from liaam.jit import jit as _jit
+from liaam.kernels.jit import F as _F
+from liaam.kernels.jit import jit as _jit
 
 
 @_jit

@@ -16,10 +16,10 @@ import numpy as np
 from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.tensors import read_tensors
+from liaam.model.shape import align
 from liaam.photometry import Response, is_grey
 from liaam.photometry.encoding import stored_values
 from liaam.photometry.response import from_linear, linear_to_srgb, srgb_to_linear, to_linear
-from liaam.shape import align
 
 HALF = 0.9
 """Half the side of a field's square, in diagonals of the mean shape: the object, what surrounds it, and the background

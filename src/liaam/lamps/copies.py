@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.lamps.bank import Lamps
+from liaam.model.sampling import corners_around
+from liaam.model.shape import diagonal_of
 from liaam.photometry import Response
-from liaam.sampling import corners_around
-from liaam.shape import diagonal_of
 
 AROUND = 0.5
 """What is kept around an object, as a share of its diagonal."""
@@ -31,8 +31,8 @@ class Copies:
     counts : (n,) int
         Copies of each picture.
     order : (n_points,) int, optional
-        Counterparts of the landmarks on the other side (:func:`liaam.shape.mirror_order`), where objects look alike in
-        a mirror: every other copy is of the mirrored picture.
+        Counterparts of the landmarks on the other side (:func:`liaam.model.shape.mirror_order`), where objects look
+        alike in a mirror: every other copy is of the mirrored picture.
     """
 
     lamps: Lamps | None

@@ -9,10 +9,10 @@ import numpy as np
 from liaam.errors import TrainingError
 from liaam.evaluation import point_error
 from liaam.lamps.bank import DARK, Lamps, anchors, as_srgb, square
+from liaam.model.shape import diagonal_of, procrustes_mean
 from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour
 from liaam.progress import Progress
-from liaam.shape import diagonal_of, procrustes_mean
 
 BLUR = 0.016
 """Blur of a ratio of two pictures, as a share of the object's diagonal: the light stays, the grain of skin or fur goes,

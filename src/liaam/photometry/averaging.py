@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.jit import F as _F
-from liaam.jit import jit as _jit
 from liaam.kernels.compiled import Compiled, compiled
 from liaam.kernels.fields import Byte1, Byte2, Long1, Short1, Single1, Single2, Single3, Word1, Word2
+from liaam.kernels.jit import F as _F
+from liaam.kernels.jit import jit as _jit
 
 # Room is made by the callers: to compile np.empty takes as long as a loop.
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from liaam.mesh import ReferenceFrame, signed_areas
 from liaam.model import AAM
+from liaam.model.mesh import ReferenceFrame, signed_areas
 from liaam.photometry import Response, from_linear, to_linear
 from liaam.photometry.encoding import as_colour, stored_values
 from liaam.relighting.appearance import ShadowFree

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from liaam.mesh import ReferenceFrame
+from liaam.model.mesh import ReferenceFrame
 from liaam.relighting.shading import neighbours
 
 STEEPEST = np.tan(np.deg2rad(65.0))

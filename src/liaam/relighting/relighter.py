@@ -9,6 +9,7 @@ import numpy as np
 from liaam.errors import LiaamError, MethodError
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
+from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
 from liaam.photometry.encoding import DARK, as_colour, refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
@@ -18,7 +19,6 @@ from liaam.relighting.painting import REACH, box_around, eight_bits, log_light, 
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
 from liaam.relighting.together import appearance_in_light
-from liaam.shape import align, diagonal_of
 
 AMBIENT = 0.25
 """Share of light that comes from everywhere, unless told otherwise."""

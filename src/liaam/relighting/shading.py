@@ -13,13 +13,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from liaam.mesh import ReferenceFrame
 from liaam.model import AAM
+from liaam.model.mesh import ReferenceFrame
+from liaam.model.shape import align
 from liaam.photometry import Response, from_linear
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope
 from liaam.relighting.painting import soft_edge
-from liaam.shape import align
 from liaam.training import sample_appearance
 
 MISPLACED = 0.4

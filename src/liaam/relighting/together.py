@@ -21,9 +21,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from liaam.appearance import AppearanceModel
-from liaam.mesh import ReferenceFrame
 from liaam.model import AAM
+from liaam.model.appearance import AppearanceModel
+from liaam.model.mesh import ReferenceFrame
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.shading import CORNER, COUPLING, UNIT, UNKNOWN, Seen, every_few, factorised

@@ -22,8 +22,8 @@ from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
 from liaam.fitting.search import Candidate
 from liaam.model import AAM
+from liaam.model.shape import diagonal_of
 from liaam.relighting import Relighter
-from liaam.shape import diagonal_of
 from liaam.studio import layers
 from liaam.studio.pictures import (
     Kept,

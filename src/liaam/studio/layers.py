@@ -10,12 +10,12 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
-from liaam.mesh import ReferenceFrame
 from liaam.model import AAM
+from liaam.model.mesh import ReferenceFrame
+from liaam.model.shape import Similarity
 from liaam.photometry import is_grey, linear_to_srgb
 from liaam.photometry.encoding import stored_values
 from liaam.relighting import Relighter, paint
-from liaam.shape import Similarity
 from liaam.studio.pictures import averaged
 
 LAYERS = ("residual", "shading", "flat")

@@ -11,7 +11,7 @@ import numpy as np
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import Contour, Landmarks
-from liaam.shape import mirror_order
+from liaam.model.shape import mirror_order
 from liaam.studio.safety import Refusal
 
 if TYPE_CHECKING:

@@ -203,7 +203,7 @@ _NOTHING: dict[str, Any] = {
 
 def proposal_of(result: FitResult) -> dict[str, Any]:
     """Give a fit as a proposal. One that failed keeps its points: to correct is less work than to begin."""
-    from liaam.shape import diagonal_of
+    from liaam.model.shape import diagonal_of
 
     facts = {"status": str(result.status), "message": result.message}
     if not np.isfinite(result.shape).all():

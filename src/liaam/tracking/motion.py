@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from liaam.fitting import FitResult
-from liaam.shape import ShapeModel, similarity_modes
+from liaam.model.shape import ShapeModel, similarity_modes
 
 
 @dataclass(frozen=True, eq=False)

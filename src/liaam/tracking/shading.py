@@ -14,11 +14,11 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
+from liaam.model.shape import diagonal_of
 from liaam.photometry import is_grey
 from liaam.photometry.encoding import as_colour
 from liaam.relighting import ShadowFree, paint, shadow_free
 from liaam.relighting.painting import REACH, blended, soft_edge
-from liaam.shape import diagonal_of
 
 CHANGE = 0.1
 """Standard deviation of the change of an appearance's coordinate from frame to frame, in those of its mode: a face

@@ -19,7 +19,7 @@ import numpy as np
 from liaam.errors import LiaamError, VideoError
 from liaam.fitting import FitResult
 from liaam.io import VideoReader
-from liaam.shape import diagonal_of
+from liaam.model.shape import diagonal_of
 from liaam.tracking.tracker import TrackedFrame, Tracker, TrackState
 from liaam.workers import WorkerDied, in_workers, one_thread
 

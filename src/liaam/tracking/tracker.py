@@ -20,8 +20,8 @@ from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import NEAR
 from liaam.fitting.result import LEAST_QUALITY
 from liaam.model import AAM
+from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
-from liaam.shape import align, diagonal_of
 from liaam.tracking import kalman
 from liaam.tracking.motion import Motion, landmark_covariances, rescaled
 

@@ -1,0 +1,117 @@
+"""Calibration: the camera's angle, response, vignetting and noise, from pictures or from what is known of its sensors.
+
+Names load on first use, so that each calibration imports only what it needs.
+"""
+
+from typing import TYPE_CHECKING
+
+from liaam.lazy import attach
+
+if TYPE_CHECKING:
+    from liaam.calibration.agreement import Agreement, Averaged, agreement, averaged
+    from liaam.calibration.alignment import STILL, Aligned, align_pictures, homographies_between
+    from liaam.calibration.chart import chart_patches, theta_from_chart
+    from liaam.calibration.entropy import EntropyEstimate, entropy_curve, theta_from_image
+    from liaam.calibration.estimate import PHYSICAL, AngleEstimate
+    from liaam.calibration.fits import theta_from_fits
+    from liaam.calibration.noise import NoiseEstimate, noise_from_flat, noise_from_image, noise_from_pair
+    from liaam.calibration.radiometry import (
+        RadiometricEstimate,
+        VignettingEstimate,
+        calibrate_response,
+        vignetting_from_flat_field,
+    )
+    from liaam.calibration.scatter import least_squares_angle, theta_from_scene
+    from liaam.calibration.spectral import (
+        SpectralEstimate,
+        read_sensitivities,
+        theta_from_peaks,
+        theta_from_sensitivities,
+    )
+
+__all__ = [
+    "PHYSICAL",
+    "STILL",
+    "Agreement",
+    "Aligned",
+    "AngleEstimate",
+    "Averaged",
+    "EntropyEstimate",
+    "NoiseEstimate",
+    "RadiometricEstimate",
+    "SpectralEstimate",
+    "VignettingEstimate",
+    "agreement",
+    "align_pictures",
+    "averaged",
+    "calibrate_response",
+    "chart_patches",
+    "entropy_curve",
+    "homographies_between",
+    "least_squares_angle",
+    "noise_from_flat",
+    "noise_from_image",
+    "noise_from_pair",
+    "read_sensitivities",
+    "theta_from_chart",
+    "theta_from_fits",
+    "theta_from_image",
+    "theta_from_peaks",
+    "theta_from_scene",
+    "theta_from_sensitivities",
+    "vignetting_from_flat_field",
+]
+
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "agreement": (
+            "Agreement",
+            "Averaged",
+            "agreement",
+            "averaged",
+        ),
+        "alignment": (
+            "Aligned",
+            "STILL",
+            "align_pictures",
+            "homographies_between",
+        ),
+        "chart": (
+            "chart_patches",
+            "theta_from_chart",
+        ),
+        "entropy": (
+            "EntropyEstimate",
+            "entropy_curve",
+            "theta_from_image",
+        ),
+        "estimate": (
+            "AngleEstimate",
+            "PHYSICAL",
+        ),
+        "fits": ("theta_from_fits",),
+        "noise": (
+            "NoiseEstimate",
+            "noise_from_flat",
+            "noise_from_image",
+            "noise_from_pair",
+        ),
+        "radiometry": (
+            "RadiometricEstimate",
+            "VignettingEstimate",
+            "calibrate_response",
+            "vignetting_from_flat_field",
+        ),
+        "scatter": (
+            "least_squares_angle",
+            "theta_from_scene",
+        ),
+        "spectral": (
+            "SpectralEstimate",
+            "read_sensitivities",
+            "theta_from_peaks",
+            "theta_from_sensitivities",
+        ),
+    },
+)

@@ -1,0 +1,114 @@
+"""Pictures of one scene, aligned with the first before they are compared."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.errors import CameraError
+from liaam.evaluation import rms_error
+from liaam.model.warp import apply_homography, picture_corners
+from liaam.photometry import CameraModel
+from liaam.progress import Progress
+from liaam.registration import Registration, register
+
+STILL = 0.25
+"""Movement of the corners, pixels, up to which a picture counts as aligned and is not sampled anew."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """Pictures brought into the frame of the first.
+
+    Attributes
+    ----------
+    pictures : tuple of (h, w, 3) arrays
+    masks : tuple of (h, w) bool
+        Where each shows anything.
+    moved : tuple of float
+        How far each had to be moved, pixels at the corners (root mean square).
+    """
+
+    pictures: tuple[np.ndarray, ...]
+    masks: tuple[np.ndarray, ...]
+    moved: tuple[float, ...]
+
+
+def align_pictures(
+    pictures: Sequence[np.ndarray],
+    camera: CameraModel | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> Aligned:
+    """Align pictures of one scene with the first, whatever the light in each.
+
+    Parameters
+    ----------
+    pictures : sequence of (h, w, 3) uint8, uint16 or float arrays
+    camera : CameraModel, optional
+        Gives response and angle.
+    names : sequence of str, optional
+        What to call the pictures in errors.
+    progress : callable, optional
+        Called with (done, total, name) before each picture.
+
+    Returns
+    -------
+    Aligned
+
+    Raises
+    ------
+    CameraError
+        If a picture cannot be aligned; the message names it.
+    """
+    first, camera = pictures[0], camera or CameraModel()
+    aligned, masks, moved = [first], [np.ones(first.shape[:2], dtype=bool)], [0.0]
+    for picture, found in zip(pictures[1:], _register_all(pictures, camera, names, progress), strict=True):
+        moved.append(_corner_movement(found.homography, first.shape[:2]))
+        if moved[-1] <= STILL and picture.shape == first.shape:
+            aligned.append(picture)
+            masks.append(masks[0])
+            continue
+        sampled, mask = found.warp(picture)
+        aligned.append(sampled)
+        masks.append(mask)
+    return Aligned(tuple(aligned), tuple(masks), tuple(moved))
+
+
+def homographies_between(
+    pictures: Sequence[np.ndarray],
+    camera: CameraModel | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> list[np.ndarray]:
+    """Homographies from the pixels of each picture to those of the first, (3, 3) float64 each.
+
+    Parameters and errors are those of :func:`align_pictures`.
+    """
+    found = _register_all(pictures, camera or CameraModel(), names, progress)
+    return [np.eye(3), *(np.linalg.inv(one.homography) for one in found)]
+
+
+def _register_all(
+    pictures: Sequence[np.ndarray], camera: CameraModel, names: Sequence[str] | None, progress: Progress | None
+) -> list[Registration]:
+    """Register the first picture with each of the others."""
+    names, found = names or [f"picture {i + 1}" for i in range(len(pictures))], []
+    for i, (picture, name) in enumerate(zip(pictures[1:], names[1:], strict=True)):
+        if progress:
+            progress(i, len(pictures) - 1, name)
+        found.append(register(pictures[0], picture, response=camera.response, theta=camera.theta))
+        if not found[-1].status.ok:
+            raise CameraError(
+                f"{name} could not be aligned with {names[0]} ({found[-1].message}); take the pictures from a tripod "
+                "and leave the alignment out, or choose pictures that differ less"
+            )
+    return found
+
+
+def _corner_movement(homography: np.ndarray, size: tuple[int, int]) -> float:
+    """Root mean square movement of the picture's corners by a homography, pixels."""
+    corners = picture_corners(*size)
+    return rms_error(apply_homography(homography, corners), corners)

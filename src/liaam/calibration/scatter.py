@@ -1,0 +1,561 @@
+"""The angle from surfaces seen under several lights: the direction of least scatter (paper section 2.2).
+
+Whatever the light, L(theta) . log rho of a surface stays: theta is where the surfaces scatter least from light to
+light. Three things make this an estimate that can be trusted:
+
+* Averaging. A logarithm of noisy values is biased, so linear light is averaged first, over the pixels of a
+  patch or of a small block of a scene, and the logarithm taken of the mean.
+* Whitening. var L(theta) . log rho = sum_c L_c^2 var log rho_c depends on the angle and on the pixel; plain least
+  squares runs towards the angle of least noise. The whitened sum of squares is a profile likelihood, whose
+  derivative by the angle is zero on average at the true one.
+* Robustness. Highlights, edges of shadows that moved within a block, and things that moved are outliers.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from liaam.calibration.estimate import WIDEST_ERROR, AngleEstimate
+from liaam.errors import CameraError
+from liaam.photometry.camera import CameraModel
+from liaam.photometry.encoding import DARK, SATURATED, as_colour, refuse_grey, stored_values
+from liaam.photometry.invariant import temperature_direction
+from liaam.photometry.noise import noise_deviation
+from liaam.photometry.response import log_slope, to_linear
+
+GRID = np.deg2rad(np.arange(0.0, 180.0, 1.0))
+"""Angles at which the cost is looked at before the best is refined."""
+
+CAUCHY = 2.385
+"""Scale of Cauchy's loss, in standard deviations: 95 % efficient for Gaussian errors."""
+
+FEWEST = 6
+"""Surfaces that an estimate needs at least."""
+
+FEW = 2000
+"""Surfaces that tell well enough where the least scatter is; all of them refine it."""
+
+SETTLED = 1e-6
+"""Change of the angle, radians, at which angle and errors agree."""
+
+BLOCK_NOISE = 0.05
+"""Noise of a block's logarithm that averaging aims at: its bias is then a thousandth."""
+
+MOST_BLOCKS = 10_000
+"""Blocks that a large picture is cut into at most."""
+
+CLUSTERS = 6
+"""Blocks are left out in this many by this many regions of the picture, since neighbours err together."""
+
+COLOURS = 20
+"""Bins of invariant values that tell surfaces of one colour from those of others."""
+
+EDGE = 5.0
+"""Difference of the light's colour between neighbouring blocks, in units of their noise, that tells an edge; nine
+blocks differ by 3 by noise alone."""
+
+WEAKEST_SIGNAL = 2.0
+"""Mean square of the lights' difference along the temperature direction, in units of its error, below which the
+angle is called unobservable; errors alone give 1."""
+
+WEAKEST_VARIATION = 16.0
+"""The same where white balance is free and only what varies from place to place counts: what sensors that are no lines
+make of coloured surfaces varies too."""
+
+SURE = 0.7
+"""Quantile of F above which errors are taken to go by colour rather than by place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """Surfaces seen under several lights.
+
+    Attributes
+    ----------
+    log_rgb : (n, m, 3) float64
+        Logarithm of the mean linear light of surface i under light j.
+    variance : (n, m, 3) float64
+        Its variance by noise.
+    seen : (n, m) bool
+        Whether the surface is neither dark nor saturated there.
+    clusters : (n,) int
+        Surfaces of one number err together; they are left out together for the standard error.
+    """
+
+    log_rgb: np.ndarray
+    variance: np.ndarray
+    seen: np.ndarray
+    clusters: np.ndarray
+
+    def only(self, chosen: np.ndarray | slice) -> "Surfaces":
+        """Some of the surfaces, by mask, numbers or slice."""
+        return Surfaces(self.log_rgb[chosen], self.variance[chosen], self.seen[chosen], self.clusters[chosen])
+
+
+def theta_from_scene(
+    images: Sequence[np.ndarray],
+    camera: CameraModel | None = None,
+    *,
+    block: int | None = None,
+    free_balance: bool = False,
+    masks: Sequence[np.ndarray] | None = None,
+) -> AngleEstimate:
+    """Angle from registered pictures of one scene under several lights.
+
+    Parameters
+    ----------
+    images : sequence of (h, w, 3) uint8, uint16 or float arrays
+        Two or more, of one size, in which a pixel shows the same surface.
+    camera : CameraModel, optional
+        Gives response, vignetting and, where it knows it, noise; sRGB if left out.
+    block : int, optional
+        Pixels across the blocks that are averaged; by the noise if left out.
+    free_balance : bool
+        The pictures' white balance differs: only what changes from place to place counts.
+    masks : sequence of (h, w) bool, optional
+        Pixels of each picture that count.
+
+    Returns
+    -------
+    AngleEstimate
+
+    Raises
+    ------
+    CameraError
+        If the pictures differ in size, are grey, or hardly any surface is well exposed in two of them.
+    """
+    pictures = as_pictures(images)
+    height, width = pictures[0].shape[:2]
+    if any(picture.shape != pictures[0].shape for picture in pictures):
+        sizes = ", ".join(f"{picture.shape[1]}×{picture.shape[0]}" for picture in pictures)
+        raise CameraError(f"the pictures of a scene must have one size, but these have {sizes}; crop or align them")
+    if masks is not None and [np.shape(mask) for mask in masks] != [(height, width)] * len(pictures):
+        raise CameraError(f"masks: give one of {width}×{height} pixels for each of the {len(pictures)} pictures")
+    camera = camera or CameraModel()
+    deviations = [deviation_of(picture, camera) for picture in pictures]
+    block = _block_size(pictures, deviations, camera) if block is None else block
+    labels, (down, across) = block_labels(height, width, block)
+    regions = [labels if mask is None else np.where(mask, labels, -1) for mask in masks or [None] * len(pictures)]
+    surfaces = observe(pictures, regions, down * across, camera, deviations, full=block * block)
+    y, x = np.divmod(np.arange(down * across), across)
+    clusters = (y * CLUSTERS // down) * CLUSTERS + x * CLUSTERS // across
+    surfaces = replace(surfaces, clusters=clusters)
+    enough = surfaces.seen.sum(axis=1) >= 2
+    if enough.sum() >= FEWEST:
+        # A few blocks tell well enough in which direction the light changes.
+        _, rough = _settled(surfaces.only(np.flatnonzero(enough)[:: int(np.ceil(enough.sum() / FEW))]), free_balance)
+        kept = replace(surfaces, seen=surfaces.seen & ~_light_edges(surfaces, across, rough)[:, None])
+        # Where the light changes everywhere there is nothing better to keep.
+        if (kept.seen.sum(axis=1) >= 2).sum() >= max(0.4 * enough.sum(), FEWEST):
+            surfaces = kept
+    return theta_of_least_scatter(surfaces, free_balance=free_balance)
+
+
+def block_labels(height: int, width: int, block: int) -> tuple[np.ndarray, tuple[int, int]]:
+    """Cut a picture into square blocks; those at its right and lower border may be cut off.
+
+    Parameters
+    ----------
+    height, width : int
+        Of the picture.
+    block : int
+        Pixels across a block.
+
+    Returns
+    -------
+    labels : (height, width) int
+        Number of the block that each pixel belongs to, row by row.
+    grid : (int, int)
+        Blocks down and across.
+
+    Raises
+    ------
+    CameraError
+        If fewer than three whole blocks fit down or across.
+    """
+    most = min(height, width) // 3
+    if not 1 <= block <= most:
+        raise CameraError(f"blocks of {block} pixels: give 1 to {most} for pictures of {width}×{height}")
+    rows, columns = np.arange(height) // block, np.arange(width) // block
+    across = int(columns[-1]) + 1
+    return rows[:, None] * across + columns, (int(rows[-1]) + 1, across)
+
+
+def _light_edges(surfaces: Surfaces, across: int, theta: float) -> np.ndarray:
+    """Blocks beside which the colour of the light jumps, (n,) bool.
+
+    A block on the edge of a shadow averages two lights, and the logarithm of a mixture lies beside the line between
+    its parts. The bias is small (0.003 degrees in scenes) but the same everywhere, so that no error bar shows it.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter  # heavy: imported when first needed
+
+    direction = temperature_direction(theta)
+    along = _centred(surfaces.log_rgb @ direction, surfaces.seen.astype(np.float64), free_balance=False)
+    noise = np.sqrt((surfaces.variance @ np.square(direction))[surfaces.seen].mean())
+
+    def over_neighbours(extreme, outside: float) -> np.ndarray:
+        field = np.where(surfaces.seen, along, outside).reshape(-1, across, along.shape[1])
+        return extreme(field, size=(3, 3, 1), mode="nearest").reshape(along.shape)
+
+    jump = over_neighbours(maximum_filter, -np.inf) - over_neighbours(minimum_filter, np.inf)
+    return (surfaces.seen & (jump > EDGE * noise)).any(axis=1)
+
+
+def observe(
+    pictures: Sequence[np.ndarray],
+    regions: Sequence[np.ndarray],
+    n: int,
+    camera: CameraModel,
+    deviations: Sequence[float | None],
+    full: int | None = None,
+    dark: float = DARK,
+) -> Surfaces:
+    """Mean light of numbered regions in each picture.
+
+    Parameters
+    ----------
+    pictures : sequence of m (h, w, 3) arrays
+        Stored values.
+    regions : sequence of m (h, w) int arrays
+        Number of the surface that each pixel shows, -1 for none.
+    n : int
+        Number of surfaces.
+    camera : CameraModel
+    deviations : sequence of m floats or None
+        Noise of stored values, in [0, 1]; None where the camera's own noise model holds.
+    full : int, optional
+        Pixels a whole region has: regions with fewer than half are left out.
+    dark : float
+        Mean stored value, in [0, 1], below which a region says nothing, in any channel.
+
+    Returns
+    -------
+    Surfaces
+        Each a cluster of its own.
+    """
+    logs, variances, seen = [], [], []
+    for picture, labels, deviation in zip(pictures, regions, deviations, strict=True):
+        log, variance, usable = _observe_one(picture, labels.ravel(), n, camera, deviation, full or 0, dark)
+        logs.append(log)
+        variances.append(variance)
+        seen.append(usable)
+    return Surfaces(np.stack(logs, 1), np.stack(variances, 1), np.stack(seen, 1), np.arange(n))
+
+
+def _observe_one(
+    picture: np.ndarray,
+    labels: np.ndarray,
+    n: int,
+    camera: CameraModel,
+    deviation: float | None,
+    full: int,
+    dark: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Log of the regions' mean light (n, 3), its variance (n, 3), and whether they are well exposed (n,)."""
+    inside = np.flatnonzero(labels >= 0)
+    labels = labels[inside]
+    raw = picture.reshape(-1, 3)[inside]
+    finite = np.isfinite(raw).all(axis=1) if raw.dtype.kind == "f" else np.ones(len(raw), dtype=bool)
+    labels, stored = labels[finite], stored_values(raw[finite], np.float64)
+    light, noise = _light_and_variance(stored, camera, deviation)
+    if camera.vignetting:
+        share = camera.falloff(*picture.shape[:2]).reshape(-1)[inside][finite][:, None]
+        light, noise = light / share, noise / np.square(share)
+    count = np.bincount(labels, minlength=n).astype(np.float64)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        sums = np.stack([np.bincount(labels, weights=values[:, c], minlength=n) for c in range(3)], axis=1)
+        return sums / np.maximum(count, 1)[:, None]
+
+    level, light, noise = mean(stored), mean(light), mean(noise) / np.maximum(count, 1)[:, None]
+    # By the mean, not by each pixel: a threshold on noisy pixels would bias what is left. What is clipped is no noise.
+    slack = 2.0 * (0.0 if deviation is None else deviation)
+    clipped = np.bincount(labels, weights=(stored >= SATURATED).any(axis=1), minlength=n) > 0.02 * count
+    usable = (count > max(0.5 * full, 0)) & ~clipped & (light > 0).all(axis=1)
+    usable &= (level >= dark + slack).all(axis=1) & (level <= SATURATED - slack).all(axis=1)
+    light = np.where(usable[:, None], light, 1.0)
+    relative = np.where(usable[:, None], noise / np.square(light), 1.0)
+    return np.log(light) + 0.5 * relative, relative, usable
+
+
+def _light_and_variance(
+    stored: np.ndarray, camera: CameraModel, deviation: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Linear light free of the bias by noise, and its variance, of stored values (any shape)."""
+    response = camera.response
+    light = to_linear(stored, response)
+    if deviation is None and camera.noise is not None:  # noise of linear light: decoding has no bias
+        return light, camera.noise.variance(light)
+    deviation = deviation or 0.0
+    # Noise of stored values: E f(v + n) = f(v) + f'' sigma^2 / 2, which the second difference takes off.
+    around = to_linear(stored + deviation, response) + to_linear(stored - deviation, response)
+    slope = log_slope(np.maximum(stored, 1e-3), response) * to_linear(np.maximum(stored, 1e-3), response)
+    return 2.0 * light - 0.5 * around, np.square(deviation * slope)
+
+
+def deviation_of(picture: np.ndarray, camera: CameraModel) -> float | None:
+    """Noise of a picture's stored values; None where the camera's own noise model holds."""
+    return None if camera.noise is not None else noise_deviation(picture)
+
+
+def _block_size(pictures: Sequence[np.ndarray], deviations: Sequence[float | None], camera: CameraModel) -> int:
+    """Pixels across a block that bring the noise of a middling dark pixel's logarithm to :data:`BLOCK_NOISE`."""
+    height, width = pictures[0].shape[:2]
+    noisiest = 0.0
+    for picture, deviation in zip(pictures, deviations, strict=True):
+        values = stored_values(picture[:: max(1, height // 200), :: max(1, width // 200)], np.float64)
+        level = float(np.percentile(values.min(axis=-1), 30))
+        light, variance = _light_and_variance(np.array([max(level, DARK)]), camera, deviation)
+        noisiest = max(noisiest, float(np.sqrt(variance[0]) / max(float(light[0]), 1e-6)))
+    most = max(1, min(height, width) // 24)
+    least = min(max(3, int(np.ceil(np.sqrt(height * width / MOST_BLOCKS)))), most)
+    return int(np.clip(np.ceil(noisiest / BLOCK_NOISE), least, most))
+
+
+def as_pictures(images: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Check that there are two pictures or more, all in colour."""
+    pictures = [as_colour(image, f"picture {i + 1}") for i, image in enumerate(images)]
+    if len(pictures) < 2:
+        raise CameraError("the angle shows in what a change of light does: give two or more pictures")
+    for i, picture in enumerate(pictures):
+        refuse_grey(picture, f"picture {i + 1}", "an angle needs colour", CameraError)
+    return pictures
+
+
+def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) -> AngleEstimate:
+    """Angle along which surfaces scatter least from light to light, noise-whitened and robust.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+    free_balance : bool
+        Allow each light a constant of its own in the invariant: a white balance that differs.
+
+    Returns
+    -------
+    AngleEstimate
+        The standard error is the jackknife's over clusters of surfaces, or over colours, whichever is greater.
+
+    Raises
+    ------
+    CameraError
+        If fewer than 6 surfaces are seen under two lights.
+    """
+    enough = surfaces.seen.sum(axis=1) >= 2
+    n = int(enough.sum())
+    if n < FEWEST:
+        raise CameraError(
+            f"only {n} surfaces are well exposed in two pictures; at least {FEWEST} are needed: give pictures that are "
+            "neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
+        )
+    surfaces = surfaces.only(enough)
+    return _judge(*_settled(surfaces, free_balance))
+
+
+def _settled(surfaces: Surfaces, free_balance: bool) -> "tuple[_Scatter, float]":
+    """Angle of least scatter, with the errors that go with it; each depends on the other."""
+    scatter = _Scatter(surfaces, free_balance)
+    theta = scatter.best_angle()
+    for _ in range(5):
+        before, scatter = theta, scatter.with_model_error(theta)
+        theta = scatter.best_angle()
+        if abs(theta - before) < SETTLED:
+            break
+    return scatter, theta
+
+
+def least_squares_angle(images: Sequence[np.ndarray], camera: CameraModel | None = None) -> float:
+    """Angle by plain least squares over the pixels of two registered pictures: what to compare with, not to use.
+
+    Noise pulls it towards the angle at which noise counts least.
+
+    Returns
+    -------
+    float
+        Radians in [0, pi).
+    """
+    first, second = as_pictures(images)[:2]
+    response = (camera or CameraModel()).response
+    stored = np.stack([stored_values(picture, np.float64) for picture in (first, second)])
+    usable = ((stored >= DARK) & (stored <= SATURATED)).all(axis=(0, 3))
+    logs = np.log(to_linear(stored[:, usable], response))
+    moments = (logs[0] - logs[1]).T @ (logs[0] - logs[1])
+    thetas = np.linspace(0.0, np.pi, 3600, endpoint=False)
+    rows = _unit_rows(thetas)
+    return float(thetas[np.einsum("kc,cd,kd->k", rows, moments, rows).argmin()])
+
+
+@dataclass(frozen=True, eq=False)
+class _Scatter:
+    """Whitened scatter of surfaces as a function of the angle.
+
+    Attributes
+    ----------
+    surfaces : Surfaces
+    free_balance : bool
+    model : float
+        Variance of log rho, per channel, by what is not noise: sensors that are no lines, highlights, pixels that
+        do not quite correspond.
+    """
+
+    surfaces: Surfaces
+    free_balance: bool
+    model: float = 0.0
+
+    def squares(self, rows: np.ndarray) -> np.ndarray:
+        """Whitened within-surface sum of squares of projections by rows (k, 3), (k, n) float64."""
+        s = self.surfaces
+        projected = np.einsum("kc,nmc->knm", rows, s.log_rgb)
+        weights = s.seen / (np.einsum("kc,nmc->knm", np.square(rows), s.variance + self.model) + 1e-12)
+        centred = _centred(projected, weights, self.free_balance)
+        return (weights * np.square(centred)).sum(axis=2)
+
+    @property
+    def degrees(self) -> np.ndarray:
+        """Degrees of freedom of each surface's sum of squares, (n,)."""
+        return self.surfaces.seen.sum(axis=1) - 1.0
+
+    def costs(self, thetas: np.ndarray) -> np.ndarray:
+        """Cauchy's loss of each surface at angles (k,), (k, n) float64."""
+        parts = [
+            self.squares(_unit_rows(part)) for part in np.array_split(np.atleast_1d(thetas), len(thetas) // 16 + 1)
+        ]
+        scale = CAUCHY**2 * self.degrees
+        return scale * np.log1p(np.concatenate(parts) / scale)
+
+    def best_angle(self) -> float:
+        """Angle of least cost, radians in [0, pi)."""
+        from scipy.optimize import minimize_scalar  # heavy: imported when first needed
+
+        step = int(np.ceil(len(self.degrees) / FEW))
+        thinned = replace(self, surfaces=self.surfaces.only(slice(None, None, step)))
+        near = GRID[int(thinned.costs(GRID).sum(axis=1).argmin())]
+        width = 1.5 * float(GRID[1])
+        found = minimize_scalar(
+            lambda t: float(self.costs(np.array([t])).sum()), bounds=(near - width, near + width), method="bounded",
+            options={"xatol": 1e-6},
+        )  # fmt: skip
+        return float(found.x % np.pi)
+
+    def with_model_error(self, theta: float) -> "_Scatter":
+        """Give the same with the variance that explains the median surface's scatter at an angle."""
+        from scipy.optimize import brentq  # heavy: imported when first needed
+        from scipy.stats import chi2
+
+        row, wanted = _unit_rows(np.array([theta])), chi2.ppf(0.5, self.degrees)
+
+        def excess(log_model: float) -> float:
+            squares = replace(self, model=float(np.exp(log_model))).squares(row)[0]
+            return float(np.median(squares / wanted)) - 1.0
+
+        low, high = float(np.log(1e-10)), 0.0
+        if excess(low) <= 0:
+            return replace(self, model=0.0)
+        root = high if excess(high) > 0 else brentq(excess, low, high, xtol=0.01, full_output=False)
+        return replace(self, model=float(np.exp(float(root))))  # pyright: ignore[reportArgumentType]
+
+
+def _centred(values: np.ndarray, weights: np.ndarray, free_balance: bool) -> np.ndarray:
+    """Values (..., n, m) without each surface's weighted mean, and without a constant of each light if it is free."""
+
+    def means(of: np.ndarray, axis: int) -> np.ndarray:
+        total = np.maximum(weights.sum(axis=axis, keepdims=True), 1e-300)
+        return (weights * of).sum(axis=axis, keepdims=True) / total
+
+    centred = values - means(values, -1)
+    if free_balance:
+        for _ in range(3):  # alternately: a constant for each light, a mean for each surface
+            centred = centred - means(centred, -2)
+            centred = centred - means(centred, -1)
+    return centred
+
+
+def _unit_rows(thetas: np.ndarray) -> np.ndarray:
+    """Rows L(theta) of length 1, (k, 3) float64."""
+    rows = np.stack([np.cos(thetas), np.sin(thetas), -np.cos(thetas) - np.sin(thetas)], axis=1)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def _judge(scatter: _Scatter, theta: float) -> AngleEstimate:
+    """Standard error by leaving out clusters, and whether there was a change of light to see the angle by."""
+    error, (change, signal), n = _error(scatter, theta), _light_change(scatter, theta), len(scatter.degrees)
+    times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
+    reason = None
+    if scatter.free_balance and signal < WEAKEST_VARIATION:
+        reason = (
+            f"the lights' colours hardly vary from place to place ({times}), and with a free white balance nothing "
+            "else counts; give pictures with one white balance, or under light of uneven colour"
+        )
+    elif signal < WEAKEST_SIGNAL:
+        reason = (
+            f"the lights' colours hardly differ ({times}); give pictures under lights of different colour, such as "
+            "lamp light and daylight"
+        )
+    elif not error < WIDEST_ERROR:
+        reason = (
+            f"the angle is uncertain by {np.rad2deg(1.96 * error):.0f} degrees either way, though the lights differ "
+            f"({times}): {n} blocks or patches of too few colours tell too little; show more colours, well exposed"
+        )
+    if reason is not None:
+        message = f"the angle cannot be told: {reason}"
+        return AngleEstimate(theta, float("inf"), message, change, n)
+    message = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
+    return AngleEstimate(theta, error, message, change, n).doubted()
+
+
+def _error(scatter: _Scatter, theta: float) -> float:
+    """Half the width of the 95 % interval over 1.96, radians.
+
+    Neighbours err together. So do surfaces of one colour, because sensors that are no lines see each colour move
+    differently; errors go by colour where they are clearly greater that way.
+    """
+    from scipy.stats import f, t  # heavy: imported when first needed
+
+    by_place, places = _jackknife(scatter, theta, scatter.surfaces.clusters)
+    by_colour, colours = _jackknife(scatter, theta, _colours(scatter, theta))
+    if not np.isfinite([by_place, by_colour]).all():
+        return float("inf")
+    go_by_colour = (by_colour / max(by_place, 1e-12)) ** 2 > f.ppf(SURE, colours, places)
+    error, degrees = (by_colour, colours) if go_by_colour else (by_place, places)
+    return error * float(t.ppf(0.975, degrees)) / 1.96
+
+
+def _colours(scatter: _Scatter, theta: float) -> np.ndarray:
+    """Number of the bin of invariant values that each surface falls in, (n,) int."""
+    s = scatter.surfaces
+    weights = s.seen.astype(np.float64)
+    values = (weights * (s.log_rgb @ _unit_rows(np.array([theta]))[0])).sum(axis=1) / weights.sum(axis=1)
+    low, high = np.percentile(values, (1, 99))
+    return np.clip((values - low) / max(high - low, 1e-9) * COLOURS, 0, COLOURS - 1).astype(int)
+
+
+def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[float, float]:
+    """Standard error of the angle by leaving out clusters, radians, and its degrees of freedom."""
+    step = np.deg2rad(0.1)
+    low, middle, high = scatter.costs(theta + step * np.array([-1.0, 0.0, 1.0]))
+    slopes, bends = (high - low) / (2 * step), (high - 2 * middle + low) / step**2
+    _, cluster = np.unique(clusters, return_inverse=True)
+    slope, bend = np.bincount(cluster, slopes), np.bincount(cluster, bends)
+    rest = bend.sum() - bend
+    if len(slope) < 3 or not (rest > 0).all():
+        return float("inf"), 1.0
+    # One Newton step from the whole to the rest without each cluster.
+    moved = slope / rest
+    k = len(slope)
+    error = float(np.sqrt((k - 1) / k * np.square(moved - moved.mean()).sum()))
+    # Clusters that see little of the change hardly count as observations.
+    effective = float(np.square(np.abs(bend).sum()) / np.square(bend).sum())
+    return error, max(effective - 1.0, 1.0)
+
+
+def _light_change(scatter: _Scatter, theta: float) -> tuple[float, float]:
+    """Root mean square difference of the lights along d(theta), as log R/B, and its square in units of its error."""
+    direction, s = temperature_direction(theta), scatter.surfaces
+    along = s.log_rgb @ direction
+    weights = s.seen.astype(np.float64)
+    centred = _centred(along, weights, scatter.free_balance)
+    errors = ((s.variance + scatter.model) @ np.square(direction) * weights).sum(axis=1) / weights.sum(axis=1)
+    squares = (weights * np.square(centred)).sum(axis=1) / scatter.degrees
+    change = np.sqrt(2.0 * max(float(np.mean(squares - errors)), 0.0)) * abs(direction[0] - direction[2])
+    return float(change), float(np.mean(squares) / np.mean(errors))

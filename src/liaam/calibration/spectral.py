@@ -1,0 +1,411 @@
+"""The angle from a camera's spectral sensitivities, by simulating how light changes what it sees.
+
+A series of lights of different colour temperature falls on a surface; the camera's log responses move along a line,
+nearly, in the plane orthogonal to intensity (paper, section 2; Finlayson and Hordley, "Color constancy at a pixel",
+JOSA A 2001). Total least squares finds its direction, and theta is the row L(theta) orthogonal to it.
+"""
+
+import csv
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from liaam.calibration.estimate import AngleEstimate, axis_difference
+from liaam.errors import CameraError
+from liaam.evaluation import root_mean_square
+from liaam.io.files import existing_file, is_number, read_bytes
+from liaam.photometry.invariant import CHROMATICITY, wien_theta
+
+Lights = Literal["both", "planckian", "daylight", "wien"]
+"""Planckian radiators, CIE daylights, both; ``wien``: radiators by Wien's approximation, as the paper has them."""
+
+KELVIN = (2500.0, 10000.0)
+"""Coldest and hottest light of a series."""
+
+COLDEST_DAYLIGHT = 4000.0
+"""Temperature below which the CIE defines no daylight, kelvin."""
+
+MIRED_STEP = 10.0
+"""Distance of neighbouring lights in reciprocal megakelvin, in which colour changes evenly."""
+
+K2_NM = 1.438776877e7
+"""Second radiation constant, nm K (CODATA 2018)."""
+
+SENSOR_WIDTH = 40.0
+"""Standard deviation of a wide sensor's sensitivity, nm: peak wavelengths alone leave the width open."""
+
+PEAK_OFFSET = 10.0
+"""How far the wavelength at which a sensor acts lies from its peak, nm: real curves are lopsided."""
+
+VISIBLE = (300.0, 830.0)
+"""Wavelengths of the daylight table, nm; what a sensor sees beyond is left out."""
+
+FEWEST = 8
+"""Wavelengths that sensitivity curves need at least."""
+
+COARSEST = 25.0
+"""Widest gap between wavelengths of sensitivity curves, nm."""
+
+LARGEST_TABLE = 10_000_000
+"""Bytes of a table of sensitivities at most."""
+
+# Components S0, S1, S2 of daylight from 300 to 830 nm in steps of 10 nm: CIE 15:2004, table T.2, after Judd,
+# MacAdam and Wyszecki, "Spectral distribution of typical daylight", JOSA 1964.
+_DAYLIGHT = (
+    (0.04, 0.02, 0.0), (6.0, 4.5, 2.0), (29.6, 22.4, 4.0), (55.3, 42.0, 8.5), (57.3, 40.6, 7.8), (61.8, 41.6, 6.7),
+    (61.5, 38.0, 5.3), (68.8, 42.4, 6.1), (63.4, 38.5, 3.0), (65.8, 35.0, 1.2), (94.8, 43.4, -1.1),
+    (104.8, 46.3, -0.5), (105.9, 43.9, -0.7), (96.8, 37.1, -1.2), (113.9, 36.7, -2.6), (125.6, 35.9, -2.9),
+    (125.5, 32.6, -2.8), (121.3, 27.9, -2.6), (121.3, 24.3, -2.6), (113.5, 20.1, -1.8), (113.1, 16.2, -1.5),
+    (110.8, 13.2, -1.3), (106.5, 8.6, -1.2), (108.8, 6.1, -1.0), (105.3, 4.2, -0.5), (104.4, 1.9, -0.3),
+    (100.0, 0.0, 0.0), (96.0, -1.6, 0.2), (95.1, -3.5, 0.5), (89.1, -3.5, 2.1), (90.5, -5.8, 3.2), (90.3, -7.2, 4.1),
+    (88.4, -8.6, 4.7), (84.0, -9.5, 5.1), (85.1, -10.9, 6.7), (81.9, -10.7, 7.3), (82.6, -12.0, 8.6),
+    (84.9, -14.0, 9.8), (81.3, -13.6, 10.2), (71.9, -12.0, 8.3), (74.3, -13.3, 9.6), (76.4, -12.9, 8.5),
+    (63.3, -10.6, 7.0), (71.7, -11.6, 7.6), (77.0, -12.2, 8.0), (65.2, -10.2, 6.7), (47.7, -7.8, 5.2),
+    (68.6, -11.2, 7.4), (65.0, -10.4, 6.8), (66.0, -10.6, 7.0), (61.0, -9.7, 6.4), (53.3, -8.3, 5.5),
+    (58.9, -9.3, 6.1), (61.9, -9.8, 6.5),
+)  # fmt: skip
+
+_COLUMNS = {
+    "wavelength_nm": "wavelength_nm", "wavelength": "wavelength_nm", "lambda": "wavelength_nm", "nm": "wavelength_nm",
+    "r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SpectralEstimate(AngleEstimate):
+    """An angle from sensitivities; the standard error is the spread between surfaces and lights.
+
+    Attributes
+    ----------
+    planckian, daylight : float or None
+        The angle of a neutral surface under each series of lights alone, radians; None where it was not asked for.
+        Radiators by Wien's approximation count as Planckian.
+    """
+
+    planckian: float | None
+    daylight: float | None
+
+
+def theta_from_peaks(peaks_nm: tuple[float, float, float]) -> AngleEstimate:
+    """Angle from the wavelengths at which the three sensors peak, by Wien's closed form.
+
+    Parameters
+    ----------
+    peaks_nm : (float, float, float)
+        Of R, G and B.
+
+    Returns
+    -------
+    AngleEstimate
+        Its standard error is how far wide and lopsided sensors stray from the closed form, under real lights and on
+        coloured surfaces: some degrees. Sensors stacked in depth (Foveon) stray further, by 9 degrees for the one
+        whose curves were published.
+
+    Raises
+    ------
+    CameraError
+        If the peaks are not three falling wavelengths from 300 to 830 nm.
+    """
+    peaks = np.asarray(peaks_nm, dtype=np.float64)
+    falling = peaks.shape == (3,) and np.isfinite(peaks).all() and (np.diff(peaks) < 0).all()
+    if not falling or peaks[0] > VISIBLE[1] or peaks[2] < VISIBLE[0]:
+        raise CameraError(
+            f"peak wavelengths {peaks_nm}: give those of R, G and B in nm, longest first, such as 610, 540, 450"
+        )
+    red, green, blue = peaks.tolist()
+    theta = wien_theta((red, green, blue))
+    nm = np.arange(VISIBLE[0], VISIBLE[1] + 1)
+    broad = theta_from_sensitivities(nm, np.exp(-0.5 * np.square((nm[:, None] - peaks) / SENSOR_WIDTH)))
+    moved = [wien_theta(p) for p in ((red + PEAK_OFFSET, green, blue), (red, green + PEAK_OFFSET, blue))]
+    moved.append(wien_theta((red, green, blue + PEAK_OFFSET)))
+    parts = [broad.standard_error, *(axis_difference(angle, theta) for angle in (broad.theta, *moved))]
+    error = float(np.linalg.norm(parts))
+    message = (
+        f"by Wien's closed form; the error is that of wide sensors that act within {PEAK_OFFSET:g} nm of their peaks, "
+        "under Planckian lights and daylights: sensitivity curves would tell more"
+    )
+    return AngleEstimate(theta, error, message, broad.light_change, broad.n)
+
+
+def theta_from_sensitivities(
+    wavelengths_nm: np.ndarray,
+    sensitivities: np.ndarray,
+    lights: Lights = "both",
+    *,
+    kelvin: tuple[float, float] = KELVIN,
+) -> SpectralEstimate:
+    """Angle from sensitivity curves, for a neutral surface under a series of lights.
+
+    Parameters
+    ----------
+    wavelengths_nm : (n,) float
+        Rising, nm.
+    sensitivities : (n, 3) float
+        Of R, G and B to radiant power, each on any scale. Small negative values are fine, as measurements and colour
+        matrices have them.
+    lights : {"both", "planckian", "daylight", "wien"}
+        Planckian radiators; CIE daylights (from 4000 K up); both; or radiators by Wien's approximation.
+    kelvin : (float, float)
+        Coldest and hottest light.
+
+    Returns
+    -------
+    SpectralEstimate
+        ``n`` counts the surfaces, a neutral one and coloured ones, over which the spread was taken.
+
+    Raises
+    ------
+    CameraError
+        If the curves are no sensitivities, or their three channels all move together, so that no light changes colour.
+    """
+    nm, curves = np.asarray(wavelengths_nm, dtype=np.float64), np.asarray(sensitivities, dtype=np.float64)
+    _check_curves(nm, curves)
+    nm, curves = _resampled(nm, curves)
+    spectra = _series(nm, lights, kelvin)
+    responses = {name: _responses(nm, curves, power) for name, power in spectra.items()}
+    seen = np.all([(r > 0).all(axis=(1, 2)) for r in responses.values()], axis=0)
+    if not seen[0]:
+        raise CameraError("a channel does not respond to white light: its sensitivity is zero or mostly negative")
+    series = {name: np.log(r[seen]) for name, r in responses.items()}
+    theta = _angle_of([logs[0] for logs in series.values()])
+    halves = [half for logs in series.values() for surface in logs for half in _halves(surface)]
+    error = root_mean_square([axis_difference(_angle_of([half]), theta) for half in halves])
+    alone = {name: _angle_of([logs[0]]) for name, logs in series.items()}
+    warmth = np.concatenate([logs[0, :, 0] - logs[0, :, 2] for logs in series.values()])
+    return SpectralEstimate(
+        theta=theta,
+        standard_error=error,
+        message=_told(alone, kelvin, error),
+        light_change=float(np.sqrt(2.0) * np.std(warmth, ddof=1)),
+        n=int(seen.sum()),
+        planckian=alone.get("planckian", alone.get("wien")),
+        daylight=alone.get("daylight"),
+    )
+
+
+def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
+    """Read sensitivity curves from a CSV file.
+
+    Columns are ``wavelength_nm``, ``R``, ``G`` and ``B`` in that order, or in any order and among others if a first
+    line names them (capitals do not matter; ``nm``, ``wavelength``, ``red``, ``green`` and ``blue`` are understood).
+    Commas, semicolons or tabs separate them; lines that start with # are left out.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    wavelengths_nm : (n,) float64
+        Rising.
+    sensitivities : (n, 3) float64
+        Of R, G and B.
+
+    Raises
+    ------
+    CameraError
+        If the file is missing, or a line of it makes no sense; the message names the line.
+    """
+    path = existing_file(path, CameraError, "table of sensitivities")
+    lines = _table_lines(path)
+    first = [cell.strip().lower() for cell in lines[0][1]]
+    order, body = [0, 1, 2, 3], lines
+    if not is_number(first[0]):
+        order, body = _column_order(first, path), lines[1:]
+    table = np.array([_numbers(cells, order, len(first), f"{path}, line {number}") for number, cells in body])
+    if len(table) < FEWEST:
+        raise CameraError(f"{path}: {len(table)} wavelengths are too few; give {FEWEST} or more, in nm")
+    table = table[np.argsort(table[:, 0])]
+    nm, curves = table[:, 0], table[:, 1:]
+    try:
+        _check_curves(nm, curves)
+    except CameraError as error:
+        raise CameraError(f"{path}: {error}") from error
+    red, blue = (float(nm @ np.maximum(curves[:, c], 0) / np.maximum(curves[:, c], 0).sum()) for c in (0, 2))
+    if red <= blue:
+        raise CameraError(
+            f"{path}: R sees shorter wavelengths ({red:.0f} nm) than B ({blue:.0f} nm); name the columns in a first "
+            "line, such as wavelength_nm,R,G,B"
+        )
+    return nm, curves
+
+
+def planckian(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float, *, wien: bool = False) -> np.ndarray:
+    """Spectral power of Planckian radiators, 1 at 560 nm (paper eq 6).
+
+    Parameters
+    ----------
+    wavelengths_nm : (n,) float
+    kelvin : (m,) float
+    wien : bool
+        By Wien's approximation, which the paper uses.
+
+    Returns
+    -------
+    (m, n) float64
+    """
+    nm, reach = np.asarray(wavelengths_nm, dtype=np.float64), K2_NM / np.atleast_1d(kelvin)[:, None]
+    ratio = np.exp(reach / 560.0 - reach / nm) if wien else np.expm1(reach / 560.0) / np.expm1(reach / nm)
+    return ratio * (560.0 / nm) ** 5
+
+
+def daylight(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float) -> np.ndarray:
+    """Spectral power of CIE daylights, 100 at 560 nm (CIE 15:2004, section 3.1); zero beyond 300-830 nm.
+
+    Parameters
+    ----------
+    wavelengths_nm : (n,) float
+    kelvin : (m,) float
+        Correlated colour temperatures, 4000 to 25000.
+
+    Returns
+    -------
+    (m, n) float64
+    """
+    t = 1e3 / np.atleast_1d(kelvin).astype(np.float64)
+    warm = 0.244063 + 0.09911 * t + 2.9678 * t**2 - 4.6070 * t**3
+    cold = 0.237040 + 0.24748 * t + 1.9018 * t**2 - 2.0064 * t**3
+    x = np.where(t >= 1 / 7.0, warm, cold)
+    y = -3.000 * x**2 + 2.870 * x - 0.275
+    common = 0.0241 + 0.2562 * x - 0.7341 * y
+    first, second = -1.3515 - 1.7703 * x + 5.9114 * y, 0.0300 - 31.4424 * x + 30.0717 * y
+    table = np.arange(VISIBLE[0], VISIBLE[1] + 1, 10.0)
+    parts = np.stack([np.interp(wavelengths_nm, table, s, 0.0, 0.0) for s in np.transpose(_DAYLIGHT)])
+    return np.stack([np.ones_like(x), first / common, second / common], axis=1) @ parts
+
+
+def _series(nm: np.ndarray, lights: str, kelvin: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Spectra (m, n) of the series of lights that are asked for."""
+    if lights not in get_args(Lights):
+        raise CameraError(f"lights {lights!r} are not known: give one of {', '.join(get_args(Lights))}")
+    cold, hot = (float(k) for k in kelvin)
+    if not 1000.0 <= cold < hot <= 25000.0:
+        raise CameraError(f"lights from {cold:g} to {hot:g} K: give the colder first, within 1000 to 25000 K")
+    if lights in ("planckian", "wien"):
+        return {lights: planckian(nm, _even_in_mired(cold, hot), wien=lights == "wien")}
+    cold_day = max(cold, COLDEST_DAYLIGHT)
+    if cold_day >= hot:
+        raise CameraError(f"there is no CIE daylight from {cold:g} to {hot:g} K; give lights='planckian'")
+    day = {"daylight": daylight(nm, _even_in_mired(cold_day, hot))}
+    return day if lights == "daylight" else {"planckian": planckian(nm, _even_in_mired(cold, hot)), **day}
+
+
+def _even_in_mired(cold: float, hot: float) -> np.ndarray:
+    """Temperatures, kelvin, that are even in reciprocal temperature."""
+    mired = 1e6 / cold, 1e6 / hot
+    return 1e6 / np.linspace(*mired, max(8, round((mired[0] - mired[1]) / MIRED_STEP) + 1))
+
+
+def _surfaces(nm: np.ndarray) -> np.ndarray:
+    """Reflectances (k, n): a neutral one, then eight hues of middling strength."""
+    # One low frequency: frequency-limited reflectances after Stiles, Wyszecki and Ohta (JOSA 1977).
+    phases = np.arange(8)[:, None] / 8
+    return np.vstack([np.ones_like(nm), 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - phases))])
+
+
+def _responses(nm: np.ndarray, curves: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """Responses (k, m, 3) of the camera to each surface under each light, by the trapezoidal rule."""
+    weighted = curves * _trapezoid_weights(nm)[:, None]
+    return np.einsum("kn,mn,nc->kmc", _surfaces(nm), power, weighted, optimize=True)
+
+
+def _trapezoid_weights(nm: np.ndarray) -> np.ndarray:
+    """Weights (n,) that make a sum over wavelengths an integral by the trapezoidal rule."""
+    weights = np.gradient(nm)
+    weights[[0, -1]] *= 0.5
+    return weights
+
+
+def _angle_of(loci: list[np.ndarray]) -> float:
+    """Angle, radians in [0, pi), whose row is orthogonal to the common direction of loci of log responses (m, 3)."""
+    chroma = np.concatenate([logs - logs.mean(axis=0) for logs in loci]) @ CHROMATICITY.T
+    _, sizes, axes = np.linalg.svd(chroma, full_matrices=False)
+    if sizes[0] < 1e-6 * np.sqrt(len(chroma)):
+        raise CameraError("the three channels respond alike to every light, so no angle can be told; check the columns")
+    row = np.cross(axes[0] @ CHROMATICITY, np.ones(3))
+    return float(np.arctan2(row[1], row[0]) % np.pi) % float(np.pi)
+
+
+def _halves(locus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split a locus into its cold and its hot lights, to see how much it bends."""
+    middle = len(locus) // 2
+    return locus[: middle + 1], locus[middle:]
+
+
+def _told(alone: dict[str, float], kelvin: tuple[float, float], error: float) -> str:
+    """Say what the angle rests on."""
+    parts = " and ".join(f"{np.rad2deg(angle):.1f}° under the {name} series" for name, angle in alone.items())
+    return (
+        f"white has {parts}, {kelvin[0]:.0f} to {kelvin[1]:.0f} K; the error of {np.rad2deg(error):.1f}° is the spread "
+        "between white and coloured surfaces, cold and hot lights: the angle of wide sensors is not one number"
+    )
+
+
+def _check_curves(nm: np.ndarray, curves: np.ndarray) -> None:
+    """Refuse what are no sensitivity curves."""
+    if nm.ndim != 1 or curves.shape != (len(nm), 3) or len(nm) < FEWEST:
+        raise CameraError(
+            f"wavelengths of shape {nm.shape} and sensitivities of shape {curves.shape}: give (n,) and (n, 3), of "
+            f"{FEWEST} wavelengths or more"
+        )
+    if not np.isfinite(nm).all() or not np.isfinite(curves).all():
+        raise CameraError("a wavelength or sensitivity is not a finite number; fill the gap or leave its row out")
+    if (np.diff(nm) <= 0).any():
+        raise CameraError(f"wavelength {nm[1:][np.diff(nm) <= 0][0]:g} does not rise; give each once, shortest first")
+    if nm[0] < 100 or nm[-1] > 3000:
+        raise CameraError(f"wavelengths from {nm[0]:g} to {nm[-1]:g} are not in nm; visible light has 380 to 780")
+    for name, curve in zip("RGB", curves.T, strict=True):
+        if curve.max() <= 0:
+            raise CameraError(f"channel {name} sees nothing: none of its sensitivities is above 0")
+    if (np.diff(nm) > COARSEST).any():
+        raise CameraError(f"wavelengths are {np.diff(nm).max():g} nm apart; give sensitivities every {COARSEST:g} nm")
+
+
+def _resampled(nm: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Curves at most 1 nm apart, as the lights need, and within the daylight table."""
+    area = np.abs(curves) * _trapezoid_weights(nm)[:, None]
+    if (area[(nm < VISIBLE[0]) | (nm > VISIBLE[1])].sum(axis=0) > 0.02 * area.sum(axis=0)).any():
+        raise CameraError(
+            f"a channel has more than 2 % of its sensitivity outside {VISIBLE[0]:g} to {VISIBLE[1]:g} nm, where "
+            "daylight is not known; measure the camera with its infrared filter"
+        )
+    low, high = max(nm[0], VISIBLE[0]), min(nm[-1], VISIBLE[1])
+    fine = np.union1d(nm[(nm >= low) & (nm <= high)], np.arange(np.ceil(low), np.floor(high) + 1))
+    return fine, np.stack([np.interp(fine, nm, curve) for curve in curves.T], axis=1)
+
+
+def _table_lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Line numbers and cells of a table, without empty lines and remarks."""
+    try:
+        text = read_bytes(path, CameraError, LARGEST_TABLE).decode("utf-8-sig")
+        kept = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip(" ,;\t") and line[0] != "#"]
+        separator = max(",;\t", key=kept[0][1].count)
+        return [(i, next(csv.reader([line], delimiter=separator))) for i, line in kept]
+    except (UnicodeDecodeError, csv.Error, IndexError) as error:
+        raise CameraError(f"{path}: this is no table; give a CSV file of wavelength_nm,R,G,B") from error
+
+
+def _column_order(header: list[str], path: Path) -> list[int]:
+    """Where the columns wavelength_nm, R, G, B stand."""
+    names = [_COLUMNS.get(cell) for cell in header]
+    wrong = [wanted for wanted in ("wavelength_nm", "R", "G", "B") if names.count(wanted) != 1]
+    if wrong:
+        raise CameraError(
+            f"{path}: the first line must name the columns wavelength_nm, R, G and B once each, but {', '.join(wrong)} "
+            f"{'is' if len(wrong) == 1 else 'are'} missing or doubled in: {', '.join(header)}"
+        )
+    return [names.index(wanted) for wanted in ("wavelength_nm", "R", "G", "B")]
+
+
+def _numbers(cells: list[str], order: list[int], width: int, where: str) -> list[float]:
+    """Give the four numbers of a line, in the columns' order."""
+    if len(cells) != width or max(order) >= width:
+        raise CameraError(f"{where}: there are {len(cells)} columns instead of {max(width, 4)}")
+    values = [cells[i].strip() for i in order]
+    for value in values:
+        if not is_number(value):
+            raise CameraError(f"{where}: {value!r} is not a number; write it with a decimal point")
+    return [float(value) for value in values]

@@ -1,0 +1,52 @@
+"""How loops over pixels are compiled."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core import config
+from numba.core.caching import FunctionCache
+
+F = np.float32
+
+_njit: Any = numba.njit
+
+_OPTIONS: dict[str, Any] = {
+    # Others draw and write videos meanwhile, or fit other pictures.
+    "nogil": True,
+    # Without "no NaNs": images are finite by contract, but points of a diverging fit need not be.
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+    "error_model": "numpy",
+}
+
+
+def _state_of_sources() -> tuple[tuple[str, int, int], ...]:
+    """Names, sizes and times of the package's modules that hold compiled code."""
+    package = Path(__file__).parents[1]
+    files = [
+        path
+        for folder in ("fitting", "kernels", "model", "photometry")
+        for path in sorted((package / folder).glob("*.py"))
+    ]
+    return tuple((str(path.relative_to(package)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
+
+
+_SOURCES = _state_of_sources()
+
+
+class _Cache(FunctionCache):
+    """Numba's cache on disk, which forgets what was compiled of other sources: functions hold what they call."""
+
+    def __init__(self, function: Callable) -> None:
+        super().__init__(function)
+        # The version is unpickled first: the rest may name classes that are gone.
+        self._cache_file._version += str((_SOURCES, getattr(config, "BOUNDSCHECK", None)))
+
+
+def jit(function: Callable, **options: Any) -> Any:
+    """Compile a function when it is first called, once for a machine."""
+    made = _njit(no_cfunc_wrapper=True, **_OPTIONS, **options)(function)
+    made._cache = _Cache(made.py_func)
+    return made

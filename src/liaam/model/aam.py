@@ -1,0 +1,129 @@
+"""The active appearance model: one frozen object, one safetensors file."""
+
+import os
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from liaam.errors import ModelFileError
+from liaam.model.file import file_bytes, read_fields
+from liaam.model.mesh import ReferenceFrame
+from liaam.model.shape import ShapeModel, diagonal_of
+from liaam.model.views import MESH, Level, View
+from liaam.model.warp import PiecewiseAffineWarp
+from liaam.photometry import CameraModel, Response
+
+
+@dataclass(frozen=True, eq=False)
+class AAM:
+    """An active appearance model.
+
+    Attributes
+    ----------
+    views : dict of str to View
+        By name of :data:`VIEWS`; a method says which it fits with. ``mesh`` is always there.
+    triangles : (t, 3) int32
+        The mesh.
+    camera : CameraModel
+        The training camera.
+    n_images : int
+        Number of training images.
+    contours : tuple of (indices, closed)
+        Lines between landmarks, for drawing.
+    name : str
+        What the model was trained on, for people.
+    n_textures : int
+        Training images and relit copies of them, together; 0 where there are none of these.
+    """
+
+    views: dict[str, View]
+    triangles: np.ndarray
+    camera: CameraModel
+    n_images: int
+    contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
+    name: str = ""
+    n_textures: int = 0
+
+    def __repr__(self) -> str:
+        return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
+
+    def with_view(self, name: str, **changes) -> "AAM":
+        """Give the same model with some fields of a view changed."""
+        return replace(self, views={**self.views, name: replace(self.views[name], **changes)})
+
+    @property
+    def theta(self) -> float:
+        """Angle of the training camera (theta_1 of the paper), radians."""
+        return self.camera.theta
+
+    @property
+    def response(self) -> Response:
+        """Response of the training camera."""
+        return self.camera.response
+
+    @property
+    def shape_model(self) -> ShapeModel:
+        """Shapes of the view ``mesh``."""
+        return self.views[MESH].shape_model
+
+    @property
+    def warp(self) -> PiecewiseAffineWarp:
+        """Warp of the view ``mesh``."""
+        return self.views[MESH].warp
+
+    @property
+    def frame(self) -> ReferenceFrame:
+        """Pixels of the mean shape."""
+        return self.warp.frame
+
+    @property
+    def levels(self) -> tuple[Level, ...]:
+        """Levels of the view ``mesh``, coarse to fine."""
+        return self.views[MESH].levels
+
+    @property
+    def n_points(self) -> int:
+        """Number of landmarks."""
+        return self.shape_model.n_points
+
+    @property
+    def n_pixels(self) -> int:
+        """Number of pixels of the reference frame inside the mesh."""
+        return self.frame.n_pixels
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the mean shape's bounding box, pixels of the reference frame."""
+        return diagonal_of(self.shape_model.mean)
+
+    @property
+    def is_colour(self) -> bool:
+        """Whether the model was trained on colour pictures."""
+        return "invariant" in self.levels[-1].appearances
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the model as one safetensors file, atomically.
+
+        Raises
+        ------
+        ModelFileError
+            If the folder does not exist or cannot be written.
+        """
+        from liaam.io import write_bytes_atomically
+
+        write_bytes_atomically(path, self.to_bytes(), ModelFileError)
+
+    def to_bytes(self) -> bytes:
+        """What a model file holds."""
+        return file_bytes(self)
+
+
+def load_model(path: str | os.PathLike) -> AAM:
+    """Read a model file, checking all of it. Nothing in the file is ever run.
+
+    Raises
+    ------
+    ModelFileError
+        If the file is missing, cut short, forged, of another version, or no liaam model.
+    """
+    return AAM(**read_fields(path))

@@ -1,0 +1,329 @@
+"""The model file: safetensors with a JSON header, checked when it is read. Nothing in it is ever run."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.errors import LiaamError, ModelFileError
+from liaam.io.files import writable
+from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel
+from liaam.model.mesh import signed_areas
+from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
+from liaam.model.views import MESH, VIEWS, Level, Reliability, View, make_view
+from liaam.photometry import CameraModel, camera_from, describe_response, parse_response
+
+if TYPE_CHECKING:
+    from liaam.model.aam import AAM
+
+
+SCHEMA_VERSION = 3
+"""Version of the model file; raised whenever its meaning changes."""
+
+MAX_DIAGONAL = 2000.0
+"""Largest reference frame, pixels: a larger one is a forged file or a slip of the pen."""
+
+MAX_POINTS = 4000
+"""Most landmarks: what surrounds a mesh takes their number squared."""
+
+ROOMY = 4.0
+"""Square pixels of a mesh for each of its pixels, above which these cannot be its own: a frame of a few has borders."""
+
+UNIT = 0.1
+"""How far squared lengths and products of modes may be off those of orthonormal ones: weak ones hold much rounding."""
+
+LONGEST_NAME = 1000
+"""Letters of a model's name that are kept."""
+
+MAX_BLUR, MAX_LEVELS = 10.0, 10
+"""Largest blur, pixels of the reference frame, and most levels."""
+
+FORMAT = "liaam-aam"
+
+
+def file_bytes(model: "AAM") -> bytes:
+    """What a model file holds."""
+    from safetensors.numpy import save
+
+    return save(_tensors(model), {"liaam": json.dumps(_header(model))})
+
+
+def read_fields(path: str | os.PathLike) -> dict[str, Any]:
+    """Read and check the fields of an :class:`~liaam.model.aam.AAM`; errors are those of ``load_model``."""
+    path = Path(path)
+    header, tensors = _read(path)
+    try:
+        return _fields(header, tensors)
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError, LiaamError) as error:
+        raise ModelFileError(f"{path}: the model file contradicts itself ({error}); train the model again") from error
+
+
+def _header(model: "AAM") -> dict:
+    return {
+        "format": FORMAT,
+        "schema": SCHEMA_VERSION,
+        "theta": model.theta,
+        "response": describe_response(model.response),
+        "camera": model.camera.describe(),
+        "views": {name: _view_header(view) for name, view in model.views.items()},
+        "n_images": model.n_images,
+        "n_textures": model.n_textures,
+        "contours": [[list(indices), closed] for indices, closed in model.contours],
+        "name": model.name,
+    }
+
+
+def _view_header(view: View) -> dict:
+    freedom = view.shape_model.freedom
+    return {
+        "blurs": [level.blur for level in view.levels],
+        "n_pixels": view.warp.frame.n_pixels,
+        **({"freedom": freedom} if np.isfinite(freedom) else {}),
+    }
+
+
+def _tensors(model: "AAM") -> dict[str, np.ndarray]:
+    tensors = {"mean": model.shape_model.mean, "triangles": model.triangles}
+    for name, view in model.views.items():
+        tensors |= {f"{name}/{key}": value for key, value in _view_tensors(view).items()}
+    return {key: np.ascontiguousarray(value) for key, value in tensors.items() if value is not None}
+
+
+def _view_tensors(view: View) -> dict[str, np.ndarray | None]:
+    """Tensors of a view by their key in it; None where it lacks what is optional."""
+    tensors = {f"shape.{field}": getattr(view.shape_model, field) for field in ("modes", "eigenvalues", "unexplained")}
+    if view.reliability is not None:
+        for field in ("landmarks", "weights", "understated", "ordinary"):
+            tensors[f"reliability.{field}"] = np.atleast_1d(np.asarray(getattr(view.reliability, field), np.float64))
+    for i, level in enumerate(view.levels):
+        for name, appearance in level.appearances.items():
+            for field in ("mean", "modes", "eigenvalues", "usable", "unexplained"):
+                tensors[f"{i}/{name}.{field}"] = getattr(appearance, field)
+    return tensors
+
+
+def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    """Header and tensors of a file."""
+    from liaam.io.tensors import read_tensors
+
+    broken = (
+        "this is no complete liaam model ({fault}); it may be cut short or of another kind: copy it again or "
+        "train it again"
+    )
+    make = "liaam train FOLDER -o MODEL"
+    return read_tensors(path, lambda text: _checked_header(path, text), ModelFileError, "model file", make, broken)
+
+
+def _checked_header(path: Path, text: str) -> dict:
+    try:
+        header = json.loads(text)
+    except (ValueError, RecursionError):
+        header = None
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ModelFileError(f"{path}: this safetensors file is no liaam model; make one with 'liaam train'")
+    if header.get("schema") != SCHEMA_VERSION:
+        raise ModelFileError(
+            f"{path}: the model has schema version {header.get('schema')}, this liaam reads version {SCHEMA_VERSION}; "
+            "train the model again ('liaam train FOLDER -o MODEL'), or use the liaam that wrote it"
+        )
+    return header
+
+
+def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
+    mean = _tensor(tensors, "mean", np.float64, (None, 2))
+    n = len(mean)
+    triangles = _tensor(tensors, "triangles", np.int32, (None, 3))
+    if n > MAX_POINTS:
+        raise ValueError(f"it has {n} landmarks, and {MAX_POINTS} are the most")
+    if n < 3 or not len(triangles) or triangles.min() < 0 or triangles.max() >= n:
+        raise ValueError("the mesh does not belong to the landmarks")
+    # The mean is centred, so that no coordinate exceeds the diagonal; differences of larger ones might overflow.
+    if np.abs(mean).max() > MAX_DIAGONAL or not 8.0 <= diagonal_of(mean) <= MAX_DIAGONAL:
+        raise ValueError(f"a reference frame of no sensible size (8 to {MAX_DIAGONAL:.0f} pixels)")
+    area = float(np.abs(signed_areas(mean, triangles)).sum())
+    if len(triangles) > 2 * n or area > 1.001 * float(np.prod(np.ptp(mean, axis=0))):
+        raise ValueError("the mesh overlaps itself")
+    if not (signed_areas(mean, triangles) > 0).all():
+        raise ValueError("the mesh is flat or folded")
+    n_images, n_textures = int(header["n_images"]), int(header.get("n_textures", 0))
+    return {
+        "views": _views(header["views"], tensors, mean, triangles, _counts(n_images, n_textures)),
+        "triangles": triangles,
+        "camera": _camera(header),
+        "n_images": n_images,
+        "contours": _contours(header["contours"], n),
+        "name": writable(str(header["name"]))[:LONGEST_NAME],
+        "n_textures": n_textures,
+    }
+
+
+def _counts(n_images: int, n_textures: int) -> dict[str, int]:
+    """How many textures each appearance was learnt from."""
+    return dict.fromkeys(CHANNELS, n_images) | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
+
+
+def _views(
+    known: dict, tensors: dict[str, np.ndarray], mean: np.ndarray, triangles: np.ndarray, counts: dict[str, int]
+) -> dict[str, View]:
+    if not isinstance(known, dict) or MESH not in known:
+        raise ValueError(f"there is no view {MESH}")
+    return {name: _view(name, about, tensors, mean, triangles, counts) for name, about in known.items()}
+
+
+def _view(
+    name: str,
+    about: dict,
+    tensors: dict[str, np.ndarray],
+    mean: np.ndarray,
+    triangles: np.ndarray,
+    counts: dict[str, int],
+) -> View:
+    """One of the views, about the mean shape of all."""
+    if name not in VIEWS:
+        raise ValueError(f"view {name!r} is not known; there are {', '.join(VIEWS)}")
+    if not isinstance(about, dict):
+        raise ValueError(f"view {name} is described by {about!r}")
+    tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
+    blurs, n, n_pixels = _blurs(about["blurs"]), len(mean), _count(about["n_pixels"])
+    # First what the file is full of: a frame of many pixels then is of a large file.
+    levels = tuple(Level(blur, _appearances(tensors, i, n_pixels, counts)) for i, blur in enumerate(blurs))
+    needed = {"value", "log"} if name == MESH else set()
+    if not all(level.appearances and needed <= set(level.appearances) for level in levels):
+        raise ValueError("an appearance is missing")
+    if signed_areas(mean, triangles).sum() > ROOMY * max(n_pixels, 1):
+        raise ValueError("its reference frame does not match its pixels")
+    view = make_view(name, _shape_model(about, tensors, mean), triangles, levels, _reliability(tensors, n))
+    if n_pixels != view.warp.frame.n_pixels:
+        raise ValueError("its reference frame does not match its pixels")
+    return view
+
+
+def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
+    n = len(mean)
+    modes = _tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
+    if len(modes) > max(2 * n - 4, 0):  # they are orthogonal to each other and to the four similarity vectors
+        raise ValueError(f"{len(modes)} shape modes of {n} landmarks")
+    basis = np.concatenate([modes, similarity_modes(mean)])
+    if not _are_unit(modes) or np.abs(modes @ basis.T - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:
+        raise ValueError("shape.modes are not orthonormal")
+    eigenvalues = _tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
+    unexplained = None
+    if "shape.unexplained" in tensors:
+        unexplained = _covariances(tensors, "shape.unexplained", np.float64, (n, 2, 2))
+    freedom = _finite(about["freedom"]) if "freedom" in about else np.inf
+    if not freedom > 0:
+        raise ValueError(f"freedom {freedom:g}")
+    return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)
+
+
+def _camera(header: dict) -> CameraModel:
+    if not isinstance(header["camera"], dict):
+        raise ValueError(f"camera {header['camera']!r}")
+    known = camera_from(header["camera"])
+    # The angle itself, to the last digit, is what the appearance was learnt with.
+    return replace(known, theta=_finite(header["theta"]), response=parse_response(header["response"]))
+
+
+def _blurs(blurs: list) -> list[float]:
+    blurs = [_finite(blur) for blur in blurs]
+    if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
+        raise ValueError(f"blurs {blurs}")
+    return blurs
+
+
+def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
+    if "reliability.weights" not in tensors:
+        return None
+    landmarks = _covariances(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
+    understated = float(_tensor(tensors, "reliability.understated", np.float64, (1,))[0])
+    if understated < 1.0:
+        raise ValueError("reliability.understated is below 1")
+    ordinary = float(_tensor(tensors, "reliability.ordinary", np.float64, (1,))[0])
+    if not 0.0 <= ordinary <= 1.0:
+        raise ValueError("reliability.ordinary is no probability")
+    weights = _tensor(tensors, "reliability.weights", np.float64, (3,))
+    return Reliability(landmarks, weights, understated, ordinary)
+
+
+def _appearances(
+    tensors: dict[str, np.ndarray], i: int, n_pixels: int, counts: dict[str, int]
+) -> dict[str, AppearanceModel]:
+    """All appearances of a level."""
+    names = [name for name in CHANNELS if f"{i}/{name}.mean" in tensors]
+    return {name: _appearance(tensors, f"{i}/{name}", name, n_pixels, counts) for name in names}
+
+
+def _appearance(
+    tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int, counts: dict[str, int]
+) -> AppearanceModel:
+    channels = CHANNELS[name]
+    modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
+    # Modes of few images need no more room than their own squares: those are what fits work with.
+    most = min(n_pixels * channels, counts[name])
+    if len(modes) > most:
+        raise ValueError(f"{prefix} has {len(modes)} modes, of {most} at most")
+    if not _are_unit(modes.reshape(len(modes), n_pixels * channels)):
+        raise ValueError(f"{prefix}.modes are not of unit length")
+    unexplained = None  # absent from an illumination basis
+    if f"{prefix}.unexplained" in tensors:
+        unexplained = _covariances(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels))
+    return AppearanceModel(
+        mean=_tensor(tensors, f"{prefix}.mean", np.float32, (n_pixels, channels)),
+        modes=modes,
+        eigenvalues=_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
+        usable=_tensor(tensors, f"{prefix}.usable", np.float32, (n_pixels,)),
+        unexplained=unexplained,
+    )
+
+
+def _covariances(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
+    """Tensor of matrices whose diagonals are variances."""
+    covariances = _tensor(tensors, key, dtype, shape)
+    if (np.diagonal(covariances, axis1=1, axis2=2) < 0).any():
+        raise ValueError(f"{key} has variances below 0")
+    return covariances
+
+
+def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
+    tensor = tensors[key]
+    fits = tensor.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, tensor.shape, strict=True)
+    )
+    if tensor.dtype != dtype or not fits:
+        raise ValueError(f"{key} has type {tensor.dtype} and shape {tensor.shape}")
+    if tensor.dtype.kind == "f" and not np.isfinite(tensor).all():
+        raise ValueError(f"{key} has values that are not numbers")
+    if (key.endswith(("eigenvalues", "usable")) and (tensor < 0).any()) or (
+        key.endswith("usable") and (tensor > 1).any()
+    ):
+        raise ValueError(f"{key} has values out of range")
+    return tensor
+
+
+def _are_unit(modes: np.ndarray) -> bool:
+    """Whether modes (m, d) are of unit length; otherwise steps along them may be of any."""
+    if np.abs(modes).max(initial=0.0) > 2.0:  # before squares of it overflow
+        return False
+    return bool((np.abs(np.einsum("md,md->m", modes, modes) - 1.0) < UNIT).all())
+
+
+def _count(number: int) -> int:
+    if not isinstance(number, int) or number < 1:
+        raise ValueError(f"{number!r} is no count")
+    return number
+
+
+def _finite(value: float) -> float:
+    if not np.isfinite(value):
+        raise ValueError(f"{value} is not a finite number")
+    return float(value)
+
+
+def _contours(rows: list, n: int) -> tuple[tuple[tuple[int, ...], bool], ...]:
+    contours = tuple((tuple(int(i) for i in indices), bool(closed)) for indices, closed in rows)
+    if any(not 0 <= i < n for indices, _ in contours for i in indices):
+        raise ValueError("a contour names a landmark that does not exist")
+    return contours

@@ -1,0 +1,448 @@
+"""Statistical shape models: Procrustes alignment, PCA, and the four similarity vectors (paper eq 1-2)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from liaam.errors import TrainingError
+from liaam.model.pca import (
+    LeftOutCoordinates,
+    Variance,
+    count_by_evidence,
+    count_modes,
+    left_out_variances,
+    log_evidence,
+    principal_components,
+    some_folds,
+    unexplained_by_others,
+)
+from liaam.model.shape_prior import Deviations, SmoothPrior, covariance, fit_freedom, fit_prior, modes_of
+
+
+def diagonal_of(shape: np.ndarray) -> float:
+    """Length of the diagonal of a shape's bounding box."""
+    return float(np.hypot(*(shape.max(axis=0) - shape.min(axis=0))))
+
+
+def rotation(angle: float) -> np.ndarray:
+    """Matrix that turns (x, y) by an angle in radians, from x towards y, (2, 2) float64."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """Similarity x -> matrix @ x + offset of the plane (rotation, one scale, translation).
+
+    Attributes
+    ----------
+    matrix : (2, 2) float64
+    offset : (2,) float64
+    """
+
+    matrix: np.ndarray
+    offset: np.ndarray
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Apply to (..., 2) points."""
+        return points @ self.matrix.T + self.offset
+
+    @property
+    def scale(self) -> float:
+        """Length after / length before."""
+        (a, b), (c, d) = self.matrix.tolist()
+        return abs(a * d - b * c) ** 0.5
+
+    def inverse(self) -> "Similarity":
+        """Give the similarity that undoes this one."""
+        matrix = np.linalg.inv(self.matrix)
+        return Similarity(matrix, -matrix @ self.offset)
+
+
+def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
+    """Least-squares similarity (no reflection) that brings a shape onto a target.
+
+    Parameters
+    ----------
+    shape, target : (n, 2) float
+        Corresponding points. Points that are NaN in either are left out.
+
+    Returns
+    -------
+    Similarity
+    """
+    # A similarity without reflection is a complex factor: z_b = factor * z_a.
+    za, zb = _as_complex(shape), _as_complex(target)
+    if not np.isfinite(za.sum() + zb.sum()):
+        seen = np.isfinite(za) & np.isfinite(zb)
+        za, zb = za[seen], zb[seen]
+    a_mean, b_mean = za.mean(), zb.mean()
+    za = za - a_mean
+    power = float(np.vdot(za, za).real)
+    factor = complex(np.vdot(za, zb - b_mean)) / power if power > 0 else 1.0 + 0j
+    offset = complex(b_mean - factor * a_mean)
+    matrix = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
+    return Similarity(matrix, np.array([offset.real, offset.imag]))
+
+
+def _as_complex(shape: np.ndarray) -> np.ndarray:
+    """Points (n, 2) as x + i y, (n,) complex128."""
+    return np.ascontiguousarray(shape, dtype=np.float64).reshape(-1).view(np.complex128)
+
+
+def shifted_into(shape: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Shift a shape (n, 2) into a picture of a width and height, as far as there is room for it."""
+    return shape - np.minimum(shape.min(axis=0), 0.0) - np.maximum(shape.max(axis=0) - (np.array(size) - 1.0), 0.0)
+
+
+def procrustes_mean(shapes: np.ndarray, iterations: int = 100, tolerance: float = 1e-10) -> np.ndarray:
+    """Generalised Procrustes mean of shapes: centred, unit norm, oriented like the shapes on average.
+
+    Parameters
+    ----------
+    shapes : (n_shapes, n_points, 2) float
+
+    Returns
+    -------
+    (n_points, 2) float64
+    """
+    mean = _normalised(shapes[0])
+    for _ in range(iterations):
+        new = _normalised(np.mean([align(shape, mean)(shape) for shape in shapes], axis=0))
+        # Keep the gauge: the mean may not turn while it settles.
+        new = _normalised(align(new, mean)(new))
+        moved = float(np.abs(new - mean).max())
+        mean = new
+        if moved < tolerance:
+            break
+    return _upright(mean, shapes)
+
+
+def _normalised(shape: np.ndarray) -> np.ndarray:
+    centred = shape - shape.mean(axis=0)
+    return centred / np.linalg.norm(centred)
+
+
+def _upright(mean: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Turn the mean by the average rotation towards the shapes as photographed."""
+    turns = [align(mean, shape).matrix for shape in shapes]
+    total = np.sum([turn / np.sqrt(abs(np.linalg.det(turn))) for turn in turns], axis=0)
+    return mean @ rotation(np.arctan2(total[1, 0], total[0, 0])).T
+
+
+def similarity_modes(mean: np.ndarray) -> np.ndarray:
+    """Orthonormal similarity vectors s0, (-v, u), (1, 0, ...), (0, 1, ...) of a centred mean shape.
+
+    Returns
+    -------
+    (4, 2 n) float64
+        Flattened as x0, y0, x1, y1, ...
+    """
+    n = len(mean)
+    turned = np.stack([-mean[:, 1], mean[:, 0]], axis=1)
+    ones, zeros = np.ones(n), np.zeros(n)
+    rows = [mean, turned, np.stack([ones, zeros], 1), np.stack([zeros, ones], 1)]
+    return np.array([row.ravel() / np.linalg.norm(row) for row in rows])
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeModel:
+    """Shapes s(p) = s0 + sum_i p_i s_i (paper eq 1-2).
+
+    Attributes
+    ----------
+    mean : (n, 2) float64
+        s0, centred, in pixels of the reference frame.
+    modes : (m, 2 n) float64
+        Orthonormal PCA modes, orthogonal to the similarity vectors.
+    eigenvalues : (m,) float64
+        Variance along each mode, square pixels of the reference frame.
+    unexplained : (n, 2, 2) float64, optional
+        Second moments, by landmark, of what the modes of the other training shapes leave of each (leave one out),
+        square pixels of the reference frame: how far even the best fit is from a person's landmarks.
+    freedom : float
+        Degrees of freedom of shapes' distribution: infinite for a normal one; few where shapes come near the mean and
+        far from it, more than the variances say (:mod:`liaam.fitting.prior`).
+    """
+
+    mean: np.ndarray
+    modes: np.ndarray
+    eigenvalues: np.ndarray
+    unexplained: np.ndarray | None = None
+    freedom: float = np.inf
+
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """All shape vectors, PCA modes first and the four similarity vectors last, (m + 4, 2 n)."""
+        return np.concatenate([self.modes, similarity_modes(self.mean)])
+
+    @property
+    def n_points(self) -> int:
+        """Number of landmarks."""
+        return len(self.mean)
+
+    @property
+    def left_out_bound(self) -> float:
+        """Root mean square distance, over landmarks and shapes left out, that a perfect fit leaves (pixels)."""
+        return np.nan if self.unexplained is None else float(np.sqrt(np.trace(self.unexplained, 0, 1, 2).mean()))
+
+    def shape(self, p: np.ndarray) -> np.ndarray:
+        """Shape s(p) for p of length m + 4, as (n, 2) float64."""
+        return self.mean + (np.asarray(p) @ self.basis).reshape(-1, 2)
+
+    def parameters(self, shape: np.ndarray) -> np.ndarray:
+        """Coordinates p of a shape's orthogonal projection on the model, (m + 4,) float64."""
+        return self.basis @ (np.asarray(shape) - self.mean).ravel()
+
+    def project(self, shape: np.ndarray) -> np.ndarray:
+        """Nearest shape of the model under any similarity: what a perfect fit could reach (the bound).
+
+        Parameters
+        ----------
+        shape : (n, 2) float
+            In any coordinates.
+
+        Returns
+        -------
+        (n, 2) float64
+            In the coordinates of the input.
+        """
+        pose = align(self.mean, shape)
+        for _ in range(20):  # alternate pose and modes: the modes move with the pose
+            local = self.shape(self._modes_only(pose.inverse()(shape)))
+            new = align(local, shape)
+            moved = float(np.abs(new(local) - pose(local)).max())
+            pose = new
+            if moved < 1e-9 * diagonal_of(shape):
+                break
+        return pose(self.shape(self._modes_only(pose.inverse()(shape))))
+
+    def _modes_only(self, shape: np.ndarray) -> np.ndarray:
+        p = self.parameters(shape)
+        p[-4:] = 0.0
+        return p
+
+
+PRIORS = ("sample", "shrunk", "smooth")
+"""How the shapes' covariance may be learnt. ``sample``: as that of the pictures. ``shrunk``: its eigenvalues are the
+variances of shapes left out. ``smooth``: it is drawn towards smooth deformations (:mod:`liaam.model.shape_prior`), and
+learns from the mirrored shapes too where they make those left out likelier."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """How the covariance of shapes is learnt: decided on all shapes, and taken over where some are left out.
+
+    Attributes
+    ----------
+    prior : str
+        Of :data:`PRIORS`.
+    smooth : SmoothPrior, optional
+        With ``smooth``.
+    mirrored : (n_points,) int, optional
+        Where each landmark has its counterpart, if the mirrored shapes are examples too.
+    """
+
+    prior: str = "sample"
+    smooth: SmoothPrior | None = None
+    mirrored: np.ndarray | None = None
+
+
+def check_prior(prior: str) -> None:
+    """Raise unless a prior exists."""
+    if prior not in PRIORS:
+        raise TrainingError(f"prior {prior!r} does not exist; there are {', '.join(PRIORS)}")
+
+
+def train_shape_model(
+    shapes: np.ndarray,
+    diagonal: float,
+    variance: Variance,
+    prior: str = "sample",
+    folds: Sequence[np.ndarray] | None = None,
+) -> ShapeModel:
+    """Learn a shape model.
+
+    Parameters
+    ----------
+    shapes : (n_shapes, n_points, 2) float
+        Landmarks of the training images, finite.
+    diagonal : float
+        Diagonal of the mean shape's bounding box, pixels of the reference frame.
+    variance : float, int or "auto"
+        Fraction of variance or number of modes to keep, or as many as the evidence is for.
+    prior : str
+        Of :data:`PRIORS`.
+    folds : sequence of int arrays, optional
+        Shapes to leave out together where something is learnt so; each alone, or in a few folds, if left out.
+    """
+    mean = scaled_mean(shapes, diagonal)
+    return shape_model_on(mean, shapes, variance, choose_recipe(mean, shapes, prior, folds), folds)
+
+
+def scaled_mean(shapes: np.ndarray, diagonal: float) -> np.ndarray:
+    """Procrustes mean of shapes whose bounding box has a given diagonal, (n_points, 2) float64."""
+    mean = procrustes_mean(shapes)
+    return mean * (diagonal / diagonal_of(mean))
+
+
+def choose_recipe(
+    mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Sequence[np.ndarray] | None = None
+) -> Recipe:
+    """Decide what the shapes left out ask for."""
+    check_prior(prior)
+    if prior != "smooth":
+        return Recipe(prior)
+    folds = some_folds(len(shapes)) if folds is None else folds
+    plain = fit_prior(_deviations(mean, shapes), folds)
+    # The mean may be turned to one side; then a single shape may still be symmetric.
+    tries = min(MIRRORED_TRIES, MIRRORED_POINTS // len(mean))
+    orders = (mirror_order(shape) for shape in (mean, *shapes[:tries]))
+    order = next((order for order in orders if order is not None), None)
+    if order is None:
+        return Recipe(prior, plain)
+    mirrored = fit_prior(_deviations(mean, shapes, order), folds)
+    return Recipe(prior, mirrored, order) if mirrored.evidence > plain.evidence else Recipe(prior, plain)
+
+
+def shape_model_on(
+    mean: np.ndarray,
+    shapes: np.ndarray,
+    variance: Variance,
+    recipe: Recipe | None = None,
+    folds: Sequence[np.ndarray] | None = None,
+) -> ShapeModel:
+    """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2)."""
+    recipe = Recipe() if recipe is None else recipe
+    given, folds = folds is not None, some_folds(len(shapes)) if folds is None else folds
+    deviations = _deviations(mean, shapes, recipe.mirrored)
+    if recipe.smooth is not None:
+        return _smooth_model(deviations, variance, recipe.smooth, folds)
+    own = deviations.own
+    if variance == "auto":
+        variance = count_by_evidence(own, folds, deviations.dimension)
+    components = principal_components(own, variance)
+    modes = components.modes - components.modes @ deviations.rigid.T @ deviations.rigid
+    eigenvalues = components.eigenvalues
+    if recipe.prior == "shrunk":
+        eigenvalues = left_out_variances(own, folds, len(modes))
+    left = unexplained_by_others(own, variance, folds if given else None).astype(np.float64)
+    return ShapeModel(mean, np.ascontiguousarray(modes), eigenvalues, _moments(left))
+
+
+def _deviations(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | None = None) -> Deviations:
+    """Deviations of shapes, and of their mirrored forms if an order is given, from a mean."""
+    rigid, n = similarity_modes(mean), len(shapes)
+    if order is not None:
+        shapes = np.concatenate([shapes, (shapes * [-1.0, 1.0])[:, order]])
+    aligned = np.array([align(shape, mean)(shape) for shape in shapes])
+    deviations = (aligned - mean).reshape(len(shapes), -1)
+    # Modes live in the space orthogonal to the similarities, so that p and pose do not trade off.
+    deviations -= deviations @ rigid.T @ rigid
+    deviations[np.abs(deviations) < 1e-9 * diagonal_of(mean)] = 0.0  # rounding is no mode
+    return Deviations(mean, rigid, deviations[:n], deviations[n:])
+
+
+def _smooth_model(
+    deviations: Deviations, variance: Variance, prior: SmoothPrior, folds: Sequence[np.ndarray]
+) -> ShapeModel:
+    """Shape model of a covariance drawn towards smooth deformations."""
+    spread = covariance(deviations, prior)
+    modes, values = modes_of(spread, deviations.rigid)
+    folds = [fold for fold in folds if len(deviations.own) - len(fold) >= 2]
+    parts = [_left_out(deviations, fold, prior) for fold in folds]
+    if variance == "auto":
+        kept = _count_by_evidence([_coordinates(*part, prior.noise) for part in parts])
+    else:
+        kept = count_modes(values, variance)
+    freedom = fit_freedom([_coordinates(*part, prior.noise) for part in parts], kept)
+    left = np.zeros_like(deviations.own)
+    for fold, (away, own_modes, _) in zip(folds, parts, strict=True):
+        left[fold] = away - away @ own_modes[:kept].T @ own_modes[:kept]
+    return ShapeModel(deviations.mean, modes[:kept], values[:kept], _moments(left), freedom)
+
+
+def _left_out(
+    deviations: Deviations, fold: np.ndarray, prior: SmoothPrior
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A fold's deviations from the mean of the others, and the others' modes and eigenvalues."""
+    part = deviations.of(np.setdiff1d(np.arange(len(deviations.own)), fold))
+    return deviations.own[fold] - part.own.mean(axis=0), *modes_of(covariance(part, prior), deviations.rigid)
+
+
+def _coordinates(away: np.ndarray, modes: np.ndarray, values: np.ndarray, noise: float) -> LeftOutCoordinates:
+    return LeftOutCoordinates(values + noise * values.mean(), np.square(away @ modes.T), np.square(away).sum(axis=1))
+
+
+def _count_by_evidence(parts: list[LeftOutCoordinates]) -> int:
+    evidence = [log_evidence(part, len(part.eigenvalues)) for part in parts if part.eigenvalues[0] > 0]
+    return int(np.sum(evidence, axis=0).argmax()) if evidence else 0
+
+
+def _moments(left: np.ndarray) -> np.ndarray:
+    """Second moments (n_points, 2, 2) of what is left (n, 2 n_points) of shapes."""
+    by_landmark = left.reshape(len(left), -1, 2)
+    return np.einsum("ina,inb->nab", by_landmark, by_landmark) / len(left)
+
+
+MIRRORED = 0.02
+"""Root mean square distance between a shape and its mirrored form, as a share of its diagonal, up to which the shape
+may count as symmetric; whether it helps is for the shapes left out to say."""
+
+
+MIRRORED_TRIES, MIRRORED_POINTS = 20, 2000
+"""Shapes that are tried where the mean is not symmetric: so many at most, and so many points in all."""
+
+
+def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0) -> np.ndarray | None:
+    """Find the counterpart of each landmark on the other side.
+
+    Parameters
+    ----------
+    shape : (n, 2) float
+    limit : float
+        See :data:`MIRRORED`.
+    tilt : float
+        How far from the vertical the axis is looked for at most, degrees.
+
+    Returns
+    -------
+    (n,) int or None
+        Such that ``(shape * [-1, 1])[order]`` is the shape again, turned and nearly; None where there is none.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    def nearest(apart: np.ndarray) -> np.ndarray:
+        return apart.argmin(axis=1)
+
+    def one_to_one(apart: np.ndarray) -> np.ndarray:
+        return linear_sum_assignment(apart)[1]
+
+    shape = shape - shape.mean(axis=0)
+    mirrored, best, order, limit = shape * [-1.0, 1.0], np.inf, None, limit * diagonal_of(shape)
+    turns = np.arange(12)
+    for angle in turns[30 * np.minimum(turns, 12 - turns) <= 2 * tilt] * np.pi / 6:
+        moved, found = _closest(shape, mirrored, mirrored @ rotation(angle).T, nearest)
+        # Pairs are further apart than nearest points, and take much longer to find.
+        if np.sqrt(np.square(shape - moved[found]).sum(axis=1).mean()) > limit:
+            continue
+        moved, found = _closest(shape, mirrored, moved, one_to_one)
+        error = float(np.square(shape - moved[found]).sum(axis=1).mean())
+        if error < best and np.array_equal(found[found], np.arange(len(shape))):
+            best, order = error, found
+    return order if np.sqrt(best) < limit else None
+
+
+def _closest(
+    shape: np.ndarray, other: np.ndarray, moved: np.ndarray, pair: Callable[[np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Alternate pose and counterparts from a first pose: how the other lies then, and its points for this one's."""
+    found = np.empty(0, int)
+    for _ in range(5):
+        last, found = found, pair(np.square(shape[:, None] - moved[None]).sum(axis=2))
+        if np.array_equal(found, last):
+            break
+        moved = align(other[found], shape)(other)
+    return moved, found

@@ -1,0 +1,430 @@
+"""Warps W(x; p) from the reference frame to the image: one interface, so that every solver serves all.
+
+A warp gives the points, their derivative and the update. Derivatives are with respect to the points'
+own coordinates; the fitting problem adds the constant similarity between model and image pixels.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import sqrt
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from liaam.kernels.fields import Double2, Long1, Long2, Single2
+from liaam.model.mesh import ReferenceFrame, model_frame, surroundings
+from liaam.model.shape import ShapeModel, Similarity
+
+
+class Warp(Protocol):
+    """What the solver needs of a warp."""
+
+    @property
+    def n_parameters(self) -> int:
+        """Length of p."""
+        ...
+
+    @property
+    def rest(self) -> np.ndarray:
+        """Handles of the warp at rest, (n, 2) float64 model pixels: the points that tell where it puts things."""
+        ...
+
+    def shape(self, p: np.ndarray) -> np.ndarray:
+        """Handles moved by the warp, (n, 2) float64 model pixels."""
+        ...
+
+    def parameters(self, shape: np.ndarray) -> np.ndarray:
+        """Parameters that bring the handles nearest to a shape, (n_parameters,) float64."""
+        ...
+
+    def movement(self, step: np.ndarray) -> float:
+        """Size of a step of p: root mean square movement of what the warp carries, model pixels."""
+        ...
+
+    def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
+        """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""
+        ...
+
+    def jacobian(self, p: np.ndarray) -> np.ndarray:
+        """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32, C-contiguous."""
+        ...
+
+    def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Parameters after a Gauss-Newton step."""
+        ...
+
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives of per-pixel values (n_pixels, k) along x and y at rest, (n_pixels, 2, k)."""
+        ...
+
+    def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2), model pixels."""
+        ...
+
+
+class Mesh(NamedTuple):
+    """Piecewise-affine warp (paper eq 3), its pixels in the order of their triangles."""
+
+    beta: Single2
+    """(n, 3) float32: barycentric weights of each pixel."""
+    starts: Long1
+    """(t + 1,) int64: first pixel of each triangle, and the end."""
+    triangles: Long2
+    """(t, 3) int64: its vertices."""
+    rest: Double2
+    """(v, 2) float64: vertices at rest, model pixels."""
+    basis: Double2
+    """(2 v, n_p) float64: derivative of the vertices, x and y in turn, by p."""
+    movement: float
+    """Root mean square movement of the landmarks by a step of p of unit length, model pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewiseAffineWarp:
+    """Piecewise-affine warp of a mesh whose vertices follow a shape model (paper eq 3).
+
+    W(x; p) = sum_v beta_v(x) s_v(p) is linear in p, so dW/dp_i = sum_v beta_v(x) s_i[v] is constant and
+    worked out once.
+
+    Attributes
+    ----------
+    frame : ReferenceFrame
+        Of the mean shape, or of the mean shape and what surrounds it.
+    shape_model : ShapeModel
+    extension : (n_vertices, n_points) float64, optional
+        Takes landmarks to the frame's vertices (:class:`liaam.model.mesh.Surroundings`); they are the same if left out.
+    kept : (n_pixels,) int64, optional
+        Those of the frame's pixels that count, in the order they are wanted in; all in raster order if left out.
+    """
+
+    frame: ReferenceFrame
+    shape_model: ShapeModel
+    extension: np.ndarray | None = None
+    kept: np.ndarray | None = None
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of shape modes plus the four similarity vectors."""
+        return len(self.shape_model.basis)
+
+    @property
+    def rest(self) -> np.ndarray:
+        """The mean shape."""
+        return self.shape_model.mean
+
+    def shape(self, p: np.ndarray) -> np.ndarray:
+        """Landmarks s(p), (n_points, 2) float64."""
+        return self.shape_model.shape(p)
+
+    def parameters(self, shape: np.ndarray) -> np.ndarray:
+        """Coordinates of a shape's orthogonal projection on the model."""
+        return self.shape_model.parameters(shape)
+
+    def movement(self, step: np.ndarray) -> float:
+        """Root mean square movement of the landmarks by a step of p, model pixels."""
+        # The shape vectors are orthonormal over the 2 n landmark coordinates.
+        return sqrt(float(step @ step) / self.shape_model.n_points)
+
+    def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
+        """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""
+        landmarks = self.shape_model.shape(p)
+        # Barycentric weights sum to 1, so carrying the few landmarks carries all pixels.
+        return self.interpolate(landmarks if pose is None else pose(landmarks))
+
+    def interpolate(self, landmarks: np.ndarray) -> np.ndarray:
+        """Carry (n_points, 2) positions of the landmarks to all model pixels, (n_pixels, 2) float64."""
+        corners, beta = self._corners
+        return np.einsum("nv,nva->na", beta, self._vertices(landmarks)[corners])
+
+    def _vertices(self, landmarks: np.ndarray) -> np.ndarray:
+        """Positions of the frame's vertices, (n_vertices, 2), for those of the landmarks."""
+        return landmarks if self.extension is None else self.extension @ landmarks
+
+    def _vertices_of(self, p: np.ndarray) -> np.ndarray:
+        """Positions of the frame's vertices, (n_vertices, 2)."""
+        return self._resting_vertices + (p @ self._by_parameters).reshape(-1, 2)
+
+    @cached_property
+    def _resting_vertices(self) -> np.ndarray:
+        return self._vertices(self.shape_model.mean)
+
+    @cached_property
+    def _by_parameters(self) -> np.ndarray:
+        """:attr:`_vertex_modes` in rows, (n_parameters, 2 n_vertices)."""
+        return self._vertex_modes.reshape(self.n_parameters, -1)
+
+    @cached_property
+    def _owners(self) -> np.ndarray:
+        return self.frame.owners if self.kept is None else self.frame.owners[self.kept]
+
+    @cached_property
+    def _corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices around each pixel, (n_pixels, 3) int32, and their weights, (n_pixels, 3) float64."""
+        weights = self.frame.weights if self.kept is None else self.frame.weights[self.kept]
+        return self.frame.triangles[self._owners], np.ascontiguousarray(weights)
+
+    @cached_property
+    def _vertex_modes(self) -> np.ndarray:
+        """Movement of the frame's vertices by each parameter, (n_parameters, n_vertices, 2) float64."""
+        modes = self.shape_model.basis.reshape(self.n_parameters, -1, 2)
+        return modes if self.extension is None else np.einsum("vn,ina->iva", self.extension, modes, optimize=True)
+
+    def mesh(self) -> Mesh:
+        """The warp as compiled loops take it; its pixels have to be in the order of the triangles."""
+        triangles = self.frame.triangles.astype(np.int64)
+        assert not (np.diff(self._owners) < 0).any()
+        return Mesh(
+            self._corners[1].astype(np.float32),
+            np.searchsorted(self._owners, np.arange(len(triangles) + 1)).astype(np.int64),
+            triangles,
+            np.ascontiguousarray(self._resting_vertices, np.float64),
+            np.ascontiguousarray(self._by_parameters.T),
+            1.0 / sqrt(self.shape_model.n_points),
+        )
+
+    def every(self, spacing: float) -> np.ndarray:
+        """Numbers of pixels so far apart: all, every other, or a square grid; in the order of the triangles."""
+        rows, columns = self.frame.pixels.T
+        if spacing < 1.75:
+            kept = np.flatnonzero((rows + columns) % 2 < (2 if spacing < 1.25 else 1))
+        else:
+            kept = np.flatnonzero((rows % round(spacing) == 0) & (columns % round(spacing) == 0))
+        if len(kept) < min(FEWEST, len(rows)):  # of a small frame under a wide blur
+            return self.every(0.5 * spacing)
+        return kept[np.argsort(self.frame.owners[kept], kind="stable")]
+
+    def at(self, kept: np.ndarray) -> "PiecewiseAffineWarp":
+        """Give the same warp of some of the frame's pixels only."""
+        return replace(self, kept=kept)
+
+    @cached_property
+    def _jacobian(self) -> np.ndarray:
+        corners, beta = self._corners
+        carried = np.einsum("nv,inva->nai", beta, self._vertex_modes[:, corners], optimize=True)
+        return np.ascontiguousarray(carried, dtype=np.float32)
+
+    def jacobian(self, p: np.ndarray) -> np.ndarray:
+        """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32; the same for every p."""
+        return self._jacobian
+
+    def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Forward-additive update p + step."""
+        return p + step
+
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives of values (n, k) at *all* of the frame's pixels along x and y, at those that count."""
+        slopes = self.frame.gradient(values)
+        return slopes if self.kept is None else slopes[self.kept]
+
+    def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2) float32.
+
+        If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Triangles of next to no area give 0.
+        """
+        back = _inverse_slopes(self.frame.points, self._vertices_of(p), self.frame.triangles)[self._owners]
+        return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
+
+
+FEWEST = 8
+"""Pixels of a frame that are looked at, at least."""
+
+FLAT = 0.05
+"""Share of its area at rest below which a triangle counts as flat."""
+
+
+def _inverse_slopes(rest: np.ndarray, shape: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(dW/dx)^-1 of each triangle, (t, 2, 2) float64; 0 for triangles that are flat."""
+    at_rest, now = (
+        (points[triangles[:, 1:]] - points[triangles[:, :1]]).transpose(0, 2, 1) for points in (rest, shape)
+    )
+    flat = ~(np.abs(np.linalg.det(now)) > FLAT * np.abs(np.linalg.det(at_rest)))
+    now[flat] = np.eye(2)
+    back = at_rest @ np.linalg.inv(now)
+    back[flat] = 0.0
+    return back
+
+
+def mesh_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
+    """Warp of a mesh on the mean shape."""
+    return PiecewiseAffineWarp(model_frame(shape_model.mean, triangles), shape_model)
+
+
+def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
+    """Warp of a mesh on the mean shape and of what surrounds it (see :class:`liaam.model.mesh.Surroundings`)."""
+    around = surroundings(shape_model.mean, triangles)
+    frame = model_frame(around.extension @ shape_model.mean, around.triangles)
+    return PiecewiseAffineWarp(frame, shape_model, around.extension)
+
+
+GENERATORS: dict[str, tuple[tuple[tuple[int, int, float], ...], ...]] = {
+    "translation": (((0, 2, 1.0),), ((1, 2, 1.0),)),
+    "similarity": (((0, 0, 1.0), (1, 1, 1.0)), ((0, 1, -1.0), (1, 0, 1.0))),
+    "affine": (((0, 0, 1.0), (1, 1, -1.0)), ((0, 1, 1.0), (1, 0, 1.0))),
+    "homography": (((2, 0, 1.0),), ((2, 1, 1.0),)),
+}
+"""Entries (row, column, value) of the matrices that each group of plane maps adds to the one before it."""
+
+NEAREST = 0.1
+"""Depth, relative to that of the grid's centre, below which a point counts as behind the picture plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class HomographyWarp:
+    """Homography of a regular grid of pixels, or a subgroup with fewer parameters.
+
+    W(x; p) = (N_1 / N_3, N_2 / N_3) with N = (I + sum_i p_i G_i) (x, 1) in centred and scaled coordinates. The
+    G_i span all matrices of the group whose last entry is 0, and are combined so that at rest a step of p moves the
+    grid's pixels by as many pixels as it is long (root mean square): no parameter is stiffer than another.
+
+    Attributes
+    ----------
+    kept : (rows, columns) bool
+        Points of the grid that count; the others are left out.
+    rest : (n, 2) float64
+        Handles, model pixels: four corners or more, no three of the four on a line.
+    stride : float
+        Distance between neighbouring points, model pixels; the first lies at the origin.
+    group : {"translation", "similarity", "affine", "homography"}
+    """
+
+    kept: np.ndarray
+    rest: np.ndarray
+    stride: float = 1.0
+    group: str = "homography"
+
+    @cached_property
+    def pixels(self) -> np.ndarray:
+        """Points of the grid that count, (n_pixels, 2) float64 model pixels."""
+        rows, columns = np.nonzero(self.kept)
+        return self.stride * np.column_stack([columns, rows]).astype(np.float64)
+
+    @property
+    def n_parameters(self) -> int:
+        """2, 4, 6 or 8."""
+        return len(self._basis)
+
+    def movement(self, step: np.ndarray) -> float:
+        """Root mean square movement of the grid's pixels by a step of p from rest, model pixels."""
+        return float(np.linalg.norm(step))
+
+    def matrix(self, p: np.ndarray) -> np.ndarray:
+        """Homography in model pixels, (3, 3) float64."""
+        return np.eye(3) + np.tensordot(p, self._basis, axes=1)
+
+    @cached_property
+    def _basis(self) -> np.ndarray:
+        """The G_i in model pixels, (n_parameters, 3, 3) float64."""
+        n = len(self.pixels)
+        centre = self.pixels.mean(axis=0)
+        size = max(float(np.sqrt(np.square(self.pixels - centre).sum() / n)), self.stride)
+        into = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, size]]) / size
+        plain = np.array([np.linalg.inv(into) @ generator @ into for generator in _generators(self.group)])
+        x = _homogeneous(self.pixels)
+        moved = np.einsum("iab,nb->ina", plain, x, optimize=True)
+        flow = (moved[..., :2] - self.pixels * moved[..., 2:]).reshape(len(plain), -1)
+        products = flow @ flow.T / n
+        products[np.diag_indices_from(products)] *= 1.0 + 1e-9  # pixels on one line cannot tell all parameters
+        return np.tensordot(np.linalg.inv(np.linalg.cholesky(products)), plain, axes=1)
+
+    @cached_property
+    def _single(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points (x, 1) and the rows 1 to 2 and 3 of the G_i as columns, in single precision."""
+        basis = self._basis.astype(np.float32)
+        rows = np.ascontiguousarray(basis.transpose(1, 2, 0))
+        return _homogeneous(self.pixels).astype(np.float32), rows[:2], rows[2]
+
+    def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
+        """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64.
+
+        Points behind the picture plane are NaN.
+        """
+        points = apply_homography(self.matrix(p), self.pixels)
+        return points if pose is None else pose(points)
+
+    def jacobian(self, p: np.ndarray) -> np.ndarray:
+        """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32: (G_12 - W G_3) (x, 1) / N_3."""
+        x, upper, last = self._single
+        matrix = self.matrix(p)
+        depth = np.maximum(x @ matrix[2].astype(np.float32), np.float32(NEAREST))[:, None]
+        x = x / depth
+        along = x @ last
+        jacobian = np.empty((len(x), 2, self.n_parameters), np.float32)
+        for axis in (0, 1):
+            jacobian[:, axis] = x @ upper[axis] - (x @ matrix[axis].astype(np.float32))[:, None] * along
+        return jacobian
+
+    def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Forward-additive update p + step."""
+        return p + step
+
+    def shape(self, p: np.ndarray) -> np.ndarray:
+        """Handles moved by the warp, (n, 2) float64; NaN behind the picture plane."""
+        return apply_homography(self.matrix(p), self.rest)
+
+    def parameters(self, shape: np.ndarray) -> np.ndarray:
+        """Parameters of the group's map that brings the handles nearest to a shape, (n_parameters,) float64.
+
+        Nearest algebraically: N_12 - W N_3 = 0 is linear in p, and exact where four handles meet a homography.
+        """
+        moved = np.einsum("iab,nb->ina", self._basis, _homogeneous(self.rest))
+        columns = (moved[..., :2] - shape * moved[..., 2:]).reshape(self.n_parameters, -1)
+        return np.linalg.lstsq(columns.T, (shape - self.rest).ravel(), rcond=None)[0]
+
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives of per-pixel values (n_pixels, k) along x and y at rest, (n_pixels, 2, k) float32.
+
+        Central differences where both neighbours count, else the difference to the one that does, else 0.
+        """
+        picture = np.full((*self.kept.shape, values.shape[1]), np.nan)
+        picture[self.kept] = values
+        slopes = np.stack([_differences(picture, axis)[self.kept] for axis in (1, 0)], axis=1) / self.stride
+        return slopes.astype(np.float32)
+
+    def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2) float32."""
+        matrix, x = self.matrix(p), _homogeneous(self.pixels)
+        depth = np.maximum(x @ matrix[2], NEAREST)
+        carried = apply_homography(matrix, self.pixels)
+        slope = (matrix[None, :2, :2] - carried[:, :, None] * matrix[2, :2]) / depth[:, None, None]  # dW/dx
+        slope[~np.isfinite(slope).all(axis=(1, 2))] = 0.0  # behind the picture plane
+        flat = ~(np.linalg.det(slope) > 0.05)
+        slope[flat] = np.eye(2)
+        back = np.linalg.inv(slope)
+        back[flat] = 0.0
+        return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
+
+
+def _generators(group: str) -> np.ndarray:
+    """Generators of a group of plane maps and of those within it, (n, 3, 3) float64."""
+    names = tuple(GENERATORS)
+    entries = [generator for name in names[: names.index(group) + 1] for generator in GENERATORS[name]]
+    generators = np.zeros((len(entries), 3, 3))
+    for i, generator in enumerate(entries):
+        for row, column, value in generator:
+            generators[i, row, column] = value
+    return generators
+
+
+def _homogeneous(points: np.ndarray) -> np.ndarray:
+    return np.column_stack([points, np.ones(len(points))])
+
+
+def picture_corners(height: int, width: int) -> np.ndarray:
+    """Centres of a picture's corner pixels (x, y), clockwise from the first, (4, 2) float64."""
+    return np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+
+
+def apply_homography(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Apply a homography to (n, 2) points; NaN for points behind the picture plane."""
+    carried = _homogeneous(points) @ matrix.T
+    depth = carried[:, 2]
+    return carried[:, :2] / np.where(depth > NEAREST, depth, np.nan)[:, None]
+
+
+def _differences(picture: np.ndarray, axis: int) -> np.ndarray:
+    """Derivative of a picture (rows, columns, k) along an axis from the neighbours that are numbers; 0 without any."""
+    ahead = np.diff(picture, axis=axis, append=np.full_like(np.take(picture, [0], axis), np.nan))
+    behind = np.roll(ahead, 1, axis)  # the last difference is NaN, so the first pixel has none behind
+    seen = np.isfinite(np.stack([ahead, behind]))
+    total = np.where(seen, np.stack([ahead, behind]), 0.0).sum(axis=0)
+    return total / np.maximum(seen.sum(axis=0), 1)

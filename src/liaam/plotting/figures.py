@@ -1,0 +1,244 @@
+"""Figures of models, lamps and fits."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from liaam.io import atomic_path
+from liaam.lamps import Lamps
+from liaam.model import AAM
+from liaam.photometry import linear_to_srgb
+from liaam.plotting.overlays import as_picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+COLOURS = {
+    "soft-li": "#7b2ff2",
+    "grey": "#9a9a9a",
+    "rgb": "#e8743b",
+    "li": "#19a979",
+    "li-lit": "#0f6e4f",
+    "li-pc": "#5899da",
+    "li-pcs": "#1d4e89",
+    "chroma": "#b565a7",
+    "grey-plain": "#5c5c5c",
+    "grey-norm": "#8a7f5c",
+    "varied": "#9c5b3b",
+    "aia": "#d4a017",
+    "igo": "#c2185b",
+}
+"""One colour per method, the same in every figure."""
+
+LINE_WIDTH = 1.8
+
+
+def base_of(method: str) -> str:
+    """Name of a method without its suffixes (``li`` of ``li+noise``)."""
+    return method.partition("+")[0]
+
+
+def colour_of(method: str) -> str:
+    """Colour of a method in figures, suffixes or not; black for one of your own (several: see :data:`OTHERS`)."""
+    return COLOURS.get(base_of(method), "#222222")
+
+
+def save_figure(figure: "Figure", *paths: Path, dpi: int = 120) -> None:
+    """Write a figure atomically, in the format of each path's suffix, and close it.
+
+    The same figure gives the same bytes: files bear no date, and an SVG's names are not drawn by chance.
+    """
+    import matplotlib
+    import matplotlib.pyplot as plt
+
+    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    for path in paths:
+        form = path.suffix.lstrip(".").lower() or "png"
+        with atomic_path(path) as temporary, matplotlib.rc_context({"svg.hashsalt": "liaam"}):
+            figure.savefig(temporary, dpi=dpi, format=form, bbox_inches="tight", metadata=undated.get(form))
+    plt.close(figure)
+
+
+def subplots(
+    rows: int, columns: int, size: tuple[float, float], heights: Sequence[float] | None = None
+) -> tuple["Figure", np.ndarray]:
+    """Make a figure of a size in inches with a grid of axes, (rows, columns), whatever the display."""
+    import matplotlib
+
+    matplotlib.use("Agg", force=False)
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(
+        rows, columns, figsize=size, squeeze=False, constrained_layout=True, height_ratios=heights
+    )
+    return figure, axes
+
+
+def _draw_shape(axis: "Axes", shape: np.ndarray, model: AAM, colour: str, label: str = "", **style) -> None:
+    style = {"lw": LINE_WIDTH, **style}
+    if not model.contours:
+        axis.triplot(
+            shape[:, 0],
+            shape[:, 1],
+            model.triangles,
+            color=colour,
+            alpha=0.8,
+            label=label,
+            lw=0.6 * style["lw"],
+        )
+        return
+    for i, (indices, closed) in enumerate(model.contours):
+        line = shape[[*indices, indices[0]] if closed else list(indices)]
+        axis.plot(line[:, 0], line[:, 1], color=colour, label=label if i == 0 else None, **style)
+
+
+def show_picture(axis: "Axes", image: np.ndarray, title: str) -> None:
+    """Show a picture with a title and no axes."""
+    axis.imshow(as_picture(image))
+    axis.set_title(title, fontsize=10)
+    axis.axis("off")
+
+
+def figure_of_fits(
+    training: np.ndarray,
+    image: np.ndarray,
+    start: np.ndarray,
+    truth: np.ndarray,
+    fits: Mapping[str, tuple[np.ndarray, float]],
+    model: AAM,
+) -> "Figure":
+    """One training picture, the start, each method's fit, and the truth.
+
+    Parameters
+    ----------
+    training, image : (h, w, 3)
+    start, truth : (n, 2)
+    fits : mapping of method to (shape, mean error in pixels)
+    model : AAM
+    """
+    figure, axes = subplots(1, 2 + len(fits), (3.1 * (2 + len(fits)), 4.4))
+    show_picture(axes[0, 0], training, "one of the training pictures")
+    show_picture(axes[0, 1], image, "new picture, hard lateral light: start")
+    _draw_shape(axes[0, 1], start, model, "#ffd166")
+    for axis, (method, (shape, error)) in zip(axes[0, 2:], fits.items(), strict=True):
+        show_picture(axis, image, f"{method}: {error:.1f} px")
+        _draw_shape(axis, truth, model, "white", "truth", lw=0.9)
+        _draw_shape(axis, shape, model, colour_of(method), method)
+        axis.legend(loc="lower right", fontsize=7, framealpha=0.6)
+    return figure
+
+
+def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
+    """Mean appearance with mesh, and what the first shape and appearance modes do (two standard deviations)."""
+    shape_model, appearance = model.shape_model, model.levels[-1].appearances["value"]
+    shown = max(1, min(n_modes, max(len(shape_model.modes), appearance.n_modes)))
+    figure, axes = subplots(2, 2 + shown, (2.6 * (2 + shown), 6.0))
+    mean = _mean_picture(model)
+    show_picture(axes[0, 0], mean, "mean appearance")
+    show_picture(axes[1, 0], mean, f"mesh, {model.n_points} landmarks")
+    axes[1, 0].triplot(*(shape_model.mean - model.frame.origin).T, model.triangles, color="#19a979", lw=0.7)
+    show_picture(axes[0, 1], _log_picture(model), "mean of the logarithms")
+    axes[1, 1].axis("off")
+    if model.is_colour:
+        invariant = model.levels[-1].appearances["invariant"].mean[:, 0]
+        axes[1, 1].imshow(np.ma.masked_invalid(model.frame.picture(invariant, np.nan)), cmap="viridis")
+        axes[1, 1].set_title("mean invariant", fontsize=10)
+    for i in range(shown):
+        _show_shape_mode(axes[0, 2 + i], model, i)
+        _show_appearance_mode(axes[1, 2 + i], model, i)
+    return figure
+
+
+def _mean_picture(model: AAM) -> np.ndarray:
+    return model.frame.picture(model.levels[-1].appearances["value"].mean, 1.0)
+
+
+def _log_picture(model: AAM) -> np.ndarray:
+    return model.frame.picture(linear_to_srgb(np.exp(model.levels[-1].appearances["log"].mean)), 1.0)
+
+
+def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:
+    axis.axis("off")
+    if i >= len(model.shape_model.modes):
+        return
+    mean = model.shape_model.mean
+    step = 2 * np.sqrt(model.shape_model.eigenvalues[i]) * model.shape_model.modes[i].reshape(-1, 2)
+    if not model.contours:
+        axis.triplot(*mean.T, model.triangles, color="#d0d0d0", lw=0.6)
+    for sign, colour in ((-1, "#5899da"), (1, "#e8743b")):
+        moved = mean + sign * step
+        if model.contours:
+            _draw_shape(axis, moved, model, colour, lw=1.2)
+        else:  # without contours: how far and whither each landmark goes
+            axis.plot(*np.stack([mean, moved]).transpose(2, 0, 1), color=colour, lw=1.2)
+            axis.plot(*moved.T, ".", color=colour, ms=4)
+    axis.set_title(f"shape mode {i + 1}, −2 and +2 sd", fontsize=10)
+    axis.set_aspect("equal")
+    axis.invert_yaxis()
+
+
+def _show_appearance_mode(axis: "Axes", model: AAM, i: int) -> None:
+    axis.axis("off")
+    appearance = model.levels[-1].appearances["value"]
+    if i >= appearance.n_modes:
+        return
+    step = 2 * np.sqrt(appearance.eigenvalues[i]) * appearance.modes[i]
+    pair = [model.frame.picture(appearance.mean + sign * step, 1.0) for sign in (-1, 1)]
+    half = pair[0].shape[1] // 2
+    show_picture(
+        axis,
+        np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1),
+        f"appearance mode {i + 1}, −2 | +2 sd",
+    )
+
+
+LAMPS_DRAWN, LAMPS_ACROSS = 47, 8
+"""Lamps that are drawn at most, and pictures in a row."""
+
+
+def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.ndarray | None = None) -> "Figure":
+    """A picture and what each lamp makes of it.
+
+    Parameters
+    ----------
+    lamps : Lamps
+    image : (h, w, 3) array, optional
+        In the light of training; plain grey if left out, under the mean landmarks.
+    points : (n, 2) float, optional
+        Its landmarks.
+    """
+    if image is None or points is None:
+        image = np.full((160, 160, 3), 128, np.uint8)
+        points = 79.5 + 100.0 * lamps.mean
+    shown = range(min(len(lamps), LAMPS_DRAWN))
+    titles = ["light of training", *(lamps.names[i] for i in shown)]
+    lit = [image, *lamps.relit(image, points, shown)]
+    pictures: list[tuple[str, np.ndarray | None]] = list(zip(titles, lit, strict=True))
+    rows = [pictures[first : first + LAMPS_ACROSS] for first in range(0, len(pictures), LAMPS_ACROSS)]
+    rows[-1] += [(" " * i, None) for i in range(len(rows[0]) - len(rows[-1]))]
+    figure = figure_of_pictures([dict(row) for row in rows], 1.6)
+    figure.axes[0].plot(*points.T, ".", color="white", ms=1.5)
+    return figure
+
+
+def figure_of_pictures(rows: Sequence[Mapping[str, np.ndarray | None]], width: float = 2.6) -> "Figure":
+    """Pictures with titles, a row for each mapping; None leaves a gap, and a column without any picture is left out.
+
+    ``width`` is that of a picture, inches.
+    """
+    shown = [i for i in range(len(rows[0])) if any(list(row.values())[i] is not None for row in rows)]
+    first = next(image for image in rows[0].values() if image is not None)
+    height = width * first.shape[0] / first.shape[1] + 0.3
+    figure, axes = subplots(len(rows), len(shown), (width * len(shown), height * len(rows)))
+    for line, row in zip(axes, rows, strict=True):
+        titles, images = list(row), list(row.values())
+        for axis, i in zip(line, shown, strict=True):
+            axis.axis("off")
+            image = images[i]
+            if image is not None:
+                show_picture(axis, image, titles[i])
+    return figure

@@ -1,0 +1,161 @@
+"""Fits drawn on pictures: landmarks, meshes, ellipses, faults."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from liaam.datasets.label_faults import LabelFault
+from liaam.model import AAM
+
+if TYPE_CHECKING:
+    pass
+
+
+def as_picture(image: np.ndarray) -> np.ndarray:
+    """Give any image array as (h, w, 3) uint8 to look at; floats count from 0 to 1, NaN is black."""
+    image = np.asarray(image)
+    if image.dtype == np.uint16:
+        image = image >> 8
+    if image.dtype.kind == "f":
+        image = (np.clip(np.nan_to_num(image), 0, 1) * 255).round()
+    image = image.astype(np.uint8)
+    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image
+
+
+def mesh_edges(triangles: np.ndarray) -> np.ndarray:
+    """Edges of a mesh, each once, (m, 2) int."""
+    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    return np.unique(pairs, axis=0)
+
+
+def ellipses(points: np.ndarray, covariances: np.ndarray, share: float = 0.95, n: int = 32) -> np.ndarray:
+    """Ellipses that hold a share of Gaussian points.
+
+    Parameters
+    ----------
+    points : (m, 2) float
+    covariances : (m, 2, 2) float
+    share : float
+    n : int
+        Points on each ellipse.
+
+    Returns
+    -------
+    (m, n, 2) float64
+    """
+    values, axes = np.linalg.eigh(np.nan_to_num(covariances))
+    # The square of a distance in standard deviations is chi-squared with two degrees of freedom.
+    radii = np.sqrt(-2.0 * np.log(1.0 - share) * np.maximum(values, 0.0))
+    turn = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return points[:, None] + np.einsum("mab,mb,nb->mna", axes, radii, circle)
+
+
+def enlarged(image: np.ndarray) -> tuple[np.ndarray, int]:
+    """Copy of a picture to draw on, (h', w', 3) uint8, and how often its size it has: small ones are enlarged."""
+    import cv2
+
+    picture = as_picture(image)
+    zoom = max(1, round(700 / max(picture.shape[:2])))
+    if zoom == 1:
+        return picture.copy(), 1
+    return cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC), zoom
+
+
+def overlay(
+    image: np.ndarray,
+    shape: np.ndarray,
+    model: AAM,
+    colour: tuple[int, int, int] = (64, 255, 140),
+    covariances: np.ndarray | None = None,
+) -> np.ndarray:
+    """Draw a fitted shape on its picture.
+
+    Parameters
+    ----------
+    image : (h, w, 3) array
+    shape : (n, 2) float
+        Landmarks, image pixels.
+    model : AAM
+        Gives the mesh (drawn faintly) and the contours (drawn strongly).
+    colour : (int, int, int)
+        RGB of contours and landmarks.
+    covariances : (n, 2, 2) float, optional
+        Of the landmarks, image pixels squared: their 95 % ellipses are drawn.
+
+    Returns
+    -------
+    (h', w', 3) uint8
+        The picture, small ones enlarged so that the lines do not cover them.
+    """
+    import cv2
+
+    picture, zoom = enlarged(image)
+    size = float(np.ptp(shape, axis=0).max()) * zoom if np.isfinite(shape).all() else 100.0
+    size = float(np.clip(size, 1.0, 4 * max(picture.shape[:2])))  # a lost fit may be of any size
+    thick = max(1, round(size / 300))
+    # OpenCV draws on pixel centres with a fixed-point fraction of 4 bits.
+    points = np.clip(np.nan_to_num((shape + 0.5) * zoom - 0.5), -1e6, 1e6)
+    fixed = np.rint(points * 16).astype(np.int32)
+    faint = picture.copy()
+    edges = fixed[mesh_edges(model.triangles)].reshape(-1, 2, 1, 2)
+    cv2.polylines(faint, list(edges), False, colour, thick, cv2.LINE_AA, 4)
+    weight = 0.35 if model.contours else 0.6
+    picture = cv2.addWeighted(faint, weight, picture, 1 - weight, 0)
+    for indices, closed in model.contours:
+        cv2.polylines(picture, [fixed[list(indices)].reshape(-1, 1, 2)], closed, colour, thick, cv2.LINE_AA, 4)
+    if covariances is not None:
+        rings = ellipses(points, zoom**2 * np.asarray(covariances))
+        rings = np.clip(np.rint(rings * 16), -(2**30), 2**30).astype(np.int32)
+        cv2.polylines(picture, list(rings), True, (255, 220, 64), thick, cv2.LINE_AA, 4)
+    radius = int(16 * max(1.2, size / 180))
+    for x, y in fixed:
+        cv2.circle(picture, (int(x), int(y)), radius, (0, 0, 0), -1, cv2.LINE_AA, 4)
+        cv2.circle(picture, (int(x), int(y)), int(radius * 0.7), colour, -1, cv2.LINE_AA, 4)
+    return picture
+
+
+def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[LabelFault]) -> np.ndarray:
+    """Draw landmarks on their picture, those at fault in red, numbered, with lines to where the others have them.
+
+    Parameters
+    ----------
+    image : (h, w, 3) array
+    points : (n, 2) float
+        Landmarks, image pixels.
+    faults : sequence of LabelFault
+        Of this picture.
+
+    Returns
+    -------
+    (h', w', 3) uint8
+        The surroundings of the landmarks, enlarged.
+    """
+    import cv2
+
+    margin = 0.15 * np.ptp(points, axis=0).max() + 5
+    whole = np.array(image.shape[1::-1])
+    low = np.clip(np.floor(points.min(axis=0) - margin), 0, whole).astype(int)
+    high = np.clip(np.ceil(points.max(axis=0) + margin), 0, whole).astype(int)
+    if (high - low < 8).any():  # landmarks of another picture, or of one that was larger
+        low, high = np.zeros(2, int), whole
+    picture, zoom = enlarged(image[low[1] : high[1], low[0] : high[0]])
+
+    def at(place: np.ndarray) -> tuple[int, int]:
+        x, y = np.clip(np.rint((place - low + 0.5) * zoom - 0.5), -1e6, 1e6)
+        return int(x), int(y)
+
+    size = max(picture.shape[:2]) / 700
+    thick, radius = max(1, round(size)), max(2, round(3 * size))
+    for point in points:
+        cv2.circle(picture, at(point), radius, (64, 255, 140), -1, cv2.LINE_AA)
+    for fault in faults:
+        for i in fault.points:
+            cv2.line(picture, at(points[i]), at(fault.expected[i]), (255, 220, 64), thick, cv2.LINE_AA)
+            cv2.circle(picture, at(points[i]), radius, (255, 40, 40), -1, cv2.LINE_AA)
+        for i in fault.points:
+            x, y = at(points[i])
+            place = (x + 2 * radius, y - radius)
+            cv2.putText(picture, str(i + 1), place, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * size, (255, 255, 255), thick)
+    return picture

@@ -1,0 +1,269 @@
+"""Pictures of photometry: invariant images, sweeps over theta, agreement, responses, registrations."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from liaam.calibration.agreement import Agreement, Averaged
+from liaam.calibration.chart import patch_corners
+from liaam.calibration.entropy import entropy_curve
+from liaam.calibration.estimate import PHYSICAL
+from liaam.photometry import CameraModel, to_linear
+from liaam.photometry.camera import falloff_at
+from liaam.photometry.invariant_image import log_picture, projected
+from liaam.plotting.figures import save_figure, show_picture, subplots
+from liaam.plotting.overlays import as_picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "checkerboard",
+    "figure_of_agreement",
+    "figure_of_invariants",
+    "figure_of_response",
+    "figure_of_sweep",
+    "invariant_picture",
+    "save_figure",
+]
+
+UNSEEN = (34, 40, 66)
+"""Colour of pixels that have no invariant: dark blue, which no grey value can be taken for."""
+
+STRETCH = (1.0, 99.0)
+"""Percentiles that become black and white in a picture of an invariant image."""
+
+SWEEP = np.arange(0, 180, 15)
+"""Angles of a sweep's pictures, degrees."""
+
+THUMBNAIL = 240
+"""Pixels across a picture of a sweep."""
+
+
+def invariant_picture(values: np.ndarray, limits: tuple[float, float] | None = None) -> np.ndarray:
+    """Make an invariant image one to look at: stretched to grey, dark blue where it says nothing.
+
+    Parameters
+    ----------
+    values : (h, w) float
+        NaN where there is no value.
+    limits : (float, float), optional
+        Values that become black and white; the 1st and 99th percentile if left out.
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    seen = np.isfinite(values)
+    if not seen.any():
+        return np.full((*values.shape, 3), UNSEEN, dtype=np.uint8)
+    low, high = limits or np.percentile(values[seen], STRETCH)
+    grey = np.clip((np.nan_to_num(values) - low) / max(high - low, 1e-9), 0, 1)
+    picture = np.repeat(np.rint(255 * grey).astype(np.uint8)[..., None], 3, axis=2)
+    picture[~seen] = UNSEEN
+    return picture
+
+
+def common_limits(images: Sequence[np.ndarray]) -> tuple[float, float] | None:
+    """Limits for a stretch of several invariant images alike."""
+    values = np.concatenate([image[np.isfinite(image)][::7] for image in images])
+    return tuple(np.percentile(values, STRETCH)) if len(values) else None  # type: ignore[return-value]
+
+
+def figure_of_invariants(
+    rows: Mapping[str, tuple[np.ndarray, np.ndarray]], patches: Sequence[np.ndarray] | None = None
+) -> "Figure":
+    """Pictures beside their invariant images, all stretched alike.
+
+    Parameters
+    ----------
+    rows : mapping of name to (picture (h, w, 3), invariant image (h, w))
+    patches : sequence of (n, 4) or (n, 4, 2) float, optional
+        Patches of each picture, drawn on it.
+    """
+    limits = common_limits([values for _, values in rows.values()])
+    height, width = next(iter(rows.values()))[0].shape[:2]
+    figure, axes = subplots(len(rows), 2, (7.0, 3.5 * len(rows) * height / width + 0.4))
+    for i, ((name, (picture, values)), line) in enumerate(zip(rows.items(), axes, strict=True)):
+        show_picture(line[0], brightened(picture), shortened(name, 36))
+        show_picture(line[1], invariant_picture(values, limits), "invariant image")
+        for quad in patch_corners(patches[i]) if patches is not None else ():
+            line[0].fill(*quad.T, fill=False, edgecolor="white", lw=1.0)
+    return figure
+
+
+def brightened(image: np.ndarray) -> np.ndarray:
+    """Picture with its brightest hundredth brought near white if it is dark: linear pictures are."""
+    picture = as_picture(image)
+    top = float(np.percentile(picture[::4, ::4].max(axis=-1), 99))
+    if top >= 160:
+        return picture
+    return np.clip(picture.astype(np.float32) * (230.0 / max(top, 1.0)), 0, 255).astype(np.uint8)
+
+
+def figure_of_sweep(image: np.ndarray, camera: CameraModel) -> "Figure":
+    """Invariant images over theta above the entropy of their values.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, uint16 or float array
+    camera : CameraModel
+        Gives the response, and the angle that is marked.
+    """
+    encoded = log_picture(_thumbnail(image), camera)
+    columns = len(SWEEP) // 2
+    height = encoded.shape[0] / encoded.shape[1]
+    figure, axes = subplots(3, columns, (2.0 * columns, 4.0 * height + 3.2), heights=(height, height, 1.5 / 2.0))
+    for axis, angle in zip(axes[:2].ravel(), SWEEP, strict=True):
+        show_picture(axis, invariant_picture(projected(encoded, float(np.deg2rad(angle)))), f"{angle}°")
+    for axis in axes[2]:
+        axis.remove()
+    curve = figure.add_subplot(axes[2, 0].get_gridspec()[2, :])
+    _draw_entropy(curve, encoded[..., :3][encoded[..., 3] > 0], camera)
+    return figure
+
+
+def _draw_entropy(axis: "Axes", log_rgb: np.ndarray, camera: CameraModel) -> None:
+    low, high = np.rad2deg(PHYSICAL)
+    axis.axvspan(low, high, color="#eef3ea", label="physical cameras")
+    if len(log_rgb) > 100 and np.ptp(log_rgb, axis=0).max() > 1e-3:
+        thetas, entropies = entropy_curve(log_rgb)
+        axis.plot(np.rad2deg(thetas), entropies, color="#19a979", lw=1.8, label="entropy")
+        axis.axvline(np.rad2deg(thetas[np.argmin(entropies)]), color="#19a979", ls=":", lw=1.4, label="its minimum")
+    axis.axvline(np.rad2deg(camera.theta) % 180, color="black", ls="--", lw=1.2, label="theta given")
+    axis.set(xlim=(0, 180), xlabel="theta, degrees", ylabel="entropy of the values, bits", xticks=np.arange(0, 181, 15))
+    axis.spines[["top", "right"]].set_visible(False)
+    _legend_above(axis)
+
+
+def _legend_above(axis: "Axes") -> None:
+    """Put the legend in a line above the axes: beside them it would take width from the pictures."""
+    entries = len(axis.get_legend_handles_labels()[0])
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, frameon=False, fontsize=9)
+
+
+def _thumbnail(image: np.ndarray) -> np.ndarray:
+    import cv2
+
+    scale = THUMBNAIL / max(image.shape[:2])
+    if scale >= 1:
+        return image
+    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+
+
+MATRIX = 4
+"""Pictures up to which their invariant images are drawn above the correlations."""
+
+LOWEST = 0.5
+"""Correlation that a matrix's colours begin with; what is less has one colour."""
+
+NUMBERED = 16
+"""Pictures up to which a matrix has room for numbers."""
+
+
+def figure_of_agreement(
+    pictures: Sequence[np.ndarray], names: Sequence[str], seen: Averaged, found: Sequence[Agreement]
+) -> "Figure":
+    """Correlations of invariant images and of log-grey for each pair of pictures, below the images themselves."""
+    n = len(pictures)
+    if n > MATRIX:
+        side = max(4.0, 0.36 * n)
+        figure, axes = subplots(1, 2, (2 * side + 2.6, side + 0.4))
+        for axis, key, title in ((axes[0, 0], "invariant", "invariant"), (axes[0, 1], "log_grey", "log grey")):
+            shown = _draw_matrix(axis, n, found, key, title)
+        axes[0, 0].set_yticklabels([f"{shortened(name)}  {i + 1}" for i, name in enumerate(names)], fontsize=7)
+        axes[0, 0].set_ylabel("")
+        figure.colorbar(shown, ax=axes[0], label="correlation", shrink=0.8, extend="min")
+        return figure
+    limits, height = common_limits(list(seen.invariant)), pictures[0].shape[0] / pictures[0].shape[1]
+    figure, axes = subplots(3, n, (3.0 * n, 6.0 * height + 2.4), heights=(height, height, 0.7))
+    for i in range(n):
+        show_picture(axes[0, i], brightened(pictures[i]), f"{i + 1}  {shortened(names[i], 30)}")
+        show_picture(axes[1, i], invariant_picture(seen.invariant[i], limits), "invariant image")
+        axes[2, i].remove()
+    bars = figure.add_subplot(axes[2, 0].get_gridspec()[2, :])
+    places = np.arange(len(found))
+    for shift, key, colour in ((-0.18, "invariant", "#19a979"), (0.18, "log_grey", "#9a9a9a")):
+        heights = [getattr(pair, key) for pair in found]
+        drawn = bars.bar(places + shift, heights, 0.34, color=colour, label=key.replace("_", " "))
+        bars.bar_label(drawn, fmt="%.3f", fontsize=8, padding=2)
+    bars.set_xticks(places, [f"{pair.first + 1} and {pair.second + 1}" for pair in found])
+    lowest = min([0.0, *(getattr(pair, key) for pair in found for key in ("invariant", "log_grey"))])
+    bars.set(ylabel="correlation", ylim=(1.25 * lowest, 1.12), xlabel="pictures")
+    bars.axhline(0.0, color="black", lw=0.8)
+    _legend_above(bars)
+    bars.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def shortened(name: str, most: int = 22) -> str:
+    """Name with its middle left out if it is long: what tells pictures of a series apart stands at the end."""
+    return name if len(name) <= most else f"{name[: most // 3]}…{name[len(name) - most + most // 3 + 1 :]}"
+
+
+def _draw_matrix(axis: "Axes", n: int, found: Sequence[Agreement], key: str, title: str):
+    matrix = np.eye(n)
+    for pair in found:
+        matrix[pair.first, pair.second] = matrix[pair.second, pair.first] = getattr(pair, key)
+    shown = axis.imshow(matrix, vmin=LOWEST, vmax=1.0, cmap=_correlation_colours())
+    if n <= NUMBERED:
+        for i, j in np.argwhere(~np.eye(n, dtype=bool)):
+            value = matrix[i, j]
+            ink = "white" if value < 0.5 * (LOWEST + 1.0) else "black"
+            text = "–" if np.isnan(value) else f"{value:z.2f}"
+            axis.text(j, i, text, ha="center", va="center", fontsize=6, color=ink)
+    median = np.nanmedian([getattr(pair, key) for pair in found])
+    axis.set_title(f"{title}: median {median:z.3f}", fontsize=10)
+    axis.set(xticks=range(n), yticks=range(n), xlabel="picture", ylabel="picture")
+    axis.set_xticklabels([str(i + 1) for i in range(n)], fontsize=7)
+    axis.set_yticklabels([str(i + 1) for i in range(n)], fontsize=7)
+    return shown
+
+
+def _correlation_colours():
+    """Colours of correlations; low ones and those that cannot be told have colours of their own."""
+    import matplotlib
+
+    return matplotlib.colormaps["viridis"].with_extremes(under="#1b1020", bad="#dddddd")
+
+
+def figure_of_response(camera: CameraModel) -> "Figure":
+    """A camera's response beside sRGB, and its vignetting where it has any."""
+    panels = 2 if camera.vignetting else 1
+    figure, axes = subplots(1, panels, (4.5 * panels, 3.6))
+    stored = np.linspace(1 / 255, 1, 255)
+    axes[0, 0].plot(stored * 255, to_linear(stored, camera.response), color="#19a979", lw=1.8, label="this camera")
+    axes[0, 0].plot(stored * 255, to_linear(stored, "srgb"), color="black", lw=1.2, ls="--", label="sRGB")
+    axes[0, 0].set(xlabel="stored value, of 255", ylabel="linear light, of the largest", yscale="log", ylim=(1e-3, 1.3))
+    axes[0, 0].legend(frameon=False)
+    axes[0, 0].set_title("response", fontsize=10)
+    if camera.vignetting:
+        radius = np.linspace(0, 1, 101)
+        axes[0, 1].plot(radius, falloff_at(np.square(radius), camera.vignetting), color="#19a979", lw=1.8)
+        axes[0, 1].set(xlabel="distance from the centre, 1 in the corners", ylabel="share of light", ylim=(0, 1.05))
+        axes[0, 1].set_title("vignetting", fontsize=10)
+    for axis in axes[0]:
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.grid(color="#e6e6e6", lw=0.8)
+    return figure
+
+
+def checkerboard(a: np.ndarray, b: np.ndarray, fields: int = 8) -> np.ndarray:
+    """Lay fields of two registered pictures side by side like a chessboard: lines run on where they are aligned.
+
+    Parameters
+    ----------
+    a, b : (h, w, 3) arrays
+    fields : int
+        Fields along the longer side.
+
+    Returns
+    -------
+    (h, w, 3) uint8
+    """
+    height, width = a.shape[:2]
+    size = max(8, max(height, width) // fields)
+    odd = ((np.arange(height) // size)[:, None] + np.arange(width) // size) % 2 == 1
+    return np.where(odd[..., None], as_picture(b), as_picture(a))

@@ -1,0 +1,188 @@
+"""Landmarks that were labelled by another rule than in the other pictures are found, and nothing else is."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from liaam.datasets import load_folder
+from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
+from liaam.datasets.scenes import Head, random_expression, random_pose
+from liaam.datasets.scenes.render import render
+from liaam.errors import LiaamError
+from liaam.io import Landmarks, read_landmarks
+from liaam.model.shape import rotation
+
+
+@pytest.fixture(scope="module")
+def shapes():
+    """Give landmarks of faces that turn and talk, of several persons."""
+    rng = np.random.default_rng(20080624)
+    return [
+        render(Head(1 + i % 4), random_pose(rng), random_expression(rng), size=(160, 120)).landmarks for i in range(24)
+    ]
+
+
+def exchanged(shapes, picture, order):
+    """The same shapes with one in another order."""
+    made = [shape.copy() for shape in shapes]
+    made[picture] = made[picture][order]
+    return made
+
+
+def run_of(shapes, length=8):
+    """First of a run of landmarks that spread over the most: exchanging neighbours on one spot is no fault to see."""
+    spread = [np.linalg.norm(np.ptp(shapes[0][i : i + length], axis=0)) for i in range(len(shapes[0]) - length + 1)]
+    return int(np.argmax(spread))
+
+
+def test_shapes_without_faults_have_none(shapes):
+    assert find_label_faults(shapes) == []
+
+
+@pytest.mark.parametrize("shift", [0, 3])
+def test_a_run_that_goes_the_other_way_round_is_found_and_mended(shapes, shift):
+    first = run_of(shapes)
+    order = np.arange(len(shapes[0]))
+    order[first : first + 8] = np.roll(order[first : first + 8][::-1], shift)
+    (fault,) = find_label_faults(exchanged(shapes, 5, order))
+    assert (fault.picture, fault.kind) == (5, "reversed")
+    mended = exchanged(shapes, 5, order)[5][fault.order]
+    assert np.abs(mended - shapes[5]).max() == 0.0
+    assert fault.distance > 4 * fault.mended
+    assert "the other way round" in fault.message
+
+
+def test_a_run_that_begins_elsewhere_is_found(shapes):
+    first = run_of(shapes)
+    order = np.arange(len(shapes[0]))
+    order[first : first + 8] = np.roll(order[first : first + 8], 3)
+    (fault,) = find_label_faults(exchanged(shapes, 2, order))
+    assert (fault.picture, fault.kind) == (2, "shifted")
+    assert np.array_equal(exchanged(shapes, 2, order)[2][fault.order], shapes[2])
+
+
+def test_two_pictures_with_the_same_fault_do_not_vouch_for_each_other(shapes):
+    first = run_of(shapes)
+    order = np.arange(len(shapes[0]))
+    order[first : first + 8] = order[first : first + 8][::-1]
+    made = exchanged(exchanged(shapes, 3, order), 17, order)
+    assert [fault.picture for fault in find_label_faults(made)] == [3, 17]
+
+
+def test_two_exchanged_landmarks_are_found(shapes):
+    far = np.linalg.norm(shapes[0][:, None] - shapes[0], axis=2)
+    a, b = sorted(int(i) for i in np.unravel_index(far.argmax(), far.shape))
+    order = np.arange(len(shapes[0]))
+    order[[a, b]] = [b, a]
+    (fault,) = find_label_faults(exchanged(shapes, 9, order))
+    assert np.array_equal(fault.order, order)
+    assert fault.picture == 9
+
+
+def test_left_and_right_exchanged_are_found():
+    rng = np.random.default_rng(3)
+    half = np.column_stack([rng.uniform(5, 40, 14), np.linspace(-60, 60, 14)])
+    rest = np.concatenate([half, half * [-1.0, 1.0]])
+    rest[:14] += [0.0, 3.0]  # nearly symmetric, as faces are
+    shapes = [(rest + rng.normal(scale=0.6, size=rest.shape)) @ rotation(0.05 * i).T for i in range(12)]
+    order = np.roll(np.arange(28), 14)
+    (fault,) = find_label_faults(exchanged(shapes, 4, order))
+    assert (fault.picture, fault.kind) == (4, "mirrored")
+    assert np.array_equal(exchanged(shapes, 4, order)[4][fault.order], shapes[4])
+    assert "left and right" in fault.message
+
+
+@pytest.mark.parametrize(("kind", "step", "shift"), [("reversed", -1, 0), ("reversed", -1, 11), ("shifted", 1, 5)])
+def test_landmarks_in_another_order_as_a_whole_are_found(shapes, kind, step, shift):
+    order = np.roll(np.arange(len(shapes[0]))[::step], shift)
+    (fault,) = find_label_faults(exchanged(shapes, 6, order))
+    assert (fault.picture, fault.kind) == (6, kind)
+    assert fault.points == tuple(range(len(shapes[0])))
+    np.testing.assert_array_equal(exchanged(shapes, 6, order)[6][fault.order], shapes[6])
+    assert fault.distance > 4 * fault.mended
+
+
+def test_outlines_that_are_alike_from_everywhere_have_no_beginning(rng):
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = 50 * np.column_stack([np.cos(angles), np.sin(angles)])
+    made = [np.roll(ring + rng.normal(scale=0.5, size=ring.shape), i % 5, axis=0) for i in range(12)]
+    assert find_label_faults(made) == []
+
+
+def test_a_landmark_far_off_is_told_and_not_moved(shapes):
+    made = [shape.copy() for shape in shapes]
+    made[7][11] += 0.3 * np.ptp(made[7], axis=0)
+    (fault,) = find_label_faults(made)
+    assert (fault.picture, fault.kind, fault.points) == (7, "stray", (11,))
+    assert np.array_equal(fault.order, np.arange(len(made[7])))
+    assert "point 12 far off" in fault.message
+    assert not fault.is_order
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-3.1, 3.1), st.floats(0.1, 20.0), st.floats(-500, 500))
+def test_pose_and_size_make_no_fault(shapes, angle, size, shift):
+    made = [shape.copy() for shape in shapes]
+    made[1] = size * made[1] @ rotation(angle).T + shift
+    assert find_label_faults(made) == []
+
+
+def test_points_on_one_spot_and_identical_shapes_are_no_fault():
+    same = np.tile(np.arange(12.0).reshape(6, 2), (10, 1, 1))
+    assert find_label_faults(same) == []
+    assert find_label_faults(np.zeros((10, 6, 2))) == []
+    assert find_label_faults([*same, np.zeros((6, 2))]) == []
+
+
+@pytest.mark.parametrize("n", [3, 5, 8, 20])
+def test_objects_that_bend_in_many_ways_raise_no_alarm(rng, n):
+    mean, modes = 50 * rng.normal(size=(n, 2)), 8 * rng.normal(size=(4, n, 2))
+    made = [mean + np.tensordot(rng.normal(size=4), modes, 1) + rng.normal(size=(n, 2)) for _ in range(40)]
+    faults = find_label_faults(made)
+    assert not [fault for fault in faults if fault.is_order]
+    assert len(faults) <= 1
+
+
+def test_few_pictures_say_nothing(shapes):
+    with pytest.raises(LiaamError, match=f"at least {LEAST_PICTURES}"):
+        find_label_faults(shapes[: LEAST_PICTURES - 1])
+
+
+def test_progress_is_told(shapes):
+    told = []
+    find_label_faults(shapes, lambda *what: told.append(what))
+    assert [done for done, *_ in told] == list(range(len(shapes)))
+
+
+def test_what_is_invisible_goes_with_its_landmark(shapes):
+    first = run_of(shapes)
+    order = np.arange(len(shapes[0]))
+    order[first : first + 8] = order[first : first + 8][::-1]
+    made = exchanged(shapes, 5, order)
+    (fault,) = find_label_faults(made)
+    mended = fault.mended_landmarks(Landmarks(made[5], invisible=(first, first + 1)))
+    assert mended.invisible == (first + 6, first + 7)
+
+
+def test_the_faults_of_imm_are_found(shared_data):
+    """Three pictures had an eye the other way round at the source; ``imm`` has them put right."""
+    data = load_folder(shared_data / "imm")
+    as_they_were = {path.stem: read_landmarks(path).points for path in (shared_data / "imm-faults").glob("*.pts")}
+    right = [sample.landmarks.points for sample in data]
+    assert not [fault for fault in find_label_faults(right) if fault.is_order]
+    points = [as_they_were.get(sample.name, own) for sample, own in zip(data, right, strict=True)]
+    faults = [fault for fault in find_label_faults(points) if fault.is_order]
+    assert [(data[fault.picture].name, fault.kind) for fault in faults] == [
+        ("06-5m", "reversed"),
+        ("10-4m", "reversed"),
+        ("18-4m", "reversed"),
+    ]
+    # Eyes, of eight landmarks each: seen in the pictures, and clear of doubt.
+    assert [(fault.points[0], len(fault.points)) for fault in faults] == [(13, 8), (21, 8), (21, 8)]
+
+
+@pytest.mark.parametrize("folder", ["imm-frontal", "london", "one-person"])
+def test_faces_labelled_alike_have_no_exchanged_landmarks(shared_data, folder):
+    faults = find_label_faults([sample.landmarks.points for sample in load_folder(shared_data / folder)])
+    assert not [fault for fault in faults if fault.is_order]

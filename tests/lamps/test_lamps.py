@@ -1,0 +1,304 @@
+"""Lamps: learnt from objects that did not move, laid on others, kept in files, and what models gain by them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from liaam.datasets import Sample
+from liaam.datasets.scenes import DIFFUSE, Head, Pose, lateral, random_expression, random_pose, render
+from liaam.errors import LiaamError, TrainingError
+from liaam.evaluation import point_error
+from liaam.fitting import Fitter
+from liaam.io import Landmarks, write_image, write_landmarks
+from liaam.lamps import Copies, Lamps, learn_lamps, load_lamps
+from liaam.lamps.bank import SIDE, as_srgb
+from liaam.model import load_model
+from liaam.model.shape import align, diagonal_of, mirror_order
+from liaam.photometry import from_linear, srgb_to_linear
+from liaam.training import train
+from setups import disturb
+
+SIZE = (160, 120)
+LIGHTS = {"day": DIFFUSE, "left": lateral("left"), "right": lateral("right")}
+
+
+def sample(name: str, image: np.ndarray, points: np.ndarray) -> Sample:
+    return Sample(name, image, Landmarks(points))
+
+
+def photographed(head: int, seed: int, lights=LIGHTS) -> list[Sample]:
+    """One head in one pose under each light."""
+    rng = np.random.default_rng(seed)
+    pose, expression = random_pose(rng, SIZE), random_expression(rng)
+    scenes = {name: render(Head(head), pose, expression, light, size=SIZE) for name, light in lights.items()}
+    return [sample(f"head{head}-{name}", scene.image, scene.landmarks) for name, scene in scenes.items()]
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[Sample]:
+    return [*photographed(2, 2), *photographed(3, 3)]
+
+
+@pytest.fixture(scope="module")
+def lamps(pictures) -> Lamps:
+    return learn_lamps(pictures, "day")
+
+
+# Learning and relighting
+
+
+def test_there_is_a_lamp_for_each_picture_in_another_light(lamps):
+    assert lamps.names == ("head2-left", "head2-right", "head3-left", "head3-right")
+    assert lamps.fields.shape == (4, SIDE, SIDE, 3)
+    assert diagonal_of(lamps.mean) == pytest.approx(1.0)
+    assert np.allclose(lamps.mean.min(axis=0), -lamps.mean.max(axis=0))
+
+
+def test_an_object_under_its_own_lamp_is_the_picture_that_was_taken(pictures, lamps):
+    day, left = pictures[0], pictures[1]
+    (made,) = lamps.relit(day.image, day.landmarks.points, [0])
+    # Inside the face: at its outline the blur of the field shows.
+    points, centre = day.landmarks.points, day.landmarks.points.mean(axis=0)
+    x, y = np.rint(centre + 0.6 * (points - centre)).astype(int).T
+    before, after = (np.abs(image[y, x].astype(float) - left.image[y, x]).mean() for image in (day.image, made))
+    assert after < 0.35 * before
+
+
+def test_a_lamp_of_one_head_brings_another_nearer_to_its_light(pictures, lamps):
+    day, left, right = photographed(7, 11)
+    points = day.landmarks.points
+    x, y = np.rint(points[:40]).astype(int).T
+    for number, lit in ((0, left), (1, right)):
+        (made,) = lamps.relit(day.image, points, [number])
+        before, after = (np.abs(image[y, x].astype(float) - lit.image[y, x]).mean() for image in (day.image, made))
+        assert after < 0.7 * before
+
+
+def test_fields_follow_the_landmarks(pictures, lamps):
+    """The picture moved, turned and enlarged is relit alike, as far as resampling allows."""
+    day = pictures[0]
+    wide = np.repeat(np.repeat(day.image, 2, axis=0), 2, axis=1)
+    (small,), (large,) = (
+        lamps.relit(day.image, day.landmarks.points, [1]),
+        lamps.relit(wide, 2.0 * day.landmarks.points + 0.5, [1]),
+    )
+    assert np.abs(large[::2, ::2].astype(float) - small).mean() < 1.5
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("response", ["srgb", "linear", 1.8])
+def test_pictures_of_any_camera_are_relit_alike(pictures, lamps, dtype, response):
+    day = pictures[0]
+    expected = lamps.relit(day.image, day.landmarks.points, [0])[0] / 255.0
+    values = from_linear(srgb_to_linear(day.image / 255.0), response)
+    image = values.astype(np.float32) if dtype is np.float32 else np.rint(values * np.iinfo(dtype).max).astype(dtype)
+    (made,) = lamps.relit(image, day.landmarks.points, [0], response)
+    assert made.dtype == dtype
+    assert np.abs(as_srgb(made, response) - expected).mean() < (0.03 if dtype is np.uint8 else 0.01)
+
+
+def test_grey_pictures_stay_grey_and_faults_stay_finite(lamps, pictures):
+    points = pictures[0].landmarks.points
+    grey = np.repeat(pictures[0].image[..., :1], 3, axis=2)
+    assert np.ptp(lamps.relit(grey, points, [0])[0].astype(int), axis=2).max() == 0
+    holes = np.full((*SIZE, 3), np.nan, np.float32)
+    assert np.isfinite(lamps.relit(holes, points, [0])[0]).all()
+    for value in (0, 255):
+        (made,) = lamps.relit(np.full((*SIZE, 3), value, np.uint8), points, [2])
+        assert made.dtype == np.uint8
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda p: [sample("day", p[0].image, p[0].landmarks.points)], r"day: name the pictures .* 037-00 and 037-07"),
+        (lambda p: p[1:], "object head2 has no picture under lamp day"),
+        (lambda p: p[:1], "object head2 has a picture under lamp day only"),
+        (lambda p: [p[0], sample("head2-left", p[1].image, p[1].landmarks.points + 20)], "have not moved"),
+        (lambda p: [p[0], sample("head2-left", p[1].image[:-9], p[1].landmarks.points)], "differ in size"),
+        (lambda p: [p[0], sample("head2-left", p[1].image, p[1].landmarks.points[1:])], "57 to 58 landmarks"),
+        (lambda p: [(p[0].image, p[0].landmarks.points)], "liaam.load_folder"),
+        (lambda p: [], "no pictures to learn lamps from"),
+    ],
+)
+def test_pictures_that_tell_no_lamps_are_refused(pictures, change, message):
+    with pytest.raises(TrainingError, match=message):
+        learn_lamps(change(pictures), "day")
+
+
+def test_the_light_of_training_has_to_be_told(pictures):
+    with pytest.raises(TrainingError, match=r"--training-lamp.* there are day, left, right"):
+        learn_lamps(pictures)
+    with pytest.raises(TrainingError, match="'night'; there are day, left, right"):
+        learn_lamps(pictures, "night")
+    only = [pictures[0], pictures[1], pictures[3], pictures[5]]  # one lamp is common to both heads
+    assert learn_lamps(only).names == ("head2-left", "head3-right")
+
+
+def test_lamps_serve_objects_with_the_same_landmarks(pictures, lamps):
+    with pytest.raises(TrainingError, match="with 58 landmarks, but these pictures have 50"):
+        lamps.relit(pictures[0].image, pictures[0].landmarks.points[:50], [0])
+    pairs = [(each.image, each.landmarks.points[:50]) for each in pictures[:3]]
+    with pytest.raises(TrainingError, match="with 58 landmarks, but the pictures have 50"):
+        train(pairs, diagonal=40.0, lamps=lamps)
+
+
+# Files
+
+
+def test_lamps_are_kept_in_a_file(lamps, tmp_path):
+    lamps.save(tmp_path / "heads.lamps")
+    loaded = load_lamps(tmp_path / "heads.lamps")
+    assert loaded.names == lamps.names
+    np.testing.assert_array_equal(loaded.fields, lamps.fields)
+    np.testing.assert_array_equal(loaded.mean, lamps.mean)
+
+
+def test_files_without_lamps_are_refused(lamps, tmp_path, trained):
+    path, model_file = tmp_path / "heads.lamps", tmp_path / "m.liaam"
+    trained[0].save(model_file)
+    with pytest.raises(LiaamError, match="does not exist; make one with 'liaam lamps"):
+        load_lamps(path)
+    with pytest.raises(LiaamError, match="holds no lamps"):
+        load_lamps(model_file)
+    lamps.save(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(LiaamError, match="no complete file of lamps"):
+        load_lamps(path)
+
+
+def forged(path, tensors: dict[str, np.ndarray], names) -> None:
+    from safetensors.numpy import save_file
+
+    about = {"format": "liaam-lamps", "schema": 1, "names": names}
+    save_file(tensors, path, {"liaam": json.dumps(about)})
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"fields": np.zeros((1, SIDE, 9, 3), np.float16)}, ["a"]),
+        ({"fields": np.full((1, SIDE, SIDE, 3), np.nan, np.float16)}, ["a"]),
+        ({"mean": np.full((5, 2), np.nan)}, ["a"]),
+        ({"mean": np.zeros((2, 2))}, ["a"]),
+        ({}, ["a", "b"]),
+        ({}, [1]),
+        ({}, "a"),
+    ],
+)
+def test_forged_lamps_are_refused(tmp_path, change, names):
+    tensors = {"mean": np.zeros((5, 2)), "fields": np.zeros((1, SIDE, SIDE, 3), np.float16)} | change
+    forged(tmp_path / "f.lamps", tensors, names)
+    with pytest.raises(LiaamError, match="contradicts itself"):
+        load_lamps(tmp_path / "f.lamps")
+
+
+# Copies
+
+
+def test_copies_are_as_many_as_asked_for_and_fewer_of_many_pictures(lamps):
+    order = np.arange(58)
+    assert (Copies.of(lamps, 10, 3, None).counts == 3).all()
+    assert not Copies.of(lamps, 10, 0, order).counts.any()
+    assert (Copies.of(None, 10, 3, order).counts == 1).all()
+    assert not Copies.of(None, 10, 3, None).counts.any()
+    some = Copies.of(lamps, 500, 3, None)
+    assert (some.counts.sum(), some.counts.min(), some.counts.max()) == (700, 1, 2)
+    assert (Copies.of(lamps, 3000, 3, None).counts == 1).all()
+    np.testing.assert_array_equal(Copies(lamps, np.array([2, 0, 1])).owners, [0, 0, 0, 1, 2, 2])
+
+
+def test_copies_show_the_object_where_their_landmarks_say(pictures):
+    """Mirrored and reduced without a lamp, a copy is the picture itself."""
+    day = pictures[0]
+    points = day.landmarks.points
+    order = mirror_order(render(Head(2), Pose(), size=SIZE).landmarks)
+    assert order is not None
+    wide = np.repeat(np.repeat(day.image, 5, axis=0), 5, axis=1)
+    ((copy, moved),) = Copies.of(None, 1, 1, order).of_picture(0, wide, 5.0 * points + 2.0, "srgb", 60.0)
+    assert max(copy.shape) < max(day.image.shape) * 3
+    pose = align((points * [-1.0, 1.0])[order], moved)
+    np.testing.assert_allclose(pose((points * [-1.0, 1.0])[order]), moved, atol=1e-6)
+    x, y = np.rint(moved).astype(int).T
+    for counterparts, least, most in ((order, 0, 3), (np.arange(len(order)), 6, 255)):
+        own = np.rint(points[counterparts]).astype(int)
+        assert least <= np.median(np.abs(copy[y, x].astype(float) - day.image[own[:, 1], own[:, 0]])) <= most
+
+
+# Models
+
+
+@pytest.fixture(scope="module")
+def trained(lamps):
+    """Models of one head in daylight, without and with the lamps of two others."""
+    shown = [photographed(5, seed, {"day": DIFFUSE})[0] for seed in range(8)]
+    return [train(shown, diagonal=60.0, leave_out=False, lamps=own, copies=n) for own, n in ((None, 0), (lamps, 3))]
+
+
+def test_a_model_that_has_learnt_the_light_fits_better_under_it(trained):
+    errors = []
+    for model in trained:
+        fitter, own = Fitter(model), []
+        for seed in range(20, 26):
+            for picture in photographed(5, seed)[1:]:
+                truth = picture.landmarks.points
+                own.append(point_error(fitter.fit(picture.image, disturb(truth)).shape, truth))
+        errors.append(np.mean(own))
+    assert errors[1] < 0.9 * errors[0]
+
+
+def test_a_model_knows_how_many_copies_it_has_learnt_from(trained, tmp_path):
+    plain, lit = trained
+    assert (plain.n_images, plain.n_textures, lit.n_textures) == (8, 8, 32)
+    lit.save(tmp_path / "m.liaam")
+    loaded = load_model(tmp_path / "m.liaam")
+    assert loaded.n_textures == 32
+    modes = lit.views["surroundings"].levels[-1].appearances["soft"].n_modes
+    assert loaded.views["surroundings"].levels[-1].appearances["soft"].n_modes == modes
+    for ours, theirs in zip(plain.levels, lit.levels, strict=True):
+        np.testing.assert_array_equal(ours.appearances["log"].mean, theirs.appearances["log"].mean)
+
+
+def test_copies_out_of_range_are_refused(pictures):
+    with pytest.raises(TrainingError, match="copies 21: give 0 to 20"):
+        train(pictures, diagonal=40.0, copies=21)
+
+
+# The command line
+
+
+@pytest.fixture
+def folder(pictures, tmp_path):
+    path = tmp_path / "lamps"
+    path.mkdir()
+    for each in pictures:
+        write_image(path / f"{each.name}.png", each.image)
+        write_landmarks(path / f"{each.name}.pts", each.landmarks.points)
+    return path
+
+
+def test_lamps_are_made_drawn_and_trained_with(run, folder, tmp_path):
+    file = tmp_path / "heads.lamps"
+    code, out, _ = run("lamps", folder, "-o", file, "--training-lamp", "day")
+    assert code == 0
+    assert "4 lamps for objects with 58 landmarks" in out
+    assert file.with_suffix(".png").stat().st_size > 1000
+    code, out, _ = run("show", file, "--image", folder / "head2-day.png", "-o", tmp_path / "one.png")
+    assert code == 0 and (tmp_path / "one.png").stat().st_size > 1000
+    options = ("--images", "*-day", "--images", "*-left", "--diagonal", 40, "--no-leave-out")
+    code, out, _ = run("train", folder, "-o", tmp_path / "m.liaam", *options, "--lamps", file, "--copies", 2)
+    assert code == 0
+    assert "4 images and 8 copies under 4 lamps" in out
+
+
+def test_slips_are_told(run, folder, tmp_path):
+    assert "ends in .lamps" in run("lamps", folder, "-o", tmp_path / "heads.png")[2]
+    assert "--training-lamp" in run("lamps", folder, "-o", tmp_path / "heads.lamps")[2]
+    assert "--image is for lamps" in run("show", tmp_path / "m.liaam", "--image", folder / "head2-day.png")[2]
+    code, _, err = run("train", folder, "-o", tmp_path / "m.liaam", "--lamps", tmp_path / "none.lamps")
+    assert (code, "does not exist; make one with 'liaam lamps" in err) == (1, True)

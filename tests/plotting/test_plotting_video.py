@@ -1,0 +1,24 @@
+"""Annotated frames."""
+
+import numpy as np
+
+from liaam.plotting.video import BAD, GOOD, annotated
+
+
+def test_landmarks_ellipses_and_a_caption_are_drawn(head_model, moving):
+    scene = moving[0]
+    covariances = np.broadcast_to(4.0 * np.eye(2), (58, 2, 2))
+    plain = annotated(scene.image, scene.landmarks, head_model, "3   tracked")
+    rich = annotated(scene.image, scene.landmarks, head_model, "3   tracked", covariances)
+    lost = annotated(scene.image, None, head_model, "3   lost")
+    assert plain.shape == rich.shape == lost.shape  # a video has one size
+    assert (plain != rich).any()
+    assert (lost.reshape(-1, 3) == BAD).all(axis=1).any()
+    assert not (lost.reshape(-1, 3) == GOOD).all(axis=1).any()
+    assert np.ptp(scene.image) == np.ptp(scene.image.copy())
+
+
+def test_any_size_has_room_for_a_caption(head_model):
+    for size in ((12, 9), (40, 1500), (900, 30)):
+        picture = annotated(np.full((*size, 3), 128, np.uint8), None, head_model, "a rather long caption " * 3)
+        assert picture.ndim == 3
