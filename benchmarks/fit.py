@@ -73,7 +73,7 @@ def measure_fits() -> None:
         fitter = Fitter(model, method)
         median = float(np.median(milliseconds(fits(fitter, pictures))))
         results = [fitter.fit(image, box_of(shape)) for image, shape in pictures]
-        error = median_error([result.shape for result in results], pictures, model.diagonal)
+        error = median_error([result.landmarks for result in results], pictures, model.diagonal)
         steps = np.median([result.n_iterations for result in results])
         name = method.replace("-", "_")
         note = f"(bar: at most {bar:g}; {steps:.0f} iterations, {error:.2f} px off)"

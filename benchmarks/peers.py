@@ -214,7 +214,7 @@ def liaam_rows() -> list[Row]:
     for method in METHODS:
         word, fitter = _word(method), Fitter(model, method)
         results = head_fits(fitter)
-        error = fit.median_error([result.shape for result in results], pictures, model.diagonal)
+        error = fit.median_error([result.landmarks for result in results], pictures, model.diagonal)
         steps = median_iterations(results)
         what = f"whole fit from a box, {model.n_pixels} pixels, {steps} iterations, {error:.2f} px off"
         rows.append(Row(f"peers_liaam_{word}", what, fit.fits(fitter, pictures)))
@@ -244,7 +244,7 @@ def photograph_rows() -> list[Row]:
     trackers = [Tracker(model, init=shape) for _, shape in pictures]
     videos = [partial(tracker.update, image) for tracker, (image, _) in zip(trackers, pictures, strict=True)]
     searches = [partial(fitter.fit, image) for image, _ in pictures]
-    finds = found_faces(lambda image: fitter.find(image)[0].shape)
+    finds = found_faces(lambda image: fitter.find(image)[0].landmarks)
     about = f"{model.n_pixels} pixels, {model.shape_model.n_points} points, photographs of 640x480"
     return [
         Row("peers_liaam_photo", f"whole fit from a box, {about}", fit.fits(fitter, pictures)),

@@ -33,7 +33,7 @@ ROUNDS = 20
 def fitted_at(model: AAM, result: FitResult, shape: np.ndarray) -> FitResult:
     """A result as if its landmarks were others."""
     pose = align(model.shape_model.mean, shape)
-    return replace(result, shape=shape, pose=pose, p=model.shape_model.parameters(pose.inverse()(shape)))
+    return replace(result, landmarks=shape, pose=pose, p=model.shape_model.parameters(pose.inverse()(shape)))
 
 
 def measured(model: AAM, pair: LitPair, relighter: Relighter) -> tuple[float, ...]:

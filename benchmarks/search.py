@@ -67,7 +67,7 @@ def measure(training: list[Picture], tests: list[Picture]) -> tuple[np.ndarray, 
         before = process_time()
         (found,) = finder.find(image)
         seconds = process_time() - before
-        error = np.linalg.norm(found.shape - truth, axis=1).mean() / (EYES * diagonal_of(truth))
+        error = np.linalg.norm(found.landmarks - truth, axis=1).mean() / (EYES * diagonal_of(truth))
         rows.append((error, seconds, found.score))
     errors, seconds, scores = np.array(rows).T
     return errors, seconds, scores

@@ -67,7 +67,7 @@ def person_model(generic: AAM, video: Path) -> AAM:
     stretches = np.array_split(np.arange(len(fits)), TRAINED_ON)
     best = [max(stretch, key=lambda i: fits[i].quality) for stretch in stretches if len(stretch)]
     contours = tuple(Contour(indices, closed) for indices, closed in generic.contours)
-    return train([(images[i], Landmarks(fits[i].shape, contours)) for i in best], diagonal=120)
+    return train([(images[i], Landmarks(fits[i].landmarks, contours)) for i in best], diagonal=120)
 
 
 def run(tracker: Tracker, frames: Sequence[VideoFrame], light: Callable | None = None) -> list[TrackedFrame]:
@@ -102,7 +102,7 @@ def overhead(model: AAM, video: Path, results: Sequence[FitResult], n: int = 100
 
     The first is of the tracker's thread; the second includes waiting for the decoder's.
     """
-    tracker = Tracker(model, init=results[0].shape)
+    tracker = Tracker(model, init=results[0].landmarks)
     count = 0
 
     def remembered(*_: object) -> FitResult:

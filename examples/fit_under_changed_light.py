@@ -30,7 +30,7 @@ def main(figure_path: str | None = None) -> None:
     box = (x0 + 4, y0 - 3, x1 + 6, y1 - 2)
     fits = {method: liaam.fit(model, test.image, box, method) for method in METHODS}
     for method, fit in fits.items():
-        error = np.linalg.norm(fit.shape - test.landmarks, axis=1).mean()
+        error = np.linalg.norm(fit.landmarks - test.landmarks, axis=1).mean()
         angle = f", angle {np.rad2deg(fit.theta):.0f} degrees" if np.isfinite(fit.theta) else ""
         print(f"{method:5s} mean error {error:5.2f} pixels, {fit.status}, {fit.n_iterations} iterations{angle}")
     if figure_path:
@@ -47,7 +47,7 @@ def draw(path: str, image: np.ndarray, fits: dict[str, liaam.FitResult]) -> None
     for axis, (method, fit) in zip(axes, fits.items(), strict=True):
         axis.imshow(image)
         axis.plot(*fit.start.T, ".", color="white", markersize=2)
-        axis.plot(*fit.shape.T, ".", color="red", markersize=4)
+        axis.plot(*fit.landmarks.T, ".", color="red", markersize=4)
         axis.set_title(f"{method}: {fit.status}")
         axis.axis("off")
     figure.savefig(path, dpi=120)

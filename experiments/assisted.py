@@ -118,11 +118,11 @@ def place(fitter: Fitter, sample: Sample) -> Row:
     began = time.perf_counter()
     result = fitter.fit(sample.read_image(), name=sample.name)
     seconds = time.perf_counter() - began
-    start = result.start if result.found is None else result.found.shape
+    start = result.start if result.found is None else result.found.landmarks
     return {
         "person": sample.name,
-        "nme": nme(result.shape, truth, unit),
-        "point": median_error(result.shape, truth) / unit,
+        "nme": nme(result.landmarks, truth, unit),
+        "point": median_error(result.landmarks, truth) / unit,
         "bound": nme(fitter.shapes.project(truth), truth, unit),
         "start_nme": nme(start, truth, unit),
         "deviation": uncertainty(result),
@@ -133,7 +133,7 @@ def place(fitter: Fitter, sample: Sample) -> Row:
 
 def uncertainty(result: FitResult) -> float:
     """Mean standard deviation of a landmark, as a share of the shape's diagonal; infinite where a fit tells none."""
-    share = float(result.deviations.mean()) / max(diagonal_of(result.shape), 1e-9)
+    share = float(result.deviations.mean()) / max(diagonal_of(result.landmarks), 1e-9)
     return share if np.isfinite(share) else np.inf
 
 

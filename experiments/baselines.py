@@ -189,7 +189,7 @@ def run_trial(setup: Setup, trial: Trial) -> list[Row]:
                 "method": method,
                 "trial": trial.number,
                 "image": picture,
-                "error_px": point_error(result.shape, truth),
+                "error_px": point_error(result.landmarks, truth),
                 "iterations": result.n_iterations,
                 "status": str(result.status),
             }

@@ -144,10 +144,10 @@ def fit_picture(request: Request, trained: Trained, image: np.ndarray, truth: np
     starts = [disturbed(rest, unit, 1.0, request.rng(name, trial)) for trial in range(request.trials)]
     rows = []
     for method, fitter in trained.fitters.items():
-        reference = fitter.fit(image, near).shape
+        reference = fitter.fit(image, near).landmarks
         for trial, start in enumerate(starts):
             result = fitter.fit(image, start)
-            error, away = nme(result.shape, truth, unit), _distance(result.shape, reference) / unit
+            error, away = nme(result.landmarks, truth, unit), _distance(result.landmarks, reference) / unit
             rows.append(
                 {
                     "method": method,

@@ -112,7 +112,7 @@ def errors_by_iteration(result: FitResult, truth: np.ndarray) -> list[float]:
     history = result.history
     # A level starts where the one before it stopped: that is no step.
     states = [state for i, state in enumerate(history) if i == 0 or state.level == history[i - 1].level]
-    errors = [point_error(state.shape, truth) for state in states[: MAX_ITERATIONS + 1]]
+    errors = [point_error(state.landmarks, truth) for state in states[: MAX_ITERATIONS + 1]]
     return errors + errors[-1:] * (MAX_ITERATIONS + 1 - len(errors))
 
 

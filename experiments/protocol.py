@@ -150,7 +150,7 @@ class Trained:
             began = time.perf_counter()
             result = fitter.fit(image, start)
             seconds = time.perf_counter() - began
-            row = {"method": method, **labels, "nme": nme(result.shape, truth, unit), "bound": bound}
+            row = {"method": method, **labels, "nme": nme(result.landmarks, truth, unit), "bound": bound}
             row |= {"iterations": result.n_iterations, "status": str(result.status), "quality": result.quality}
             rows.append(row | {"held_95": held(result, truth, 95), "seconds": seconds})
         return rows
@@ -243,7 +243,7 @@ def face_size(truth: np.ndarray) -> float:
 
 def held(result: FitResult, truth: np.ndarray, level: float) -> float:
     """Share of the landmarks (n, 2) that lie in the ellipses of a result, drawn for a level in per cent."""
-    distances = squared_distances(truth - result.shape, result.landmark_covariances)
+    distances = squared_distances(truth - result.landmarks, result.landmark_covariances)
     return float(np.mean(distances < -2.0 * np.log(1.0 - level / 100)))
 
 

@@ -21,6 +21,7 @@ from liaam.errors import MethodError
 from liaam.evaluation import error_statistics, or_dash, point_error, root_mean_square
 from liaam.fitting import FitResult, Fitter, get_method
 from liaam.model import AAM
+from liaam.photometry import CameraModel
 from liaam.plotting import figure_of_pictures
 from liaam.relighting import shadow_free, without_shading
 from liaam.training import sample_appearance
@@ -131,7 +132,7 @@ def _scene_fitters(kind: str, methods: tuple[str, ...], solver: str) -> dict[str
     camera, mixing = _camera(kind)
     scenes = make_set(N_TRAINING, Head(SCENE_HEAD), camera=camera, mixing=mixing)
     pairs = [(scene.image, scene.landmarks) for scene in scenes]
-    model = get_solver(solver).train(pairs, theta=scenes[0].theta, name="generated head")
+    model = get_solver(solver).train(pairs, camera=CameraModel(theta=scenes[0].theta), name="generated head")
     return make_fitters(model, methods, solver)
 
 
@@ -161,7 +162,7 @@ def run_trial(setup: Setup, task: Any) -> list[Row]:
                 "method": method,
                 "picture": case.name,
                 "trial": getattr(task, "number", 0),
-                "error_px": point_error(result.shape, case.shape),
+                "error_px": point_error(result.landmarks, case.shape),
                 **_errors(fitter, case, result),
                 "status": str(result.status),
             }
@@ -297,7 +298,7 @@ def _pictures(setup: Setup, task: Any) -> dict[str, np.ndarray | None]:
     method, fitter = next(iter(fitters.items()))
     result = fitter.fit(case.image, case.start)
     appearance = shadow_free(fitter, case.image, result)
-    picture, shading = without_shading(case.image, result.shape, fitter.model, appearance, fitter.model.response)
+    picture, shading = without_shading(case.image, result.landmarks, fitter.model, appearance, fitter.model.response)
     grey = np.clip(0.5 + shading.mean(axis=2) / (2 * SHADING_RANGE), 0, 1)
     return {
         f"{case.name}: input": case.image,

@@ -21,6 +21,7 @@ from liaam.datasets.scenes import (
 from liaam.evaluation import root_mean_square
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
+from liaam.photometry import CameraModel
 from liaam.photometry.encoding import DARK, SATURATED
 from liaam.photometry.response import from_linear, to_linear
 from liaam.relighting import paint
@@ -60,7 +61,7 @@ def training_camera() -> Camera:
 def train_on_flat_light(head: Head, n: int = 24, size: tuple[int, int] = (320, 240), **options) -> AAM:
     """Train on pictures of a person under diffuse light."""
     scenes = make_set(n, head, camera=training_camera(), size=size)
-    return train([(s.image, s.landmarks) for s in scenes], theta=scenes[0].theta, **options)
+    return train([(s.image, s.landmarks) for s in scenes], camera=CameraModel(theta=scenes[0].theta), **options)
 
 
 def lit_pairs(head: Head, lights: dict[str, Lights] = LIGHTS, size: tuple[int, int] = (320, 240)) -> Iterator[LitPair]:

@@ -39,9 +39,9 @@ from liaam.evaluation import (
 from liaam.fitting import FitResult, Fitter, get_method
 from liaam.fitting.bound import Bound, cramer_rao_bound
 from liaam.model import AAM
-from liaam.photometry import encode, invariant, temperature_direction
+from liaam.photometry import CameraModel, encode, invariant, temperature_direction
 from liaam.plotting import figure_of_pictures
-from liaam.training import train
+from liaam.training import TrainingOptions, train
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -205,7 +205,7 @@ def get_fitters(
 ) -> dict[str, Fitter]:
     """Train on the subject, all modes kept; once per process."""
     subject = get_subject(data)
-    model = get_solver(solver).train(subject.pairs, theta=theta, name=subject.name)
+    model = get_solver(solver).train(subject.pairs, camera=CameraModel(theta=theta), name=subject.name)
     return make_fitters(model, methods, solver)
 
 
@@ -213,8 +213,8 @@ def get_fitters(
 def sharp_model(data: Path | None) -> AAM:
     """Train on the subject without blur, all modes kept: the model that a bound takes for true."""
     subject = get_subject(data)
-    options = {"variance": 1.0, "prior": "sample", "theta": PAPER_THETA, "blurs": (0.0,), "leave_out": False}
-    return train(subject.pairs, **options, name=subject.name)
+    options = TrainingOptions(variance=1.0, prior="sample", blurs=(0.0,), leave_out=False)
+    return train(subject.pairs, options, camera=CameraModel(theta=PAPER_THETA), name=subject.name)
 
 
 def run_trial(setup: Setup, trial: Trial) -> list[Row]:
@@ -232,8 +232,8 @@ def run_trial(setup: Setup, trial: Trial) -> list[Row]:
                 "trial": trial.number,
                 "image": case.picture,
                 "start_px": point_error(result.start, case.truth),
-                "error_px": point_error(result.shape, case.truth),
-                "rms_px": rms_error(result.shape, case.truth),
+                "error_px": point_error(result.landmarks, case.truth),
+                "rms_px": rms_error(result.landmarks, case.truth),
                 "theta_error_deg": float(np.rad2deg(angle_error(result, PAPER_THETA))),
                 "iterations": result.n_iterations,
                 "status": str(result.status),

@@ -7,7 +7,8 @@ from typing import Any
 from liaam.errors import MethodError
 from liaam.fitting import Fitter, SolverOptions, get_method
 from liaam.model import AAM, MESH
-from liaam.training import BLURS, Blurs, train
+from liaam.training import train
+from liaam.training.options import BLURS, Blurs
 
 MAX_ITERATIONS = 50
 

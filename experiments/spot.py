@@ -191,7 +191,7 @@ def fit_person(methods: Sequence[str], trials: int, seed: int, solver: str, pers
         start = study.start(seed, trial)
         for method, fitter in study.fitters.items():
             result = fitter.fit(study.image, start, person.spot.name)
-            error = nme(result.shape, study.truth, study.iod)
+            error = nme(result.landmarks, study.truth, study.iod)
             rows.append(
                 {
                     "method": method,

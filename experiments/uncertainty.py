@@ -245,7 +245,7 @@ def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[
             "light": picture.light,
             "noise": picture.noise,
             "start": start,
-            "nme": nme(result.shape, picture.truth, unit),
+            "nme": nme(result.landmarks, picture.truth, unit),
             **{f"held_{level}": held(result, picture.truth, level) for level in LEVELS},
             "deviation": float(np.sqrt(np.mean(np.square(result.deviations)))) / unit,
             "quality": result.quality,

@@ -86,8 +86,7 @@ def _fit(model: Any, method: str, start: Any = (10, 10, 40, 40), **options: Any)
     from liaam.fitting import Fitter
 
     result = Fitter(model, method, **options).fit(_picture(), start)
-    result.facts("x")
-    json.dumps(result.facts("x")).encode()
+    json.dumps(result.to_dict(), allow_nan=False).encode()
 
 
 # Models -------------------------------------------------------------------------------------------
@@ -311,7 +310,7 @@ def make_start(rng: Random) -> Case:
 def check_fit(case: Case) -> None:
     """Fit."""
     result = _fitter(case.method).fit(case.image, case.start)
-    json.dumps(result.facts("x")).encode()
+    json.dumps(result.to_dict(), allow_nan=False).encode()
 
 
 # Loops over pixels --------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ from liaam.fitting.problem import FitProblem
 from liaam.io import write_image, write_landmarks
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
+from liaam.photometry import CameraModel
 from liaam.training import train
 
 MOVING_FRAMES = 24
@@ -50,11 +51,11 @@ def moving_scene(time: float, lights=DIFFUSE) -> Scene:
     return render(Head(5), pose, Expression(mouth_open=0.3 + 0.25 * swing, smile=0.3), lights, size=(160, 120))
 
 
-def train_on(scenes: list[Scene], **options) -> AAM:
+def train_on(scenes: list[Scene], response: str = "linear", **options) -> AAM:
     """Train on scenes with what is true of their camera, and on the shapes as they are: the scenes' span is known."""
     pairs = [(scene.image, scene.landmarks) for scene in scenes]
-    camera = {"theta": scenes[0].theta, "response": "linear"}
-    return train(pairs, **{**camera, "prior": "sample", "leave_out": False, **options})
+    camera = CameraModel(theta=scenes[0].theta, response=response)
+    return train(pairs, camera=camera, **{"prior": "sample", "leave_out": False, **options})
 
 
 def between(a, b):

@@ -26,7 +26,7 @@ LAYERS = (
     ("model",),
     ("photometry",),
     ("io",),
-    ("evaluation", "progress", "workers"),
+    ("drawing", "evaluation", "progress", "workers"),
     ("kernels",),
     ("errors", "lazy"),
 )

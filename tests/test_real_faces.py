@@ -24,7 +24,7 @@ def test_a_box_leads_to_the_landmarks(shared_data, folder, training, test, limit
     box = (*(truth.min(axis=0) - 0.02 * size), *(truth.max(axis=0) + 0.03 * size))
     result = liaam.fit(model, held_out.read_image(), box)
     assert result.status.ok
-    errors = [np.linalg.norm(shape - truth, axis=1).mean() / size for shape in (result.start, result.shape)]
+    errors = [np.linalg.norm(shape - truth, axis=1).mean() / size for shape in (result.start, result.landmarks)]
     assert errors[1] < min(limit, 0.8 * errors[0])
 
 
@@ -43,5 +43,7 @@ def test_faces_of_others_are_found(shared_data, folder, training, tests):
         (found,) = finder.find(sample.read_image())
         truth = sample.landmarks.points
         # About a quarter of the distance between the eyes.
-        assert np.linalg.norm(found.shape - truth, axis=1).mean() < 0.08 * np.hypot(*np.ptp(truth, axis=0)), sample.name
+        assert np.linalg.norm(found.landmarks - truth, axis=1).mean() < 0.08 * np.hypot(*np.ptp(truth, axis=0)), (
+            sample.name
+        )
         assert not found.doubtful

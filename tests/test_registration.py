@@ -123,7 +123,7 @@ def test_a_start_makes_up_for_a_large_movement():
     a, _, _ = plane(2, Camera())
     b = np.roll(a, 50, axis=1)
     start = np.array([[1, 0, 48.0], [0, 1, 1.0], [0, 0, 1]])
-    found = register(a, b, start=start)
+    found = register(a, b, init=start)
     assert found.status.ok
     assert corner_error(found, np.array([[1, 0, 50.0], [0, 1, 0], [0, 0, 1]]), corners_of(SIZE)) < 0.2
 
@@ -177,7 +177,7 @@ def test_pictures_with_nan_and_other_types_are_taken():
         ({"method": "nonsense"}, MethodError, "nonsense"),
         ({"group": "rubber"}, MethodError, "homography"),
         ({"mask": np.ones((3, 3), bool)}, ImageError, "mask is 3×3"),
-        ({"start": np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 1.0]])}, ImageError, "behind"),
+        ({"init": np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 1.0]])}, ImageError, "behind"),
         ({"method": "li"}, ImageError, "grey"),
     ],
 )

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from liaam.photometry import CameraModel, invariant_image, load_camera
     from liaam.registration import Registration, register
     from liaam.tracking import TrackedFrame, Tracker, TrackingOptions, track_video
-    from liaam.training import train
+    from liaam.training import TrainingOptions, train
 
 __version__ = "0.1.0"
 
@@ -53,6 +53,7 @@ __all__ = [
     "TrackedFrame",
     "Tracker",
     "TrackingOptions",
+    "TrainingOptions",
     "find",
     "find_label_faults",
     "fit",
@@ -94,6 +95,6 @@ _HOMES = {
     "photometry": ("CameraModel", "invariant_image", "load_camera"),
     "registration": ("Registration", "register"),
     "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
-    "training": ("train",),
+    "training": ("TrainingOptions", "train"),
 }
 __getattr__, __dir__ = attach(__name__, _HOMES)

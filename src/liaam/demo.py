@@ -73,8 +73,8 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
     for i, method in enumerate(METHODS):
         tell(N_TRAINING + 1 + (i > 0), total, f"fitting with {method}")
         result = Fitter(model, method).fit(test.image, start)
-        rows.append(DemoRow(method, point_error(result.shape, test.landmarks), result))
-    fits = {row.method: (row.result.shape, row.error) for row in rows}
+        rows.append(DemoRow(method, point_error(result.landmarks, test.landmarks), result))
+    fits = {row.method: (row.result.landmarks, row.error) for row in rows}
     figure = figure_of_fits(training[0].image, test.image, start, test.landmarks, fits, model)
     save_figure(figure, folder / "figure.png")
     tell(total, total, "done")

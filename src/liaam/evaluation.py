@@ -97,3 +97,10 @@ def ranges_of(numbers: Sequence[int], most: int = 8) -> str:
             ranges.append([number, number])
     shown = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in ranges[:most])
     return shown + (f" and {len(ranges) - most} more stretches" if len(ranges) > most else "")
+
+
+def finite_list(values: np.ndarray) -> list:
+    """Convert an array to (nested) lists, with None for numbers that are not finite, as JSON has no NaN."""
+    plain = np.asarray(values, dtype=object)
+    plain[~np.isfinite(values)] = None
+    return plain.tolist()

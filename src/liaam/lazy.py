@@ -13,8 +13,10 @@ def attach(package: str, homes: Mapping[str, Sequence[str]]) -> tuple[Callable[[
     package : str
         Its name.
     homes : mapping of str to sequence of str
-        Submodules, and the names that each defines.
+        Submodules, and the names that each defines. A name may not be that of a submodule: importing the submodule
+        elsewhere would hide it.
     """
+    assert not {name for names in homes.values() for name in names} & set(homes), "a name is that of its module"
     home = {name: module for module, names in homes.items() for name in names}
 
     def get(name: str) -> object:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.errors import ImageError, MethodError
+from liaam.evaluation import finite_list
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
 from liaam.fitting.fitter import covariance
 from liaam.fitting.levels import Stage, Target, is_sane, solve_levels
@@ -115,6 +116,21 @@ class Registration:
         """What happened, and what to do about it."""
         return MESSAGES[self.status]
 
+    def to_dict(self) -> dict:
+        """Convert the result to a dictionary that JSON can hold; values that are unknown are None."""
+        correlation, theta, cost = finite_list(np.array([self.correlation, np.rad2deg(self.theta), self.cost]))
+        return {
+            "homography": finite_list(self.homography),
+            "status": str(self.status),
+            "message": self.message,
+            "method": self.method,
+            "correlation": correlation,
+            "theta_deg": theta,
+            "cost": cost,
+            "iterations": self.n_iterations,
+            "corner_standard_error_px": finite_list(self.corner_deviation),
+        }
+
     def warp(self, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Bring the second picture into the frame of the first.
 
@@ -147,7 +163,7 @@ def register(
     group: str = "homography",
     response: Response = "srgb",
     theta: float = THETA_DEFAULT,
-    start: np.ndarray | None = None,
+    init: np.ndarray | None = None,
     mask: np.ndarray | None = None,
     options: SolverOptions = OPTIONS,
 ) -> Registration:
@@ -165,7 +181,7 @@ def register(
         Of the camera.
     theta : float
         Angle of the first picture's camera, radians, for the methods with angles.
-    start : (3, 3) float, optional
+    init : (3, 3) float, optional
         Homography to start from, pixels of ``a`` to pixels of ``b``; the whole of one on the whole of the other if
         left out, the identity for pictures of one size. From there a tenth of the picture's size can be made up for.
     mask : (h, w) bool, optional
@@ -198,7 +214,7 @@ def register(
     size = a.shape[:2]
     if not levels:
         return _nothing(size, method, FitStatus.NO_TEXTURE if method.encoding != "log" else FitStatus.TOO_DARK)
-    homography = _whole_on_whole(size, b.shape[:2]) if start is None else np.asarray(start, dtype=np.float64)
+    homography = _whole_on_whole(size, b.shape[:2]) if init is None else np.asarray(init, dtype=np.float64)
     if homography.shape != (3, 3) or not np.isfinite(homography).all():
         raise ImageError("the start of a registration is a homography: 3 by 3 numbers, from the first picture's pixels")
     handles = apply_homography(homography, to_a(levels[0][0].warp.rest))

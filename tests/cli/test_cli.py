@@ -59,7 +59,7 @@ def test_training_that_is_stopped_leaves_one_line_and_no_file(run, portraits, tm
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("liaam.training.train_appearance_model", stop)
+    monkeypatch.setattr("liaam.training.appearances.train_appearance_model", stop)
     code, _, err = run("train", portraits[0], "-o", tmp_path / "m.liaam", "--images", "face[0-4]*", "--diagonal", 40)
     assert (code, err) == (130, "stopped\n")
     assert not list(tmp_path.iterdir())

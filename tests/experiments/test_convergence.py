@@ -58,4 +58,4 @@ def test_levels_follow_each_other_and_the_last_error_is_kept():
     n_steps = len(result.history) - 2  # two levels, each with its start
     assert len(errors) == SHOWN[-1] + 1
     assert errors[n_steps:] == [errors[-1]] * (len(errors) - n_steps)
-    assert errors[-1] == pytest.approx(np.linalg.norm(result.shape - case.truth, axis=1).mean())
+    assert errors[-1] == pytest.approx(np.linalg.norm(result.landmarks - case.truth, axis=1).mean())

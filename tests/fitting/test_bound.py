@@ -13,7 +13,8 @@ from liaam.evaluation import rms_error
 from liaam.fitting import Fitter, Method, SolverOptions, get_method
 from liaam.fitting.bound import cramer_rao_bound
 from liaam.model import AAM
-from liaam.training import train
+from liaam.photometry import CameraModel
+from liaam.training import TrainingOptions, train
 
 SIGMA = 1 / 255
 
@@ -36,7 +37,8 @@ def subject() -> Subject:
 @pytest.fixture(scope="module")
 def sharp(subject) -> AAM:
     """A model that rebuilds its training pictures, without blur: a pixel's noise is its own."""
-    return train(subject.pairs, variance=1.0, prior="sample", theta=PAPER_THETA, blurs=(0.0,), leave_out=False)
+    options = TrainingOptions(variance=1.0, prior="sample", blurs=(0.0,), leave_out=False)
+    return train(subject.pairs, options, camera=CameraModel(theta=PAPER_THETA))
 
 
 @pytest.fixture
@@ -151,7 +153,7 @@ def test_least_squares_under_white_noise_reaches_it(subject, sharp, method, sigm
     for draw in range(N_DRAWS):
         image, truth = subject.pairs[draw % len(subject.pairs)]
         noisy = image + rng.normal(0, sigma_n / 255, image.shape).astype(np.float32)
-        errors.append(rms_error(fitter.fit(noisy, truth).shape, truth))
+        errors.append(rms_error(fitter.fit(noisy, truth).landmarks, truth))
     bounds = [cramer_rao_bound(sharp, *pair, method, sigma_n / 255).rms for pair in subject.pairs]
     assert root_mean_square(errors) == pytest.approx(root_mean_square(bounds), rel=0.1)
 
@@ -159,13 +161,13 @@ def test_least_squares_under_white_noise_reaches_it(subject, sharp, method, sigm
 @pytest.mark.parametrize("gamma", [0.0, 4.0])
 @pytest.mark.parametrize("sigma_n", [5.0, 10.0])
 def test_noise_weights_bring_li_near_it_under_a_shadow(subject, sharp, gamma, sigma_n):
-    model = PAPER.train(subject.pairs, theta=PAPER_THETA)
+    model = PAPER.train(subject.pairs, camera=CameraModel(theta=PAPER_THETA))
     fitter = Fitter(model, "li+noise", PAPER.options)
     errors, bounds = [], []
     for trial in range(12):
         case = make_case(subject, 0, trial, gamma, sigma_n)
         clean = make_case(subject, 0, trial, gamma=0.0, sigma_n=0.0)
-        errors.append(rms_error(fitter.fit(case.image, case.start).shape, case.truth))
+        errors.append(rms_error(fitter.fit(case.image, case.start).landmarks, case.truth))
         bounds.append(cramer_rao_bound(sharp, clean.image, case.truth, "li", sigma_n / 255).rms)
     efficiency = root_mean_square(bounds) / root_mean_square(errors)
     assert 0.7 < efficiency < 1.2

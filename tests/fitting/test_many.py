@@ -123,19 +123,19 @@ def test_one_start_is_told_from_several(given, one):
 
 
 @pytest.mark.parametrize(
-    ("n_images", "inits", "message"),
+    ("n_images", "init", "message"),
     [
-        (2, [(9, 9, 99, 99)], "there are 2 images but 1 inits: give one start for all images, or one for each"),
-        (0, [(9, 9, 99, 99)], "there are 0 images but 1 inits"),
-        (2, [], "there are 2 images but 0 inits"),
-        (2, iter([(90, 90, 99)]), "there are more than 1 images but 1 inits"),
-        (2, iter([(90, 90, 99)] * 3), "there are 2 images but more inits"),
-        (2, 7, "inits 7: give one start"),
+        (2, [(9, 9, 99, 99)], "there are 2 images but 1 starts: give one start for all images, or one for each"),
+        (0, [(9, 9, 99, 99)], "there are 0 images but 1 starts"),
+        (2, [], "there are 2 images but 0 starts"),
+        (2, iter([(90, 90, 99)]), "there are more than 1 images but 1 starts"),
+        (2, iter([(90, 90, 99)] * 3), "there are 2 images but more starts"),
+        (2, 7, "init 7: give one start"),
     ],
 )
-def test_numbers_that_differ_are_refused(model, lit_scene, n_images, inits, message):
+def test_numbers_that_differ_are_refused(model, lit_scene, n_images, init, message):
     with pytest.raises(StartError, match=message):
-        fit_many(model, [lit_scene.image] * n_images, inits, **FEW)
+        fit_many(model, [lit_scene.image] * n_images, init, **FEW)
 
 
 @pytest.mark.parametrize("single", ["a.png", Path("a.png"), np.zeros((20, 20, 3)), np.zeros((20, 20)), 3])

@@ -24,14 +24,14 @@ def place(judged, lit_scene, monkeypatch):
         shapes = [size * min(image.shape[:2]) * unit + 60.0 + 40.0 * i for i, (size, _) in enumerate(places)]
         found = [Candidate(shape, 0.6, 0.0, 1.0) for shape in shapes]
         fits = {
-            shape.tobytes(): replace(right, shape=shape, quality=quality, status=FitStatus.CONVERGED)
+            shape.tobytes(): replace(right, landmarks=shape, quality=quality, status=FitStatus.CONVERGED)
             for shape, (_, quality) in zip(shapes, places, strict=True)
         }
         fitter = Fitter(judged, restarts=False)
         vars(fitter)["finder"] = SimpleNamespace(find=lambda *_, **__: found[:1], others=lambda *_: found[1:])
         monkeypatch.setattr(Fitter, "_fit_from", lambda self, target: fits[target.start.tobytes()])
         result = fitter.fit(image)
-        return next(i for i, shape in enumerate(shapes) if shape is result.shape), result
+        return next(i for i, shape in enumerate(shapes) if shape is result.landmarks), result
 
     return call
 

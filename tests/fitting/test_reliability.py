@@ -23,7 +23,7 @@ def test_it_tells_right_fits_from_wrong_ones(judged, lit_scene, same_light_scene
         wrong = fitter.fit(scene.image, 0.5 * away)
         assert right.quality > 0.5
         assert right.status.ok
-        if np.linalg.norm(wrong.shape - scene.landmarks, axis=1).mean() > 0.1 * diagonal_of(scene.landmarks):
+        if np.linalg.norm(wrong.landmarks - scene.landmarks, axis=1).mean() > 0.1 * diagonal_of(scene.landmarks):
             assert wrong.quality < 0.5
             assert not wrong.status.ok
 

@@ -35,14 +35,14 @@ def test_what_nobody_can_see_does_not_move_a_fit(model, nearly, method, light):
         if any(fit.status.lost for fit in fits):
             continue
         assert len({fit.status for fit in fits}) == 1
-        assert max(model_pixels(model, fit.shape, fits[0].shape) for fit in fits[1:]) < 1e-3
+        assert max(model_pixels(model, fit.landmarks, fits[0].landmarks) for fit in fits[1:]) < 1e-3
 
 
 @pytest.mark.parametrize("method", NAMES)
 def test_a_fit_to_the_same_picture_is_the_same(model, same_light_scene, method):
     start = disturb(same_light_scene.landmarks)
     first, again = (Fitter(model, method).fit(same_light_scene.image, start) for _ in range(2))
-    np.testing.assert_array_equal(first.shape, again.shape)
+    np.testing.assert_array_equal(first.landmarks, again.landmarks)
     np.testing.assert_array_equal(first.covariance, again.covariance)
 
 
@@ -52,7 +52,7 @@ def test_a_copy_of_a_row_is_the_same_method(model, same_light_scene, method):
     ours, theirs = (Fitter(model, row).fit(same_light_scene.image, start) for row in (method, copy))
     assert theirs.method.name == "mine"
     assert (ours.status, ours.cost, ours.n_iterations) == (theirs.status, theirs.cost, theirs.n_iterations)
-    for name in ("shape", "p", "lam", "covariance", "landmark_covariances", "evidence", "theta"):
+    for name in ("landmarks", "p", "lam", "covariance", "landmark_covariances", "evidence", "theta"):
         np.testing.assert_array_equal(getattr(theirs, name), getattr(ours, name), err_msg=name)
 
 
@@ -61,4 +61,4 @@ def test_how_far_a_fit_is_taken_hardly_matters(model, same_light_scene, method):
     """Fits that stop sooner end where patient ones do, by far less than they are uncertain."""
     start, patience = disturb(same_light_scene.landmarks), SolverOptions(tolerance=1e-4, hurry=0.0, notice=0.0)
     soon, late = (Fitter(model, method, o).fit(same_light_scene.image, start) for o in (SolverOptions(), patience))
-    assert model_pixels(model, soon.shape, late.shape) < 0.1
+    assert model_pixels(model, soon.landmarks, late.landmarks) < 0.1

@@ -28,7 +28,7 @@ def both(judged, lit_scene):
 
 
 def test_fits_from_far_starts_are_saved(judged, lit_scene, both):
-    once, again = ([model_pixels(judged, fit.shape, lit_scene.landmarks) for fit in fits] for fits in both)
+    once, again = ([model_pixels(judged, fit.landmarks, lit_scene.landmarks) for fit in fits] for fits in both)
     lost = np.array(once) > 3.0
     assert lost.sum() >= 8, "these starts are no longer far"
     assert np.mean(np.array(again)[lost] < 1.0) >= 0.4
@@ -67,9 +67,9 @@ def test_where_no_quality_is_known_no_start_is_tried(scenes, lit_scene, monkeypa
 
 def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(judged, lit_scene, both):
     again = next(new for old, new in zip(*both, strict=True) if new.quality > old.quality)
-    assert again.facts("picture")["starts_tried"] == again.n_starts > 1
+    assert again.to_dict()["starts_tried"] == again.n_starts > 1
     alone = Fitter(judged, restarts=False).fit(lit_scene.image, again.start)
-    np.testing.assert_allclose(alone.shape, again.shape, atol=1e-6)
+    np.testing.assert_allclose(alone.landmarks, again.landmarks, atol=1e-6)
     assert (alone.status, alone.n_iterations, len(alone.history)) == (
         again.status,
         again.n_iterations,
@@ -94,7 +94,7 @@ def test_no_iterations_leave_the_start_as_it_is(judged, lit_scene):
     start = disturb(lit_scene.landmarks, *FAR[0])
     result = Fitter(judged, options=SolverOptions(max_iterations=0)).fit(lit_scene.image, start)
     assert result.n_starts == 1
-    np.testing.assert_allclose(result.start, result.shape)
+    np.testing.assert_allclose(result.start, result.landmarks)
 
 
 def test_a_fit_that_ran_off_is_not_kept(judged, lit_scene, monkeypatch):
@@ -102,7 +102,7 @@ def test_a_fit_that_ran_off_is_not_kept(judged, lit_scene, monkeypatch):
     start = disturb(lit_scene.landmarks, *FAR[0])
     target, _ = ours.target(lit_scene.image, start)
     first = Fitter(judged, restarts=False).fit(lit_scene.image, start)
-    off = replace(first, quality=1.0, shape=10 * first.shape)
+    off = replace(first, quality=1.0, landmarks=10 * first.landmarks)
     monkeypatch.setattr(Fitter, "_fit_from", lambda _self, _target: off)
     kept = ours._fit_again(target, first)
     assert kept.quality == first.quality
@@ -113,7 +113,7 @@ def test_an_ordinary_fit_ends_the_search(judged, lit_scene, monkeypatch):
     ours, calls = Fitter(judged), []
     target, _ = ours.target(lit_scene.image, disturb(lit_scene.landmarks, *FAR[0]))
     first = Fitter(judged, restarts=False).fit(lit_scene.image, target.start)
-    good = replace(first, quality=0.99, shape=target.start)
+    good = replace(first, quality=0.99, landmarks=target.start)
     monkeypatch.setattr(Fitter, "_fit_from", lambda _self, _target: calls.append(1) or good)
     assert ours._fit_again(target, first).quality == 0.99
     assert len(calls) == 1
@@ -162,7 +162,7 @@ def test_a_box_beside_the_object_is_searched_around(head_model, moving):
     fitter = Fitter(head_model)
     found = fitter.fit(image, box)
     assert found.status.ok and found.found is None and found.n_starts > 1
-    assert model_pixels(head_model, found.shape, truth) < 1.0
+    assert model_pixels(head_model, found.landmarks, truth) < 1.0
     # The same place given as a shape is believed, and so is a box that is fitted once.
     once = Fitter(head_model, restarts=False).fit(image, box)
     assert once.n_starts == 1 and not once.status.ok

@@ -122,7 +122,7 @@ def test_a_robust_loss_sees_past_a_patch(fine_model, same_light_scene, loss):
     image = covered(same_light_scene.image, same_light_scene.landmarks)
     start = disturb(same_light_scene.landmarks)
     plain, robust = (
-        model_pixels(fine_model, Fitter(fine_model, name).fit(image, start).shape, same_light_scene.landmarks)
+        model_pixels(fine_model, Fitter(fine_model, name).fit(image, start).landmarks, same_light_scene.landmarks)
         for name in ("grey", f"grey+{loss}")
     )
     assert robust < (0.8 if loss in ("huber", "l1") else 0.5) * plain
@@ -135,7 +135,7 @@ def test_normalisation_stands_a_change_of_gain_and_offset(fine_model, same_light
     image = np.where(stored > 0.04045, ((stored + 0.055) / 1.055) ** 2.4, stored / 12.92).astype(np.float32)
     errors = {
         name: model_pixels(
-            fine_model, Fitter(fine_model, name).fit(image, disturb(scene.landmarks)).shape, scene.landmarks
+            fine_model, Fitter(fine_model, name).fit(image, disturb(scene.landmarks)).landmarks, scene.landmarks
         )
         for name in ("grey-plain", "grey-norm", "grey")
     }
@@ -148,8 +148,8 @@ def test_noise_weights_pay_where_pixels_differ_in_noise(fine_model, lit_scene, r
     for _ in range(3):
         noisy = np.clip(lit_scene.image + rng.normal(0, 0.015, lit_scene.image.shape), 0, 1).astype(np.float32)
         for name, found in errors.items():
-            shape = Fitter(fine_model, name, SolverOptions(scoring=0)).fit(noisy, disturb(lit_scene.landmarks)).shape
-            found.append(model_pixels(fine_model, shape, lit_scene.landmarks))
+            result = Fitter(fine_model, name, SolverOptions(scoring=0)).fit(noisy, disturb(lit_scene.landmarks))
+            found.append(model_pixels(fine_model, result.landmarks, lit_scene.landmarks))
     assert np.mean(errors["li+noise"]) < 0.7 * np.mean(errors["li"])
 
 
@@ -167,7 +167,7 @@ def test_kinks_of_noisy_samples_do_not_keep_it_from_settling(fine_model, lit_sce
 def test_no_iterations_are_none_with_weights_by_noise_too(fine_model, lit_scene):
     start = fine_model.shape_model.project(lit_scene.landmarks)
     result = Fitter(fine_model, "li+noise", SolverOptions(max_iterations=0)).fit(lit_scene.image, start)
-    np.testing.assert_allclose(result.shape, start, atol=1e-6)
+    np.testing.assert_allclose(result.landmarks, start, atol=1e-6)
     assert result.n_iterations == 0
 
 

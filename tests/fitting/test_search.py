@@ -25,6 +25,7 @@ from liaam.fitting.search import (
 )
 from liaam.model import AAM, MESH, Level
 from liaam.model.shape import diagonal_of, rotation
+from liaam.photometry import CameraModel
 from liaam.workers import one_thread
 from setups import model_pixels, train_on
 
@@ -42,7 +43,7 @@ def photograph(pose: Pose, lights=DIFFUSE, size=WIDE):
 
 def error(candidate: Candidate, truth: np.ndarray) -> float:
     """Mean distance from the truth as a share of the object's diagonal."""
-    return float(np.linalg.norm(candidate.shape - truth, axis=1).mean()) / diagonal_of(truth)
+    return float(np.linalg.norm(candidate.landmarks - truth, axis=1).mean()) / diagonal_of(truth)
 
 
 @pytest.mark.parametrize("lights", [DIFFUSE, lateral("left"), lateral("right")], ids=["diffuse", "left", "right"])
@@ -106,7 +107,7 @@ def test_a_single_object_is_not_sought_where_it_cannot_be(finder, monkeypatch):
     (strongest,), one_place = fits_counted(finder, monkeypatch, image)
     assert all_places > few_places >= one_place == 1
     for found in (surely, strongest):
-        np.testing.assert_array_equal(found.shape, every.shape)
+        np.testing.assert_array_equal(found.landmarks, every.landmarks)
     assert fits_counted(finder, monkeypatch, image, limit=2)[1] > all_places  # of several, all places count
 
 
@@ -120,7 +121,7 @@ def test_small_objects_are_sought_where_no_large_one_is_sure(finder, monkeypatch
     assert sorted(sizes) == [size for size in search.search_sizes(shorter) if small_are_sought or size >= 0.3 * shorter]
     monkeypatch.setattr(search, "LARGE", 0.0)
     (of_all,) = finder.find(picture)
-    np.testing.assert_array_equal(found.shape, of_all.shape)
+    np.testing.assert_array_equal(found.landmarks, of_all.landmarks)
 
 
 def test_no_place_is_fitted_twice(finder, monkeypatch):
@@ -183,7 +184,7 @@ def test_one_thread_finds_what_several_find(finder):
     image = photograph(Pose(scale=0.7)).image
     with one_thread():
         (alone,) = finder.find(image)
-    np.testing.assert_array_equal(finder.find(image)[0].shape, alone.shape)
+    np.testing.assert_array_equal(finder.find(image)[0].landmarks, alone.landmarks)
 
 
 def test_a_large_picture(finder):
@@ -230,16 +231,16 @@ def test_the_object_need_not_be_a_face(rng, scale, turn):
 def test_a_fit_without_a_start_searches(model, same_light_scene, method):
     result = liaam.fit(model, same_light_scene.image, method=method)
     assert result.status.ok
-    assert model_pixels(model, result.shape, same_light_scene.landmarks) < 1.0
+    assert model_pixels(model, result.landmarks, same_light_scene.landmarks) < 1.0
     assert result.found is not None
     assert result.found.score > DOUBTFUL
-    np.testing.assert_allclose(result.start, result.found.shape, atol=0.5)  # of other modes
+    np.testing.assert_allclose(result.start, result.found.landmarks, atol=0.5)  # of other modes
 
 
 def test_a_fit_under_lateral_light_searches(model, lit_scene):
     result = Fitter(model, "li").fit(lit_scene.image)
     assert result.status == FitStatus.CONVERGED
-    assert model_pixels(model, result.shape, lit_scene.landmarks) < 1.0
+    assert model_pixels(model, result.landmarks, lit_scene.landmarks) < 1.0
 
 
 def test_a_candidate_is_a_start(model, lit_scene):
@@ -247,9 +248,9 @@ def test_a_candidate_is_a_start(model, lit_scene):
     (candidate,) = fitter.find(lit_scene.image)
     result = fitter.fit(lit_scene.image, candidate)
     assert result.found is candidate
-    given = fitter.fit(lit_scene.image, candidate.shape)
+    given = fitter.fit(lit_scene.image, candidate.landmarks)
     assert given.found is None
-    np.testing.assert_array_equal(result.shape, given.shape)
+    np.testing.assert_array_equal(result.landmarks, given.landmarks)
 
 
 def test_what_was_searched_before_makes_no_difference(model):
@@ -257,7 +258,7 @@ def test_what_was_searched_before_makes_no_difference(model):
     for picture in pictures:
         seen, fresh = used.find(picture)[0], Finder(model).find(picture)[0]
         assert seen.score == fresh.score
-        assert np.array_equal(seen.shape, fresh.shape)
+        assert np.array_equal(seen.landmarks, fresh.landmarks)
     assert 0 < sum(height * width for height, width in used._spectra) <= SPECTRA_KEPT
     again = copy(used)  # as one that is sent to another process
     assert not again._spectra
@@ -270,7 +271,7 @@ def test_types_of_picture_make_no_difference(finder):
     (reference,) = finder.find(stored)
     for dtype in (np.uint8, np.uint16):
         (found,) = finder.find(np.round(stored * np.iinfo(dtype).max).astype(dtype))
-        assert np.abs(found.shape - reference.shape).max() < 0.5
+        assert np.abs(found.landmarks - reference.landmarks).max() < 0.5
     (grey,) = finder.find(stored.mean(axis=2))
     assert error(grey, scene.landmarks) < 0.06
 
@@ -293,7 +294,7 @@ def test_holes_do_not_hurt(finder):
 
 def test_a_model_of_grey_pictures_is_found(scenes):
     pairs = [(scene.image.mean(axis=2), scene.landmarks) for scene in scenes]
-    model = liaam.train(pairs, diagonal=80.0, response="linear")
+    model = liaam.train(pairs, diagonal=80.0, camera=CameraModel(response="linear"))
     assert not model.is_colour
     scene = photograph(Pose(scale=0.5), lateral("left"))
     assert error(find(model, scene.image)[0], scene.landmarks) < 0.06
@@ -315,14 +316,14 @@ def test_a_picture_without_anything_gives_the_middle_and_score_0(finder, image):
     assert found.score == 0
     assert found.doubtful
     middle = 0.5 * (np.array(image.shape[1::-1]) - 1)
-    assert np.abs(found.shape.mean(axis=0) - middle).max() < 0.05 * diagonal_of(found.shape)
+    assert np.abs(found.landmarks.mean(axis=0) - middle).max() < 0.05 * diagonal_of(found.landmarks)
     assert finder.find(image, limit=None, least=DOUBTFUL) == []
 
 
 def test_noise_is_doubtful(finder, rng):
     for shape in [(8, 8, 3), (40, 300, 3), (160, 200, 3)]:
         (found,) = finder.find(rng.integers(0, 256, shape, dtype=np.uint8))
-        assert np.isfinite(found.shape).all()
+        assert np.isfinite(found.landmarks).all()
         assert found.doubtful
 
 
@@ -416,7 +417,7 @@ def test_turned_objects_are_found_where_that_is_asked_for(turning, quarters):
         image = np.ascontiguousarray(np.rot90(image))
         points = np.column_stack([points[:, 1], image.shape[0] - 1 - points[:, 0]])
     result = turning.fit(image)
-    assert model_pixels(turning.model, result.shape, points) < 2.0
+    assert model_pixels(turning.model, result.landmarks, points) < 2.0
     turned = np.exp(1j * (result.found.rotation + quarters * np.pi / 2))
     assert abs(np.angle(turned)) < np.deg2rad(15)
 
@@ -424,7 +425,7 @@ def test_turned_objects_are_found_where_that_is_asked_for(turning, quarters):
 def test_an_upright_object_is_the_same_among_all_rotations(turning, finder):
     image = photograph(Pose(scale=0.7)).image
     (upright,), (found,) = finder.find(image), turning.find(image)
-    np.testing.assert_allclose(found.shape, upright.shape, atol=1.0)
+    np.testing.assert_allclose(found.landmarks, upright.landmarks, atol=1.0)
 
 
 def test_objects_that_fill_the_frame_are_tried_in_four_ways(turning, finder):

@@ -54,7 +54,7 @@ def test_joint_and_varpro_reach_the_same_minimum(fine_model, lit_scene, same_lig
         Fitter(fine_model, method, SolverOptions(elimination=elimination, **EXACT)).fit(scene.image, start)
         for elimination in ("varpro", "joint")
     )
-    assert model_pixels(fine_model, joint.shape, varpro.shape) < 1e-2
+    assert model_pixels(fine_model, joint.landmarks, varpro.landmarks) < 1e-2
     assert joint.cost == pytest.approx(varpro.cost, rel=1e-4)
 
 
@@ -62,7 +62,7 @@ def test_pure_gauss_newton_reaches_the_minimum_too(fine_model, lit_scene):
     start = disturb(lit_scene.landmarks)
     damped = Fitter(fine_model, "li").fit(lit_scene.image, start)
     pure = Fitter(fine_model, "li", SolverOptions(damping=0.0)).fit(lit_scene.image, start)
-    assert model_pixels(fine_model, pure.shape, damped.shape) < 0.05
+    assert model_pixels(fine_model, pure.landmarks, damped.landmarks) < 0.05
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-3])
@@ -112,14 +112,14 @@ def test_without_iterations_the_start_comes_back(model, lit_scene):
     assert result.n_iterations == 0
     assert result.status == FitStatus.MAX_ITERATIONS
     bound = np.abs(model.shape_model.project(start) - start).max()
-    np.testing.assert_allclose(result.shape, start, atol=2 * bound + 1e-9)
+    np.testing.assert_allclose(result.landmarks, start, atol=2 * bound + 1e-9)
 
 
 def test_history_runs_from_the_start_to_the_result(model, lit_scene):
     result = Fitter(model, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert [h.level for h in result.history] == sorted(h.level for h in result.history)
-    np.testing.assert_array_equal(result.history[-1].shape, result.shape)
-    np.testing.assert_array_equal(result.start, result.history[0].shape)
+    np.testing.assert_array_equal(result.history[-1].landmarks, result.landmarks)
+    np.testing.assert_array_equal(result.start, result.history[0].landmarks)
     assert result.history[-1].cost == pytest.approx(result.cost, rel=1e-5)
     assert result.theta == result.history[-1].theta
 
@@ -127,7 +127,7 @@ def test_history_runs_from_the_start_to_the_result(model, lit_scene):
 def test_the_result_describes_itself(model, lit_scene):
     fitter = Fitter(model, "li")
     result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
-    np.testing.assert_allclose(result.pose(model.shape_model.shape(result.p)), result.shape)
+    np.testing.assert_allclose(result.pose(model.shape_model.shape(result.p)), result.landmarks)
     residual, usable = fitter.residual(lit_scene.image, result)
     assert residual.shape == (model.n_pixels, 1) and usable.shape == (model.n_pixels,)
     assert not residual[usable == 0].any()
@@ -143,7 +143,7 @@ def test_without_a_change_of_light_the_angle_is_held(model, same_light_scene, me
     assert result.status.ok
     assert np.rad2deg(result.theta_model) == pytest.approx(np.rad2deg(model.theta), abs=0.1)
     assert np.rad2deg(result.theta) == pytest.approx(np.rad2deg(model.theta), abs=0.1)
-    assert model_pixels(model, result.shape, same_light_scene.landmarks) < 0.5
+    assert model_pixels(model, result.landmarks, same_light_scene.landmarks) < 0.5
 
 
 @pytest.mark.parametrize("method", ["li-pc", "li-pcs"])
@@ -166,7 +166,7 @@ def test_the_result_does_not_depend_on_the_pose_of_the_start(fine_model, same_li
     matrix = size * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     fitter = Fitter(fine_model, "li")
     result = fitter.fit(same_light_scene.image, (truth - centre) @ matrix.T + centre)
-    assert model_pixels(fine_model, result.shape, fitter.fit(same_light_scene.image, truth).shape) < 0.1
+    assert model_pixels(fine_model, result.landmarks, fitter.fit(same_light_scene.image, truth).landmarks) < 0.1
 
 
 def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
@@ -177,7 +177,7 @@ def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
     )
     assert sum(result.n_iterations for result in sparing) < sum(result.n_iterations for result in patient)
     for spared, full in zip(sparing, patient, strict=True):
-        off = np.linalg.norm(spared.shape - full.shape, axis=1)
+        off = np.linalg.norm(spared.landmarks - full.landmarks, axis=1)
         assert np.sqrt(np.square(off / full.deviations).mean()) < 0.3
 
 
@@ -222,7 +222,7 @@ def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):
     dense.__dict__["objectives"] = tuple(objective.of_all_pixels for objective in dense.objectives)
     assert fitter.objectives[0].density < 0.1
     few, all_of_them = (each.fit(lit_scene.image, start) for each in (fitter, dense))
-    assert model_pixels(fine_model, few.shape, all_of_them.shape) < 0.2
+    assert model_pixels(fine_model, few.landmarks, all_of_them.landmarks) < 0.2
     n_pixels = fine_model.views[SURROUNDINGS].warp.frame.n_pixels
     for each, result in ((fitter, few), (dense, all_of_them)):
         assert each.residual(lit_scene.image, result)[0].shape == (n_pixels, 3)

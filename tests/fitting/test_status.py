@@ -16,7 +16,7 @@ def test_shape_far_outside_training_has_diverged(model, scenes, deviations, stat
     start = pose(model.shape_model.shape(p))
     result = Fitter(model, "rgb", SolverOptions(max_iterations=0)).fit(scenes[0].image, start)
     assert result.status == status
-    np.testing.assert_allclose(result.shape, result.start, atol=1e-9)
+    np.testing.assert_allclose(result.landmarks, result.start, atol=1e-9)
 
 
 @pytest.mark.parametrize("unit", [np.nan, np.inf, 1e-320])

@@ -176,8 +176,8 @@ def test_a_shape_that_has_blown_up_leaves_the_picture(head, taken_apart):
     model, pair = head
     fitter = Fitter(model)
     result = fitter.fit(pair.lit.image, taken_apart.shape)
-    for shape in (result.shape + 9000, result.shape * np.nan, result.shape * 1e6):
-        relighter = Relighter.of(fitter, pair.lit.image, replace(result, shape=shape))
+    for shape in (result.landmarks + 9000, result.landmarks * np.nan, result.landmarks * 1e6):
+        relighter = Relighter.of(fitter, pair.lit.image, replace(result, landmarks=shape))
         for picture in (relighter.flat(), relighter.under((1, 0, 0)), relighter.like(relighter)):
             np.testing.assert_array_equal(picture, pair.lit.image)
         assert not relighter.shading().any()

@@ -10,12 +10,14 @@ from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.model.mesh import signed_areas
-from liaam.photometry import invariant_row, srgb_to_linear, temperature_direction
+from liaam.photometry import CameraModel, invariant_row, srgb_to_linear, temperature_direction
 from liaam.relighting import paint, shadow_free, without_shading
-from liaam.training import sample_appearance, train
+from liaam.training import TrainingOptions, sample_appearance, train
 
 SIDES = (0.0, np.pi)
 BLUR = 0.5
+WHOLE = TrainingOptions(variance=1.0, blurs=(BLUR,), leave_out=False)
+PAPER_CAMERA = CameraModel(theta=PAPER_THETA)
 
 
 @pytest.fixture(scope="module")
@@ -25,14 +27,14 @@ def subject() -> Subject:
 
 @pytest.fixture(scope="module")
 def own_model(subject) -> AAM:
-    return train(subject.pairs, variance=1.0, prior="sample", theta=PAPER_THETA, blurs=(BLUR,), leave_out=False)
+    return train(subject.pairs, WHOLE, camera=PAPER_CAMERA, prior="sample")
 
 
 @pytest.fixture(scope="module")
 def lit_model(subject) -> AAM:
     """A model whose appearance holds shadows, which L(theta) cannot see."""
     shadowed = [(simulated_shadow(image, shape, side)[0], shape) for image, shape in subject.pairs for side in SIDES]
-    return train(subject.pairs + shadowed, variance=1.0, theta=PAPER_THETA, blurs=(BLUR,), leave_out=False)
+    return train(subject.pairs + shadowed, WHOLE, camera=PAPER_CAMERA)
 
 
 def log_texture(model: AAM, image: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -109,9 +111,7 @@ def test_no_deviation_is_lost_to_rounding(subject):
     shadowed = [
         (simulated_shadow(image, shape, SIDES[i % 2])[0], shape) for i, (image, shape) in enumerate(subject.pairs)
     ]
-    model = train(
-        subject.pairs + shadowed, variance=1.0, theta=PAPER_THETA, blurs=(BLUR,), leave_out=False, diagonal=100.0
-    )
+    model = train(subject.pairs + shadowed, WHOLE, camera=PAPER_CAMERA, diagonal=100.0)
     fitter = Fitter(model, "li")
     image, shape = shadowed[0]
     deviations = shadow_free(fitter, image, fitter.fit(image, shape), prior=0.0).deviations
@@ -238,9 +238,9 @@ def relit(subject, own_model) -> tuple[np.ndarray, np.ndarray, FitResult, Fitter
 def test_the_shading_taken_off_is_the_shadow_laid_over(subject, own_model, relit):
     shadowed, mask, result, fitter = relit
     picture, shading = without_shading(
-        shadowed, result.shape, own_model, shadow_free(fitter, shadowed, result), own_model.response
+        shadowed, result.landmarks, own_model, shadow_free(fitter, shadowed, result), own_model.response
     )
-    inside = paint(shadowed, result.shape, own_model, np.ones((own_model.n_pixels, 1), np.float32))[1]
+    inside = paint(shadowed, result.landmarks, own_model, np.ones((own_model.n_pixels, 1), np.float32))[1]
     assert np.array_equal(picture[~inside], shadowed[~inside])
     assert (shading[~inside] == 0).all()
     change = STRENGTH + TEMPERATURE * temperature_direction(PAPER_THETA)
@@ -257,7 +257,7 @@ def test_the_shading_is_what_is_between_picture_and_appearance(own_model, relit)
     appearance = replace(appearance, log_rgb=np.minimum(appearance.log_rgb, -0.05))
     eight = np.round(255 * shadowed).astype(np.uint8)
     for stored, values in ((eight, eight / 255), (shadowed, shadowed), (eight.astype(np.uint16) * 257, eight / 255)):
-        picture, shading = without_shading(stored, result.shape, own_model, appearance)
+        picture, shading = without_shading(stored, result.landmarks, own_model, appearance)
         assert picture.dtype == shading.dtype == np.float32
         inside = shading.any(axis=2) & (values > 4 / 255).all(axis=2)
         assert inside.sum() > 10_000
@@ -270,9 +270,9 @@ def test_black_and_pixels_that_are_no_numbers_get_a_finite_shading(own_model, re
     shadowed, _, result, fitter = relit
     appearance = shadow_free(fitter, shadowed, result)
     spoilt = shadowed.copy()
-    x, y = result.shape.mean(axis=0).astype(int)
+    x, y = result.landmarks.mean(axis=0).astype(int)
     spoilt[y, x], spoilt[y, x + 1] = 0.0, np.nan
-    picture, shading = without_shading(spoilt, result.shape, own_model, appearance)
+    picture, shading = without_shading(spoilt, result.landmarks, own_model, appearance)
     assert np.isfinite(picture).all()
     assert np.isfinite(shading).all()
     assert (shading[y, x : x + 2] < -3).all()

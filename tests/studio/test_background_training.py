@@ -266,8 +266,8 @@ def test_a_fit_that_blew_up_is_no_proposal(head_model, moving):
     result = Fitter(head_model).fit(moving[0].image, moving[0].landmarks)
     sound = proposal_of(result)
     assert sound["ok"] and not sound["doubtful"] and sound["uncertainty"] > 0
-    blown = proposal_of(replace(result, shape=np.full_like(result.shape, np.nan)))
+    blown = proposal_of(replace(result, landmarks=np.full_like(result.landmarks, np.nan)))
     assert blown["points"] is None and blown["message"]
-    unsure = proposal_of(replace(result, landmark_covariances=np.full((len(result.shape), 2, 2), np.inf)))
+    unsure = proposal_of(replace(result, landmark_covariances=np.full((len(result.landmarks), 2, 2), np.inf)))
     assert unsure["uncertainty"] is None and unsure["covariances"] is None and unsure["points"]
     json.dumps([sound, blown, unsure], allow_nan=False)

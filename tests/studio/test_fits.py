@@ -83,11 +83,11 @@ class TestFit:
     def test_is_what_the_library_gives(self, fits, scene, head_model):
         expected = Fitter(head_model).fit(scene.image)
         seen = fit(fits).as_json()
-        assert np.allclose(seen["shape"], expected.shape, atol=6e-4)
+        assert np.allclose(seen["shape"], expected.landmarks, atol=6e-4)
         assert (seen["status"], seen["ok"], seen["method"]) == (str(expected.status), True, DEFAULT_METHOD)
         assert np.allclose(seen["covariances"], expected.landmark_covariances, atol=6e-5)
         assert len(seen["iterations"]) == len(expected.history)
-        assert np.allclose(seen["iterations"][-1]["shape"], expected.shape, atol=6e-3)
+        assert np.allclose(seen["iterations"][-1]["shape"], expected.landmarks, atol=6e-3)
         assert seen["found"]["score"] == round(expected.found.score, 4)
         assert (seen["width"], seen["height"]) == (120, 160)
 
@@ -99,7 +99,7 @@ class TestFit:
             assert set(again["layers"]) <= set(layers.LAYERS)
 
     def test_compares_with_the_picture_s_own_landmarks(self, fitted, scene):
-        expected = np.linalg.norm(fitted.result.shape - scene.landmarks, axis=1).mean()
+        expected = np.linalg.norm(fitted.result.landmarks - scene.landmarks, axis=1).mean()
         error = fitted.as_json()["error"]
         assert error["pixels"] == pytest.approx(expected)
         assert error["percent"] == pytest.approx(100 * expected / diagonal_of(scene.landmarks))
@@ -118,7 +118,7 @@ class TestFit:
         from_box, from_shape = fit(fits, start=box), fit(fits, start=scene.landmarks)
         assert from_box.result.found is from_shape.result.found is None
         assert np.allclose(from_shape.as_json()["iterations"][0]["shape"], scene.landmarks, atol=1.0)
-        assert np.abs(from_box.result.shape - from_shape.result.shape).max() < 2.0
+        assert np.abs(from_box.result.landmarks - from_shape.result.landmarks).max() < 2.0
 
     def test_keeps_the_newest_few(self, fits):
         made = [fit(fits) for _ in range(7)]
@@ -134,8 +134,8 @@ class TestFit:
             made = list(pool.map(lambda method: fit(fits, method=method), methods))
             shown = list(pool.map(lambda one: fits.layer(one, "flat", 100), made))
         for i in (2, 4, 6, 8):
-            assert np.array_equal(made[i].result.shape, made[0].result.shape)
-            assert np.array_equal(made[i + 1].result.shape, made[1].result.shape)
+            assert np.array_equal(made[i].result.landmarks, made[0].result.landmarks)
+            assert np.array_equal(made[i + 1].result.landmarks, made[1].result.landmarks)
             assert shown[i] == shown[0]
 
     def test_needs_a_model(self, folder):
@@ -273,8 +273,8 @@ class TestLight:
     def test_from_a_side_brightens_that_side_and_leaves_the_rest(self, fits, fitted, scene):
         left = fits.relit(fitted, (-1.0, 0.0, 0.5), 0.2, 320).astype(int)
         right = fits.relit(fitted, (1.0, 0.0, 0.5), 0.2, 320).astype(int)
-        x, y = np.rint(fitted.result.shape.mean(axis=0)).astype(int)
-        reach = int(np.ptp(fitted.result.shape[:, 0]) / 3)
+        x, y = np.rint(fitted.result.landmarks.mean(axis=0)).astype(int)
+        reach = int(np.ptp(fitted.result.landmarks[:, 0]) / 3)
         change = (left - right).mean(axis=2)
         assert change[y - 5 : y + 5, x - reach : x - reach // 2].mean() > 5
         assert change[y - 5 : y + 5, x + reach // 2 : x + reach].mean() < -5
@@ -326,7 +326,7 @@ def mesh_mask(fitted, size: tuple[int, int], grow: int = 3) -> np.ndarray:
     """Pixels of the mesh, and some around it, or without some at its border."""
     import cv2
 
-    shape = layers.scaled_points(fitted.result.shape, (120, 160), size)
+    shape = layers.scaled_points(fitted.result.landmarks, (120, 160), size)
     mask = np.zeros((size[1], size[0]), np.uint8)
     for triangle in fitted.model.triangles:
         cv2.fillConvexPoly(mask, np.rint(shape[triangle]).astype(np.int32), 1)

@@ -134,9 +134,9 @@ def astray(tracker: Tracker, monkeypatch, quality: float) -> None:
 
     def spoilt(image, start, name=""):
         result = fit(image, start, name)
-        moved = result.shape.copy()
+        moved = result.landmarks.copy()
         moved[:20] += 0.1 * diagonal_of(moved)
-        return replace(result, shape=moved, quality=quality)
+        return replace(result, landmarks=moved, quality=quality)
 
     monkeypatch.setattr(tracker, "_near", SimpleNamespace(fit=spoilt))
 
@@ -174,7 +174,9 @@ def test_a_review_has_to_be_clearly_better(head_model, moving, monkeypatch, chan
     def anew(image, start, name=""):
         starts.append(start)
         fit = near(image, start, name)
-        return replace(fit, **{"shape": fit.shape + moved * diagonal_of(fit.shape), "quality": 0.9, **change})
+        return replace(
+            fit, **{"landmarks": fit.landmarks + moved * diagonal_of(fit.landmarks), "quality": 0.9, **change}
+        )
 
     monkeypatch.setattr(tracker, "_near", SimpleNamespace(fit=followed))
     monkeypatch.setattr(tracker, "fitter", SimpleNamespace(fit=anew))

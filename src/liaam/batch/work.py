@@ -220,8 +220,6 @@ def failed_row(path: str, message: str) -> Row:
 
 
 def _row_of(path: str, result: "FitResult") -> Row:
-    from liaam.fitting.angles import angle_degrees
-
     spread = result.landmark_covariances
     return {
         "path": _printable(path),
@@ -229,10 +227,10 @@ def _row_of(path: str, result: "FitResult") -> Row:
         "message": result.message,
         "quality": _short(result.quality),
         "found": None if result.found is None else _short(result.found.score),
-        "theta_deg": _short(angle_degrees(result)),
+        "theta_deg": _short(result.theta_degrees),
         "cost": _finite(float(result.cost)),
         "iterations": result.n_iterations,
-        "landmarks": _shorts(result.shape),
+        "landmarks": _shorts(result.landmarks),
         "covariance": _shorts(spread[:, (0, 0, 1), (0, 1, 1)]),
     }
 

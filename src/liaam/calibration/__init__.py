@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from liaam.lazy import attach
 
 if TYPE_CHECKING:
-    from liaam.calibration.agreement import Agreement, Averaged, agreement, averaged
     from liaam.calibration.alignment import STILL, Aligned, align_pictures, homographies_between
     from liaam.calibration.chart import chart_patches, theta_from_chart
+    from liaam.calibration.comparison import Agreement, Averaged, agreement, averaged
     from liaam.calibration.entropy import EntropyEstimate, entropy_curve, theta_from_image
     from liaam.calibration.estimate import PHYSICAL, AngleEstimate
     from liaam.calibration.fits import theta_from_fits
@@ -65,7 +65,7 @@ __all__ = [
 __getattr__, __dir__ = attach(
     __name__,
     {
-        "agreement": (
+        "comparison": (
             "Agreement",
             "Averaged",
             "agreement",

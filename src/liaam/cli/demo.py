@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.fit import angle_degrees
 from liaam.cli.terminal import console, progress_bar, say, table_of
 
 
@@ -20,7 +19,7 @@ def demo(
     table = table_of("method", "error (px)", "status", "theta")
     table.add_row("start", f"{start_error:.2f}", "", "")
     for row in rows:
-        angle = angle_degrees(row.result)
+        angle = row.result.theta_degrees
         table.add_row(row.method, f"{row.error:.2f}", str(row.result.status), f"{angle:.1f}°" if angle else "–")
     console.print(table)
     say(f"written to {output / 'figure.png'}")

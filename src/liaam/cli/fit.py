@@ -99,7 +99,7 @@ def row_of(result: "FitResult") -> tuple[str, ...]:
     import numpy as np
 
     start = "given" if result.found is None else f"found, {result.found.score:.2f}"
-    angle = f"{angle_degrees(result):.1f}°" if angle_degrees(result) is not None else "–"
+    angle = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
     quality = "unknown" if np.isnan(result.quality) else f"{result.quality:.2f}"
     error = f"{np.median(result.deviations):.1f} px" if result.status.ok else "–"
     return start, str(result.status), quality, error, str(result.n_iterations), angle
@@ -141,9 +141,9 @@ def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, writing:
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
     contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
-    write_fit(writing.folder, stem, Landmarks(result.shape, contours), result.facts(image.name))
+    write_fit(writing.folder, stem, Landmarks(result.landmarks, contours), result.to_dict() | {"image": image.name})
     drawn = result.landmark_covariances if writing.ellipses else None
-    write_image(writing.folder / f"{stem}_fit.png", overlay(pixels, result.shape, model, covariances=drawn))
+    write_image(writing.folder / f"{stem}_fit.png", overlay(pixels, result.landmarks, model, covariances=drawn))
     if writing.history:
         write_history(writing.folder / f"{stem}_history.csv", result)
     return result
@@ -160,23 +160,16 @@ def refuse_to_overwrite(output: Path, stem: str) -> None:
             )
 
 
-def angle_degrees(result: "FitResult") -> float | None:
-    """Estimated angle of the image's camera in degrees, or None for methods without one."""
-    from liaam.fitting.angles import angle_degrees as degrees
-
-    return degrees(result)
-
-
 def write_history(path: Path, result: "FitResult") -> None:
     """Write one row per accepted iteration: level, cost, theta, and all landmarks."""
     import numpy as np
 
     from liaam.io import write_text_atomically
 
-    n = len(result.shape)
+    n = len(result.landmarks)
     lines = [",".join(["iteration", "level", "cost", "theta_deg", *(f"{a}{i}" for i in range(n) for a in "xy")])]
     for i, step in enumerate(result.history):
         theta = f"{np.rad2deg(step.theta):.4f}" if np.isfinite(step.theta) else ""
-        coordinates = (f"{v:.3f}" for v in step.shape.ravel())
+        coordinates = (f"{v:.3f}" for v in step.landmarks.ravel())
         lines.append(",".join([str(i), str(step.level), f"{step.cost:.8g}", theta, *coordinates]))
     write_text_atomically(path, "\n".join(lines) + "\n")

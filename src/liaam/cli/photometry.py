@@ -538,14 +538,7 @@ def register_command(
     sampled, _ = found.warp(b)
     write_image(output, sampled)
     write_image(board, checkerboard(a, sampled))
-    facts = {
-        "first": first.name,
-        "second": second.name,
-        "homography": found.homography.tolist(),
-        "corner_standard_error_px": [float(v) for v in found.corner_deviation],
-        "status": str(found.status),
-        "iterations": found.n_iterations,
-    }
+    facts = {"first": first.name, "second": second.name, **found.to_dict()}
     write_text_atomically(facts_file, json.dumps(facts, indent=1) + "\n")
     say(f"written to {output}, {facts_file.name} (pixels of A to pixels of B) and {board.name}")
 

@@ -1,5 +1,7 @@
 """``liaam train``."""
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -75,8 +77,6 @@ def train(
 
     Landmarks: .pts, .asf, .tem, .ljson, .csv beside each image, or one dlib .xml, COCO .json or .csv for all.
     """
-    import numpy as np
-
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
     from liaam.training import train as train_model
@@ -86,7 +86,6 @@ def train(
     options = {
         "variance": parse_variance(variance),
         "appearance_variance": None if appearance_variance is None else parse_variance(appearance_variance),
-        "theta": None if theta is None else float(np.deg2rad(theta)),
     }
     check_output(output)
     if output.exists() and output.suffix.lower() in {*IMAGE_SUFFIXES, *LANDMARK_SUFFIXES}:
@@ -94,12 +93,15 @@ def train(
             f"{output} is an image or landmark file; name the model otherwise, such as {folder.name}.liaam"
         )
     data = read_folder(folder, images, recursive)
-    options["camera"] = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
-    light = None if lamps is None else read_lamps(lamps, training_lamp, recursive, options["camera"].response)
+    camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
+    if theta is not None:
+        camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
+    light = None if lamps is None else read_lamps(lamps, training_lamp, recursive, camera.response)
     warn_of_faults(data, folder)
     with stoppable_progress(counted=False) as tell:
         model = train_model(
             data,
+            camera=camera,
             prior=parse_prior(prior or []),
             diagonal=diagonal,
             lamps=light,

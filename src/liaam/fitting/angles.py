@@ -1,14 +1,9 @@
 """Global start of the image angle: for fixed p, theta_2 and lambda have one closed form (DESIGN section 1)."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from liaam.fitting.objective import Objective, State
 from liaam.fitting.problem import FitProblem
-
-if TYPE_CHECKING:
-    from liaam.fitting.result import FitResult
 
 SEARCH = np.deg2rad(60.0)
 """How far from the model's angle the start may lie. Physical cameras lie in 90-135 degrees; far from the
@@ -66,9 +61,3 @@ def _minimise_on_arc(S: np.ndarray, b: np.ndarray, centre: float, reach: float) 
     u = np.stack([np.cos(centre + offsets), np.sin(centre + offsets)])
     cost = np.einsum("it,ij,jt->t", u, S, u) - 2 * b @ u
     return centre + float(offsets[cost.argmin()])
-
-
-def angle_degrees(result: "FitResult") -> float | None:
-    """Estimated angle of the image's camera in degrees, or None for methods without one."""
-    estimated = result.method.free_angles != "none"
-    return float(np.rad2deg(result.theta)) if estimated and np.isfinite(result.theta) else None

@@ -1,8 +1,10 @@
 """Fitting an image: prepare, start, solve, judge."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -84,6 +86,22 @@ class Fitter:
     margin: float = MARGIN
     restarts: bool = True
     rotations: str = "upright"
+
+    @classmethod
+    def of(
+        cls,
+        model: AAM,
+        method: str | Method = DEFAULT_METHOD,
+        *,
+        camera: CameraModel | None = None,
+        margin: float = MARGIN,
+        restarts: bool = True,
+        rotations: str = "upright",
+        kernel: str = "fast",
+        **options,
+    ) -> "Fitter":
+        """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name."""
+        return cls(model, method, SolverOptions.of(**options), kernel, camera, margin, restarts, rotations)
 
     def __post_init__(self) -> None:
         self.objectives  # noqa: B018 (complain now, not at the first image)
@@ -170,7 +188,8 @@ class Fitter:
             result, prior, target, found = self._likeliest(target, result, found, region)
         if self.restarts and self._falls_short(_believed(result, prior)):
             result = self._fit_again(target, result)
-        return replace(_believed(result, prior), found=found)
+        path = Path(image) if isinstance(image, (str, os.PathLike)) else None
+        return replace(_believed(result, prior), found=found, contours=self.model.contours, image=path)
 
     def _fit_from(self, target: Target) -> FitResult:
         levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
@@ -215,15 +234,15 @@ class Fitter:
         large = LARGE * float((high - low).min())
 
         def prior(result: FitResult) -> float:
-            return (diagonal_of(result.shape) / large) ** 2 if result.quality > 0 else 0.0
+            return (diagonal_of(result.landmarks) / large) ** 2 if result.quality > 0 else 0.0
 
         if not _believed(first, min(prior(first), 1.0)).quality >= self._little:
             for other in self.finder.others(target.image[low[1] : high[1], low[0] : high[0]], target.response):
-                there = target._replace(start=other.shape + low)
+                there = target._replace(start=other.landmarks + low)
                 tried.append((self._fit_from(there), there, None if found is None else other))
         odds = [prior(each) * _odds(each.quality) for each, *_ in tried]
         best, its_target, its_start = tried[int(np.argmax(odds))]
-        others = sum(o for o, (each, *_) in zip(odds, tried, strict=True) if are_apart(best.shape, each.shape))
+        others = sum(o for o, (each, *_) in zip(odds, tried, strict=True) if are_apart(best.landmarks, each.landmarks))
         own = prior(best)
         shared = own / (own + others) if own > 0 else 1.0
         return replace(best, n_starts=len(tried)), min(own, 1.0) * shared, its_target, its_start
@@ -233,7 +252,7 @@ class Fitter:
         known, best, n_starts = self.reliability, first, first.n_starts
         for start in other_starts(self.objectives[0], self._levels[0].blur, target, self.options):
             other, n_starts = self._fit_from(target._replace(start=start)), n_starts + 1
-            if other.quality > best.quality and is_sane(other.shape, target.start):
+            if other.quality > best.quality and is_sane(other.landmarks, target.start):
                 best = other
             if known is not None and best.quality >= known.ordinary:
                 break
@@ -250,7 +269,7 @@ class Fitter:
             )
         init = self.find(image, name=name)[0] if init is None else init
         found = init if isinstance(init, Candidate) else None
-        given = init if found is None else found.shape
+        given = init if found is None else found.landmarks
         start = start_shape(self.model, given, (image.shape[1], image.shape[0]), name)
         camera = self._camera
         picture = camera.flatten(image)
@@ -296,7 +315,7 @@ class Fitter:
         """
         kept, k = self.view.warp.every(0.0), self._method.n_rows
         residual, usable = np.zeros((len(kept), k), np.float32), np.zeros(len(kept), np.float32)
-        if np.isfinite(result.shape).all():
+        if np.isfinite(result.landmarks).all():
             objective, problem, state = self._end_of(result, image)
             if len(result.lam) == objective.n_lambda:  # else the fit did not come to the sharpest level
                 state = state._replace(lam=result.lam)
@@ -309,10 +328,10 @@ class Fitter:
         """All pixels of the sharpest level where a fit ended, with the mean appearance."""
         image, camera = load_picture(image, "image")[0], self._camera
         objective, blur = self.objectives[-1].of_all_pixels, self._levels[-1].blur
-        picture = camera.flatten(image), result.shape, result.pose
+        picture = camera.flatten(image), result.landmarks, result.pose
         problem = FitProblem.at(*picture, self._method, camera.response, blur, camera.noise)
         # By the shape: p belongs to the shapes of the method that was fitted, which need not be this one's.
-        state = objective.start(self.shapes.parameters(result.pose.inverse()(result.shape)))
+        state = objective.start(self.shapes.parameters(result.pose.inverse()(result.landmarks)))
         if self._method.has_angles and np.isfinite(result.theta):
             state = state._replace(angles=np.array([result.theta_model, result.theta]))
         return objective, problem, state
@@ -355,7 +374,7 @@ class Fitter:
         if status.ok and (quality < LEAST_QUALITY or not explains):
             status = FitStatus.DOUBTFUL
         return FitResult(
-            shape=history[-1].shape,
+            landmarks=history[-1].landmarks,
             status=status,
             theta=float(solution.state.angles[1]) if has_angle else np.nan,
             theta_model=float(solution.state.angles[0]) if has_angle else np.nan,
@@ -373,8 +392,8 @@ class Fitter:
         )
 
     def _status(self, image: np.ndarray, history: tuple[Iteration, ...], stage: Stage) -> FitStatus:
-        shape, objective, solution = history[-1].shape, stage.objective, stage.solution
-        if not is_sane(shape, history[0].shape):
+        shape, objective, solution = history[-1].landmarks, stage.objective, stage.solution
+        if not is_sane(shape, history[0].landmarks):
             return FitStatus.DIVERGED
         usable = solution.work.usable
         if not usable.all():  # some pixel is outside, or says nothing
@@ -534,27 +553,38 @@ def fit(
     *,
     camera: CameraModel | None = None,
     rotations: str = "upright",
+    restarts: bool = True,
+    margin: float = MARGIN,
+    kernel: str = "fast",
     **options,
 ) -> FitResult:
-    """Fit a model to one image; for many images make a :class:`Fitter` once.
+    """Fit a model to one image. For many images use :func:`fit_many`, or make a :class:`Fitter` once.
 
     Parameters
     ----------
     model : AAM
     image : (h, w, 3) uint8, uint16 or float array, or path
     init : (n, 2) shape, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
-        Where to start, image pixels; if left out, the object is searched for.
+        Where to start, image pixels. If None, the object is searched for.
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
-    camera : CameraModel, optional
-        Of the image; the training camera if left out.
-    rotations : {"upright", "all"}
-        How an object that is searched for may lie.
+    camera, rotations, restarts, margin, kernel
+        As for :class:`Fitter`.
     **options
         Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
 
     Returns
     -------
     FitResult
+        Also for a fit that fails: see its ``status``.
+
+    Raises
+    ------
+    ImageError, StartError, MethodError
+        If an argument is invalid.
     """
-    return Fitter(model, method, SolverOptions.of(**options), camera=camera, rotations=rotations).fit(image, init)
+    fitter = Fitter.of(
+        model, method, camera=camera, rotations=rotations, restarts=restarts, margin=margin, kernel=kernel, **options
+    )
+    result = fitter.fit(image, init)
+    return result if result.image is not None else replace(result, image=image)

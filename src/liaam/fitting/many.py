@@ -14,9 +14,7 @@ from liaam.fitting.fitter import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.result import FitResult
 from liaam.fitting.search import Candidate
-from liaam.fitting.solver import SolverOptions
 from liaam.model import AAM
-from liaam.photometry import CameraModel
 from liaam.progress import progress_bar
 from liaam.workers import all_cores, in_order, one_thread
 
@@ -28,14 +26,13 @@ ERRORS = ("raise", "return")
 def fit_many(
     model: AAM,
     images: Iterable,
-    inits=None,
+    init=None,
     method: str | Method = DEFAULT_METHOD,
     *,
-    camera: CameraModel | None = None,
     workers: int | None = None,
     progress: bool | None = None,
     errors: Literal["raise"] = "raise",
-    **options,
+    **settings,
 ) -> list[FitResult]: ...
 
 
@@ -43,29 +40,26 @@ def fit_many(
 def fit_many(
     model: AAM,
     images: Iterable,
-    inits=None,
+    init=None,
     method: str | Method = DEFAULT_METHOD,
     *,
-    camera: CameraModel | None = None,
     workers: int | None = None,
     progress: bool | None = None,
     errors: Literal["return"],
-    **options,
+    **settings,
 ) -> list[FitResult | LiaamError]: ...
 
 
 def fit_many(
     model: AAM,
     images: Iterable,
-    inits=None,
+    init=None,
     method: str | Method = DEFAULT_METHOD,
     *,
-    camera: CameraModel | None = None,
-    rotations: str = "upright",
     workers: int | None = None,
     progress: bool | None = None,
     errors: str = "raise",
-    **options,
+    **settings,
 ) -> list:
     """Fit a model to many images, on all cores.
 
@@ -78,15 +72,11 @@ def fit_many(
     model : AAM
     images : iterable of (h, w, 3) uint8, uint16 or float arrays, or of paths
         Taken one by one as there is room, so that a generator never has more than a few pictures in memory.
-    inits : start, or iterable of starts, optional
+    init : start, or iterable of starts, optional
         Where to start: nothing (each object is searched for), one start for all images, or one for each, as
         :meth:`liaam.fitting.Fitter.fit` takes them; None among the latter is searched for.
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
-    camera : CameraModel, optional
-        Of the images; the training camera if left out.
-    rotations : {"upright", "all"}
-        How objects that are searched for may lie.
     workers : int, optional
         Threads; as many as this process may use cores if left out.
     progress : bool, optional
@@ -96,8 +86,9 @@ def fit_many(
         What happens if a picture cannot be fitted (a file that is damaged, a grey picture for a method that compares
         colours): the error of the first such picture is raised, as a single fit would; or each error takes the place
         of its result. Fits that fail are results with a status, in either case.
-    **options
-        Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
+    **settings
+        Other keyword arguments of :func:`liaam.fitting.fit`: ``camera``, ``rotations``, ``restarts``, ``margin``,
+        ``kernel``, and fields of :class:`liaam.fitting.SolverOptions`.
 
     Returns
     -------
@@ -108,21 +99,21 @@ def fit_many(
     ------
     LiaamError
         Of the first picture that cannot be fitted, which it names: by its file's name, or as ``images[3]``; and for
-        ``images`` and ``inits`` that do not go together.
+        ``images`` and ``init`` that do not go together.
 
     Examples
     --------
     >>> results = fit_many(model, sorted(Path("faces").glob("*.png")))                    # doctest: +SKIP
-    >>> shapes = [result.shape for result in results if result.status.ok]               # doctest: +SKIP
+    >>> shapes = [result.landmarks for result in results if result.status.ok]               # doctest: +SKIP
     """
-    fitter = Fitter(model, method, SolverOptions.of(**options), camera=camera, rotations=rotations)
-    return list(fit_each(fitter, images, inits, workers=workers, progress=progress, errors=errors))
+    fitter = Fitter.of(model, method, **settings)
+    return list(fit_each(fitter, images, init, workers=workers, progress=progress, errors=errors))
 
 
 def fit_each(
     fitter: Fitter,
     images: Iterable,
-    inits=None,
+    init=None,
     *,
     workers: int | None = None,
     progress: bool | None = None,
@@ -135,7 +126,7 @@ def fit_each(
     Parameters
     ----------
     fitter : Fitter
-    images, inits, workers, progress, errors
+    images, init, workers, progress, errors
         As for :func:`fit_many`.
 
     Yields
@@ -148,7 +139,7 @@ def fit_each(
     if errors not in ERRORS:
         raise MethodError(f"errors {errors!r} does not exist; there are {', '.join(ERRORS)}")
     n_images = _count(images)
-    return _fits(fitter, _tasks(images, _starts(inits, n_images)), workers, n_images, progress, errors)
+    return _fits(fitter, _tasks(images, _starts(init, n_images)), workers, n_images, progress, errors)
 
 
 def _fits(
@@ -212,30 +203,30 @@ def _is_path(image) -> bool:
     return isinstance(image, (str, os.PathLike))
 
 
-def _starts(inits, n_images: int | None) -> Iterable:
+def _starts(init, n_images: int | None) -> Iterable:
     """Starts of the images, one by one."""
-    if inits is None or _is_one_start(inits):
-        return repeat(inits)
-    if not isinstance(inits, Iterable):
-        raise StartError(f"inits {inits!r}: {_ONE_OR_EACH}")
-    n_inits = _length(inits)
-    if n_images is not None and n_inits is not None and n_inits != n_images:
-        raise StartError(f"there are {n_images} images but {n_inits} inits: {_ONE_OR_EACH}")
-    return inits
+    if init is None or _is_one_start(init):
+        return repeat(init)
+    if not isinstance(init, Iterable):
+        raise StartError(f"init {init!r}: {_ONE_OR_EACH}")
+    n_starts = _length(init)
+    if n_images is not None and n_starts is not None and n_starts != n_images:
+        raise StartError(f"there are {n_images} images but {n_starts} starts: {_ONE_OR_EACH}")
+    return init
 
 
 _ONE_OR_EACH = "give one start for all images, or one for each"
 
 
-def _is_one_start(inits) -> bool:
-    """Tell one start (a shape, a box, a point and a size) from several."""
-    if isinstance(inits, Candidate) or hasattr(inits, "points"):
+def _is_one_start(init) -> bool:
+    """Whether this is one start (a shape, a box, a point and a size) rather than several."""
+    if isinstance(init, Candidate) or hasattr(init, "points"):
         return True
-    if isinstance(inits, (list, tuple)) and any(init is None for init in inits):
-        return False  # NumPy would take None for a number
+    if isinstance(init, (list, tuple)) and any(start is None for start in init):
+        return False  # NumPy would convert None to NaN
     try:
-        given = np.asarray(inits, dtype=np.float64)
-    except (TypeError, ValueError):  # of several lengths, or no numbers
+        given = np.asarray(init, dtype=np.float64)
+    except (TypeError, ValueError):  # of several lengths, or not numbers
         return False
     return (given.ndim == 1 and given.size > 0) or (given.ndim == 2 and given.shape[1] == 2)
 
@@ -246,10 +237,10 @@ def _tasks(images: Iterable, starts: Iterable) -> Iterator[_Task]:
         try:
             start = next(rest)
         except StopIteration:
-            raise StartError(f"there are more than {number} images but {number} inits: {_ONE_OR_EACH}") from None
+            raise StartError(f"there are more than {number} images but {number} starts: {_ONE_OR_EACH}") from None
         yield _Task(number, image, start)
     if not isinstance(starts, repeat) and next(rest, _END) is not _END:
-        raise StartError(f"there are {number + 1} images but more inits: {_ONE_OR_EACH}")
+        raise StartError(f"there are {number + 1} images but more starts: {_ONE_OR_EACH}")
 
 
 _END = object()

@@ -80,12 +80,12 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
             result = fitter.fit(picture.image, start)
             if result.status.lost:
                 continue  # its status says it all
-            error = point_error(result.shape, picture.points) / diagonal_of(picture.points)
+            error = point_error(result.landmarks, picture.points) / diagonal_of(picture.points)
             if not np.isfinite(error) or not np.isfinite(result.evidence).all():
                 continue
             if near and error <= WRONG:  # all that are not lost: those in doubt err, too
                 unposed, shapes = result.pose.inverse(), fitter.shapes
-                errors.append((picture.points - result.shape) @ unposed.matrix.T)
+                errors.append((picture.points - result.landmarks) @ unposed.matrix.T)
                 spreads.append(fitted_covariances(shapes, result.covariance))
                 surprises.append(_surprise(shapes.parameters(unposed(picture.points)) - result.p, result.covariance))
             if not RIGHT < error <= WRONG:
@@ -132,7 +132,7 @@ def _elsewhere(picture: LeftOut, fitter: Fitter, finder: Finder) -> np.ndarray |
         return None
     for candidate in finder.others(picture.image, fitter.model.response, PLACES):
         result = fitter.fit(picture.image, candidate)
-        error = point_error(result.shape, picture.points) / diagonal_of(picture.points)
+        error = point_error(result.landmarks, picture.points) / diagonal_of(picture.points)
         if error > WRONG and not result.status.lost and np.isfinite(result.evidence).all():
             found.append(result.evidence)
     return max(found, key=lambda evidence: evidence[0], default=None)

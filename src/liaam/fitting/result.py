@@ -2,12 +2,20 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from liaam.drawing import Contours, new_axes, plot_landmarks, png_bytes, zoom_to
+from liaam.evaluation import finite_list
 from liaam.fitting.methods import Method
+from liaam.fitting.picture import load_picture
 from liaam.fitting.search import Candidate
 from liaam.model.shape import Similarity
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class FitStatus(StrEnum):
@@ -90,8 +98,8 @@ class Iteration:
     ----------
     cost : float
         Mean squared residual.
-    shape : (n, 2) float64
-        Landmarks, image pixels.
+    landmarks : (n, 2) float64
+        Image pixels.
     theta : float
         Image angle theta_2, radians; NaN for methods without angles.
     level : int
@@ -99,7 +107,7 @@ class Iteration:
     """
 
     cost: float
-    shape: np.ndarray
+    landmarks: np.ndarray
     theta: float
     level: int = 0
 
@@ -114,8 +122,8 @@ class FitResult:
 
     Attributes
     ----------
-    shape : (n, 2) float64
-        Landmarks (x, y), image pixels.
+    landmarks : (n, 2) float64
+        Fitted landmarks (x, y), image pixels.
     status : FitStatus
         How the fit ended; ``status.ok`` says whether to use it, ``message`` what to do.
     theta : float
@@ -156,9 +164,14 @@ class FitResult:
         From how many starts the object was fitted: more than 1 where the first fit came to little and others were
         found (:attr:`liaam.fitting.Fitter.restarts`). All else is of the fit that was kept: ``history`` and ``start``
         need not begin where the first one did.
+    contours : tuple of (indices, closed)
+        Lines between landmarks, for drawing.
+    image : array or Path, optional
+        The image that was fitted: its path, or the array if :func:`liaam.fit` was given one. Other functions keep no
+        arrays, so that many results do not fill the memory.
     """
 
-    shape: np.ndarray
+    landmarks: np.ndarray
     status: FitStatus
     theta: float
     theta_model: float
@@ -175,11 +188,12 @@ class FitResult:
     method: Method
     found: Candidate | None = None
     n_starts: int = 1
+    contours: Contours = ()
+    image: np.ndarray | Path | None = None
 
     def __repr__(self) -> str:
-        return (
-            f"FitResult({self.method.name}: {self.status}, {len(self.shape)} landmarks, {self.n_iterations} iterations)"
-        )
+        counts = f"{len(self.landmarks)} landmarks, {self.n_iterations} iterations"
+        return f"FitResult({self.method.name}: {self.status}, {counts})"
 
     @property
     def message(self) -> str:
@@ -201,15 +215,28 @@ class FitResult:
     @property
     def start(self) -> np.ndarray:
         """Landmarks at the start of the fit that was kept, (n, 2) float64."""
-        return self.history[0].shape
+        return self.history[0].landmarks
 
-    def facts(self, image_name: str) -> dict:
-        """What there is to say of the fit besides its landmarks, as ``liaam fit`` writes it in its .json files."""
+    @property
+    def theta_degrees(self) -> float | None:
+        """Estimated angle of the image's camera, degrees; None if the method does not estimate it."""
+        estimated = self.method.free_angles != "none" and np.isfinite(self.theta)
+        return float(np.rad2deg(self.theta)) if estimated else None
+
+    def to_dict(self) -> dict:
+        """Convert the result to a dictionary that JSON can hold.
+
+        Returns
+        -------
+        dict
+            What ``liaam fit`` writes to its .json files: ``image`` (its name, if known), ``start``, ``status``,
+            ``message``, ``quality``, ``landmarks`` (x, y in image pixels), ``landmark_deviations_px`` and others.
+            Values that are unknown are None.
+        """
         from liaam import __version__
-        from liaam.fitting.angles import angle_degrees  # it needs this module
 
         return {
-            "image": image_name,
+            "image": self.image.name if isinstance(self.image, Path) else None,
             "start": "given" if self.found is None else "searched",
             "starts_tried": self.n_starts,
             "search_score": None if self.found is None else self.found.score,
@@ -217,10 +244,50 @@ class FitResult:
             "method": self.method.name,
             "status": str(self.status),
             "message": self.message,
-            "theta_deg": angle_degrees(self),
-            "cost": self.cost,
+            "theta_deg": self.theta_degrees,
+            "cost": self.cost if np.isfinite(self.cost) else None,
             "iterations": self.n_iterations,
             "quality": None if np.isnan(self.quality) else round(self.quality, 4),
-            "landmark_deviations_px": [round(float(v), 3) for v in self.deviations],
+            "landmark_deviations_px": finite_list(np.round(self.deviations, 3)),
             "liaam": __version__,
+            "landmarks": finite_list(self.landmarks),
         }
+
+    def plot(self, image=None, *, ellipses: bool = True, ax: "Axes | None" = None) -> "Axes":
+        """Draw the landmarks on the image with Matplotlib.
+
+        Parameters
+        ----------
+        image : (h, w, 3) array or path, optional
+            The image that was fitted. Default: :attr:`image`, and a white background if that is not known.
+        ellipses : bool
+            Whether to draw the 95 % confidence ellipse of each landmark.
+        ax : matplotlib.axes.Axes, optional
+            A new figure is made if None.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        quality = "unknown" if np.isnan(self.quality) else f"{self.quality:.2f}"
+        return plot_landmarks(
+            self._pixels() if image is None else load_picture(image, "image")[0],
+            self.landmarks,
+            covariances=self.landmark_covariances if ellipses else None,
+            contours=self.contours,
+            title=f"{self.method.name}: {self.status}, quality {quality}",
+            ax=ax,
+        )
+
+    def _pixels(self) -> np.ndarray | None:
+        return None if self.image is None else load_picture(self.image, "image")[0]
+
+    def _repr_png_(self) -> bytes | None:
+        """Show the object with its landmarks in a notebook; None, for the usual text, if the image is not known."""
+        pixels = self._pixels()
+        if pixels is None or not np.isfinite(self.landmarks).any():
+            return None
+        figure, ax = new_axes()
+        self.plot(pixels, ax=ax)
+        zoom_to(ax, self.landmarks, (pixels.shape[1], pixels.shape[0]))
+        return png_bytes(figure)

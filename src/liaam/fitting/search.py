@@ -153,7 +153,7 @@ class Candidate:
 
     Attributes
     ----------
-    shape : (n, 2) float64
+    landmarks : (n, 2) float64
         Landmarks of a coarse fit, image pixels.
     score : float
         How well the model explains the directions of the gradient there, 0 to 1; see :attr:`doubtful`.
@@ -163,7 +163,7 @@ class Candidate:
         Pixels of the image for one of the model's reference frame.
     """
 
-    shape: np.ndarray
+    landmarks: np.ndarray
     score: float
     rotation: float
     scale: float
@@ -412,7 +412,7 @@ class Finder:
         search = _Search(self, image, self.model.response if response is None else response, LOOKED * most)
         best = sorted(search.for_all(), key=lambda place: -(place.score + SIZE_WORTH * np.log(place.scale)))
         mean, places = self.model.shape_model.mean, _different(best)[:most] + search.filling()
-        return [replace(place, shape=align(mean, place.shape)(mean)) for place in _different(places)]
+        return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in _different(places)]
 
     def _responses(self, field: Field, which: int, count: int, worth: float) -> _Peaks:
         """Local maxima of every template's correlation with a field (number ``which``), the best few of each template.
@@ -534,7 +534,7 @@ class _Search:
         """Fit the best places of all sizes."""
         self.found = []
         seen = [self._fitted(place) for place in self._peaks(self.sizes).places()]
-        return [candidate for candidate in seen if _is_inside(candidate.shape, self.image)]
+        return [candidate for candidate in seen if _is_inside(candidate.landmarks, self.image)]
 
     def filling(self) -> list[Candidate]:
         """Fit an object in the middle of the frame, about as large: pictures cut out around objects have no border.
@@ -570,7 +570,7 @@ class _Search:
             if strength < WORTH * peaks.responses[0]:
                 break
             candidate = self._fitted(place)
-            if not _is_inside(candidate.shape, self.image):
+            if not _is_inside(candidate.landmarks, self.image):
                 continue
             seen.append(candidate)
             if candidate.score >= max(least, DOUBTFUL) and candidate.score + strength >= SURE:
@@ -773,7 +773,7 @@ def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
     """First candidates whose boxes do not overlap those before them."""
     chosen: list[Candidate] = []
     for candidate in candidates:
-        if len(chosen) < most and all(_overlap(candidate.shape, other.shape) < 0.3 for other in chosen):
+        if len(chosen) < most and all(_overlap(candidate.landmarks, other.landmarks) < 0.3 for other in chosen):
             chosen.append(candidate)
     return chosen
 
@@ -787,7 +787,7 @@ def _different(candidates: list[Candidate]) -> list[Candidate]:
     """Candidates that lie apart from those before them."""
     chosen: list[Candidate] = []
     for candidate in candidates:
-        if all(are_apart(candidate.shape, other.shape) for other in chosen):
+        if all(are_apart(candidate.landmarks, other.landmarks) for other in chosen):
             chosen.append(candidate)
     return chosen
 

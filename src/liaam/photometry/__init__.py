@@ -31,9 +31,9 @@ from liaam.photometry.response import (
 )
 
 if TYPE_CHECKING:
-    from liaam.photometry.invariant_image import invariant_image
     from liaam.photometry.masks import dark_pixels, saturated_pixels, specular_pixels, usable_pixels
     from liaam.photometry.noise import noise_deviation
+    from liaam.photometry.projection import invariant_image
 
 __all__ = [
     "CHROMATICITY",
@@ -72,7 +72,7 @@ __all__ = [
 __getattr__, __dir__ = attach(
     __name__,
     {
-        "invariant_image": ("invariant_image",),
+        "projection": ("invariant_image",),
         "masks": ("dark_pixels", "saturated_pixels", "specular_pixels", "usable_pixels"),
         "noise": ("noise_deviation",),
     },

@@ -14,11 +14,9 @@ if TYPE_CHECKING:
         show_picture,
         subplots,
     )
-    from liaam.plotting.overlays import as_picture, ellipses, enlarged, mesh_edges, overlay, overlay_of_faults
+    from liaam.plotting.overlays import enlarged, mesh_edges, overlay, overlay_of_faults
 
 __all__ = [
-    "as_picture",
-    "ellipses",
     "enlarged",
     "figure_of_fits",
     "figure_of_lamps",
@@ -44,6 +42,6 @@ __getattr__, __dir__ = attach(
             "show_picture",
             "subplots",
         ),
-        "overlays": ("as_picture", "ellipses", "enlarged", "mesh_edges", "overlay", "overlay_of_faults"),
+        "overlays": ("enlarged", "mesh_edges", "overlay", "overlay_of_faults"),
     },
 )

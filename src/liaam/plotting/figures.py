@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from liaam.drawing import as_picture
 from liaam.io import atomic_path
 from liaam.lamps import Lamps
 from liaam.model import AAM
 from liaam.photometry import linear_to_srgb
-from liaam.plotting.overlays import as_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

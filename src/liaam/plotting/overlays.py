@@ -1,55 +1,18 @@
 """Fits drawn on pictures: landmarks, meshes, ellipses, faults."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from liaam.datasets.label_faults import LabelFault
+from liaam.drawing import as_picture, ellipses
 from liaam.model import AAM
-
-if TYPE_CHECKING:
-    pass
-
-
-def as_picture(image: np.ndarray) -> np.ndarray:
-    """Give any image array as (h, w, 3) uint8 to look at; floats count from 0 to 1, NaN is black."""
-    image = np.asarray(image)
-    if image.dtype == np.uint16:
-        image = image >> 8
-    if image.dtype.kind == "f":
-        image = (np.clip(np.nan_to_num(image), 0, 1) * 255).round()
-    image = image.astype(np.uint8)
-    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image
 
 
 def mesh_edges(triangles: np.ndarray) -> np.ndarray:
     """Edges of a mesh, each once, (m, 2) int."""
     pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     return np.unique(pairs, axis=0)
-
-
-def ellipses(points: np.ndarray, covariances: np.ndarray, share: float = 0.95, n: int = 32) -> np.ndarray:
-    """Ellipses that hold a share of Gaussian points.
-
-    Parameters
-    ----------
-    points : (m, 2) float
-    covariances : (m, 2, 2) float
-    share : float
-    n : int
-        Points on each ellipse.
-
-    Returns
-    -------
-    (m, n, 2) float64
-    """
-    values, axes = np.linalg.eigh(np.nan_to_num(covariances))
-    # The square of a distance in standard deviations is chi-squared with two degrees of freedom.
-    radii = np.sqrt(-2.0 * np.log(1.0 - share) * np.maximum(values, 0.0))
-    turn = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return points[:, None] + np.einsum("mab,mb,nb->mna", axes, radii, circle)
 
 
 def enlarged(image: np.ndarray) -> tuple[np.ndarray, int]:

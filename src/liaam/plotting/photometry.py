@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.calibration.agreement import Agreement, Averaged
 from liaam.calibration.chart import patch_corners
+from liaam.calibration.comparison import Agreement, Averaged
 from liaam.calibration.entropy import entropy_curve
 from liaam.calibration.estimate import PHYSICAL
+from liaam.drawing import as_picture
 from liaam.photometry import CameraModel, to_linear
 from liaam.photometry.camera import falloff_at
-from liaam.photometry.invariant_image import log_picture, projected
+from liaam.photometry.projection import log_picture, projected
 from liaam.plotting.figures import save_figure, show_picture, subplots
-from liaam.plotting.overlays import as_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

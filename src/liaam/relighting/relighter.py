@@ -104,12 +104,12 @@ class Relighter:
         image, model = as_colour(image, name), fitter.model
         refuse_grey(image, name, "shading is told by colours; give a colour picture", MethodError)
         response = (fitter.camera or model.camera).response
-        if not len(seen_triangles(image, result.shape, model)):
-            return _as_it_is(model, image, result.shape, response)
-        seen = Seen.of(model, image, result.shape, response)
+        if not len(seen_triangles(image, result.landmarks, model)):
+            return _as_it_is(model, image, result.landmarks, response)
+        seen = Seen.of(model, image, result.landmarks, response)
         appearance, log_rgb = appearance_in_light(model, seen, shadow_free(fitter, image, result, prior), prior)
         shading = find_shading(model, seen, log_rgb)
-        return _taken_apart(model, image, result.shape, response, appearance, log_rgb, shading)
+        return _taken_apart(model, image, result.landmarks, response, appearance, log_rgb, shading)
 
     def flat(self) -> np.ndarray:
         """Picture with the object under the training light, (h, w, 3) uint8."""

@@ -20,7 +20,7 @@ from liaam.photometry import Response, from_linear
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope
 from liaam.relighting.painting import soft_edge
-from liaam.training import sample_appearance
+from liaam.training.textures import sample_appearance
 
 MISPLACED = 0.4
 """Deviation from the truth of landmarks that were put right, pixels of the reference frame."""

@@ -36,9 +36,10 @@ def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, fl
     stem = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name)
     contours = tuple(Contour(indices, closed) for indices, closed in fit.model.contours)
     if what in ("pts", "ljson", "csv", "json"):
-        landmarks = Landmarks(fit.result.shape, contours)
+        landmarks = Landmarks(fit.result.landmarks, contours)
         if what == "json":
-            return f"{stem}.json", "application/json", fit_text(landmarks, fit.result.facts(fit.source.name)).encode()
+            facts = fit.result.to_dict() | {"image": fit.source.name}
+            return f"{stem}.json", "application/json", fit_text(landmarks, facts).encode()
         dump = FORMATS[f".{what}"].dump
         assert dump is not None
         kind = "application/json" if what == "ljson" else "text/csv" if what == "csv" else "text/plain"
@@ -64,7 +65,7 @@ def _picture(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, f
     from liaam.plotting import overlay
 
     image = shown(fits.pictures.pixels(fit.source), size, fit.source.raw)
-    return overlay(image, fit.result.shape, fit.model, covariances=fit.result.landmark_covariances)
+    return overlay(image, fit.result.landmarks, fit.model, covariances=fit.result.landmark_covariances)
 
 
 def attachment(name: str) -> str:

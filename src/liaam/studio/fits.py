@@ -16,7 +16,6 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.evaluation import finite_or_none, point_error
-from liaam.fitting.angles import angle_degrees
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
@@ -107,7 +106,7 @@ class Fit:
     @property
     def layers(self) -> list[str]:
         """Layers that there are."""
-        if not np.isfinite(self.result.shape).all():
+        if not np.isfinite(self.result.landmarks).all():
             return []
         return ["residual"] if self.no_flat else list(layers.LAYERS)
 
@@ -122,15 +121,15 @@ class Fit:
             "message": result.message,
             "quality": finite_or_none(result.quality),
             "seconds": {"search": round(self.search_seconds, 4), "fit": round(self.fit_seconds, 4)},
-            "shape": numbers(result.shape, 3),
+            "shape": numbers(result.landmarks, 3),
             "covariances": numbers(result.landmark_covariances, 4),
             "deviations": numbers(result.deviations, 3),
-            "theta_deg": angle_degrees(result),
+            "theta_deg": result.theta_degrees,
             "cost": finite_or_none(result.cost),
             "found": None if result.found is None else _found(result.found),
             "iterations": [
                 {
-                    "shape": numbers(step.shape, 2),
+                    "shape": numbers(step.landmarks, 2),
                     "level": step.level,
                     "cost": finite_or_none(step.cost),
                     "theta_deg": finite_or_none(np.rad2deg(step.theta)),
@@ -285,7 +284,7 @@ class Fits:
             fitted - searched,
             layers.residual_of(fitter, image, result),
             layers.why_not_flat(fitter, image, result),
-            error_of(result.shape, truth),
+            error_of(result.landmarks, truth),
             of,
         )
         self._fits.put(fit.id, fit)
@@ -366,7 +365,7 @@ class Fits:
         return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
 
     def _shape(self, fit: Fit, to: tuple[int, int]) -> np.ndarray:
-        return layers.scaled_points(fit.result.shape, (fit.source.width, fit.source.height), to)
+        return layers.scaled_points(fit.result.landmarks, (fit.source.width, fit.source.height), to)
 
     def _search(self, current: ModelInUse, source: Source, image: np.ndarray) -> Candidate:
         """Where the object is; one search serves all methods."""

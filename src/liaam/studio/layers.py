@@ -131,7 +131,7 @@ def taken_apart(
     factor = float(np.sqrt(to[0] * to[1] / (size[0] * size[1])))
     moved = scaled_points(result.pose.offset[None], size, to)[0]
     pose = Similarity(result.pose.matrix * factor, moved)
-    return Relighter.of(fitter, small, replace(result, shape=scaled_points(result.shape, size, to), pose=pose))
+    return Relighter.of(fitter, small, replace(result, landmarks=scaled_points(result.landmarks, size, to), pose=pose))
 
 
 def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
@@ -153,7 +153,7 @@ def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
 def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | None:
     """Why the shading of a fit cannot be told; None where it can."""
     method = result.method
-    if not np.isfinite(result.shape).all():
+    if not np.isfinite(result.landmarks).all():
         return "the fit lost the object, so there is nothing to take the shading from: fit again from a better start"
     if method.appearance not in ("log", "soft"):
         return (

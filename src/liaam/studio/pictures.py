@@ -290,9 +290,9 @@ def shown(image: np.ndarray, size: tuple[int, int], raw: bool = False) -> np.nda
 
     Pixels are averaged, so centres of pixels go where they belong: x to (x + 0.5) * width' / width - 0.5.
     """
+    from liaam.drawing import as_picture
     from liaam.photometry import linear_to_srgb
     from liaam.photometry.encoding import stored_values
-    from liaam.plotting import as_picture
 
     if raw:  # linear light: averaged as such, then encoded as screens want it
         return as_picture(linear_to_srgb(np.clip(averaged(stored_values(image), size), 0.0, 1.0)))

@@ -206,14 +206,14 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
     from liaam.model.shape import diagonal_of
 
     facts = {"status": str(result.status), "message": result.message}
-    if not np.isfinite(result.shape).all():
+    if not np.isfinite(result.landmarks).all():
         return {**_NOTHING, **facts}
-    covariances, size = result.landmark_covariances, diagonal_of(result.shape)
+    covariances, size = result.landmark_covariances, diagonal_of(result.landmarks)
     certain = bool(np.isfinite(covariances).all()) and size > 0
     found = not result.place_doubtful
     return {
         **facts,
-        "points": [[round(x, 3), round(y, 3)] for x, y in result.shape.tolist()],
+        "points": [[round(x, 3), round(y, 3)] for x, y in result.landmarks.tolist()],
         "covariances": np.round(covariances, 4).tolist() if certain else None,
         "quality": None if np.isnan(result.quality) else round(float(result.quality), 4),
         "ok": result.status.ok,

@@ -60,7 +60,7 @@ class Motion:
         covariance : (m + 4, m + 4) float64
         basis : (m + 4, 2 n) float64
         """
-        y = self.coordinates(result.shape)
+        y = self.coordinates(result.landmarks)
         basis, n_p = self.basis(y), len(result.p)
         moved = (self.shape_model.basis.reshape(n_p, -1, 2) @ result.pose.matrix.T).reshape(n_p, -1)
         carried = basis @ moved.T

@@ -10,10 +10,13 @@ give is smoothed by a Kalman filter (:mod:`liaam.tracking.kalman`) with their ow
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from liaam.drawing import plot_landmarks
 from liaam.errors import ImageError, MethodError, StartError
+from liaam.evaluation import finite_list
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
@@ -24,6 +27,9 @@ from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
 from liaam.tracking import kalman
 from liaam.tracking.motion import Motion, landmark_covariances, rescaled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 JUMP = 0.25
 """Mean distance between start and fit, as a share of the object's diagonal, beyond which a fit that was to follow has
@@ -135,6 +141,24 @@ class TrackedFrame:
     def ok(self) -> bool:
         """Whether there are landmarks."""
         return self.status is not TrackStatus.LOST
+
+    def to_dict(self) -> dict:
+        """Convert the frame to a dictionary that JSON can hold; values that are unknown are None."""
+        return {
+            "index": self.index,
+            "time": self.time if np.isfinite(self.time) else None,
+            "status": str(self.status),
+            "fit_status": None if self.fit_status is None else str(self.fit_status),
+            "quality": self.quality if np.isfinite(self.quality) else None,
+            "theta_deg": float(np.rad2deg(self.theta)) if np.isfinite(self.theta) else None,
+            "landmarks": finite_list(self.landmarks),
+            "landmark_covariances": finite_list(self.covariances),
+        }
+
+    def plot(self, image: np.ndarray, *, ellipses: bool = True, ax: "Axes | None" = None) -> "Axes":
+        """Draw the landmarks on the frame's image with Matplotlib; parameters are those of ``FitResult.plot``."""
+        covariances = self.covariances if ellipses else None
+        return plot_landmarks(image, self.landmarks, covariances=covariances, title=str(self.status), ax=ax)
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +315,7 @@ class Tracker:
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
             return _lost(self.model.n_points, index, time, tried)
-        self._loss, self._last, self._period = _Loss(), tried.shape, self._period_of(index)
+        self._loss, self._last, self._period = _Loss(), tried.landmarks, self._period_of(index)
         return self._seen(tried, status, index, time)
 
     def _missed(self, index: int, time: float) -> TrackedFrame:
@@ -346,7 +370,7 @@ class Tracker:
                 tried = fitter.fit(pixels, start, name)
             except (StartError, ImageError):  # it has moved out, or the frame is grey
                 return False, tried
-            if _usable(tried) and _distance(tried.shape, start) < JUMP * diagonal_of(start):
+            if _usable(tried) and _distance(tried.landmarks, start) < JUMP * diagonal_of(start):
                 return True, tried
         return False, tried
 
@@ -360,10 +384,10 @@ class Tracker:
             return None
         mean = self.model.shape_model.mean
         try:
-            anew = self.fitter.fit(pixels, align(mean, followed.shape)(mean), name)
+            anew = self.fitter.fit(pixels, align(mean, followed.landmarks)(mean), name)
         except (StartError, ImageError):
             return None
-        apart, size = np.linalg.norm(anew.shape - followed.shape, axis=1), diagonal_of(followed.shape)
+        apart, size = np.linalg.norm(anew.landmarks - followed.landmarks, axis=1), diagonal_of(followed.landmarks)
         better = _usable(anew) and 1.0 - anew.quality < BETTER * (1.0 - followed.quality)
         # Nothing was astray, or this is another object.
         elsewhere = apart.max() > APART * size and apart.mean() < JUMP * size
@@ -400,14 +424,14 @@ class Tracker:
         variances = own.diagonal()
         if track is None:
             noise = kalman.FIRST_SHARE * own
-            speed = np.full(len(y), FIRST_SPEED * diagonal_of(result.shape) * np.sqrt(len(result.shape)))
+            speed = np.full(len(y), FIRST_SPEED * diagonal_of(result.landmarks) * np.sqrt(len(result.landmarks)))
             moments, belief = kalman.first_moments(variances), kalman.first_belief(y, noise, speed)
         else:
             noise = track.share * own
             moments, belief = track.moments, kalman.update(kalman.widened(track.belief, y, noise), y, noise)
         moments = kalman.observed(moments, y)
         self._track = _Track(belief, moments, *kalman.noise_and_drive(moments, variances))
-        landmarks, covariances = result.shape, result.landmark_covariances
+        landmarks, covariances = result.landmarks, result.landmark_covariances
         if self.options.smooth:
             # What the coordinates do not show of the shape stays as it was fitted.
             landmarks = landmarks + motion.shape(belief.position) - motion.shape(y)
@@ -421,7 +445,7 @@ class Tracker:
             quality=result.quality,
             theta=result.theta if self._estimates else np.nan,
             landmarks=landmarks,
-            raw=result.shape,
+            raw=result.landmarks,
             covariances=covariances,
             raw_covariances=result.landmark_covariances,
         )

@@ -13,8 +13,11 @@ from liaam.model import SURROUNDINGS
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas
 from liaam.photometry import CameraModel, invariant
-from liaam.training import _folds, train
+from liaam.training import TrainingOptions, train
+from liaam.training.left_out import folds_of
 from setups import disturb, model_pixels, train_on
+
+LINEAR = CameraModel(response="linear")
 
 
 @pytest.fixture
@@ -25,7 +28,7 @@ def pairs(scenes) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def refused(pairs, match: str, **options) -> None:
     with pytest.raises(TrainingError, match=match):
-        train(pairs, **({"diagonal": 40.0, "response": "linear", "blurs": (0.0,)} | options))
+        train(pairs, **({"diagonal": 40.0, "camera": LINEAR, "blurs": (0.0,)} | options))
 
 
 # What comes out
@@ -71,14 +74,14 @@ def test_contours_and_mesh_come_from_the_landmarks(pairs):
     mesh = delaunay(pairs[0][1])
     contours = tuple(Contour(tuple(int(i) for i in t), True) for t in mesh)
     samples = [Sample(f"s{i}", image, Landmarks(points, contours=contours)) for i, (image, points) in enumerate(pairs)]
-    model = train(samples, diagonal=40.0, response="linear")
+    model = train(samples, diagonal=40.0, camera=LINEAR)
     assert model.contours[0] == (contours[0].indices, True)
     assert {tuple(sorted(t)) for t in model.triangles.tolist()} == {tuple(sorted(t)) for t in mesh.tolist()}
 
 
 def test_triangles_may_turn_either_way(pairs, model):
     for triangles in (model.triangles, model.triangles[:, ::-1]):
-        trained = train(pairs, diagonal=40.0, response="linear", triangles=triangles)
+        trained = train(pairs, diagonal=40.0, camera=LINEAR, triangles=triangles)
         assert (signed_areas(trained.shape_model.mean, trained.triangles) > 0).all()
 
 
@@ -86,13 +89,13 @@ def test_landmarks_just_beyond_the_border_are_no_fault(scenes):
     edges = [int(np.sort(s.landmarks[:, 0])[3]) + 1 for s in scenes[:4]]  # cuts four landmarks off, or five
     cut = [(s.image[:, x:], s.landmarks - [x, 0]) for s, x in zip(scenes[:4], edges, strict=True)]
     assert all(4 <= (points[:, 0] < 0).sum() <= 5 for _, points in cut)
-    model = train(cut, diagonal=40.0, response="linear")
+    model = train(cut, diagonal=40.0, camera=LINEAR)
     assert model.levels[-1].appearances["value"].usable.min() == 0
 
 
 def test_progress_is_told(pairs):
     seen = []
-    train(pairs, diagonal=40.0, response="linear", progress=lambda *step: seen.append(step))
+    train(pairs, diagonal=40.0, camera=LINEAR, progress=lambda *step: seen.append(step))
     done, total, what = zip(*seen, strict=True)
     pictures = [step for i in (1, 2, 3) for step in (f"image {i}", f"a copy of image {i}")]
     assert what[:8] == (*pictures, "appearance of the mesh", "appearance of the mesh")
@@ -150,7 +153,7 @@ def test_aia_and_varied_are_one_where_all_modes_are_kept(scenes, lamps, lit_scen
     start = disturb(lit_scene.landmarks, 1.01, (0.01, -0.01))
     options = SolverOptions(max_iterations=100, tolerance=1e-4)
     aia, varied = (Fitter(model, name, options).fit(lit_scene.image, start) for name in ("aia", "varied"))
-    apart = model_pixels(model, aia.shape, varied.shape)
+    apart = model_pixels(model, aia.landmarks, varied.landmarks)
     if agree:
         assert apart < 0.01
         assert aia.cost == pytest.approx(varied.cost, rel=1e-3)
@@ -234,9 +237,9 @@ def test_an_image_of_nan_is_refused_by_name(pairs):
 
 
 def test_a_few_nan_pixels_cost_their_pixels_only(pairs, rng):
-    clean = train(pairs, diagonal=40.0, response="linear", variance=1.0)
+    clean = train(pairs, diagonal=40.0, camera=LINEAR, variance=1.0)
     pairs[1][0][rng.random(pairs[1][0].shape[:2]) < 0.01] = np.nan
-    model = train(pairs, diagonal=40.0, response="linear", variance=1.0)
+    model = train(pairs, diagonal=40.0, camera=LINEAR, variance=1.0)
     a, b = (m.levels[-1].appearances["log"] for m in (model, clean))
     assert 0.8 < a.usable.mean() / b.usable.mean() < 1.0
     everywhere = (a.usable == 1) & (b.usable == 1)
@@ -283,14 +286,14 @@ def test_identical_images_leave_no_modes(scenes):
 
 def test_pictures_of_one_object_are_left_out_together():
     names = [f"{person:02d}-{i}m" for person in range(4) for i in range(3)]
-    assert [fold.tolist() for fold in _folds(names)] == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
+    assert [fold.tolist() for fold in folds_of(names)] == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
     shuffled = ["anna1", "bob1", "carl1", "anna2", "bob2", "carl2"]
-    assert [fold.tolist() for fold in _folds(shuffled)] == [[0, 3], [1, 4], [2, 5]]
+    assert [fold.tolist() for fold in folds_of(shuffled)] == [[0, 3], [1, 4], [2, 5]]
 
 
 def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_folds():
-    assert [fold.tolist() for fold in _folds(["face1", "face2", "face3"])] == [[0], [1], [2]]
-    folds = _folds([f"face{i}" for i in range(50)])
+    assert [fold.tolist() for fold in folds_of(["face1", "face2", "face3"])] == [[0], [1], [2]]
+    folds = folds_of([f"face{i}" for i in range(50)])
     assert len(folds) == 5
     assert sorted(np.concatenate(folds)) == list(range(50))
 
@@ -298,7 +301,7 @@ def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_f
 def test_pictures_left_out_are_given_as_they_are(pairs, monkeypatch):
     """The fit itself takes vignetting off; twice would be once too often."""
     seen = []
-    monkeypatch.setattr("liaam.training.calibrate", lambda model, pictures: seen.extend(pictures))
+    monkeypatch.setattr("liaam.training.left_out.calibrate", lambda model, pictures: seen.extend(pictures))
     camera = CameraModel(response="linear", vignetting=(-0.3,))
     train(pairs, diagonal=40.0, camera=camera)
     assert len(seen) == len(pairs)
@@ -311,7 +314,7 @@ def test_pictures_left_out_are_given_as_they_are(pairs, monkeypatch):
 @pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth"])
 def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, monkeypatch, prior):
     seen = []
-    monkeypatch.setattr("liaam.training.calibrate", lambda model, pictures: seen.extend(pictures))
+    monkeypatch.setattr("liaam.training.left_out.calibrate", lambda model, pictures: seen.extend(pictures))
     options = {"diagonal": 40.0, "blurs": (1.0,), "prior": prior}
     model = train_on(scenes[:5], variance=3, leave_out=True, **options)
     assert len(model.views[SURROUNDINGS].shape_model.modes) == 3
@@ -323,7 +326,7 @@ def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, monke
 
 def test_modes_are_counted_by_evidence_of_shapes_and_appearances_alike(scenes, monkeypatch):
     seen = []
-    monkeypatch.setattr("liaam.training.calibrate", lambda model, pictures: seen.extend(pictures))
+    monkeypatch.setattr("liaam.training.left_out.calibrate", lambda model, pictures: seen.extend(pictures))
     options = {"diagonal": 40.0, "blurs": (1.0,)}
     model = train_on(scenes, variance="auto", leave_out=True, **options)
     for count in (len(model.shape_model.modes), model.views[SURROUNDINGS].levels[0].appearances["soft"].n_modes):
@@ -332,7 +335,7 @@ def test_modes_are_counted_by_evidence_of_shapes_and_appearances_alike(scenes, m
 
 
 def test_a_smooth_prior_knows_more_shapes_than_the_pictures_show(pairs):
-    options = {"diagonal": 40.0, "response": "linear", "blurs": (1.0,), "leave_out": False}
+    options = {"diagonal": 40.0, "camera": LINEAR, "blurs": (1.0,), "leave_out": False}
     sample, smooth = (train(pairs, prior=prior, **options) for prior in ("sample", "smooth"))
     assert len(sample.shape_model.modes) == 2
     assert len(smooth.shape_model.modes) > 5
@@ -367,7 +370,7 @@ def test_each_view_has_its_own_levels(pairs):
 
 
 def test_many_landmarks_have_no_smooth_deformations_unasked(pairs, monkeypatch):
-    monkeypatch.setattr("liaam.training.MOST_SMOOTH", len(pairs[0][1]) - 1)
+    monkeypatch.setattr("liaam.training.options.MOST_SMOOTH", len(pairs[0][1]) - 1)
     model = train(pairs, diagonal=40.0, blurs=(1.0,), leave_out=False)
     assert model.views[SURROUNDINGS].shape_model is model.shape_model
 
@@ -387,3 +390,12 @@ def test_landmarks_that_are_no_numbers_are_refused(pairs, bad):
 def test_landmarks_almost_on_a_line_are_refused(pairs, height):
     flat = [(image, points * [1, height] + [0, 50]) for image, points in pairs]
     refused(flat, "lie on one line or in one place, or almost so")
+
+
+def test_options_come_as_an_object_by_name_or_both(pairs):
+    options = TrainingOptions(diagonal=40.0, blurs=(1.0,), leave_out=False)
+    by_object = train(pairs, options)
+    by_name = train(pairs, diagonal=40.0, blurs=(1.0,), leave_out=False)
+    assert by_object.to_bytes() == by_name.to_bytes()
+    assert train(pairs, options, diagonal=50.0).diagonal == pytest.approx(50.0)
+    refused(pairs, "option 'size' does not exist; there are diagonal, variance", size=3)

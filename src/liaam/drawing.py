@@ -1,0 +1,129 @@
+"""Landmarks drawn on images: what results and figures have in common."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Contours = Sequence[tuple[Sequence[int], bool]]
+"""Lines between landmarks: their indices in order, and whether the line is closed."""
+
+LANDMARK, ELLIPSE = "#40ff8c", "#ffdc40"
+"""Colours of landmarks and of their ellipses."""
+
+
+def as_picture(image: np.ndarray) -> np.ndarray:
+    """Convert any image array to (h, w, 3) uint8 for display; floats range from 0 to 1, NaN becomes black."""
+    image = np.asarray(image)
+    if image.dtype == np.uint16:
+        image = image >> 8
+    if image.dtype.kind == "f":
+        image = (np.clip(np.nan_to_num(image), 0, 1) * 255).round()
+    image = image.astype(np.uint8)
+    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image
+
+
+def ellipses(points: np.ndarray, covariances: np.ndarray, share: float = 0.95, n: int = 32) -> np.ndarray:
+    """Outlines of the ellipses that contain a share of a Gaussian distribution around each point.
+
+    Parameters
+    ----------
+    points : (m, 2) float
+    covariances : (m, 2, 2) float
+    share : float
+    n : int
+        Points on each outline.
+
+    Returns
+    -------
+    (m, n, 2) float64
+    """
+    values, axes = np.linalg.eigh(np.nan_to_num(covariances))
+    # The squared Mahalanobis distance has a chi-squared distribution with two degrees of freedom.
+    radii = np.sqrt(-2.0 * np.log(1.0 - share) * np.maximum(values, 0.0))
+    turn = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return points[:, None] + np.einsum("mab,mb,nb->mna", axes, radii, circle)
+
+
+def plot_landmarks(
+    image: np.ndarray | None,
+    landmarks: np.ndarray,
+    *,
+    covariances: np.ndarray | None = None,
+    contours: Contours = (),
+    title: str = "",
+    ax: "Axes | None" = None,
+) -> "Axes":
+    """Draw landmarks, their contours and their 95 % ellipses with Matplotlib.
+
+    Parameters
+    ----------
+    image : (h, w, 3) or (h, w) array, optional
+        The background; white if None.
+    landmarks : (n, 2) float
+        Image pixels. Landmarks that are not finite are left out.
+    covariances : (n, 2, 2) float, optional
+        Image pixels squared.
+    contours : sequence of (indices, closed)
+    title : str
+    ax : matplotlib.axes.Axes, optional
+        A new figure is made if None.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+    """
+    ax = ax or new_axes()[1]
+    if image is None:
+        ax.set_aspect("equal")
+        ax.invert_yaxis()
+    else:
+        ax.imshow(as_picture(image))
+        ax.set_autoscale_on(False)
+    for indices, closed in contours:
+        line = landmarks[[*indices, indices[0]] if closed else list(indices)]
+        ax.plot(line[:, 0], line[:, 1], color=LANDMARK, lw=1.2)
+    ax.plot(landmarks[:, 0], landmarks[:, 1], "o", color=LANDMARK, mec="black", mew=0.4, ms=3.5)
+    if covariances is not None:
+        for outline in ellipses(landmarks, covariances):
+            ax.plot(*np.concatenate([outline, outline[:1]]).T, color=ELLIPSE, lw=0.8)
+    ax.set_title(title, fontsize=10)
+    ax.axis("off")
+    return ax
+
+
+def zoom_to(ax: "Axes", landmarks: np.ndarray, size: tuple[int, int], margin: float = 0.3) -> None:
+    """Limit the axes to the landmarks and a margin around them, within an image of a size (width, height)."""
+    finite = landmarks[np.isfinite(landmarks).all(axis=1)]
+    if not len(finite):
+        return
+    low, high = finite.min(axis=0), finite.max(axis=0)
+    pad = margin * float((high - low).max())
+    limits = np.array(size) - 1.0
+    low, high = np.clip(low - pad, 0.0, limits), np.clip(high + pad, 0.0, limits)
+    if (high - low >= 2.0).all():  # some of the object lies inside the image
+        ax.set_xlim(low[0], high[0])
+        ax.set_ylim(high[1], low[1])
+
+
+def new_axes() -> tuple["Figure", "Axes"]:
+    """Make a square figure with one pair of axes."""
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(figsize=(5.0, 5.0), layout="constrained")
+
+
+def png_bytes(figure: "Figure") -> bytes:
+    """Encode a figure as PNG, and close it."""
+    import matplotlib.pyplot as plt
+
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=100)
+    plt.close(figure)
+    return buffer.getvalue()

@@ -1,0 +1,7 @@
+"""Training: from landmarked images to an active appearance model."""
+
+from liaam.training.options import TrainingOptions
+from liaam.training.textures import sample_appearance
+from liaam.training.train import train
+
+__all__ = ["TrainingOptions", "sample_appearance", "train"]

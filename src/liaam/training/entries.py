@@ -1,0 +1,134 @@
+"""Training samples: their landmarks, contours and mesh, checked."""
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from liaam.errors import TrainingError
+from liaam.model.file import MAX_POINTS
+from liaam.model.mesh import (
+    FOLD_TOLERANCE,
+    ReferenceFrame,
+    delaunay,
+    folded_share,
+    signed_areas,
+    triangles_from_edges,
+)
+from liaam.model.shape import align
+
+FLATTEST = 0.05
+"""Least spread of the landmarks across, as a share of that along: the search's smallest frame has pixels then."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One training sample, checked: a name for messages, the image's reader, and its landmarks."""
+
+    name: str
+    read_image: Callable[[], np.ndarray]
+    points: np.ndarray
+
+
+def read_entries(data: Iterable, at_least: int = 3) -> tuple[list[Entry], tuple, np.ndarray]:
+    """Checked samples, the contours and the connectivity of the first that has any."""
+    entries: list[Entry] = []
+    contours: tuple = ()
+    if isinstance(data, (str, os.PathLike)) or not isinstance(data, Iterable):
+        raise TrainingError(f"{data!r} is not a set of landmarked images; for a folder give liaam.load_folder(folder)")
+    for i, item in enumerate(data):
+        entry, own = _entry(item, i)
+        if entries and len(entry.points) != len(entries[0].points):
+            raise TrainingError(
+                f"{entry.name} has {len(entry.points)} landmarks but {entries[0].name} has {len(entries[0].points)}; "
+                "every image needs the same points in the same order"
+            )
+        entries.append(entry)
+        contours = contours or own
+    if len(entries) < at_least:
+        raise TrainingError(
+            f"{len(entries)} landmarked images are too few to learn from; at least {at_least} are needed, "
+            "5 to 20 better"
+        )
+    return entries, contours, _edges(contours)
+
+
+def _entry(item, i: int) -> tuple[Entry, tuple]:
+    if hasattr(item, "landmarks"):
+        name, landmarks, read = item.name, item.landmarks, item.read_image
+    else:
+        try:
+            image, landmarks = item
+        except (TypeError, ValueError):
+            raise TrainingError(
+                f"training item {i + 1} is no (image, landmarks) pair; for a folder give liaam.load_folder(folder)"
+            ) from None
+        name = f"image {i + 1}"
+        read = lambda: image  # noqa: E731
+    try:
+        points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TrainingError(f"{name}: the landmarks are no numbers; give (n, 2) points") from None
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
+        raise TrainingError(f"{name}: landmarks of shape {points.shape} are not (n, 2) points with n of at least 3")
+    if len(points) > MAX_POINTS:
+        raise TrainingError(
+            f"{name}: {len(points)} landmarks are more than {MAX_POINTS}: leave some out of all pictures"
+        )
+    missing = ~np.isfinite(points).all(axis=1)
+    if missing.any():
+        which = ", ".join(str(j + 1) for j in np.flatnonzero(missing)[:5])
+        raise TrainingError(
+            f"{name}: {missing.sum()} of {len(points)} landmarks are missing (NaN; point {which} counting from 1); "
+            "place them or leave this image out"
+        )
+    if np.ptp(points, axis=0).max() < 2:
+        raise TrainingError(f"{name}: all landmarks lie within 2 pixels of each other; are they in pixels?")
+    contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
+    return Entry(name, read, points), contours
+
+
+def _edges(contours: tuple) -> np.ndarray:
+    pairs: list[tuple[int, int]] = []
+    for indices, closed in contours:
+        pairs += pairwise(indices)
+        if closed:
+            pairs.append((indices[-1], indices[0]))
+    return np.array(pairs, dtype=int).reshape(-1, 2)
+
+
+def check_flat(mean: np.ndarray) -> None:
+    """Refuse a shape so flat that hardly a pixel's centre lies inside it, least of all where the search looks."""
+    along, across = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)
+    if across < FLATTEST * along:
+        raise TrainingError(
+            f"the landmarks lie on one line or in one place, or almost so ({across / along:.1%} as wide as long, "
+            f"and {FLATTEST:.0%} are needed); check their order and units, or add some beside that line"
+        )
+
+
+def mesh_of(mean: np.ndarray, given: np.ndarray | None, edges: np.ndarray) -> np.ndarray:
+    """Triangles that were given, or of the landmark files' connectivity if it is a mesh, or Delaunay's."""
+    if given is None:
+        mesh = triangles_from_edges(mean, edges) if len(edges) else None
+        return delaunay(mean) if mesh is None else mesh
+    triangles = np.asarray(given)
+    right = triangles.ndim == 2 and triangles.shape[1] == 3 and triangles.dtype.kind in "iu" and len(triangles)
+    if not right or triangles.min() < 0 or triangles.max() >= len(mean):
+        raise TrainingError(f"triangles must be (t, 3) whole numbers from 0 to {len(mean) - 1}")
+    triangles = triangles.astype(np.int32)
+    # People's triangles come clockwise or not; what matters is that all agree.
+    return triangles[:, ::-1].copy() if (signed_areas(mean, triangles) < 0).mean() > 0.5 else triangles
+
+
+def check_fold(entry: Entry, frame: ReferenceFrame) -> None:
+    """Refuse landmarks that fold the mesh."""
+    upright = align(entry.points, frame.points)(entry.points)
+    share = folded_share(upright, frame.triangles)
+    if share > FOLD_TOLERANCE:
+        raise TrainingError(
+            f"{entry.name}: its landmarks fold the mesh ({share:.0%} of the area is turned over); "
+            "are its points in the same order as in the other images, and the image not mirrored?"
+        )

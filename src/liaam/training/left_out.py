@@ -1,0 +1,100 @@
+"""Images left out of training in turn and fitted, to calibrate how reliable fits are."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+from liaam.fitting.reliability import LeftOut, calibrate
+from liaam.lamps import Copies
+from liaam.model import (
+    AAM,
+    Level,
+    Reliability,
+)
+from liaam.model.appearance import (
+    train_appearance_model,
+)
+from liaam.model.pca import Variance
+from liaam.model.shape import Recipe, shape_model_on
+from liaam.photometry.encoding import as_colour
+from liaam.training.entries import Entry
+from liaam.training.steps import FITTED, Steps, learning_cost
+from liaam.training.textures import Sampled
+
+LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
+"""Models to train without some of the samples, and pictures to fit with them, at most."""
+
+
+def reliability_of(
+    model: AAM,
+    entries: list[Entry],
+    shapes: np.ndarray,
+    sampled: Sampled,
+    copied: Copies,
+    learnt: tuple[Recipe, Variance, Variance],
+    folds: list[np.ndarray],
+    steps: Steps,
+) -> Reliability | None:
+    """Fit models of some of the samples to others, as they are and relit, to learn what right and wrong fits look like.
+
+    Pictures whose names say that they show the same object are left out together: one would give the others away.
+    """
+
+    def pictures() -> Iterator[LeftOut]:
+        """Give some pictures of each fold with the model of the others, one model at a time."""
+        for i, fold in enumerate(folds):
+            steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(len(entries)))
+            part = _without(model, fold, shapes, sampled, learnt)
+            for j in fitted_of(fold, folds):
+                steps.next(f"fitting {entries[j].name}", FITTED)
+                image = as_colour(entries[j].read_image(), entries[j].name)
+                yield LeftOut(part, image, shapes[j])
+                for relit in copied.relit(j, image, shapes[j], model.response):
+                    yield LeftOut(part, relit, shapes[j], relit=True)
+
+    return calibrate(model, pictures())
+
+
+def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
+    """Pictures of a fold that are fitted when it is left out."""
+    each = max(1, LEFT_OUT_PICTURES // len(folds))
+    return fold[np.linspace(0, len(fold) - 1, min(each, len(fold))).astype(int)]
+
+
+def folds_of(names: list[str]) -> list[np.ndarray]:
+    """Samples to leave out together: by object, where names such as 07-1, 07-2 or anna1, anna2 tell."""
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        groups.setdefault(re.sub(r"([-_. ][^-_. /]*|\d+)$", "", re.sub(r"\.[A-Za-z]{2,4}\d?$", "", name)), []).append(i)
+    several = len(groups) >= 3 and max(map(len, groups.values())) <= len(names) / 2
+    members = list(groups.values()) if several else [[i] for i in range(len(names))]
+    parts = np.array_split(np.arange(len(members)), min(len(members), LEFT_OUT_FOLDS))
+    return [np.array(sorted(i for member in part for i in members[member])) for part in parts]
+
+
+def _without(
+    model: AAM,
+    fold: np.ndarray,
+    shapes: np.ndarray,
+    sampled: Sampled,
+    learnt: tuple[Recipe, Variance, Variance],
+) -> AAM:
+    """Model of all samples but a fold's, on the frame of the model of all, learnt in the same way.
+
+    ``learnt``: how the shapes of the view were learnt, and how much was asked for of shapes and of appearances.
+    """
+    recipe, variance, appearance_variance = learnt
+    others, name = np.setdiff1d(np.arange(len(shapes)), fold), METHODS[DEFAULT_METHOD].view
+    view, levels, rows = model.views[name], [], sampled.rows("soft", others)
+    for level, textures in zip(view.levels, sampled.textures["soft"], strict=True):
+        whole = level.appearances["soft"]
+        kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
+        part = train_appearance_model(textures, kept, rows, left_out=None)
+        # How far models err on what they have not seen, the folds of all have told.
+        levels.append(Level(level.blur, {"soft": replace(part, unexplained=whole.unexplained)}))
+    modes = len(view.shape_model.modes) if variance == "auto" else variance
+    part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)
+    return model.with_view(name, warp=replace(view.warp, shape_model=part), levels=tuple(levels))

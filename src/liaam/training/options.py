@@ -1,0 +1,151 @@
+"""Options of training: what they mean, their defaults, and which values are refused."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from liaam.errors import TrainingError
+from liaam.model import MESH, SURROUNDINGS
+from liaam.model.file import MAX_BLUR, MAX_DIAGONAL, MAX_LEVELS
+from liaam.model.pca import Variance, check_variance
+from liaam.model.shape import check_prior
+
+Blurs = tuple[float, ...]
+
+BLURS = {MESH: (3.0, 0.5), SURROUNDINGS: (4.0, 2.0, 1.0)}
+"""Blur of each view's levels from coarse to fine, standard deviation in pixels of the reference frame. Measured for the
+surroundings on unseen persons: three levels lose fewer fits than two, and a last blur of 1 pixel fewer than 0.5. These
+values apply to frames of :data:`FULL_SIZE` and more; in smaller frames they shrink in proportion."""
+
+FULL_SIZE, LEAST_BLUR = 150.0, 0.5
+"""Diagonal at which the blurs of the surroundings were measured, pixels, and the smallest blur of smaller frames. At a
+diagonal of 90 pixels faces are fitted to 1.8 % with a last blur of 0.6, and to 2.0 % with 1."""
+
+COPIES, MOST_COPIES = 3, 20
+"""Default and largest number of relit copies of each image."""
+
+KEPT = 0.85
+"""Default fraction of the variance kept by appearances of the surroundings. Their coordinates have a prior, and the
+variance that is left out counts as error: 0.85 is as accurate as 0.98 on IMM and under hard flashes, and faster."""
+
+MOST_SMOOTH = 200
+"""Largest number of landmarks for which the ``smooth`` prior is the default. It takes seconds for 200 landmarks, half a
+minute for 1000, and grows with the third power."""
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """How to train; each option has a default that suits most data.
+
+    Attributes
+    ----------
+    diagonal : float
+        Diagonal of the mean shape in the reference frame, pixels. Larger frames are finer and slower.
+    variance : float, int or "auto"
+        Fraction of the shapes' variance to keep, in (0, 1], or a number of modes. ``auto`` chooses the number of modes
+        under which left-out images are most likely.
+    appearance_variance : float, int, "auto" or mapping of views to these, optional
+        The same for appearances. Default: ``variance``, and at most :data:`KEPT` for the view ``surroundings``.
+    prior : {"sample", "smooth", "shrunk"} or mapping of views to these, optional
+        How the covariance of the shapes is estimated, for all views or by name of :data:`liaam.model.VIEWS`.
+        ``sample``: the sample covariance, as in the paper. ``smooth``: shrunk towards smooth deformations, with
+        mirrored shapes added, as far as this makes left-out shapes more likely. ``shrunk``: the sample modes with the
+        variances of left-out shapes. Default: ``sample`` for ``mesh``; for ``surroundings`` (method ``soft-li``)
+        ``smooth``, or ``sample`` if all of the variance is kept or there are more than 200 landmarks.
+    blurs : tuple of float or mapping of views to these, optional
+        Blur of the levels of a fit, from coarse to fine, pixels of the reference frame. Default: :data:`BLURS`.
+    triangles : (t, 3) int, optional
+        The mesh. Default: the connectivity of the landmark files if it is a mesh, else the Delaunay triangulation of
+        the mean shape.
+    copies : int, optional
+        Relit copies of each image that the default method, the search, ``varied`` and ``aia`` also learn from. Every
+        other copy is mirrored if the object is symmetric; without lamps there is one mirrored copy. There are fewer
+        copies of many images. Default: :data:`COPIES`, or 0 if all of the variance is kept.
+    leave_out : bool
+        Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
+        ``landmark_covariances``. This doubles the time of training.
+    """
+
+    diagonal: float = 150.0
+    variance: Variance = 0.98
+    appearance_variance: Variance | Mapping[str, Variance] | None = None
+    prior: str | Mapping[str, str] | None = None
+    blurs: Blurs | Mapping[str, Blurs] | None = None
+    triangles: np.ndarray | None = None
+    copies: int | None = None
+    leave_out: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse values that are out of range."""
+        for variance in (self.variance, *self.appearance_variances.values()):
+            check_variance(variance)
+        if not 16 <= self.diagonal <= MAX_DIAGONAL:
+            raise TrainingError(
+                f"diagonal {self.diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels"
+            )
+        for prior in self.priors(0).values():
+            check_prior(prior)
+        for view, blurs in self.blurs_by_view.items():
+            _check_blurs(view, blurs)
+        if not 0 <= self.n_copies <= MOST_COPIES:
+            raise TrainingError(f"copies {self.n_copies}: give 0 to {MOST_COPIES} relit copies of each image")
+
+    def changed(self, changes: Mapping[str, Any]) -> "TrainingOptions":
+        """Replace some of the options by name; unknown names are refused."""
+        known = [field.name for field in fields(self)]
+        for name in changes:
+            if name not in known:
+                raise TrainingError(f"option {name!r} does not exist; there are {', '.join(known)}")
+        return replace(self, **changes)
+
+    @property
+    def keeps_all(self) -> bool:
+        """Whether all of the variance is kept: a model of exactly the training images."""
+        return isinstance(self.variance, float) and self.variance == 1.0
+
+    @property
+    def appearance_variances(self) -> dict[str, Variance]:
+        """Fraction or number of appearance modes, by view."""
+        share = isinstance(self.variance, float) and self.variance < 1.0
+        usual = {MESH: self.variance, SURROUNDINGS: min(KEPT, self.variance) if share else self.variance}
+        return _by_view("appearance_variance", self.appearance_variance, usual)
+
+    @property
+    def blurs_by_view(self) -> dict[str, Blurs]:
+        """Blur of each level, by view."""
+        size = min(1.0, self.diagonal / FULL_SIZE)
+        usual = {**BLURS, SURROUNDINGS: tuple(max(LEAST_BLUR, size * blur) for blur in BLURS[SURROUNDINGS])}
+        return _by_view("blurs", self.blurs, usual)
+
+    def priors(self, n_points: int) -> dict[str, str]:
+        """Prior of the shapes by view, for a number of landmarks."""
+        smooth = not self.keeps_all and n_points <= MOST_SMOOTH
+        return _by_view("prior", self.prior, {MESH: "sample", SURROUNDINGS: "smooth" if smooth else "sample"})
+
+    @property
+    def n_copies(self) -> int:
+        """Relit copies of each image."""
+        return self.copies if self.copies is not None else 0 if self.keeps_all else COPIES
+
+
+def _by_view(option: str, given: Any, usual: Mapping[str, Any]) -> dict[str, Any]:
+    """Value of an option for each view: one for all, or by name with defaults for the others."""
+    if given is None:
+        return dict(usual)
+    if not isinstance(given, Mapping):
+        return dict.fromkeys(usual, given)
+    unknown = [view for view in given if view not in usual]
+    if unknown:
+        raise TrainingError(f"{option}: view {unknown[0]!r} does not exist; there are {', '.join(usual)}")
+    return {**usual, **given}
+
+
+def _check_blurs(view: str, blurs: Blurs) -> None:
+    falling = list(blurs) == sorted(blurs, reverse=True)
+    if not 1 <= len(blurs) <= MAX_LEVELS or not falling or not 0 <= blurs[-1] <= blurs[0] <= MAX_BLUR:
+        raise TrainingError(
+            f"blurs {blurs} of the view {view}: give 1 to {MAX_LEVELS} of 0 to {MAX_BLUR:g} pixels of the "
+            "reference frame, from coarse to fine"
+        )

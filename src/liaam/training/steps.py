@@ -1,0 +1,33 @@
+"""Progress of training, in units of about the same time."""
+
+from dataclasses import dataclass
+
+from liaam.progress import Progress
+
+FITTED = 6
+"""Time of fitting a left-out image, from near and far, in units of the time of sampling an image."""
+
+
+def learning_cost(n: int) -> int:
+    """Time of learning a level's appearances from n images, in units of the time of sampling one of them."""
+    return max(1, n // 10)
+
+
+def total_cost(n: int, n_levels: int, n_folds: int, n_fitted: int) -> int:
+    """Time of training on n images and copies, leaving out so many folds, in units of the time of sampling an image."""
+    return n + learning_cost(n) * (n_levels + n_folds) + FITTED * n_fitted
+
+
+@dataclass
+class Steps:
+    """Reports all steps of training on one scale."""
+
+    report: Progress | None
+    total: int
+    done: int = 0
+
+    def next(self, what: str, cost: int = 1) -> None:
+        """Report the next step and its cost, in units of the time of sampling an image."""
+        if self.report:
+            self.report(self.done, self.total, what)
+        self.done += cost

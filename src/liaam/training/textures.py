@@ -1,0 +1,182 @@
+"""Textures of all training images and of their relit copies, sampled on the reference frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.errors import TrainingError
+from liaam.fitting.methods import ENCODING_OF
+from liaam.lamps import Copies
+from liaam.model import (
+    AAM,
+    MESH,
+    SURROUNDINGS,
+)
+from liaam.model.appearance import (
+    CHANNELS,
+    COPIED_APPEARANCES,
+    Textures,
+)
+from liaam.model.sampling import make_patch, sample_texture
+from liaam.model.shape import align
+from liaam.model.warp import PiecewiseAffineWarp
+from liaam.photometry import Response, exposure_faults, invariant_row, is_grey
+from liaam.photometry.encoding import as_colour
+from liaam.training.entries import Entry
+from liaam.training.options import Blurs
+from liaam.training.steps import Steps
+
+SAMPLED = {MESH: ("value", "log", "orientation", "varied"), SURROUNDINGS: ("soft",)}
+"""Appearances of each view that pictures are sampled for; ``varied`` where there are relit copies."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Textures of all samples by appearance, one per blur.
+
+    Attributes
+    ----------
+    textures : dict of str to list of Textures
+    owners : (n_textures,) int
+        Which sample the textures of :data:`COPIED_APPEARANCES` are of: each sample's own, then those of its copies.
+    grey : bool
+        Whether all pictures are grey.
+    """
+
+    textures: dict[str, list[Textures]]
+    owners: np.ndarray
+    grey: bool
+
+    @property
+    def n_samples(self) -> int:
+        """Number of training images."""
+        return int(self.owners[-1]) + 1
+
+    @property
+    def copies(self) -> np.ndarray:
+        """Which textures of :data:`COPIED_APPEARANCES` are of copies, (n_textures,) bool."""
+        return np.diff(self.owners, prepend=-1) == 0
+
+    def rows(self, name: str, samples: np.ndarray) -> np.ndarray:
+        """Which textures of an appearance are of some samples."""
+        return np.flatnonzero(np.isin(self.owners, samples)) if name in COPIED_APPEARANCES else samples
+
+    def folds(self, name: str, folds: list[np.ndarray]) -> list[np.ndarray]:
+        """Textures of an appearance to leave out together, for samples to leave out together."""
+        return [self.rows(name, fold) for fold in folds]
+
+
+def sample_all(entries: list[Entry], model: AAM, blurs: dict[str, Blurs], steps: Steps, copied: Copies) -> Sampled:
+    """Sample the textures of all entries, and those of copies, at each blur of the views' levels."""
+    camera, owners = model.camera, copied.owners
+    view_of = {name: view for view, known in SAMPLED.items() for name in known if name != "varied" or copied.are_relit}
+    counts = {name: len(owners) if name in COPIED_APPEARANCES else len(entries) for name in view_of}
+    warps = {name: model.views[view].warp for name, view in view_of.items()}
+    room = {name: [_room(n, warps[name], name) for _ in blurs[view_of[name]]] for name, n in counts.items()}
+
+    def sample(image: np.ndarray, points: np.ndarray, name: str, row: int) -> None:
+        encoding = ENCODING_OF[name]
+        for (values, usable), blur in zip(room[name], blurs[view_of[name]], strict=True):
+            found = sample_appearance(image, points, warps[name], encoding, camera.response, blur)
+            values[row], usable[row] = _learnt(encoding, *found, camera.theta)
+
+    copied_names = [name for name in view_of if name in COPIED_APPEARANCES]
+    grey, first = [], np.searchsorted(owners, np.arange(len(entries)))
+    for i, entry in enumerate(entries):
+        steps.next(entry.name)
+        image = as_colour(entry.read_image(), entry.name)
+        _check_inside(entry, image)
+        grey.append(is_grey(image))
+        image = camera.flatten(image)
+        for name in view_of:
+            sample(image, entry.points, name, first[i] if name in COPIED_APPEARANCES else i)
+        made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
+        for row, (copy, points) in enumerate(made, first[i] + 1):
+            steps.next(f"a copy of {entry.name}")
+            for name in copied_names:
+                sample(copy, points, name, row)
+        _check_light(entry, image, model.warp.interpolate(entry.points), room["log"][-1][1][i])
+    if any(grey) and not all(grey):
+        name = entries[grey.index(True)].name
+        raise TrainingError(
+            f"{name} is grey (three equal channels) but others are in colour; leave the grey images out, "
+            "or make all grey"
+        )
+    textures = {name: [Textures.of(*each) for each in by_blur] for name, by_blur in room.items()}
+    return Sampled(textures, owners, all(grey))
+
+
+def _room(n: int, warp: PiecewiseAffineWarp, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Room for the values of n textures of an appearance, and for what is usable of them."""
+    shape = (n, warp.frame.n_pixels, CHANNELS[name])
+    # Of ``soft``, gradient and invariant are usable each for itself.
+    return np.empty(shape, np.float32), np.empty(shape if name == "soft" else shape[:2], np.float32)
+
+
+def _learnt(encoding: str, values: np.ndarray, usable: np.ndarray, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    """What is learnt of samples in an encoding, (n_pixels, c), and what is usable of it.
+
+    Of ``soft``, which is log RGB and how far it is known besides the gradient, the invariant is learnt.
+    """
+    if encoding != "soft":
+        return values[:, : CHANNELS[encoding]], usable
+    direction, log_rgb, known = np.split(values, [2, 5], axis=1)
+    rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=1)
+    return rows, np.column_stack([usable, usable, usable * (known[:, 0] > 0.99)])
+
+
+def sample_appearance(
+    image: np.ndarray,
+    shape: np.ndarray,
+    warp: PiecewiseAffineWarp,
+    encoding: str,
+    response: Response,
+    blur: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sample one image under its own landmarks on the reference frame.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, uint16 or float32
+    shape : (n, 2) float
+        Landmarks, image pixels.
+    warp : PiecewiseAffineWarp
+        Of the model.
+    encoding, response
+        See :func:`liaam.photometry.encode`.
+    blur : float
+        Pixels of the reference frame.
+
+    Returns
+    -------
+    values : (n_pixels, c) float32
+    usable : (n_pixels,) float32 in {0, 1}
+    """
+    pose = align(warp.rest, shape)
+    patch = make_patch(image, shape, pose, encoding=encoding, response=response, blur=blur, margin=0.1)
+    points = warp.interpolate(shape)
+    # Beyond the border the nearest pixel stands in, with weight 0.
+    border = np.clip(points, 0, np.array(image.shape[1::-1]) - 1.0)
+    values, usable = sample_texture(patch, border)
+    return values, usable * (border == points).all(axis=1)
+
+
+def _check_inside(entry: Entry, image: np.ndarray) -> None:
+    height, width = image.shape[:2]
+    outside = np.asarray(((entry.points < -0.5) | (entry.points > [width - 0.5, height - 0.5])).any(axis=1))
+    if outside.mean() > 0.1:
+        raise TrainingError(
+            f"{entry.name}: {outside.sum()} of {len(outside)} landmarks lie outside the image of {width}×{height} "
+            "pixels; do the landmarks belong to this image at this size?"
+        )
+
+
+def _check_light(entry: Entry, image: np.ndarray, points: np.ndarray, usable: np.ndarray) -> None:
+    if usable.mean() >= 0.2:
+        return
+    inside = np.clip(np.rint(points).astype(int), 0, np.array(image.shape[1::-1]) - 1)
+    dark, clipped = exposure_faults(image[inside[:, 1], inside[:, 0]])
+    raise TrainingError(
+        f"{entry.name}: the object is almost wholly {'black' if dark >= clipped else 'saturated'} there "
+        f"({usable.mean():.0%} of its pixels usable); leave this image out or expose it otherwise"
+    )

@@ -1,0 +1,124 @@
+"""Training: from landmarked images to an active appearance model."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+from liaam.lamps import Copies, Lamps, learn_lamps
+from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, make_view
+from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_model_on
+from liaam.photometry import CameraModel
+from liaam.progress import Progress
+from liaam.training.appearances import mesh_appearances, soft_appearance
+from liaam.training.entries import check_flat, check_fold, mesh_of, read_entries
+from liaam.training.left_out import fitted_of, folds_of, reliability_of
+from liaam.training.options import TrainingOptions
+from liaam.training.steps import Steps, learning_cost, total_cost
+from liaam.training.textures import sample_all
+
+
+def train(
+    data: Iterable,
+    options: TrainingOptions | None = None,
+    *,
+    camera: CameraModel | None = None,
+    lamps: Lamps | Iterable | None = None,
+    training_lamp: str | None = None,
+    name: str = "",
+    progress: Progress | None = None,
+    **changes: Any,
+) -> AAM:
+    """Train an active appearance model.
+
+    Parameters
+    ----------
+    data : Dataset, or iterable of Sample or (image, landmarks) pairs
+        Images are (h, w, 3) arrays; landmarks are (n, 2) arrays (x, y) or :class:`liaam.io.Landmarks`. All must have
+        the same number of points, in the same order.
+    options : TrainingOptions, optional
+        How to train. The defaults suit most data.
+    camera : CameraModel, optional
+        The training camera. Default: an angle of 122 degrees and sRGB.
+    lamps : Lamps, Dataset or iterable of Sample, optional
+        Lamps under which copies of the images are relit, or images of a few objects under several lamps to learn these
+        from (:func:`liaam.lamps.learn_lamps`).
+    training_lamp : str, optional
+        Which of the lamps in the images' names is the light of ``data``.
+    name : str
+        What the model shows.
+    progress : callable, optional
+        Called with (done, total, what) before each step and at the end, in units of about the same time.
+    **changes
+        Fields of :class:`TrainingOptions` that replace those of ``options``, such as ``diagonal=100``.
+
+    Returns
+    -------
+    AAM
+
+    Raises
+    ------
+    TrainingError
+        If there are fewer than 3 shapes, or shapes of different lengths, missing (NaN) or folded landmarks, black
+        images and the like. The message names the sample.
+    """
+    options = (options or TrainingOptions()).changed(changes)
+    camera = camera or CameraModel()
+    entries, contours, edges = read_entries(data)
+    shapes, folds = np.array([entry.points for entry in entries]), folds_of([entry.name for entry in entries])
+
+    priors = options.priors(shapes.shape[1])
+    mean = scaled_mean(shapes, options.diagonal)
+    recipes = {prior: choose_recipe(mean, shapes, prior, folds) for prior in dict.fromkeys(priors.values())}
+    learnt = {prior: shape_model_on(mean, shapes, options.variance, r, folds) for prior, r in recipes.items()}
+    check_flat(mean)
+    triangles = mesh_of(mean, options.triangles, edges)
+
+    copied = _copies(lamps, training_lamp, options.n_copies, mean, len(entries), camera)
+    model = AAM(
+        views={view: make_view(view, learnt[priors[view]], triangles) for view in VIEWS},
+        triangles=triangles,
+        camera=camera,
+        n_images=len(entries),
+        contours=contours,
+        name=name,
+        n_textures=len(copied.owners),
+    )
+    for entry in entries:
+        check_fold(entry, model.frame)
+
+    blurs, kept = options.blurs_by_view, options.appearance_variances
+    left_out = folds if options.leave_out else []
+    n_levels, n_fitted = sum(map(len, blurs.values())), sum(len(fitted_of(fold, folds)) for fold in left_out)
+    steps = Steps(progress, total_cost(len(copied.owners), n_levels, len(left_out), n_fitted))
+    sampled = sample_all(entries, model, blurs, steps, copied)
+    learn = {
+        MESH: lambda i: mesh_appearances(sampled, i, camera.theta, kept[MESH], folds),
+        SURROUNDINGS: lambda i: {"soft": soft_appearance(sampled, i, kept[SURROUNDINGS], folds)},
+    }
+    for view in VIEWS:
+        levels = []
+        for i, blur in enumerate(blurs[view]):
+            steps.next(f"appearance of the {view}", learning_cost(model.n_textures))
+            levels.append(Level(float(blur), learn[view](i)))
+        model = model.with_view(view, levels=tuple(levels))
+
+    if options.leave_out:
+        judged = METHODS[DEFAULT_METHOD].view
+        how = (recipes[priors[judged]], options.variance, kept[judged])
+        reliability = reliability_of(model, entries, shapes, sampled, copied, how, folds, steps)
+        model = model.with_view(judged, reliability=reliability)
+    steps.next("trained", 0)
+    return model
+
+
+def _copies(
+    lamps: Lamps | Iterable | None, training_lamp: str | None, each: int, mean: np.ndarray, n: int, camera: CameraModel
+) -> Copies:
+    """Copies to make of n images, under lamps that are given or learnt."""
+    if lamps is not None and not isinstance(lamps, Lamps):
+        lamps = learn_lamps(lamps, training_lamp, response=camera.response)
+    if lamps is not None:
+        lamps.check_landmarks(len(mean), "the pictures")
+    return Copies.of(lamps, n, each, mirror_order(mean) if each else None)

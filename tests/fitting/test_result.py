@@ -1,0 +1,92 @@
+"""What users do with a result: keep it as JSON, draw it, and look at it in a notebook."""
+
+import io
+import json
+
+import matplotlib
+import numpy as np
+import pytest
+from PIL import Image
+
+import liaam
+from liaam.errors import ImageError, MethodError
+from liaam.fitting import Fitter, fit_many
+from liaam.io import write_image
+from setups import disturb
+
+matplotlib.use("Agg")
+
+
+@pytest.fixture(scope="module")
+def image(lit_scene) -> np.ndarray:
+    return lit_scene.image
+
+
+@pytest.fixture(scope="module")
+def result(model, image, lit_scene) -> liaam.FitResult:
+    return liaam.fit(model, image, disturb(lit_scene.landmarks))
+
+
+def test_a_result_survives_json(result):
+    facts = json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    np.testing.assert_array_equal(facts["landmarks"], result.landmarks)
+    assert facts["status"] == str(result.status)
+    assert facts["method"] == "soft-li"
+    assert facts["quality"] is None  # the model was trained without leaving images out
+    assert facts["image"] is None  # an array has no name
+
+
+def test_what_is_not_a_number_becomes_none(model, image):
+    lost = liaam.fit(model, np.zeros_like(image), (10, 10, 60, 60))
+    json.dumps(lost.to_dict(), allow_nan=False)
+
+
+def test_a_result_draws_its_image_landmarks_and_ellipses(result, image):
+    ax = result.plot()
+    assert np.asarray(ax.images[0].get_array()).shape == image.shape
+    np.testing.assert_array_equal(np.transpose(ax.lines[len(result.contours)].get_data()), result.landmarks)
+    n_ellipses = len(ax.lines) - len(result.contours) - 1
+    assert n_ellipses == len(result.landmarks)
+    assert len(result.plot(ellipses=False).lines) == len(ax.lines) - n_ellipses
+    assert result.plot(ax=ax) is ax
+
+
+def test_a_notebook_shows_the_object(result):
+    with Image.open(io.BytesIO(result._repr_png_())) as shown:
+        pixels = np.asarray(shown.convert("RGB")).reshape(-1, 3)
+    assert ((pixels == [0x40, 0xFF, 0x8C]).all(axis=1)).any()  # landmarks are drawn
+
+
+def test_results_of_paths_know_their_image_and_others_keep_none(model, image, lit_scene, tmp_path):
+    path = tmp_path / "face.png"
+    write_image(path, (image * 255).astype(np.uint8))
+    start = disturb(lit_scene.landmarks)
+    fitter = Fitter(model)
+    by_path = fitter.fit(path, start)
+    assert by_path.to_dict()["image"] == "face.png"
+    assert by_path._repr_png_() is not None
+    by_array = fitter.fit(image, start)
+    assert by_array.image is None
+    assert by_array._repr_png_() is None
+    assert by_array.plot(image).images
+    assert not by_array.plot().images
+
+
+def test_fit_and_fit_many_take_what_a_fitter_takes(model, image, lit_scene):
+    start = disturb(lit_scene.landmarks)
+    settings = {"kernel": "reference", "restarts": False, "margin": 0.3, "max_iterations": 2}
+    one = liaam.fit(model, image, start, "li", **settings)
+    (many,) = fit_many(model, [image], start, "li", **settings)
+    np.testing.assert_array_equal(one.landmarks, many.landmarks)
+    np.testing.assert_array_equal(one.landmarks, Fitter.of(model, "li", **settings).fit(image, start).landmarks)
+    with pytest.raises(MethodError, match="option 'iterations' does not exist; there are max_iterations"):
+        liaam.fit(model, image, start, iterations=2)
+
+
+def test_a_result_whose_image_has_gone_says_so(model, image, lit_scene, tmp_path):
+    path = tmp_path / "face.png"
+    write_image(path, (image * 255).astype(np.uint8))
+    result = Fitter(model).fit(path, disturb(lit_scene.landmarks))
+    path.unlink()
+    with pytest.raises(ImageError, match=r"face\.png"):
+        result.plot()
