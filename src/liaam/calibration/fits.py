@@ -63,8 +63,10 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
 def _huber_location(values: np.ndarray) -> tuple[float, float]:
     """Huber's estimate of location and its standard error."""
     centre = float(np.median(values))
-    # Never far below the deviation: of a few values more than half may be equal by chance.
-    scale = max(1.4826 * float(np.median(np.abs(values - centre))), 0.2 * float(values.std()), 1e-9)
+    # The median deviation may be 0, since half of a few values can be equal. The mean deviation bounds it from
+    # below; the standard deviation would let a single outlier widen the scale.
+    deviations = np.abs(values - centre)
+    scale = max(1.4826 * float(np.median(deviations)), 0.25 * float(deviations.mean()), 1e-9)
     for _ in range(50):
         moved = float(np.clip((values - centre) / scale, -HUBER, HUBER).mean() * scale)
         centre += moved
