@@ -30,6 +30,7 @@ from liaam.datasets import Sample
 from liaam.evaluation import error_statistics, or_dash, point_error
 from liaam.fitting import Fitter
 from liaam.io import Landmarks
+from liaam.photometry import CameraModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -132,7 +133,7 @@ def get_fitters(data: Path | None, solver: str) -> dict[str, Fitter]:
     subject = get_subject(data)
     model = get_solver(solver).train(
         subject.pairs,
-        theta=PAPER_THETA,
+        camera=CameraModel(theta=PAPER_THETA),
         lamps=[shown for i in range(0, len(subject.pairs), 2) for shown in in_shadow(subject, i)],
         training_lamp="even",
         copies=COPIES,

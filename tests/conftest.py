@@ -1,8 +1,10 @@
 """Fixtures shared by all tests: seeds from test names, a simulated world with known truth, and real data."""
 
+import fcntl
 import os
 import sys
 import zlib
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -32,7 +34,7 @@ from liaam.datasets.scenes import (
 )
 from liaam.io import Landmarks, video_writer
 from liaam.lamps import Lamps, learn_lamps
-from liaam.model import AAM, SURROUNDINGS
+from liaam.model import AAM, SURROUNDINGS, load_model
 from liaam.training import train
 from setups import MOVING_FRAMES, between, moving_scene, train_on
 
@@ -108,15 +110,33 @@ def lamps() -> Lamps:
 
 
 @pytest.fixture(scope="session")
-def model(scenes, lamps) -> AAM:
-    """Give a small model (diagonal 80) of the scenes, with all appearances that there are."""
-    return train_on(scenes, diagonal=80.0, lamps=lamps)
+def trained_once(tmp_path_factory, testrun_uid) -> Callable[[str, Callable[[], AAM]], AAM]:
+    """Train a model once for all workers: the first that needs it trains, the others wait and read its file."""
+    folder = tmp_path_factory.getbasetemp()
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+    def model_of(name: str, make: Callable[[], AAM]) -> AAM:
+        path = folder / f"{name}-{testrun_uid}.liaam"
+        with open(path.with_suffix(".lock"), "w") as lock:  # noqa: PTH123 (held while training)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                make().save(path)
+        return load_model(path)
+
+    return model_of
 
 
 @pytest.fixture(scope="session")
-def fine_model(scenes) -> AAM:
+def model(trained_once, request) -> AAM:
+    """Give a small model (diagonal 80) of the scenes, with all appearances that there are."""
+    needed = request.getfixturevalue
+    return trained_once("small", lambda: train_on(needed("scenes"), diagonal=80.0, lamps=needed("lamps")))
+
+
+@pytest.fixture(scope="session")
+def fine_model(trained_once, scenes) -> AAM:
     """Give a model (diagonal 150) of the scenes that keeps all modes."""
-    return train_on(scenes, diagonal=150.0, variance=1.0)
+    return trained_once("fine", lambda: train_on(scenes, diagonal=150.0, variance=1.0))
 
 
 @pytest.fixture(scope="session")
@@ -126,8 +146,12 @@ def moving() -> list[Scene]:
 
 
 @pytest.fixture(scope="session")
-def head_model() -> AAM:
-    """Give a small model of the head that moves, which has learnt how far its fits can be trusted."""
+def head_model(trained_once) -> AAM:
+    """Give a small model of the head that moves, with calibrated reliability."""
+    return trained_once("head", _head_model)
+
+
+def _head_model() -> AAM:
     scenes = [*make_set(8, Head(5), size=(160, 120)), *(moving_scene(time) for time in (0.03, 0.27, 0.53, 0.78))]
     # As blurred as a large frame's: what is asked of tracks was measured with such fits' noise.
     blurs = {SURROUNDINGS: (4.0, 2.0, 1.0)}

@@ -7,6 +7,7 @@ import liaam
 from liaam.fitting import Finder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("folder", "training", "test", "limit"),
     [

@@ -66,6 +66,7 @@ def test_planes_under_other_lights_are_aligned(camera):
     assert np.median(errors) < 0.1
 
 
+@pytest.mark.slow
 def test_the_invariant_with_its_angle_inside_aligns_where_grey_values_do_not():
     errors = {"li": [], "grey": []}
     for seed in range(5):
@@ -82,6 +83,7 @@ def test_the_angle_is_found_along_with_the_homography():
     assert abs(found.theta - camera.theta("wien")) < np.deg2rad(2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cat", "owl", "rock"])
 def test_real_objects_under_other_directions_of_light_are_aligned(shared_data, name):
     import cv2
@@ -113,6 +115,7 @@ def test_a_smaller_group_of_warps_stays_within_it(group):
         np.testing.assert_allclose(found.homography[:2, :2], np.eye(2), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_large_pictures_are_reduced_and_still_aligned():
     size = (600, 800)
     a, b, truth = plane(3, Camera(), size)
@@ -136,6 +139,7 @@ def test_the_second_picture_is_brought_into_the_frame_of_the_first():
     assert mask.dtype == bool and 0.8 < mask.mean() <= 1
 
 
+@pytest.mark.slow
 def test_errors_of_corners_are_of_the_size_that_is_stated():
     ratios = []
     for seed in range(6):

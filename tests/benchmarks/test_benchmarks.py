@@ -7,6 +7,8 @@ import pytest
 from benchmarks import batch, fit, iteration, many, relight, search, track
 from experiments.relit import lit_pairs
 
+pytestmark = pytest.mark.slow
+
 SMALL = (160, 120)
 
 

@@ -175,6 +175,7 @@ def test_portraits_are_not_trusted_because_skin_lies_on_a_line():
         assert "lie on a line" in found.message
 
 
+@pytest.mark.slow
 def test_nine_tenths_of_the_trusted_angles_are_right():
     # The whole study has 1,260 pictures: 98 % of the trusted are right to 5 degrees, and 55 % of the posters'.
     cases = [(seed, Camera(peaks_nm=(590 + 3 * seed, 540, 450 + 2 * seed))) for seed in range(7)]

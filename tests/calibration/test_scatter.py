@@ -56,6 +56,7 @@ def test_the_angle_is_found_through_noise_and_its_interval_holds_it(kind, sigma,
     assert all(e.light_change > 0.3 for e in found)
 
 
+@pytest.mark.slow
 def test_the_standard_error_is_that_of_the_errors():
     found = [estimate("pair", seed, 8.0) for seed in range(25)]
     errors = np.array([e.theta - TRUTH for e in found])

@@ -124,6 +124,7 @@ def test_what_cannot_be_told_is_not_written(run, folder, tmp_path):
     assert not path.exists()
 
 
+@pytest.mark.slow
 def test_faces_pool_their_angles(run, tmp_path):
     camera = Camera(widths_nm=(0, 0, 0))
     for i, scene in enumerate(make_set(6, head=Head(5), camera=camera, size=(200, 150))):

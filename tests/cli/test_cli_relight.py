@@ -42,6 +42,7 @@ def test_flat_is_what_one_gets_without_a_light(relight, files, tmp_path):
     assert errors[1] < 0.5 * errors[0]
 
 
+@pytest.mark.slow
 def test_a_lamp_and_another_picture(relight, files, tmp_path):
     mask = moving_scene(0.3).mask
     y, x = np.nonzero(mask)

@@ -227,6 +227,7 @@ def test_ctrl_c_leaves_what_was_done_of_a_long_video(run, model_file, clip, tmp_
     assert [path.name for path in tmp_path.iterdir()] == ["t.csv"]
 
 
+@pytest.mark.slow
 def test_processes_write_the_same_file(run, model_file, clip, tmp_path, in_stretches):
     for jobs in (1, 2):
         assert run("track", model_file, clip, "-o", tmp_path / f"{jobs}.csv", "-j", jobs)[0] == 0

@@ -11,6 +11,8 @@ from liaam.errors import LiaamError, MethodError
 from liaam.workers import one_thread
 from setups import write_person
 
+pytestmark = pytest.mark.slow
+
 PERSONS, AFTER = 5, (3, 4)
 
 

@@ -9,6 +9,8 @@ from liaam.errors import LiaamError
 from liaam.model.shape import align, diagonal_of
 from setups import copy_files
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("unseen", [False, True])
 def test_the_peers_folds(small, unseen):

@@ -13,6 +13,8 @@ from liaam.io import write_image, write_landmarks
 from liaam.model.shape import diagonal_of
 from setups import copy_files
 
+pytestmark = pytest.mark.slow
+
 METHODS = ("rgb", "li")
 
 MODULES = {"generic": generic, "peer": peer, "basin": basin, "occlusion": occlusion, "unchanged": unchanged}

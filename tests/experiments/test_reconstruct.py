@@ -12,6 +12,8 @@ from liaam.errors import MethodError
 from liaam.io import write_image, write_landmarks
 from setups import write_person
 
+pytestmark = pytest.mark.slow
+
 FILES = {"results.csv", "summary.json", "report.md", "figure.png", "figure.svg"}
 
 

@@ -10,6 +10,8 @@ from experiments.claims import CLAIMS
 from experiments.reproduce import VARIANTS, Size, plan, reproduce
 from liaam.errors import LiaamError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def tiny():

@@ -13,6 +13,8 @@ from experiments.simulated import angle_error, get_fitters, make_case, run_trial
 from experiments.subjects import get_subject
 from liaam.errors import LiaamError, MethodError
 
+pytestmark = pytest.mark.slow
+
 LIGHT_INVARIANT = ("li", "li-lit", "li-pc", "li-pcs")
 
 

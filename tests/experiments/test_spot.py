@@ -11,6 +11,8 @@ from experiments.spot import EYES, disturbed_start, find_persons, spot_experimen
 from liaam.errors import LiaamError, MethodError
 from setups import write_person
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def persons_folder(tmp_path_factory):

@@ -9,6 +9,8 @@ from experiments import cli, protocol, uncertainty
 from experiments.runner import run_experiment
 from liaam.evaluation import roc_area
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def finished(folder, tmp_path_factory):

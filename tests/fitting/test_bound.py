@@ -158,6 +158,7 @@ def test_least_squares_under_white_noise_reaches_it(subject, sharp, method, sigm
     assert root_mean_square(errors) == pytest.approx(root_mean_square(bounds), rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gamma", [0.0, 4.0])
 @pytest.mark.parametrize("sigma_n", [5.0, 10.0])
 def test_noise_weights_bring_li_near_it_under_a_shadow(subject, sharp, gamma, sigma_n):

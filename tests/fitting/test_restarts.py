@@ -27,6 +27,7 @@ def both(judged, lit_scene):
     return [[Fitter(judged, restarts=on).fit(lit_scene.image, start) for start in starts] for on in (False, True)]
 
 
+@pytest.mark.slow
 def test_fits_from_far_starts_are_saved(judged, lit_scene, both):
     once, again = ([model_pixels(judged, fit.landmarks, lit_scene.landmarks) for fit in fits] for fits in both)
     lost = np.array(once) > 3.0

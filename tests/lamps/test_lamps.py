@@ -240,6 +240,7 @@ def trained(lamps):
     return [train(shown, diagonal=60.0, leave_out=False, lamps=own, copies=n) for own, n in ((None, 0), (lamps, 3))]
 
 
+@pytest.mark.slow
 def test_a_model_that_has_learnt_the_light_fits_better_under_it(trained):
     errors = []
     for model in trained:

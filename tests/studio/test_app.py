@@ -120,6 +120,7 @@ def test_a_template_is_read_from_a_file(folder, serve):
     assert client.post("/api/template/file?name=x.exe", content=b"MZ").status_code == 422
 
 
+@pytest.mark.slow
 def test_training_runs_and_is_told(folder, serve, listen):
     running = serve(folder(5, 4))
     client, page = running.client, listen(running)
@@ -336,6 +337,7 @@ def test_what_was_saved_survives_a_kill(folder, command, serve):
     np.testing.assert_array_equal(read_landmarks(home / "p1.ljson").points[2], [3, 4])
 
 
+@pytest.mark.slow
 def test_a_training_ends_with_a_server_that_is_killed(folder, command):
     import psutil
 
@@ -355,6 +357,7 @@ def test_a_training_ends_with_a_server_that_is_killed(folder, command):
     assert not psutil.wait_procs(children, timeout=60)[1]
 
 
+@pytest.mark.slow
 def test_a_second_studio_on_a_folder_is_told_where_the_first_is(folder, command):
     home = folder(1)
     first = command(home, "--port", "0")

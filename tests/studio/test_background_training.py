@@ -25,6 +25,8 @@ from liaam.studio.safety import Refusal
 from liaam.studio.training import Trainer
 from liaam.studio.training_process import proposal_of
 
+pytestmark = pytest.mark.slow
+
 
 class Told:
     """What was published, and a way to wait for it."""

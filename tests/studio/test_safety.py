@@ -532,6 +532,7 @@ CLEAR = {200, 201, 303, 307, 400, 401, 403, 404, 405, 409, 413, 415, 416, 421, 4
 """Statuses that malformed requests may get; some of them are good requests."""
 
 
+@pytest.mark.slow
 def test_malformed_requests_are_refused_and_the_server_stays_up(running, home, rng, caplog):
     running.client.put("/api/template", json=TEMPLATE)
     before = snapshot(home.parent)

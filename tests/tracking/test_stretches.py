@@ -65,6 +65,7 @@ def test_a_video_of_unknown_length_is_one_stretch():
     assert cut(3, None, None) == [Stretch(0, 3, None)]
 
 
+@pytest.mark.slow
 def test_stretches_say_what_one_tracker_says(job, followed):
     found = frames_of(parts(job))
     assert [frame.index for frame in found] == list(range(len(followed)))
@@ -74,6 +75,7 @@ def test_stretches_say_what_one_tracker_says(job, followed):
     assert away.max() < 0.01 * diagonal_of(followed[0].landmarks)
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_numbers(job):
     alone, beside = parts(job), parts(job, jobs=2)
     for a, b in zip(frames_of(alone), frames_of(beside), strict=True):

@@ -341,7 +341,8 @@ def weigh_by_loss(
     some = np.sort(sizes[counts & np.isfinite(sizes)])
     middle = some[len(some) // 2] if len(some) else 0.0
     scale = max(middle / gaussian_median, 1.0 if learnt else 1e-9)
-    robust = np.where(np.isfinite(sizes), loss_weights(loss, np.nan_to_num(sizes) / scale), 0.0)
+    finite = np.isfinite(sizes)
+    robust = np.where(finite, loss_weights(loss, np.where(finite, sizes, 0.0) / scale), 0.0)
     if learnt:
         robust = robust / np.sqrt(errors + 1e-12)
         robust = robust / robust[counts].mean()

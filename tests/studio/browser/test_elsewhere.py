@@ -9,6 +9,8 @@ from people import client, drag, open_picture, opened, picture, points_of, saved
 
 from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
 
+pytestmark = pytest.mark.slow
+
 NAMES = [f"portrait-{i + 1:02d}.png" for i in range(3)]
 
 

@@ -10,6 +10,8 @@ from people import shoot, wait_for
 from liaam.io import read_landmarks, write_image, write_landmarks
 from liaam.training import train
 
+pytestmark = pytest.mark.slow
+
 DROP = """([data, name]) => {
   const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
   const transfer = new DataTransfer();

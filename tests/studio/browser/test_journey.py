@@ -21,6 +21,8 @@ from people import (
 
 from liaam.io import read_image, read_landmarks, write_image
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_new_folder_becomes_a_model_and_a_picture_without_its_shading(
     serve, page, folder, portraits, lit_portrait, artefacts, tmp_path
