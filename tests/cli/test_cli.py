@@ -213,7 +213,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{portraits}", "-o", "m", "--theta", "2.13"), "in degrees"),
         (("train", "{portraits}", "-o", "m", "--images", "face0*"), "too few"),
         (("info", "{missing}"), "does not exist; make one with 'liaam train"),
-        (("info", "{image}"), "no complete liaam model"),
+        (("info", "{image}"), "not a complete liaam model"),
         (("show", "{model}", "-o", "x.gif"), "ends in .png, .svg or .pdf"),
         (("fit", "{model}", "{missing}.png", "--init", "1,2,3,4"), "missing"),
         (("fit", "{model}", "{image}", "--init", "nowhere.pts"), "no such file"),

@@ -191,7 +191,7 @@ def test_a_file_cut_short_is_refused(tiny_file, tmp_path, share):
     whole = tiny_file.read_bytes()
     path = tmp_path / "cut.liaam"
     path.write_bytes(whole[: int(share * len(whole))])
-    assert_refused(path, "cut short")
+    assert_refused(path, "truncated")
 
 
 @FILE
@@ -199,7 +199,7 @@ def test_a_file_cut_short_is_refused(tiny_file, tmp_path, share):
 def test_random_bytes_are_refused(tmp_path, junk):
     path = tmp_path / "junk.liaam"
     path.write_bytes(junk)
-    assert_refused(path, "no complete liaam model|is no liaam model")
+    assert_refused(path, "not a complete liaam model|is not a liaam model")
 
 
 @FILE
@@ -221,7 +221,7 @@ def test_a_damaged_file_is_refused_or_whole(tiny_file, tmp_path, data):
 def test_a_safetensors_file_of_another_kind_is_refused(tmp_path):
     path = tmp_path / "other.safetensors"
     path.write_bytes(save({"weights": np.zeros(4)}))
-    assert_refused(path, "is no liaam model")
+    assert_refused(path, "is not a liaam model")
 
 
 @pytest.mark.parametrize("schema", [0, 1, 2, 99, None, "3"])
@@ -441,8 +441,8 @@ def empty_view(header, tensors):
 
 
 FORGERIES = [
-    (many_shape_modes, "60000 shape modes of 4 landmarks"),
-    (many_appearance_modes, "0/log has 5 modes, of 4 at most"),
+    (many_shape_modes, "60000 shape modes are too many for 4 landmarks"),
+    (many_appearance_modes, "0/log has 5 modes; the maximum is 4"),
     (huge_shape_modes, "shape.modes are not orthonormal"),
     (rigid_shape_modes, "shape.modes are not orthonormal"),
     (huge_appearance_modes, "0/log.modes are not of unit length"),
@@ -450,35 +450,35 @@ FORGERIES = [
     (flat, "the mesh is flat"),
     (flat_surroundings_first, "the mesh is flat"),
     (sliver, "contradicts itself"),
-    (empty, "the mesh does not belong"),
-    (large_frame, "does not match its pixels"),
-    (no_pixels, "0 is no count"),
+    (empty, "the mesh does not match the landmarks"),
+    (large_frame, "reference frame of view mesh does not match its number of pixels"),
+    (no_pixels, "0 is not a positive integer"),
     (huge_number, "contradicts itself"),
     (wide_blur, "blurs"),
     (odd_camera, r"camera \[1\]"),
     (odd_views, "there is no view mesh"),
     (odd_view, r"view surroundings is described by \[1\]"),
-    (other_view, "view 'ears' is not known; there are mesh, surroundings"),
+    (other_view, "view 'ears' is unknown; the views are mesh, surroundings"),
     (no_mesh, "there is no view mesh"),
-    (empty_view, "an appearance is missing"),
-    (grown, "reference frame of"),
-    (holed, "0/log.mean has values that are not numbers"),
+    (empty_view, "view surroundings lacks an appearance"),
+    (grown, "diagonal of the reference frame is not between 8 and 2000 pixels"),
+    (holed, "0/log.mean has values that are not finite"),
     (other_type, "shape.modes has type float32"),
     (other_shape, "0/log.modes has type"),
     (other_covariance, "0/log.unexplained has type"),
     (lost, "0/value.usable"),
-    (lost_appearance, "an appearance is missing"),
-    (beyond, "the mesh does not belong to the landmarks"),
-    (negative, "the mesh does not belong to the landmarks"),
+    (lost_appearance, "view mesh lacks an appearance"),
+    (beyond, "the mesh does not match the landmarks"),
+    (negative, "the mesh does not match the landmarks"),
     (turned_over, "folded"),
     (contour_beyond, "names a landmark that does not exist"),
     (infinite_contour, "infinity"),
     (no_level, "blurs"),
-    (missing_level, "an appearance is missing"),
+    (missing_level, "view mesh lacks an appearance"),
     (many_levels, "blurs"),
     (endless_blur, "not a finite number"),
     (no_theta, "not a finite number"),
-    (odd_response, "'film' is not known"),
+    (odd_response, "'film' is unknown"),
     (absurd_response, "1e30"),
     (many_images, "infinity"),
     (other_pixels, "0/soft.modes has type float32 and shape"),
@@ -519,7 +519,7 @@ def test_an_unforged_model_is_not_refused(tiny_file, tmp_path):
 def test_a_header_that_is_no_header_is_refused(tmp_path, text):
     path = tmp_path / "forged.liaam"
     path.write_bytes(save({"mean": np.zeros((3, 2))}, {"liaam": text}))
-    assert_refused(path, "is no liaam model")
+    assert_refused(path, "is not a liaam model")
 
 
 @pytest.mark.parametrize("dtype", ["BF16", "F8_E4M3"])

@@ -1,6 +1,6 @@
-"""The model: shapes, mesh, warp, appearances, the views made of them, and the file that holds all.
+"""The model: shapes, mesh, warp, appearances, the views that combine them, and the model file.
 
-:class:`AAM` is the whole; a :class:`View` of it is what a method fits with.
+:class:`AAM` is the whole model. A method fits with one :class:`View` of it.
 """
 
 from liaam.model.aam import AAM, load_model

@@ -21,7 +21,7 @@ class AAM:
     Attributes
     ----------
     views : dict of str to View
-        By name of :data:`VIEWS`; a method says which it fits with. ``mesh`` is always there.
+        Views by name, keys of :data:`VIEWS`. ``mesh`` is always present.
     triangles : (t, 3) int32
         The mesh.
     camera : CameraModel
@@ -31,9 +31,9 @@ class AAM:
     contours : tuple of (indices, closed)
         Lines between landmarks, for drawing.
     name : str
-        What the model was trained on, for people.
+        Description of the training data, for display.
     n_textures : int
-        Training images and relit copies of them, together; 0 where there are none of these.
+        Number of training images and relit copies together; 0 without relit copies.
     """
 
     views: dict[str, View]
@@ -48,7 +48,7 @@ class AAM:
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
 
     def with_view(self, name: str, **changes) -> "AAM":
-        """Give the same model with some fields of a view changed."""
+        """Return a copy of the model with some fields of a view changed."""
         return replace(self, views={**self.views, name: replace(self.views[name], **changes)})
 
     @property
@@ -63,7 +63,7 @@ class AAM:
 
     @property
     def shape_model(self) -> ShapeModel:
-        """Shapes of the view ``mesh``."""
+        """Shape model of the view ``mesh``."""
         return self.views[MESH].shape_model
 
     @property
@@ -73,7 +73,7 @@ class AAM:
 
     @property
     def frame(self) -> ReferenceFrame:
-        """Pixels of the mean shape."""
+        """Reference frame of the view ``mesh``."""
         return self.warp.frame
 
     @property
@@ -98,7 +98,7 @@ class AAM:
 
     @property
     def is_colour(self) -> bool:
-        """Whether the model was trained on colour pictures."""
+        """Whether the model was trained on colour images."""
         return "invariant" in self.levels[-1].appearances
 
     def save(self, path: str | os.PathLike) -> None:
@@ -114,16 +114,16 @@ class AAM:
         write_bytes_atomically(path, self.to_bytes(), ModelFileError)
 
     def to_bytes(self) -> bytes:
-        """What a model file holds."""
+        """Return the content of a model file."""
         return file_bytes(self)
 
 
 def load_model(path: str | os.PathLike) -> AAM:
-    """Read a model file, checking all of it. Nothing in the file is ever run.
+    """Read and validate a model file. No code in the file is executed.
 
     Raises
     ------
     ModelFileError
-        If the file is missing, cut short, forged, of another version, or no liaam model.
+        If the file is missing, truncated, inconsistent, of another version, or not a liaam model.
     """
     return AAM(**read_fields(path))

@@ -16,21 +16,21 @@ from liaam.model.pca import (
 )
 
 CHANNELS = {"value": 3, "log": 3, "orientation": 2, "soft": 3, "invariant": 1, "varied": 3, "illumination": 3}
-"""Appearances a model may hold, and their channels.
+"""Appearances that a model can contain, and their numbers of channels.
 
-``value``, ``log`` and ``orientation``: in the encoding of that name. ``soft``: the two components of the softly
-normalised gradient and L(theta) . log RGB. ``invariant``: L(theta) . log RGB, projected before the PCA (the paper's
-LIT). ``varied``: values of the pictures and of their relit copies in one PCA (training with lighting variation, the
-paper's [11]). ``illumination``: what those copies show that ``value`` cannot explain, as modes to be added to it (the
-illumination basis of AIA, the paper's [6]).
+- ``value``, ``log``, ``orientation``: in the encoding of that name.
+- ``soft``: the two components of the softly normalised gradient, and L(theta) . log RGB.
+- ``invariant``: L(theta) . log RGB, projected before the PCA (the paper's LIT).
+- ``varied``: values of the images and of their relit copies in one PCA (the paper's [11]).
+- ``illumination``: additional modes for the part of the relit copies that ``value`` does not explain (the illumination
+  basis of AIA, the paper's [6]).
 """
 
 APPEARANCES = tuple(name for name in CHANNELS if name != "illumination")
-"""Those that a method can be compared with on their own."""
+"""Appearances that a method can compare an image with."""
 
 COPIED_APPEARANCES = ("orientation", "soft", "varied", "illumination")
-"""Those learnt from copies of the training pictures, too: of the search, of the default method, and of the references
-that learn what light does. The others belong to methods that learn from pictures as they are."""
+"""Appearances learnt from the training images and their relit copies. The others are learnt from the images only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +46,9 @@ class AppearanceModel:
     eigenvalues : (m,) float64
         Variance along each mode.
     usable : (n_pixels,) float32
-        Share of training images in which the pixel was usable, 0 to 1: its weight in a fit.
+        Fraction of training images in which the pixel was usable, 0 to 1: its weight in a fit.
     unexplained : (n_pixels, c, c) float32, optional
-        Covariance of what the modes of the other training images leave of each image (leave one out): how
-        far the model errs at each pixel on a picture it has not seen.
+        Covariance of the leave-one-out residuals at each pixel: the model's error on unseen images.
     """
 
     mean: np.ndarray
@@ -60,11 +59,11 @@ class AppearanceModel:
 
     @property
     def n_modes(self) -> int:
-        """Number of modes kept."""
+        """Number of modes."""
         return len(self.modes)
 
     def at(self, kept: np.ndarray) -> "AppearanceModel":
-        """Give the same appearances at some pixels only, by their numbers; modes are no longer of unit length."""
+        """Return the appearances at the pixels with the given indices; the modes lose their unit length."""
         unexplained = None if self.unexplained is None else self.unexplained[kept]
         return AppearanceModel(
             self.mean[kept],
@@ -75,25 +74,25 @@ class AppearanceModel:
         )
 
     def texture(self, lam: np.ndarray) -> np.ndarray:
-        """Appearance at coordinates lambda, (n_pixels, c) float32."""
+        """Return the texture A(x) at coordinates lambda, (n_pixels, c) float32."""
         return self.mean + np.tensordot(np.asarray(lam, dtype=np.float32), self.modes, axes=1)
 
 
 FILLING_PASSES = 5
-"""Passes of PCA and filling in; the filled values hardly move after the third."""
+"""Iterations of PCA imputation; the imputed values hardly change after the third."""
 
 
 @dataclass(frozen=True, eq=False)
 class Textures:
-    """Textures to learn from, some of whose entries say nothing.
+    """Textures to learn from, with missing entries.
 
     Attributes
     ----------
     values : (n, n_pixels, c) float32
     seen : (n, n_pixels, c) bool
-        Which of them say something.
+        Observed entries; the others are missing.
     usable : (n, n_pixels) float32 in {0, 1}
-        Pixels that count as usable: of which any channel is.
+        Usable pixels: those with an observed channel.
     """
 
     values: np.ndarray
@@ -102,52 +101,51 @@ class Textures:
 
     @classmethod
     def of(cls, values: np.ndarray, usable: np.ndarray) -> "Textures":
-        """Textures whose usable entries are told by pixel (n, n_pixels), or by channel (n, n_pixels, c)."""
+        """Make textures from a mask by pixel (n, n_pixels) or by channel (n, n_pixels, c)."""
         if usable.ndim == 3:
             return cls(values, usable > 0, usable.max(axis=2).astype(np.float32))
         return cls(values, np.broadcast_to((usable > 0)[..., None], values.shape), usable)
 
     def of_rows(self, rows: np.ndarray) -> "Textures":
-        """Some of the textures, by number or mask."""
+        """Return some of the textures, by index or mask."""
         return Textures(self.values[rows], self.seen[rows], self.usable[rows])
 
     @property
     def vectors(self) -> np.ndarray:
-        """Values as one vector each, (n, d)."""
+        """Textures as flat vectors, (n, d)."""
         return self.values.reshape(len(self.values), -1)
 
     @cached_property
-    def _holes(self) -> np.ndarray:
-        """Numbers of the entries that not all textures show."""
+    def _missing(self) -> np.ndarray:
+        """Indices of the entries that are missing in some texture."""
         return np.flatnonzero(~self.seen.all(axis=0))
 
     @cached_property
     def _partial(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values at those entries, (n, h) float32, and which say something, bool."""
-        if not len(self._holes):
-            nothing = np.zeros((len(self.values), 0), np.float32)
-            return nothing, nothing > 0
-        return self.vectors[:, self._holes], self.seen.reshape(len(self.values), -1)[:, self._holes]
+        """Values at those entries, (n, h) float32, and which are observed, (n, h) bool."""
+        if not len(self._missing):
+            empty = np.zeros((len(self.values), 0), np.float32)
+            return empty, empty > 0
+        return self.vectors[:, self._missing], self.seen.reshape(len(self.values), -1)[:, self._missing]
 
     @cached_property
     def _products(self) -> np.ndarray:
-        """Scalar products of the textures where all show something; the filling in does not change these."""
+        """Gram matrix of the entries observed in all textures; imputation does not change it."""
         about = self.vectors.mean(axis=0, dtype=np.float64)
-        whole = self.vectors if not len(self._holes) else np.delete(self.vectors, self._holes, axis=1)
-        return gram_about(whole, about if not len(self._holes) else np.delete(about, self._holes))
+        whole = self.vectors if not len(self._missing) else np.delete(self.vectors, self._missing, axis=1)
+        return gram_about(whole, about if not len(self._missing) else np.delete(about, self._missing))
 
     def filled(self, variance: float | int, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Textures, all or some, with what says nothing filled in.
+        """Impute the missing entries of all or some textures by iterated PCA.
 
-        Unseen entries start at the mean of those seen and are then filled in by the components of all (iterated PCA),
-        so that a dark speckle or a border in one image is no mode of the model. Components are combinations of the
-        textures, so that only entries that some texture does not show are ever looked at again.
+        Missing entries start at the mean of the observed ones. Otherwise a dark speckle or a border in one image would
+        become a mode. Each iteration processes only the entries that are missing somewhere.
 
         Returns
         -------
         vectors : (n, d) float32
         products : (n, n) float64
-            Their scalar products as seen from their mean.
+            Their Gram matrix about the mean.
         """
         rows = np.arange(len(self.values)) if kept is None else kept
         vectors, (partial, seen) = self.vectors, (part[rows] for part in self._partial)
@@ -156,16 +154,16 @@ class Textures:
             return vectors[rows] if kept is not None else vectors, centred(products + _gram(partial))
         counts = seen.sum(axis=0)
         means = np.where(seen, partial, 0).sum(axis=0, dtype=np.float64) / np.maximum(counts, 1)
-        # What no image shows keeps its mean value as it is; its weight in a fit is 0.
+        # Entries observed in no image keep their mean value; their weight in a fit is 0.
         means = np.where(counts > 0, means, partial.mean(axis=0, dtype=np.float64))
         filled = np.where(seen, partial, means.astype(np.float32))
         for _ in range(FILLING_PASSES):
-            # In single precision, as the values are that come of it.
+            # Single precision suffices: the results are float32.
             mean = filled.mean(axis=0, dtype=np.float64).astype(np.float32)
             part = strongest(centred(products + gram_about(filled, mean)), variance)[1].astype(np.float32)
             filled = np.where(seen, partial, mean + part @ (part.T @ (filled - mean)))
         vectors = vectors[rows] if kept is not None else vectors.copy()
-        vectors[:, self._holes] = filled
+        vectors[:, self._missing] = filled
         return vectors, centred(products + _gram(filled))
 
 
@@ -187,10 +185,9 @@ def train_appearance_model(
     variance : float or int
         Fraction of variance or number of modes to keep.
     kept : (m,) int, optional
-        Which of the textures to learn from; all if left out.
+        Indices of the textures to learn from; all by default.
     left_out : sequence of int arrays, optional
-        Textures that are left out together to find out what each has that the others do not explain; that is not found
-        out if left out.
+        Folds for the leave-out residuals; without them ``unexplained`` is None.
     """
     _, n_pixels, c = textures.values.shape
     usable = textures.usable if kept is None else textures.usable[kept]
@@ -208,9 +205,9 @@ def train_appearance_model(
 
 
 def _unexplained(vectors: np.ndarray, explained: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Second moments (n_pixels, c, c) of what is not explained of vectors, where they are usable (n, n_pixels).
+    """Second moments (n_pixels, c, c) of the residuals of vectors at usable pixels (n, n_pixels).
 
-    ``explained``: the combination of other vectors that stands for each, (n, n).
+    Row i of ``explained`` (n, n) holds the combination of the other vectors that reconstructs vector i.
     """
     n, n_pixels = usable.shape
     if n < 2:
@@ -228,29 +225,29 @@ def _unexplained(vectors: np.ndarray, explained: np.ndarray, usable: np.ndarray)
 
 
 def train_illumination(values: AppearanceModel, relit: Textures, variance: float | int) -> AppearanceModel:
-    """Learn an illumination basis: what pictures under other lights show beyond an appearance model.
+    """Learn an illumination basis: modes of relit images that an appearance model does not explain.
 
     Parameters
     ----------
     values : AppearanceModel
-        The identity's appearance, learnt under one light.
+        Appearance of the identity, learnt under one light.
     relit : Textures
-        Under other lights.
+        Textures under other lights.
     variance : float or int
         Fraction of variance or number of modes to keep.
 
     Returns
     -------
     AppearanceModel
-        Mean zero; modes orthogonal to those of ``values`` and to its mean, so that identity, gain and
-        illumination do not trade off (Kahraman et al., CVPR 2007, orthogonalise likewise).
+        Mean zero. The modes are orthogonal to the modes and the mean of ``values``, so that identity, gain and
+        illumination do not trade off (as in Kahraman et al., CVPR 2007).
     """
     _, n_pixels, c = relit.values.shape
     identity = np.concatenate([values.mean[None], values.modes]).reshape(-1, n_pixels * c).astype(np.float64)
     identity = np.linalg.qr(identity.T)[0].astype(np.float32)
     filled, _ = relit.filled(variance)
     beyond = filled - (filled @ identity) @ identity.T
-    # Around zero, not around their mean: the mean change of light is a mode like any other.
+    # About zero, not about the mean: the mean change of light is a mode like any other.
     zero = np.zeros(n_pixels * c)
     components = components_by(beyond, zero, gram_about(beyond, zero), variance)
     return AppearanceModel(

@@ -1,4 +1,4 @@
-"""The model file: safetensors with a JSON header, checked when it is read. Nothing in it is ever run."""
+"""The model file: safetensors with a JSON header, validated when it is read. No code in it is executed."""
 
 import json
 import os
@@ -21,38 +21,38 @@ if TYPE_CHECKING:
 
 
 SCHEMA_VERSION = 3
-"""Version of the model file; raised whenever its meaning changes."""
+"""Version of the format; increased when its meaning changes."""
 
 MAX_DIAGONAL = 2000.0
-"""Largest reference frame, pixels: a larger one is a forged file or a slip of the pen."""
+"""Largest diagonal of a reference frame, pixels."""
 
 MAX_POINTS = 4000
-"""Most landmarks: what surrounds a mesh takes their number squared."""
+"""Largest number of landmarks: the ring around a mesh takes memory that grows with its square."""
 
 ROOMY = 4.0
-"""Square pixels of a mesh for each of its pixels, above which these cannot be its own: a frame of a few has borders."""
+"""Largest ratio of a mesh's area to its number of pixels. It exceeds 1 because borders matter in small frames."""
 
 UNIT = 0.1
-"""How far squared lengths and products of modes may be off those of orthonormal ones: weak ones hold much rounding."""
+"""Tolerance of scalar products of orthonormal modes; weak modes have large rounding errors."""
 
 LONGEST_NAME = 1000
-"""Letters of a model's name that are kept."""
+"""Largest number of characters of a model's name."""
 
 MAX_BLUR, MAX_LEVELS = 10.0, 10
-"""Largest blur, pixels of the reference frame, and most levels."""
+"""Largest blur, pixels of the reference frame, and largest number of levels."""
 
 FORMAT = "liaam-aam"
 
 
 def file_bytes(model: "AAM") -> bytes:
-    """What a model file holds."""
+    """Return the content of a model file."""
     from safetensors.numpy import save
 
     return save(_tensors(model), {"liaam": json.dumps(_header(model))})
 
 
 def read_fields(path: str | os.PathLike) -> dict[str, Any]:
-    """Read and check the fields of an :class:`~liaam.model.aam.AAM`; errors are those of ``load_model``."""
+    """Read and validate the fields of an :class:`~liaam.model.aam.AAM`; raises like ``load_model``."""
     path = Path(path)
     header, tensors = _read(path)
     try:
@@ -93,7 +93,7 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
 
 
 def _view_tensors(view: View) -> dict[str, np.ndarray | None]:
-    """Tensors of a view by their key in it; None where it lacks what is optional."""
+    """Tensors of a view by key; None for optional ones that are absent."""
     tensors = {f"shape.{field}": getattr(view.shape_model, field) for field in ("modes", "eigenvalues", "unexplained")}
     if view.reliability is not None:
         for field in ("landmarks", "weights", "understated", "ordinary"):
@@ -110,7 +110,7 @@ def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
     from liaam.io.tensors import read_tensors
 
     broken = (
-        "this is no complete liaam model ({fault}); it may be cut short or of another kind: copy it again or "
+        "this is not a complete liaam model ({fault}); it may be truncated or of another kind: copy it again or "
         "train it again"
     )
     make = "liaam train FOLDER -o MODEL"
@@ -123,7 +123,7 @@ def _checked_header(path: Path, text: str) -> dict:
     except (ValueError, RecursionError):
         header = None
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise ModelFileError(f"{path}: this safetensors file is no liaam model; make one with 'liaam train'")
+        raise ModelFileError(f"{path}: this safetensors file is not a liaam model; make one with 'liaam train'")
     if header.get("schema") != SCHEMA_VERSION:
         raise ModelFileError(
             f"{path}: the model has schema version {header.get('schema')}, this liaam reads version {SCHEMA_VERSION}; "
@@ -137,12 +137,12 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
     n = len(mean)
     triangles = _tensor(tensors, "triangles", np.int32, (None, 3))
     if n > MAX_POINTS:
-        raise ValueError(f"it has {n} landmarks, and {MAX_POINTS} are the most")
+        raise ValueError(f"it has {n} landmarks; the maximum is {MAX_POINTS}")
     if n < 3 or not len(triangles) or triangles.min() < 0 or triangles.max() >= n:
-        raise ValueError("the mesh does not belong to the landmarks")
+        raise ValueError("the mesh does not match the landmarks")
     # The mean is centred, so that no coordinate exceeds the diagonal; differences of larger ones might overflow.
     if np.abs(mean).max() > MAX_DIAGONAL or not 8.0 <= diagonal_of(mean) <= MAX_DIAGONAL:
-        raise ValueError(f"a reference frame of no sensible size (8 to {MAX_DIAGONAL:.0f} pixels)")
+        raise ValueError(f"the diagonal of the reference frame is not between 8 and {MAX_DIAGONAL:.0f} pixels")
     area = float(np.abs(signed_areas(mean, triangles)).sum())
     if len(triangles) > 2 * n or area > 1.001 * float(np.prod(np.ptp(mean, axis=0))):
         raise ValueError("the mesh overlaps itself")
@@ -161,7 +161,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _counts(n_images: int, n_textures: int) -> dict[str, int]:
-    """How many textures each appearance was learnt from."""
+    """Number of textures that each appearance was learnt from."""
     return dict.fromkeys(CHANNELS, n_images) | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
 
 
@@ -181,23 +181,23 @@ def _view(
     triangles: np.ndarray,
     counts: dict[str, int],
 ) -> View:
-    """One of the views, about the mean shape of all."""
+    """Make one view; all views share the mean shape."""
     if name not in VIEWS:
-        raise ValueError(f"view {name!r} is not known; there are {', '.join(VIEWS)}")
+        raise ValueError(f"view {name!r} is unknown; the views are {', '.join(VIEWS)}")
     if not isinstance(about, dict):
         raise ValueError(f"view {name} is described by {about!r}")
     tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
     blurs, n, n_pixels = _blurs(about["blurs"]), len(mean), _count(about["n_pixels"])
-    # First what the file is full of: a frame of many pixels then is of a large file.
+    # Appearances first: their tensors limit the number of pixels to what the size of the file allows.
     levels = tuple(Level(blur, _appearances(tensors, i, n_pixels, counts)) for i, blur in enumerate(blurs))
     needed = {"value", "log"} if name == MESH else set()
     if not all(level.appearances and needed <= set(level.appearances) for level in levels):
-        raise ValueError("an appearance is missing")
+        raise ValueError(f"view {name} lacks an appearance")
     if signed_areas(mean, triangles).sum() > ROOMY * max(n_pixels, 1):
-        raise ValueError("its reference frame does not match its pixels")
+        raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
     view = make_view(name, _shape_model(about, tensors, mean), triangles, levels, _reliability(tensors, n))
     if n_pixels != view.warp.frame.n_pixels:
-        raise ValueError("its reference frame does not match its pixels")
+        raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
     return view
 
 
@@ -205,7 +205,7 @@ def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) 
     n = len(mean)
     modes = _tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
     if len(modes) > max(2 * n - 4, 0):  # they are orthogonal to each other and to the four similarity vectors
-        raise ValueError(f"{len(modes)} shape modes of {n} landmarks")
+        raise ValueError(f"{len(modes)} shape modes are too many for {n} landmarks")
     basis = np.concatenate([modes, similarity_modes(mean)])
     if not _are_unit(modes) or np.abs(modes @ basis.T - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:
         raise ValueError("shape.modes are not orthonormal")
@@ -215,22 +215,22 @@ def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) 
         unexplained = _covariances(tensors, "shape.unexplained", np.float64, (n, 2, 2))
     freedom = _finite(about["freedom"]) if "freedom" in about else np.inf
     if not freedom > 0:
-        raise ValueError(f"freedom {freedom:g}")
+        raise ValueError(f"freedom {freedom:g} is not positive")
     return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)
 
 
 def _camera(header: dict) -> CameraModel:
     if not isinstance(header["camera"], dict):
-        raise ValueError(f"camera {header['camera']!r}")
+        raise ValueError(f"camera {header['camera']!r} is not an object")
     known = camera_from(header["camera"])
-    # The angle itself, to the last digit, is what the appearance was learnt with.
+    # The header holds the exact angle with which the appearance was learnt; the camera's is rounded.
     return replace(known, theta=_finite(header["theta"]), response=parse_response(header["response"]))
 
 
 def _blurs(blurs: list) -> list[float]:
     blurs = [_finite(blur) for blur in blurs]
     if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
-        raise ValueError(f"blurs {blurs}")
+        raise ValueError(f"blurs {blurs}: 1 to {MAX_LEVELS} numbers between 0 and {MAX_BLUR:g} are expected")
     return blurs
 
 
@@ -243,7 +243,7 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
         raise ValueError("reliability.understated is below 1")
     ordinary = float(_tensor(tensors, "reliability.ordinary", np.float64, (1,))[0])
     if not 0.0 <= ordinary <= 1.0:
-        raise ValueError("reliability.ordinary is no probability")
+        raise ValueError("reliability.ordinary is not a probability")
     weights = _tensor(tensors, "reliability.weights", np.float64, (3,))
     return Reliability(landmarks, weights, understated, ordinary)
 
@@ -261,10 +261,10 @@ def _appearance(
 ) -> AppearanceModel:
     channels = CHANNELS[name]
     modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
-    # Modes of few images need no more room than their own squares: those are what fits work with.
+    # More modes than images would need more memory in a fit than the file's size suggests.
     most = min(n_pixels * channels, counts[name])
     if len(modes) > most:
-        raise ValueError(f"{prefix} has {len(modes)} modes, of {most} at most")
+        raise ValueError(f"{prefix} has {len(modes)} modes; the maximum is {most}")
     if not _are_unit(modes.reshape(len(modes), n_pixels * channels)):
         raise ValueError(f"{prefix}.modes are not of unit length")
     unexplained = None  # absent from an illumination basis
@@ -280,10 +280,10 @@ def _appearance(
 
 
 def _covariances(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
-    """Tensor of matrices whose diagonals are variances."""
+    """Tensor of covariance matrices; checks that the variances are not negative."""
     covariances = _tensor(tensors, key, dtype, shape)
     if (np.diagonal(covariances, axis1=1, axis2=2) < 0).any():
-        raise ValueError(f"{key} has variances below 0")
+        raise ValueError(f"{key} has negative variances")
     return covariances
 
 
@@ -295,7 +295,7 @@ def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple)
     if tensor.dtype != dtype or not fits:
         raise ValueError(f"{key} has type {tensor.dtype} and shape {tensor.shape}")
     if tensor.dtype.kind == "f" and not np.isfinite(tensor).all():
-        raise ValueError(f"{key} has values that are not numbers")
+        raise ValueError(f"{key} has values that are not finite")
     if (key.endswith(("eigenvalues", "usable")) and (tensor < 0).any()) or (
         key.endswith("usable") and (tensor > 1).any()
     ):
@@ -304,15 +304,15 @@ def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple)
 
 
 def _are_unit(modes: np.ndarray) -> bool:
-    """Whether modes (m, d) are of unit length; otherwise steps along them may be of any."""
-    if np.abs(modes).max(initial=0.0) > 2.0:  # before squares of it overflow
+    """Whether modes (m, d) have unit length."""
+    if np.abs(modes).max(initial=0.0) > 2.0:  # the squares might overflow
         return False
     return bool((np.abs(np.einsum("md,md->m", modes, modes) - 1.0) < UNIT).all())
 
 
 def _count(number: int) -> int:
     if not isinstance(number, int) or number < 1:
-        raise ValueError(f"{number!r} is no count")
+        raise ValueError(f"{number!r} is not a positive integer")
     return number
 
 

@@ -9,15 +9,15 @@ from liaam.errors import TrainingError
 from liaam.kernels.reference import raster
 
 FOLD_TOLERANCE = 0.15
-"""Share of the mesh's area that may be turned over before a shape counts as folded. Landmarks of lips
-and lids touch and cross by a pixel in good annotations; a wrong order of points turns over far more."""
+"""Fraction of the mesh's area in flipped triangles above which a shape counts as folded. Landmarks of lips and eyelids
+cross by a pixel in good annotations; a wrong order of points flips far more."""
 
 
-_NO_MESH = "the landmarks lie on one line or in one place, so they span no mesh; check their order and units"
+_NO_MESH = "the landmarks lie on one line or at one point, so they span no mesh; check their order and units"
 
 
 def delaunay(points: np.ndarray) -> np.ndarray:
-    """Delaunay triangles of points, all of positive signed area, slivers on the border left out.
+    """Delaunay triangulation with positive signed areas and without slivers on the border.
 
     Parameters
     ----------
@@ -39,9 +39,9 @@ def delaunay(points: np.ndarray) -> np.ndarray:
 
 
 def triangles_from_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray | None:
-    """Triangles of a file's connectivity, or None where its edges are contours rather than a mesh.
+    """Find the triangles of a file's connectivity; None if the edges are contours and not a mesh.
 
-    A connectivity counts as a mesh if every point belongs to an empty 3-cycle.
+    The edges form a mesh if every point belongs to a 3-cycle without other points inside.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def triangles_from_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray | 
 
 
 def _is_empty(points: np.ndarray, cycle: tuple[int, int, int]) -> bool:
-    """Tell whether no other point lies strictly inside a triangle."""
+    """Whether no other point lies strictly inside a triangle."""
     weights = barycentric(points, points[list(cycle)])
     inside = np.asarray((weights > 1e-9).all(axis=1))
     inside[list(cycle)] = False
@@ -75,14 +75,14 @@ def _is_empty(points: np.ndarray, cycle: tuple[int, int, int]) -> bool:
 
 
 def signed_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Signed areas of triangles, (t,) float64; negative where a triangle is turned over."""
+    """Signed areas of triangles, (t,) float64; negative for flipped triangles."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     u, v = b - a, c - a
     return 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
 def folded_share(shape: np.ndarray, triangles: np.ndarray) -> float:
-    """Share of a shape's absolute area in turned-over triangles, 0 to 1 (1 if it has no area)."""
+    """Fraction of a shape's absolute area in flipped triangles, 0 to 1 (1 if it has no area)."""
     areas = signed_areas(shape, triangles)
     total = np.abs(areas).sum()
     return float(np.abs(areas[areas < 0]).sum() / total) if total > 0 else 1.0
@@ -102,24 +102,24 @@ def barycentric(points: np.ndarray, triangle: np.ndarray) -> np.ndarray:
 
 
 SURROUND = 0.06
-"""Width of the surroundings of a mesh, as a share of the distance from the shape's centre. An object's outline is where
-the landmarks lie, and can be told only by what lies on both sides of it. Measured on the spot protocol: the 90th
-percentile of the error falls from 5.5 to 5.2 %; at twice the width the background begins to count."""
+"""Width of the ring around a mesh, as a fraction of the distance from the shape's centre. Locating an outline needs
+pixels on both of its sides. Measured on the spot protocol: the 90th percentile of the error falls from 5.5 to 5.2 %; at
+twice the width the background begins to matter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """A ring of further vertices around a shape's hull, which follow the landmarks.
+    """A ring of additional vertices around a shape's hull, which follow the landmarks.
 
-    Each lies beyond a landmark of the mean shape's hull, on the line from the centre: (1 + m) s_h - m mean(s), linear
-    in the shape and carried along by every affine map.
+    Each lies outside a landmark s_h of the mean shape's hull: (1 + width) s_h - width mean(s). This is linear in the
+    shape and commutes with affine maps.
 
     Attributes
     ----------
     extension : (n + r, n) float64
-        Takes landmarks to all vertices: the landmarks, then the ring.
+        Maps landmarks to all vertices: the landmarks, then the ring.
     triangles : (t, 3) int32
-        The mesh, and the strip between its hull and the ring.
+        The mesh, then the strip between its hull and the ring.
     """
 
     extension: np.ndarray
@@ -127,7 +127,7 @@ class Surroundings:
 
 
 def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURROUND) -> Surroundings:
-    """Put a ring around a mesh.
+    """Add a ring of vertices around a mesh.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
     triangles : (t, 3) int
         Its mesh.
     width : float
-        Of the ring, as a share of each hull point's distance from the centre.
+        Width of the ring, as a fraction of each hull point's distance from the centre.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -157,7 +157,7 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFrame:
-    """Pixels of the mean shape: where the model's appearance lives.
+    """Pixels inside the mesh of the mean shape, on which the appearance is defined.
 
     Attributes
     ----------
@@ -176,12 +176,12 @@ class ReferenceFrame:
             where = self.triangles[int(areas.argmin())].tolist()
             raise TrainingError(
                 f"the mesh is folded on the mean shape (triangle of points {where}, counting from 0): "
-                "check the triangles, or leave them out to have the mesh made from the landmarks"
+                "check the triangles, or omit them to triangulate the landmarks"
             )
 
     @cached_property
     def origin(self) -> np.ndarray:
-        """Coordinates of the frame's top-left pixel on s0, (2,) float64 (whole numbers)."""
+        """Coordinates of the frame's top-left pixel on s0, (2,) float64 with integer values."""
         return np.floor(self.points.min(axis=0)) - 1.0
 
     @cached_property
@@ -199,7 +199,7 @@ class ReferenceFrame:
 
     @property
     def pixels(self) -> np.ndarray:
-        """Row and column in the frame of each model pixel, (n_pixels, 2) int, in raster order."""
+        """Row and column of each model pixel in the frame, (n_pixels, 2) int, in raster order."""
         return self._raster[0]
 
     @property
@@ -225,13 +225,13 @@ class ReferenceFrame:
     def gradient(self, values: np.ndarray) -> np.ndarray:
         """Derivatives of per-pixel values (n_pixels, k) along x and y, (n_pixels, 2, k) float64.
 
-        Inside the mesh those of the cubic spline through the pixels, on its border the difference to the one
-        neighbour there is, else 0.
+        Those of the cubic spline through the pixels. Pixels with one neighbour along an axis use the difference to it;
+        those with none get 0.
         """
         return np.stack([solve(np.asarray(difference @ values, np.float64)) for difference, solve in self._slopes], 1)
 
     def __getstate__(self) -> dict:
-        """Leave out the factorised splines, which cannot be pickled and are soon made again."""
+        """Omit the factorised splines, which cannot be pickled and are cheap to recompute."""
         return {name: value for name, value in self.__dict__.items() if name != "_slopes"}
 
     @cached_property
@@ -242,7 +242,7 @@ class ReferenceFrame:
         return [_spline_slopes(number, axis) for axis in (1, 0)]
 
     def picture(self, values: np.ndarray, fill: float = 0.0) -> np.ndarray:
-        """Lay per-pixel values out as a picture.
+        """Arrange per-pixel values as an image.
 
         Parameters
         ----------
@@ -261,11 +261,11 @@ class ReferenceFrame:
 
 
 def _spline_slopes(number: np.ndarray, axis: int) -> tuple:
-    """Slopes of cubic splines along an axis of a picture whose pixels inside the mesh are numbered (-1 outside).
+    """Sparse difference matrix and sparse solver for the slopes of cubic splines along an axis.
 
-    A spline's slopes m obey (m[-1] + 4 m[0] + m[1]) / 6 = (f[1] - f[-1]) / 2: a sparse difference and the
-    solver of a sparse system are returned. Plain central differences lose a third of a wave of four pixels, and
-    with it what fine texture tells of the shape.
+    ``number`` holds the index of each pixel inside the mesh, -1 outside. The slopes m of a spline through f obey
+    (m[-1] + 4 m[0] + m[1]) / 6 = (f[1] - f[-1]) / 2. Central differences lose a third of the slope of a wave of four
+    pixels, and with it the information of fine texture about the shape.
     """
     from scipy.sparse import csc_array, csr_array
     from scipy.sparse.linalg import splu
@@ -291,16 +291,22 @@ def _spline_slopes(number: np.ndarray, axis: int) -> tuple:
     return difference, splu(system).solve
 
 
-MOST_LOOKS = 2e7
-"""Pixels that may lie in the boxes around the triangles of a model's mesh; each is looked at when the frame is made."""
+MAX_RASTER_PIXELS = 2e7
+"""Largest total size of the triangles' bounding boxes in pixels; rasterising visits each of these pixels."""
 
 
 def model_frame(points: np.ndarray, triangles: np.ndarray) -> ReferenceFrame:
-    """Frame of a model, whose mesh may be anybody's: one that would take minutes to fill with pixels is refused."""
+    """Make the reference frame of a model.
+
+    Raises
+    ------
+    TrainingError
+        If the mesh is folded, or would take minutes to rasterise (a forged model file may contain such a mesh).
+    """
     frame = ReferenceFrame(points, triangles)
-    if np.prod(np.ptp(points[triangles], axis=1) + 2.0, axis=1).sum() > MOST_LOOKS:
+    if np.prod(np.ptp(points[triangles], axis=1) + 2.0, axis=1).sum() > MAX_RASTER_PIXELS:
         raise TrainingError(
-            f"the mesh has {len(triangles)} triangles, too many of them too long, for a frame of "
-            f"{frame.size[0]}×{frame.size[1]} pixels: take a smaller diagonal, or leave the triangles out"
+            f"the mesh has {len(triangles)} triangles, too many long ones for a frame of "
+            f"{frame.size[0]}×{frame.size[1]} pixels: use a smaller diagonal, or omit the triangles"
         )
     return frame

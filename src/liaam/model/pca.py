@@ -1,4 +1,4 @@
-"""Principal component analysis, once for shapes and appearances."""
+"""Principal component analysis of shapes and appearances."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from liaam.errors import TrainingError
 
 Variance = float | int | Literal["auto"]
-"""How much to keep: a share of the variance, a count of modes, or ``auto``, as many as the evidence is for."""
+"""Modes to keep: a fraction of the variance, a number of modes, or ``auto`` for the number of highest evidence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class Components:
     eigenvalues : (m,) float64
         Variance along each mode (divisor n - 1).
     total_variance : float
-        Variance of all directions together, kept or not.
+        Sum of the variances of all directions, kept or not.
     """
 
     mean: np.ndarray
@@ -34,33 +34,33 @@ class Components:
 
 
 def check_variance(variance: Variance) -> None:
-    """Raise unless variance is a fraction in (0, 1] (float), a count of modes (int >= 0), or ``auto``."""
+    """Raise unless variance is a fraction in (0, 1] (float), a number of modes (int >= 0), or ``auto``."""
     is_count = isinstance(variance, (int, np.integer)) and not isinstance(variance, bool) and variance >= 0
     if is_count or (isinstance(variance, float) and 0.0 < variance <= 1.0) or variance == "auto":
         return
     raise TrainingError(
-        f"variance {variance!r}: give a fraction in (0, 1] such as 0.98, a whole count of modes, or 'auto'"
+        f"variance {variance!r}: give a fraction in (0, 1] such as 0.98, an integer number of modes, or 'auto'"
     )
 
 
 CHUNK = 4096
-"""Columns of long vectors that are worked on at once, in double precision."""
+"""Columns of long vectors that are processed at once, in double precision."""
 
 
 def chunks(length: int, size: int = CHUNK) -> Iterator[slice]:
-    """Parts of a length, one after the other."""
+    """Yield consecutive slices that cover a length."""
     return (slice(first, min(first + size, length)) for first in range(0, length, size))
 
 
 def principal_components(vectors: np.ndarray, variance: Variance) -> Components:
-    """Principal components of row vectors by their Gram matrix (few vectors, many dimensions).
+    """Compute principal components from the Gram matrix (for few vectors of many dimensions).
 
     Parameters
     ----------
     vectors : (n, d) float
     variance : float or int
-        Fraction of the variance to keep (1.0 keeps every direction), or the number of modes. ``auto`` is
-        :func:`count_by_evidence` with each vector left out alone, or in few folds.
+        Fraction of the variance to keep (1.0 keeps every direction), or the number of modes. ``auto`` uses
+        :func:`count_by_evidence` with the folds of :func:`some_folds`.
     """
     check_variance(variance)
     vectors = np.asarray(vectors)
@@ -71,9 +71,9 @@ def principal_components(vectors: np.ndarray, variance: Variance) -> Components:
 
 
 def gram_about(vectors: np.ndarray, about: np.ndarray) -> np.ndarray:
-    """Scalar products, (n, n) float64, of vectors (n, d) as seen from a point (d,).
+    """Gram matrix, (n, n) float64, of vectors (n, d) about a point (d,).
 
-    Chunks of columns are multiplied in the precision of the point, and added up in double precision.
+    Chunks of columns are multiplied in the precision of the point, and summed in double precision.
     """
     products = np.zeros((len(vectors), len(vectors)))
     for part in chunks(vectors.shape[1]):
@@ -83,22 +83,23 @@ def gram_about(vectors: np.ndarray, about: np.ndarray) -> np.ndarray:
 
 
 def centred(products: np.ndarray) -> np.ndarray:
-    """Scalar products of vectors as seen from their mean, by those as seen from any point."""
+    """Gram matrix about the mean, from a Gram matrix about any point."""
     means = products.mean(axis=0)
     return products - means - means[:, None] + means.mean()
 
 
 def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Principal components by the scalar products (n, n) of vectors as seen from their mean.
+    """Leading principal components from the Gram matrix (n, n) about the mean.
 
     Returns
     -------
     squares : (m,) float64
-        Sums of squares along the components, strongest first.
+        Sums of squares along the components, descending.
     combinations : (n, m) float64
-        Of the vectors less their mean, orthonormal: those of the components times the roots of ``squares``.
+        Orthonormal eigenvectors of the Gram matrix. Divided by the roots of ``squares`` they combine the centred
+        vectors to the components.
     total : float
-        Sum of squares of all directions together.
+        Sum of squares of all directions.
     """
     squares, combinations = np.linalg.eigh(products)
     squares, combinations = squares[::-1], combinations[:, ::-1]
@@ -107,7 +108,7 @@ def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, 
 
 
 def components_by(vectors: np.ndarray, mean: np.ndarray, products: np.ndarray, variance: float | int) -> Components:
-    """Principal components of vectors (n, d) by their mean (d,) and their scalar products (n, n) as seen from it."""
+    """Principal components of vectors (n, d) from their mean (d,) and their Gram matrix (n, n) about it."""
     squares, combinations, total = strongest(products, variance)
     modes = _orthonormal(vectors, mean, (combinations / np.sqrt(squares)).T)
     divisor = max(len(vectors) - 1, 1)
@@ -115,7 +116,7 @@ def components_by(vectors: np.ndarray, mean: np.ndarray, products: np.ndarray, v
 
 
 def _orthonormal(vectors: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Weighted sums (m, d) of vectors less their mean, which are nearly orthonormal, made so."""
+    """Orthonormalise weighted sums (m, d) of centred vectors that are already nearly orthonormal."""
     modes = np.empty((len(weights), vectors.shape[1]))
     if not len(weights):
         return modes
@@ -123,7 +124,7 @@ def _orthonormal(vectors: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> 
     for part in chunks(vectors.shape[1]):
         modes[:, part] = weights @ (vectors[:, part] - mean[part])
         products += modes[:, part] @ modes[:, part].T
-    # Once more: the Gram matrix squares the condition number (Cholesky QR).
+    # The Gram matrix squares the condition number, so orthonormalise once more (Cholesky QR).
     back = np.linalg.inv(np.linalg.cholesky(products))
     largest = np.zeros(len(weights))
     for part in chunks(vectors.shape[1]):
@@ -135,7 +136,7 @@ def _orthonormal(vectors: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> 
 
 
 def count_modes(squares: np.ndarray, variance: float | int) -> int:
-    """Give the number of modes to keep of descending squares; numerically empty directions never count."""
+    """Number of modes to keep, from descending sums of squares; numerically empty directions never count."""
     rank = int((squares > 1e-10 * max(squares[0], 1e-300)).sum()) if len(squares) and squares[0] > 0 else 0
     if not isinstance(variance, float):
         return min(int(variance), rank)
@@ -146,21 +147,18 @@ def count_modes(squares: np.ndarray, variance: float | int) -> int:
 
 
 FOLDS = 10
-"""Folds of the leave-out residuals, at most; with fewer images each is left out alone."""
+"""Largest number of folds for leave-out residuals; with fewer images each is a fold of its own."""
 
 
 def some_folds(n: int) -> list[np.ndarray]:
-    """Indices of n vectors to leave out together: each alone, or in :data:`FOLDS` folds where there are many."""
+    """Split the indices of n vectors into at most :data:`FOLDS` folds."""
     return np.array_split(np.arange(n), max(min(n, FOLDS), 1))
 
 
 def unexplained_by_others(
     vectors: np.ndarray, variance: float | int, folds: Sequence[np.ndarray] | None = None
 ) -> np.ndarray:
-    """What the principal components of the other vectors leave of each vector, (n, d) float32.
-
-    The vectors of a fold are left out together.
-    """
+    """Residual of each vector from the principal components of the vectors outside its fold, (n, d) float32."""
     n = len(vectors)
     if n < 2:
         return np.zeros_like(vectors, dtype=np.float32)
@@ -173,10 +171,9 @@ def unexplained_by_others(
 def explained_by_others(
     products: np.ndarray, variance: float | int, folds: Sequence[np.ndarray] | None = None
 ) -> np.ndarray:
-    """Combinations of the other vectors that stand for each, a row of (n, n) float64 each, summing to 1.
+    """Reconstruct each vector from the vectors outside its fold: rows of weights, (n, n) float64, that sum to 1.
 
-    Worked out on the vectors' scalar products (n, n), seen from any point: the components of the vectors outside a fold
-    are combinations of them.
+    ``products`` is the Gram matrix (n, n) about any point. It suffices, since components are combinations of vectors.
     """
     n = len(products)
     explained = np.zeros((n, n))
@@ -187,7 +184,7 @@ def explained_by_others(
 
 
 def _combinations(products: np.ndarray, others: np.ndarray, fold: np.ndarray, variance: float | int) -> np.ndarray:
-    """Combinations of the others that are nearest to the fold's vectors in the others' components."""
+    """Weights of the others that give the projections of the fold's vectors on the others' components."""
     squares, axes, from_mean = _components_of(products, others, fold)
     kept = count_modes(squares, variance)
     return 1.0 / len(others) + from_mean @ axes[:, :kept] @ axes[:, :kept].T
@@ -196,16 +193,17 @@ def _combinations(products: np.ndarray, others: np.ndarray, fold: np.ndarray, va
 def _components_of(
     products: np.ndarray, others: np.ndarray, fold: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Principal components of some vectors, and others as seen from their mean, all by scalar products.
+    """Principal components of the vectors outside a fold, from the Gram matrix.
 
     Returns
     -------
     squares : (r,) float64
-        Sums of squares along the components, descending, those above rounding.
+        Sums of squares along the components, descending, above rounding errors.
     axes : (len(others), r) float64
         Each component as a combination of the vectors.
     from_mean : (len(fold), len(others)) float64
-        Scalar products of the fold's vectors less the mean; times ``axes`` they are coordinates.
+        Scalar products of the fold's vectors, less the others' mean, with the others. Times ``axes`` they give the
+        coordinates.
     """
     within = products[np.ix_(others, others)]
     squares, axes = np.linalg.eigh(centred(within))
@@ -217,14 +215,14 @@ def _components_of(
 
 @dataclass(frozen=True, eq=False)
 class LeftOutCoordinates:
-    """Vectors left out, in the principal components of those that are not.
+    """Left-out vectors in the principal components of the others.
 
     Attributes
     ----------
     eigenvalues : (r,) float64
-        Of the others (divisor n - 1).
+        Eigenvalues of the others (divisor n - 1).
     squares : (m, r) float64
-        Squared coordinates of the vectors left out.
+        Squared coordinates of the left-out vectors.
     distances : (m,) float64
         Their squared distances from the others' mean.
     """
@@ -235,7 +233,7 @@ class LeftOutCoordinates:
 
 
 def leave_out(vectors: np.ndarray, folds: Sequence[np.ndarray]) -> Iterator[LeftOutCoordinates]:
-    """Leave the vectors (n, d) of each fold out in turn; those of one object belong into one fold."""
+    """Leave out the vectors (n, d) of each fold in turn. Vectors of the same object belong in the same fold."""
     vectors = np.asarray(vectors)
     products = gram_about(vectors, vectors.mean(axis=0, dtype=np.float64))
     for fold in folds:
@@ -256,11 +254,11 @@ def noise_variances(eigenvalues: np.ndarray, dimension: int, total: float | None
     Parameters
     ----------
     eigenvalues : (r,) float
-        Descending; those up to ``dimension`` that are not given are 0.
+        Leading eigenvalues, descending.
     dimension : int
-        Of the space that the vectors vary in.
+        Dimension of the space in which the vectors vary.
     total : float, optional
-        Sum of all eigenvalues, if more than those given.
+        Sum of all eigenvalues; by default that of the given ones.
     """
     total = float(eigenvalues.sum()) if total is None else total
     kept = np.concatenate([[0.0], np.cumsum(eigenvalues)[:-1]])
@@ -268,7 +266,7 @@ def noise_variances(eigenvalues: np.ndarray, dimension: int, total: float | None
 
 
 def log_evidence(left_out: LeftOutCoordinates, dimension: int) -> np.ndarray:
-    """Logarithm of the density of vectors left out, summed, under probabilistic PCA with 0 ... r - 1 modes, (r,)."""
+    """Log-likelihood of the left-out vectors under probabilistic PCA with 0 ... r - 1 modes, (r,)."""
     values = left_out.eigenvalues
     noise = noise_variances(values, dimension)
     counts = np.arange(len(values))
@@ -279,18 +277,18 @@ def log_evidence(left_out: LeftOutCoordinates, dimension: int) -> np.ndarray:
 
 
 def count_by_evidence(vectors: np.ndarray, folds: Sequence[np.ndarray], dimension: int | None = None) -> int:
-    """Count the modes under which vectors left out are most likely.
+    """Choose the number of modes that maximises the likelihood of left-out vectors.
 
-    Each fold is judged by probabilistic PCA of the others. Minka's evidence (NIPS 2000) needs no leaving out, but
-    counts pictures of one object as if they were of several.
+    The vectors of each fold are evaluated under probabilistic PCA of the others. Minka's evidence (NIPS 2000) needs no
+    folds, but treats images of one object as independent.
 
     Parameters
     ----------
     vectors : (n, d) float
     folds : sequence of int arrays
-        Which vectors to leave out together.
+        Indices of the vectors to leave out together.
     dimension : int, optional
-        Of the space that the vectors vary in, d if left out.
+        Dimension of the space in which the vectors vary, d by default.
     """
     d = vectors.shape[1] if dimension is None else dimension
     found = [log_evidence(left_out, d) for left_out in leave_out(vectors, folds)]
@@ -299,22 +297,22 @@ def count_by_evidence(vectors: np.ndarray, folds: Sequence[np.ndarray], dimensio
 
 
 def left_out_variances(vectors: np.ndarray, folds: Sequence[np.ndarray], count: int) -> np.ndarray:
-    """Variance of vectors left out along the others' 1st, 2nd ... mode, never rising, (count,) float64.
+    """Variance of left-out vectors along the others' 1st, 2nd, ... mode, non-increasing, (count,) float64.
 
-    What the sample's eigenvalues claim to be: those are too large at the front and too small at the end, since the
-    modes are chosen to suit the sample (cross-validated non-linear shrinkage; Bartz, 2016).
+    The sample's eigenvalues are biased, since the modes are fitted to the sample: the first are too large, the last too
+    small (cross-validated non-linear shrinkage; Bartz, 2016).
     """
     found = list(leave_out(vectors, folds))
     known = min((left_out.squares.shape[1] for left_out in found), default=0)
     if not known:
         return np.zeros(count)
     variances = np.concatenate([left_out.squares[:, :known] for left_out in found]).mean(axis=0)
-    # The last modes of all vectors have no counterpart among those of fewer: they take after the last that has.
-    return _never_rising(np.pad(variances, (0, max(count - known, 0)), mode="edge")[:count])
+    # The folds have fewer modes than all vectors together: repeat their last variance.
+    return _non_increasing(np.pad(variances, (0, max(count - known, 0)), mode="edge")[:count])
 
 
-def _never_rising(values: np.ndarray) -> np.ndarray:
-    """Nearest sequence that never rises (pool adjacent violators)."""
+def _non_increasing(values: np.ndarray) -> np.ndarray:
+    """Nearest non-increasing sequence (pool adjacent violators)."""
     pools: list[list[float]] = []
     for value in values:
         pools.append([float(value), 1.0])

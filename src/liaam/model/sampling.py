@@ -1,4 +1,4 @@
-"""From a stored image to what the kernels sample: the region of interest, encoded at the model's resolution."""
+"""Cut the region of interest out of an image and encode it at the model's resolution, for the sampling kernels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ class Patch:
     Attributes
     ----------
     channels : (h, w, 8) float32
-        Encoded pixels (see :func:`liaam.photometry.encode`), at least 2 by 2: the encoding's channels, noughts, and the
-        usable weight. As wide for all encodings, so that kernels need one loop only.
+        Encoded pixels (see :func:`liaam.photometry.encode`), at least 2 by 2: the encoding's channels, zeros, and the
+        usable weight. All encodings have the same width, so that kernels need only one loop.
     from_image : Similarity
-        Image pixels to patch pixels (a shift and a reduction, never a turn).
+        Image pixels to patch pixels (a shift and a reduction, without rotation).
     n_channels : int
-        Of the encoding.
+        Number of channels of the encoding.
     """
 
     channels: np.ndarray
@@ -32,11 +32,11 @@ class Patch:
 
 
 class _Blocks(NamedTuple):
-    """Averages of blocks of an image's pixels; block 0 begins at the border of the first pixel."""
+    """Averages over blocks of an image's pixels; block 0 begins at the border of the first pixel."""
 
     means: Means
     first: np.ndarray
-    """(x, y) int: numbers of the first block."""
+    """(x, y) int: indices of the first block."""
     size: float
     """Image pixels across a block."""
 
@@ -44,17 +44,17 @@ class _Blocks(NamedTuple):
     def of(
         cls, image: np.ndarray, low: np.ndarray, high: np.ndarray, size: float, encoding: str, response: Response
     ) -> "_Blocks":
-        """Average what lies between two corners (x, y) int of an image, the second not included."""
+        """Average an image between two corners (x, y) int, the second excluded."""
         first = _first_block(low, size)
         begin = np.floor(first * size).astype(int)
         crop, start = image[begin[1] : high[1], begin[0] : high[0]], first * size - begin
         return cls(block_means(crop, encoding, response, size, (start[0], start[1])), first, size)
 
     def coarser(self, low: np.ndarray, high: np.ndarray, size: float) -> "_Blocks | None":
-        """Join whole blocks to ones of about a size; None where there are no such, or not enough."""
+        """Join whole blocks to blocks of about the given size; None if that is not possible or leaves too few."""
         times = max(1, round(size / self.size))
         joined = times * self.size
-        if abs(joined / size - 1.0) > NEARLY:
+        if abs(joined / size - 1.0) > SIZE_TOLERANCE:
             return None
         first = _first_block(low, joined)
         start, count = first * times - self.first, (high / joined + 1e-9).astype(int) - first
@@ -65,23 +65,23 @@ class _Blocks(NamedTuple):
 
 
 def _first_block(low: np.ndarray, size: float) -> np.ndarray:
-    # Blocks are those of the whole image, whatever the margin: training and fitting see the same ones.
+    # The grid of blocks does not depend on the margin, so that training and fitting use the same blocks.
     return np.ceil(np.floor(low / size) if size == int(size) else low / size).astype(int)
 
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """An image, and its linear light averaged around a start: once for all patches of a fit.
+    """An image and block averages of its linear light around a start, shared by all patches of a fit.
 
-    Nothing in it changes, so that threads may share it.
+    It is immutable, so that threads can share it.
 
     Attributes
     ----------
     image : (h, w, 3) uint8, uint16 or float32
     encoding, response
-        See :func:`liaam.photometry.encode`; patches of others are made of the image itself.
+        See :func:`liaam.photometry.encode`. Patches with another encoding or response use the image.
     blocks : _Blocks
-        Averages as fine as the sharpest patch needs
+        Averages as fine as the sharpest patch needs.
     """
 
     image: np.ndarray
@@ -109,16 +109,16 @@ class Light:
         shape : (n, 2) float
             Start, image pixels.
         pose : Similarity
-            Model pixels to image pixels there.
+            Model pixels to image pixels at the start.
         encoding, response
             See :func:`liaam.photometry.encode`.
         blurs : sequence of float
             Standard deviations of the patches' blurs, model pixels.
         margin : float
-            Surroundings to include, as a share of the shape's diagonal.
+            Surroundings to include, as a fraction of the shape's diagonal.
         """
         sizes = [block_size(encoding, pose.scale, blur) for blur in blurs]
-        # The coarsest patch reaches for two of its pixels more, and begins with a whole one.
+        # The coarsest patch extends by two of its pixels, and begins with a whole one.
         low, high = corners_around(image, shape, margin, 2.0 * max(sizes))
         size = _limited(min(sizes), low, high)
         return cls(image, encoding, response, _Blocks.of(image, low, high, size, encoding, response))
@@ -126,15 +126,14 @@ class Light:
     def blocks_of(
         self, low: np.ndarray, high: np.ndarray, size: float, encoding: str, response: Response
     ) -> "_Blocks | None":
-        """Averages of about a size, joined of those that there are; None if these do not serve."""
+        """Join the blocks to blocks of about the given size; None if they do not fit the request."""
         if (encoding, response) != (self.encoding, self.response):
             return None
         return self.blocks.coarser(low, high, size)
 
 
-NEARLY = 0.1
-"""Share by which blocks that levels share may be larger or smaller than a level alone would have them. What a block
-blurs more or less than it should, the blur after it makes up for."""
+SIZE_TOLERANCE = 0.1
+"""Relative tolerance of the size of blocks that levels share. The blur that follows compensates for the difference."""
 
 
 def make_patch(
@@ -149,13 +148,12 @@ def make_patch(
 ) -> Patch:
     """Cut the surroundings of a shape out of an image and encode them at about the model's resolution.
 
-    The image is averaged down and blurred so that model pixels do not skip over image pixels, and so that
-    training and fitting see the object equally sharp whatever its size in the picture.
+    Averaging and blurring prevent aliasing, and make the object equally sharp at any size in the image.
 
     Parameters
     ----------
     image : (h, w, 3) uint8, uint16 or float32, or Light
-        Where patches lie near each other, :meth:`Light.around` saves them from averaging the image one by one.
+        Several patches around one start can share the averages of :meth:`Light.around`.
     shape : (n, 2) float
         Points to surround, image pixels.
     pose : Similarity
@@ -163,29 +161,28 @@ def make_patch(
     encoding, response
         See :func:`liaam.photometry.encode`.
     blur : float
-        Standard deviation of the blur, model pixels. For ``soft`` it is that of all that blurs: of averaging and of
-        interpolation between the patch's pixels, too.
+        Standard deviation of the blur, model pixels. For ``soft`` it includes the blur by averaging and interpolation.
     margin : float
-        Surroundings to include, as a share of the shape's diagonal.
+        Surroundings to include, as a fraction of the shape's diagonal.
     """
-    shared, picture = (image, image.image) if isinstance(image, Light) else (None, image)
+    shared, pixels = (image, image.image) if isinstance(image, Light) else (None, image)
     size = block_size(encoding, pose.scale, blur)
-    low, high = corners_around(picture, shape, margin, size)
+    low, high = corners_around(pixels, shape, margin, size)
     size = _limited(size, low, high)
     blocks = shared.blocks_of(low, high, size, encoding, response) if shared is not None else None
-    means, first, size = blocks or _Blocks.of(picture, low, high, size, encoding, response)
+    means, first, size = blocks or _Blocks.of(pixels, low, high, size, encoding, response)
     turn, pixel = pose.matrix.T / pose.scale, size / pose.scale
-    rest = _rest_of_blur(blur, pixel) if encoding == "soft" else blur
-    channels = encode_means(means, encoding, response, rest / pixel, turn, pixel)
+    remaining = _remaining_blur(blur, pixel) if encoding == "soft" else blur
+    channels = encode_means(means, encoding, response, remaining / pixel, turn, pixel)
     # The centre of the first block of pixels is at first * size + (size - 1) / 2.
     from_image = Similarity(np.eye(2) / size, -first - 0.5 * (size - 1) / size)
     return Patch(channels, from_image, WIDTHS[encoding])
 
 
 def corners_around(image: np.ndarray, shape: np.ndarray, margin: float, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (x, y) int of a shape's surroundings within an image, the second one not included.
+    """Corners (x, y) int of a shape's surroundings within an image, the second one excluded.
 
-    ``margin`` is a share of the shape's diagonal; two pixels of a ``size`` in image pixels are added.
+    ``margin`` is a fraction of the shape's diagonal; twice ``size`` (image pixels) is added.
     """
     limits = np.array(image.shape[1::-1])
     pad = margin * diagonal_of(shape) + 2 * size
@@ -195,20 +192,20 @@ def corners_around(image: np.ndarray, shape: np.ndarray, margin: float, size: fl
 
 
 def _limited(size: float, low: np.ndarray, high: np.ndarray) -> float:
-    """Size of blocks of which some go between two corners."""
+    """Limit the size of blocks such that three fit between two corners."""
     return float(max(1.0, min(size, (high - low).min() // 3)))
 
 
-def _rest_of_blur(blur: float, pixel: float) -> float:
-    """What is left to be blurred where pixels of a size are averages, and are interpolated between (model pixels).
+def _remaining_blur(blur: float, pixel: float) -> float:
+    """Blur that remains after averaging over pixels of a size and interpolation between them (model pixels).
 
-    An average over a pixel has a variance of a twelfth of its square, and interpolation has twice as much.
+    Averaging has a variance of 1/12 of the squared pixel size, interpolation of 2/12.
     """
     return float(np.sqrt(max(blur**2 - pixel**2 / 4.0, 0.0)))
 
 
 def block_size(encoding: str, scale: float, blur: float) -> float:
-    """Image pixels across that are averaged into one of a patch, at least 1.
+    """Side of the block of image pixels that is averaged into one patch pixel, at least 1.
 
     Parameters
     ----------
@@ -224,10 +221,9 @@ def block_size(encoding: str, scale: float, blur: float) -> float:
 
 
 FINENESS = 0.5
-"""Size of a patch's pixels of ``soft``, in standard deviations of its blur, where that is larger than the model's
-pixels; they are finer than those only where the blur is less than one. As large as the deviation of a coarse level's
-blur, they lose starts that are far off (of 70 on a generated head 22 instead of 17): their gradients jump. Where the
-blur is one model pixel they do no harm."""
+"""Size of a patch's pixels for ``soft``, in standard deviations of its blur, on levels where the blur exceeds two model
+pixels. Measured on a generated head: with pixels as large as the standard deviation, 22 of 70 distant starts fail
+instead of 17, since the gradients jump. Under a blur of one model pixel such pixels do no harm."""
 
 
 def sample_texture(patch: Patch, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

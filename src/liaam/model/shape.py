@@ -27,7 +27,7 @@ def diagonal_of(shape: np.ndarray) -> float:
 
 
 def rotation(angle: float) -> np.ndarray:
-    """Matrix that turns (x, y) by an angle in radians, from x towards y, (2, 2) float64."""
+    """Matrix that rotates (x, y) by an angle in radians, from x towards y, (2, 2) float64."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
@@ -51,23 +51,23 @@ class Similarity:
 
     @property
     def scale(self) -> float:
-        """Length after / length before."""
+        """Ratio of lengths after and before."""
         (a, b), (c, d) = self.matrix.tolist()
         return abs(a * d - b * c) ** 0.5
 
     def inverse(self) -> "Similarity":
-        """Give the similarity that undoes this one."""
+        """Return the inverse similarity."""
         matrix = np.linalg.inv(self.matrix)
         return Similarity(matrix, -matrix @ self.offset)
 
 
 def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
-    """Least-squares similarity (no reflection) that brings a shape onto a target.
+    """Least-squares similarity, without reflection, that maps a shape to a target.
 
     Parameters
     ----------
     shape, target : (n, 2) float
-        Corresponding points. Points that are NaN in either are left out.
+        Corresponding points. Points that are NaN in either are ignored.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def _as_complex(shape: np.ndarray) -> np.ndarray:
 
 
 def shifted_into(shape: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Shift a shape (n, 2) into a picture of a width and height, as far as there is room for it."""
+    """Shift a shape (n, 2) into an image of size (width, height), if it fits."""
     return shape - np.minimum(shape.min(axis=0), 0.0) - np.maximum(shape.max(axis=0) - (np.array(size) - 1.0), 0.0)
 
 
@@ -111,7 +111,7 @@ def procrustes_mean(shapes: np.ndarray, iterations: int = 100, tolerance: float 
     mean = _normalised(shapes[0])
     for _ in range(iterations):
         new = _normalised(np.mean([align(shape, mean)(shape) for shape in shapes], axis=0))
-        # Keep the gauge: the mean may not turn while it settles.
+        # Fix the gauge: the mean must not rotate between iterations.
         new = _normalised(align(new, mean)(new))
         moved = float(np.abs(new - mean).max())
         mean = new
@@ -126,7 +126,7 @@ def _normalised(shape: np.ndarray) -> np.ndarray:
 
 
 def _upright(mean: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Turn the mean by the average rotation towards the shapes as photographed."""
+    """Rotate the mean to the average orientation of the shapes."""
     turns = [align(mean, shape).matrix for shape in shapes]
     total = np.sum([turn / np.sqrt(abs(np.linalg.det(turn))) for turn in turns], axis=0)
     return mean @ rotation(np.arctan2(total[1, 0], total[0, 0])).T
@@ -160,11 +160,11 @@ class ShapeModel:
     eigenvalues : (m,) float64
         Variance along each mode, square pixels of the reference frame.
     unexplained : (n, 2, 2) float64, optional
-        Second moments, by landmark, of what the modes of the other training shapes leave of each (leave one out),
-        square pixels of the reference frame: how far even the best fit is from a person's landmarks.
+        Second moments of the leave-out residuals of each landmark, square pixels of the reference frame: the error of
+        a perfect fit to an unseen shape.
     freedom : float
-        Degrees of freedom of shapes' distribution: infinite for a normal one; few where shapes come near the mean and
-        far from it, more than the variances say (:mod:`liaam.fitting.prior`).
+        Degrees of freedom of the shapes' Student distribution (:mod:`liaam.fitting.prior`); infinite for a normal
+        distribution.
     """
 
     mean: np.ndarray
@@ -185,19 +185,19 @@ class ShapeModel:
 
     @property
     def left_out_bound(self) -> float:
-        """Root mean square distance, over landmarks and shapes left out, that a perfect fit leaves (pixels)."""
+        """Root mean square error of perfect fits to left-out shapes, over landmarks and shapes (pixels)."""
         return np.nan if self.unexplained is None else float(np.sqrt(np.trace(self.unexplained, 0, 1, 2).mean()))
 
     def shape(self, p: np.ndarray) -> np.ndarray:
-        """Shape s(p) for p of length m + 4, as (n, 2) float64."""
+        """Return the shape s(p), (n, 2) float64, for p of length m + 4."""
         return self.mean + (np.asarray(p) @ self.basis).reshape(-1, 2)
 
     def parameters(self, shape: np.ndarray) -> np.ndarray:
-        """Coordinates p of a shape's orthogonal projection on the model, (m + 4,) float64."""
+        """Return the coordinates p of a shape's orthogonal projection on the model, (m + 4,) float64."""
         return self.basis @ (np.asarray(shape) - self.mean).ravel()
 
     def project(self, shape: np.ndarray) -> np.ndarray:
-        """Nearest shape of the model under any similarity: what a perfect fit could reach (the bound).
+        """Find the nearest shape of the model under any similarity: the result of a perfect fit.
 
         Parameters
         ----------
@@ -226,23 +226,23 @@ class ShapeModel:
 
 
 PRIORS = ("sample", "shrunk", "smooth")
-"""How the shapes' covariance may be learnt. ``sample``: as that of the pictures. ``shrunk``: its eigenvalues are the
-variances of shapes left out. ``smooth``: it is drawn towards smooth deformations (:mod:`liaam.model.shape_prior`), and
-learns from the mirrored shapes too where they make those left out likelier."""
+"""Estimators of the shapes' covariance. ``sample``: the sample covariance. ``shrunk``: with the variances of left-out
+shapes as its eigenvalues. ``smooth``: shrunk towards smooth deformations (:mod:`liaam.model.shape_prior`), and with
+mirrored shapes as further examples if they raise the likelihood of left-out shapes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """How the covariance of shapes is learnt: decided on all shapes, and taken over where some are left out.
+    """Settings for the covariance of shapes: chosen on all shapes, and reused when some are left out.
 
     Attributes
     ----------
     prior : str
-        Of :data:`PRIORS`.
+        One of :data:`PRIORS`.
     smooth : SmoothPrior, optional
-        With ``smooth``.
+        For the prior ``smooth``.
     mirrored : (n_points,) int, optional
-        Where each landmark has its counterpart, if the mirrored shapes are examples too.
+        Index of each landmark's mirror image, if mirrored shapes are further examples.
     """
 
     prior: str = "sample"
@@ -272,18 +272,18 @@ def train_shape_model(
     diagonal : float
         Diagonal of the mean shape's bounding box, pixels of the reference frame.
     variance : float, int or "auto"
-        Fraction of variance or number of modes to keep, or as many as the evidence is for.
+        Fraction of variance or number of modes to keep, or ``auto`` for the number of highest evidence.
     prior : str
-        Of :data:`PRIORS`.
+        One of :data:`PRIORS`.
     folds : sequence of int arrays, optional
-        Shapes to leave out together where something is learnt so; each alone, or in a few folds, if left out.
+        Shapes to leave out together; by default the folds of :func:`~liaam.model.pca.some_folds`.
     """
     mean = scaled_mean(shapes, diagonal)
     return shape_model_on(mean, shapes, variance, choose_recipe(mean, shapes, prior, folds), folds)
 
 
 def scaled_mean(shapes: np.ndarray, diagonal: float) -> np.ndarray:
-    """Procrustes mean of shapes whose bounding box has a given diagonal, (n_points, 2) float64."""
+    """Procrustes mean of shapes, scaled to a diagonal of its bounding box, (n_points, 2) float64."""
     mean = procrustes_mean(shapes)
     return mean * (diagonal / diagonal_of(mean))
 
@@ -291,13 +291,13 @@ def scaled_mean(shapes: np.ndarray, diagonal: float) -> np.ndarray:
 def choose_recipe(
     mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Sequence[np.ndarray] | None = None
 ) -> Recipe:
-    """Decide what the shapes left out ask for."""
+    """Choose the settings under which left-out shapes are most likely."""
     check_prior(prior)
     if prior != "smooth":
         return Recipe(prior)
     folds = some_folds(len(shapes)) if folds is None else folds
     plain = fit_prior(_deviations(mean, shapes), folds)
-    # The mean may be turned to one side; then a single shape may still be symmetric.
+    # The mean may be asymmetric, such as of turned heads; a single shape may still be symmetric.
     tries = min(MIRRORED_TRIES, MIRRORED_POINTS // len(mean))
     orders = (mirror_order(shape) for shape in (mean, *shapes[:tries]))
     order = next((order for order in orders if order is not None), None)
@@ -333,22 +333,22 @@ def shape_model_on(
 
 
 def _deviations(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | None = None) -> Deviations:
-    """Deviations of shapes, and of their mirrored forms if an order is given, from a mean."""
+    """Deviations of shapes from a mean; also those of the mirrored shapes if an order is given."""
     rigid, n = similarity_modes(mean), len(shapes)
     if order is not None:
         shapes = np.concatenate([shapes, (shapes * [-1.0, 1.0])[:, order]])
     aligned = np.array([align(shape, mean)(shape) for shape in shapes])
     deviations = (aligned - mean).reshape(len(shapes), -1)
-    # Modes live in the space orthogonal to the similarities, so that p and pose do not trade off.
+    # Modes are orthogonal to the similarities, so that p and pose do not trade off.
     deviations -= deviations @ rigid.T @ rigid
-    deviations[np.abs(deviations) < 1e-9 * diagonal_of(mean)] = 0.0  # rounding is no mode
+    deviations[np.abs(deviations) < 1e-9 * diagonal_of(mean)] = 0.0  # rounding must not become a mode
     return Deviations(mean, rigid, deviations[:n], deviations[n:])
 
 
 def _smooth_model(
     deviations: Deviations, variance: Variance, prior: SmoothPrior, folds: Sequence[np.ndarray]
 ) -> ShapeModel:
-    """Shape model of a covariance drawn towards smooth deformations."""
+    """Shape model from a covariance shrunk towards smooth deformations."""
     spread = covariance(deviations, prior)
     modes, values = modes_of(spread, deviations.rigid)
     folds = [fold for fold in folds if len(deviations.own) - len(fold) >= 2]
@@ -367,7 +367,7 @@ def _smooth_model(
 def _left_out(
     deviations: Deviations, fold: np.ndarray, prior: SmoothPrior
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A fold's deviations from the mean of the others, and the others' modes and eigenvalues."""
+    """Deviations of a fold from the mean of the others, and the others' modes and eigenvalues."""
     part = deviations.of(np.setdiff1d(np.arange(len(deviations.own)), fold))
     return deviations.own[fold] - part.own.mean(axis=0), *modes_of(covariance(part, prior), deviations.rigid)
 
@@ -382,18 +382,17 @@ def _count_by_evidence(parts: list[LeftOutCoordinates]) -> int:
 
 
 def _moments(left: np.ndarray) -> np.ndarray:
-    """Second moments (n_points, 2, 2) of what is left (n, 2 n_points) of shapes."""
+    """Second moments (n_points, 2, 2) of residuals (n, 2 n_points) of shapes."""
     by_landmark = left.reshape(len(left), -1, 2)
     return np.einsum("ina,inb->nab", by_landmark, by_landmark) / len(left)
 
 
 MIRRORED = 0.02
-"""Root mean square distance between a shape and its mirrored form, as a share of its diagonal, up to which the shape
-may count as symmetric; whether it helps is for the shapes left out to say."""
-
+"""Largest root mean square distance between a symmetric shape and its mirror image, as a fraction of its diagonal.
+Mirrored shapes are used only if they raise the likelihood of left-out shapes."""
 
 MIRRORED_TRIES, MIRRORED_POINTS = 20, 2000
-"""Shapes that are tried where the mean is not symmetric: so many at most, and so many points in all."""
+"""Largest number of shapes, and of their points in total, to test for symmetry if the mean is not symmetric."""
 
 
 def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0) -> np.ndarray | None:
@@ -405,12 +404,12 @@ def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0)
     limit : float
         See :data:`MIRRORED`.
     tilt : float
-        How far from the vertical the axis is looked for at most, degrees.
+        Largest angle between the axis and the vertical, degrees.
 
     Returns
     -------
     (n,) int or None
-        Such that ``(shape * [-1, 1])[order]`` is the shape again, turned and nearly; None where there is none.
+        Order such that ``(shape * [-1, 1])[order]`` is nearly a rotation of the shape; None if there is none.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -425,7 +424,7 @@ def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0)
     turns = np.arange(12)
     for angle in turns[30 * np.minimum(turns, 12 - turns) <= 2 * tilt] * np.pi / 6:
         moved, found = _closest(shape, mirrored, mirrored @ rotation(angle).T, nearest)
-        # Pairs are further apart than nearest points, and take much longer to find.
+        # Cheap rejection: the distances of a one-to-one assignment are at least those of the nearest points.
         if np.sqrt(np.square(shape - moved[found]).sum(axis=1).mean()) > limit:
             continue
         moved, found = _closest(shape, mirrored, moved, one_to_one)
@@ -438,7 +437,7 @@ def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0)
 def _closest(
     shape: np.ndarray, other: np.ndarray, moved: np.ndarray, pair: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Alternate pose and counterparts from a first pose: how the other lies then, and its points for this one's."""
+    """Alternate pose and correspondences from a first pose; return the moved other shape and the correspondences."""
     found = np.empty(0, int)
     for _ in range(5):
         last, found = found, pair(np.square(shape[:, None] - moved[None]).sum(axis=2))

@@ -1,13 +1,13 @@
-"""What shapes may look like besides those of a few pictures: a covariance drawn towards smooth deformations.
+"""Covariance of shapes learnt from few images: the sample covariance shrunk towards smooth deformations.
 
-The sample covariance S of n shapes has rank n - 1 and says that everything else is impossible. Here it is mixed with
-smooth deformations of the mean shape, and with the scatter of landmarks placed by hand:
+The sample covariance S of n shapes has rank n - 1: shapes outside its span would be impossible. Here it is mixed with
+smooth deformations of the mean shape and with annotation noise:
 
-    C = (1 - share) S + share tr(S) K(width),        a shape is N(mean, C + noise tr(S) / d I)
+    C = (1 - share) S + share tr(S) K(width),        shapes are N(mean, C + noise tr(S) / d I)
 
 K is the covariance of a Gaussian process on the mean shape, orthogonal to the similarities, of trace 1 (Cootes and
-Taylor, BMVC 1995, mix in a finite element model's modes likewise). ``share``, ``width`` and ``noise`` are those under
-which shapes left out of the sample are most likely. The modes are the eigenvectors of C.
+Taylor, BMVC 1995, likewise mix in the modes of a finite element model). ``share``, ``width`` and ``noise`` maximise
+the likelihood of left-out shapes. The modes are the eigenvectors of C.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,36 +20,36 @@ import numpy as np
 from liaam.model.pca import LeftOutCoordinates
 
 SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6)
-"""Shares of smooth deformations that are tried."""
+"""Candidate fractions of smooth deformations."""
 
 WIDTHS = (0.1, 0.2)
-"""Over how much of the mean shape's diagonal landmarks move together (standard deviation of the kernel)."""
+"""Candidate standard deviations of the kernel, as fractions of the mean shape's diagonal."""
 
 NOISES = (0.01, 0.02, 0.05, 0.1, 0.2)
-"""Variances of landmarks that are no shape, as shares of the mean variance of a coordinate."""
+"""Candidate variances of the annotation noise, as fractions of the mean variance of a coordinate."""
 
 FREEDOMS = (3.0, 5.0, 10.0, 20.0, 50.0, np.inf)
-"""Degrees of freedom that are tried for the distribution of shapes; the last is a normal one."""
+"""Candidate degrees of freedom of the shapes' distribution; the last is a normal distribution."""
 
 MOST_POINTS = 80
-"""Landmarks by which the mixture is chosen: a Gaussian process on some of its points has the same parameters, and the
-time grows with the third power of their number."""
+"""Largest number of landmarks used to choose the mixture. A Gaussian process on a subset of points has the same
+parameters, and the time grows with the cube of their number."""
 
 
 @dataclass(frozen=True)
 class SmoothPrior:
-    """How much of the covariance is smooth deformation and noise.
+    """Parameters of the mixture of sample covariance, smooth deformations and noise.
 
     Attributes
     ----------
     share : float
-        Of the variance, in smooth deformations.
+        Fraction of the variance in smooth deformations.
     width : float
-        Standard deviation of their kernel, as a share of the mean shape's diagonal.
+        Standard deviation of their kernel, as a fraction of the mean shape's diagonal.
     noise : float
-        Variance of a coordinate that is no shape, as a share of the mean variance of a coordinate.
+        Noise variance of a coordinate, as a fraction of the mean variance of a coordinate.
     evidence : float
-        Logarithm of the density of the shapes left out, by shape.
+        Mean log-likelihood of a left-out shape.
     """
 
     share: float
@@ -69,7 +69,7 @@ class Deviations:
         Similarity vectors, orthonormal.
     own : (n, 2 n_points) float64
     further : (m, 2 n_points) float64
-        Further examples that belong to those (row i to ``own[i]``, if there are any), such as mirrored ones.
+        Further examples such as mirrored shapes: row i belongs to ``own[i]``, or no rows.
     """
 
     mean: np.ndarray
@@ -79,22 +79,22 @@ class Deviations:
 
     @property
     def dimension(self) -> int:
-        """Of the space that shapes vary in."""
+        """Dimension of the space in which shapes vary."""
         return self.own.shape[1] - len(self.rigid)
 
     def of(self, kept: np.ndarray) -> "Deviations":
-        """Deviations of some of the shapes."""
+        """Return the deviations of some of the shapes."""
         return Deviations(
             self.mean, self.rigid, self.own[kept], self.further[kept] if len(self.further) else self.own[:0]
         )
 
     def thinned(self, count: int) -> "Deviations":
-        """The same at so many landmarks at most, spread over the mean shape."""
+        """Return the deviations of at most ``count`` landmarks, spread over the mean shape."""
         if len(self.mean) <= count:
             return self
         chosen = spread_points(self.mean, count)
         columns = np.arange(self.own.shape[1]).reshape(-1, 2)[chosen].ravel()
-        rigid = np.linalg.qr(self.rigid[:, columns].T)[0].T  # similarities of the shape are those of its part
+        rigid = np.linalg.qr(self.rigid[:, columns].T)[0].T
 
         def part(rows: np.ndarray) -> np.ndarray:
             return rows[:, columns] - rows[:, columns] @ rigid.T @ rigid
@@ -102,13 +102,13 @@ class Deviations:
         return Deviations(self.mean[chosen], rigid, part(self.own), part(self.further))
 
     def sample_covariance(self) -> np.ndarray:
-        """Second moments about the mean of ``own``, (d, d) float64; further examples need not have the same mean."""
+        """Second moments of all examples about the mean of ``own``, (d, d) float64."""
         everything = np.concatenate([self.own, self.further]) - self.own.mean(axis=0)
         return everything.T @ everything / max(len(everything) - 1, 1)
 
 
 def spread_points(points: np.ndarray, count: int) -> np.ndarray:
-    """Choose points (n, 2) far from each other, (count,) int, rising: each is the farthest from those before it."""
+    """Choose points (n, 2) far from each other by farthest-point sampling; return sorted indices, (count,) int."""
     chosen = [int(np.square(points - points.mean(axis=0)).sum(axis=1).argmax())]
     nearest = np.full(len(points), np.inf)
     while len(chosen) < count:
@@ -126,7 +126,7 @@ def smooth_covariance(mean: np.ndarray, rigid: np.ndarray, width: float) -> np.n
     rigid : (4, 2 n) float
         Orthonormal similarity vectors.
     width : float
-        Standard deviation of the Gaussian kernel, as a share of the shape's diagonal.
+        Standard deviation of the Gaussian kernel, as a fraction of the shape's diagonal.
     """
     reach = width * np.hypot(*np.ptp(mean, axis=0))
     apart = np.square(mean[:, None] - mean[None]).sum(axis=2)
@@ -144,8 +144,8 @@ def covariance(deviations: Deviations, prior: SmoothPrior) -> np.ndarray:
 
 
 def modes_of(spread: np.ndarray, rigid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvectors (m, d) of a covariance orthogonal to the similarities, strongest first, and eigenvalues (m,)."""
-    # The similarities, whose variance is 0, are put last by a variance below 0.
+    """Eigenvectors (m, d) and descending eigenvalues (m,) of a covariance orthogonal to the similarities."""
+    # Give the similarities, whose variance is 0, a negative variance, so that they come last.
     total = max(float(np.trace(spread)), 1e-12)
     values, vectors = np.linalg.eigh(spread - total * rigid.T @ rigid)
     values, modes = values[::-1][: -len(rigid)], vectors.T[::-1][: -len(rigid)]
@@ -154,15 +154,14 @@ def modes_of(spread: np.ndarray, rigid: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrior:
-    """Find the mixture under which the shapes of each fold, left out in turn, are most likely.
-
-    Of shapes of many landmarks, :data:`MOST_POINTS` are looked at.
+    """Find the mixture that maximises the likelihood of left-out shapes.
 
     Parameters
     ----------
     deviations : Deviations
+        At most :data:`MOST_POINTS` of the landmarks are used.
     folds : sequence of int arrays
-        Shapes to leave out together: those of one object belong into one fold.
+        Shapes to leave out together. Shapes of the same object belong in the same fold.
     """
     deviations, mixtures = deviations.thinned(MOST_POINTS), list(product(SHARES, WIDTHS))
     total = np.zeros((len(mixtures), len(NOISES)))
@@ -184,9 +183,9 @@ def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrio
 
 
 def fit_freedom(left_out: Sequence[LeftOutCoordinates], kept: int) -> float:
-    """Find the degrees of freedom under which shapes left out are most likely, of :data:`FREEDOMS`.
+    """Find the degrees of freedom, of :data:`FREEDOMS`, that maximise the likelihood of left-out shapes.
 
-    A multivariate Student distribution on the modes kept, whose scale is the others' covariance.
+    The model is a multivariate Student distribution on the modes kept, whose scale is the covariance of the others.
     """
     squares = [(part.squares[:, :kept] / part.eigenvalues[:kept]).sum(axis=1) for part in left_out]
     if not squares or not kept:
@@ -196,7 +195,7 @@ def fit_freedom(left_out: Sequence[LeftOutCoordinates], kept: int) -> float:
 
 
 def _log_student(squares: np.ndarray, dimension: int, freedom: float) -> np.ndarray:
-    """Log density of a Student distribution by squared distances in standard deviations, but for a constant."""
+    """Log density of a Student distribution at squared Mahalanobis distances, up to a constant."""
     if not np.isfinite(freedom):
         return -0.5 * squares
     half = 0.5 * dimension
@@ -207,7 +206,7 @@ def _log_student(squares: np.ndarray, dimension: int, freedom: float) -> np.ndar
 def _densities(
     sample: np.ndarray, away: np.ndarray, part: Deviations, mixtures: list[tuple[float, float]]
 ) -> Iterator[np.ndarray]:
-    """Log density of deviations ``away`` from the mean under each mixture, one for each of the noises."""
+    """Yield for each mixture the log density of the deviations ``away`` under each noise, (n_noises,)."""
     smooth = {width: smooth_covariance(part.mean, part.rigid, width) for width in WIDTHS}
     total = np.trace(sample)
     noises = np.array(NOISES)[:, None] * total / part.dimension

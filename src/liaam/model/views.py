@@ -1,4 +1,4 @@
-"""What a method fits with: the views of a model, their levels, and how far their fits can be trusted."""
+"""Views of a model, their levels, and the calibration of the quality of their fits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,25 +15,25 @@ VIEWS: dict[str, Callable[[ShapeModel, np.ndarray], PiecewiseAffineWarp]] = {
     MESH: mesh_warp,
     SURROUNDINGS: surrounded_warp,
 }
-"""What a view may show, by its name: the warp that carries its pixels, made of shapes and triangles."""
+"""Views by name: functions that make the warp of a view from the shape model and the triangles."""
 
 LITTLE = 2 / 3
-"""Share of the log odds at :attr:`Reliability.ordinary` that are little. Measured on strangers of IMM, 924 fits under
-four lamps, models with an ordinary quality of 0.90: all 34 fits that end in a wrong place for want of a better start
-have less than 0.815, and no right one has less than 0.84; two thirds of the log odds is 0.816."""
+"""Fraction of the log odds at :attr:`Reliability.ordinary` below which a quality is low. Measured on 924 fits of unseen
+persons of IMM under four lamps, with an ordinary quality of 0.90: all 34 fits that end in a wrong place because of a
+poor start are below 0.815, and all right ones above 0.84. Two thirds of the log odds is 0.816."""
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The model's appearance at one sharpness; a fit goes from the blurred levels to the sharp one.
+    """The model's appearance under one blur; a fit proceeds from the most blurred level to the sharpest.
 
     Attributes
     ----------
     blur : float
         Standard deviation of the Gaussian blur of the encoded images, pixels of the reference frame.
     appearances : dict of str to AppearanceModel
-        By name of :data:`liaam.model.appearance.CHANNELS`, all on the pixels of the view. ``invariant`` is absent from
-        a model trained on grey pictures; ``varied`` and ``illumination`` from one trained without lamps.
+        Appearances by name, keys of :data:`liaam.model.appearance.CHANNELS`, on the pixels of the view. Models of grey
+        images lack ``invariant``; models trained without lamps lack ``varied`` and ``illumination``.
     """
 
     blur: float
@@ -42,19 +42,20 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """What fits of the default method to pictures left out of training tell of those to come by the same method.
+    """Calibration of quality and covariance, learnt from fits of the default method to left-out images.
 
     Attributes
     ----------
     landmarks : (n, 2, 2) float64
-        Covariance of each landmark beyond what a fit states of itself, square pixels of the reference frame.
+        Covariance of each landmark in addition to that of a fit, square pixels of the reference frame.
     weights : (3,) float64
-        Log odds that a fit is right: of 1, of the share of the picture it explains, and of its shape's strangeness.
+        Log odds that a fit is right: intercept, and coefficients of the fraction of the image that the fit explains
+        and of its shape's distance to the mean.
     understated : float
-        How many times the variances of a fit's parameters are what it states of itself, at least 1: shapes and
-        appearances that the model lacks move the others, too.
+        Factor, at least 1, by which the variances of a fit's parameters are too small: shapes and appearances outside
+        the model bias the parameters.
     ordinary : float
-        Quality that nearly all right fits have: 5 % of those to left-out pictures have less.
+        5th percentile of the quality of right fits to left-out images.
     """
 
     landmarks: np.ndarray
@@ -64,28 +65,28 @@ class Reliability:
 
     @property
     def little(self) -> float:
-        """Quality far below the ordinary: that of :data:`LITTLE` of its log odds."""
+        """Threshold of low quality: :data:`LITTLE` of the log odds of ``ordinary``."""
         odds = np.log(max(self.ordinary, 1e-9)) - np.log(max(1.0 - self.ordinary, 1e-9))
         return float(1.0 / (1.0 + np.exp(-LITTLE * odds)))
 
     def quality(self, evidence: np.ndarray) -> float:
-        """Probability, 0 to 1, that a fit of some evidence (2,) is right, where right and wrong are as likely."""
+        """Probability, 0 to 1, that a fit with the given evidence (2,) is right, for equal prior odds."""
         odds = self.weights[0] + self.weights[1:] @ evidence
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))) if np.isfinite(odds) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a method fits with: shapes, pixels, and the appearances on these.
+    """Shapes, pixels, and appearances on these pixels, with which a method fits.
 
     Attributes
     ----------
     warp : PiecewiseAffineWarp
-        Of the mesh, or of the mesh and its surroundings; it holds the shapes.
+        Warp of the mesh, or of the mesh and its surroundings. It contains the shape model.
     levels : tuple of Level
         Appearances from coarse to fine.
     reliability : Reliability, optional
-        What tells right fits from wrong ones, where training has found out.
+        Calibration of the quality of fits, if training has measured it.
     """
 
     warp: PiecewiseAffineWarp
@@ -94,7 +95,7 @@ class View:
 
     @property
     def shape_model(self) -> ShapeModel:
-        """Shapes in pixels of the reference frame; those of all views have the same mean."""
+        """Shape model in pixels of the reference frame; all views have the same mean."""
         return self.warp.shape_model
 
 
@@ -105,5 +106,5 @@ def make_view(
     levels: tuple[Level, ...] = (),
     reliability: Reliability | None = None,
 ) -> View:
-    """View of one of the names :data:`VIEWS`."""
+    """Make a view by its name, a key of :data:`VIEWS`."""
     return View(VIEWS[name](shape_model, triangles), levels, reliability)

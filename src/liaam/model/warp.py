@@ -1,7 +1,7 @@
-"""Warps W(x; p) from the reference frame to the image: one interface, so that every solver serves all.
+"""Warps W(x; p) from the reference frame to the image, with one interface for all solvers.
 
-A warp gives the points, their derivative and the update. Derivatives are with respect to the points'
-own coordinates; the fitting problem adds the constant similarity between model and image pixels.
+A warp computes the points, their derivative and the update. Derivatives are in model pixels; the fitting problem adds
+the constant similarity between model and image pixels.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from liaam.model.shape import ShapeModel, Similarity
 
 
 class Warp(Protocol):
-    """What the solver needs of a warp."""
+    """Interface of warps."""
 
     @property
     def n_parameters(self) -> int:
@@ -26,23 +26,23 @@ class Warp(Protocol):
 
     @property
     def rest(self) -> np.ndarray:
-        """Handles of the warp at rest, (n, 2) float64 model pixels: the points that tell where it puts things."""
+        """Handles of the warp (such as landmarks) at p = 0, (n, 2) float64 model pixels."""
         ...
 
     def shape(self, p: np.ndarray) -> np.ndarray:
-        """Handles moved by the warp, (n, 2) float64 model pixels."""
+        """Handles at p, (n, 2) float64 model pixels."""
         ...
 
     def parameters(self, shape: np.ndarray) -> np.ndarray:
-        """Parameters that bring the handles nearest to a shape, (n_parameters,) float64."""
+        """Parameters that move the handles nearest to a shape, (n_parameters,) float64."""
         ...
 
     def movement(self, step: np.ndarray) -> float:
-        """Size of a step of p: root mean square movement of what the warp carries, model pixels."""
+        """Size of a step of p: root mean square movement, model pixels."""
         ...
 
     def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
-        """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""
+        """W(x; p) of every model pixel, mapped by a similarity if one is given, (n_pixels, 2) float64."""
         ...
 
     def jacobian(self, p: np.ndarray) -> np.ndarray:
@@ -54,27 +54,27 @@ class Warp(Protocol):
         ...
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
-        """Derivatives of per-pixel values (n_pixels, k) along x and y at rest, (n_pixels, 2, k)."""
+        """Derivatives of per-pixel values (n_pixels, k) along x and y at p = 0, (n_pixels, 2, k)."""
         ...
 
     def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2), model pixels."""
+        """Map gradients (n_pixels, 2, k) at x to gradients at W(x; p), (n_pixels, k, 2), model pixels."""
         ...
 
 
 class Mesh(NamedTuple):
-    """Piecewise-affine warp (paper eq 3), its pixels in the order of their triangles."""
+    """Arrays of a piecewise-affine warp (paper eq 3) for compiled loops, with pixels sorted by triangle."""
 
     beta: Single2
     """(n, 3) float32: barycentric weights of each pixel."""
     starts: Long1
     """(t + 1,) int64: first pixel of each triangle, and the end."""
     triangles: Long2
-    """(t, 3) int64: its vertices."""
+    """(t, 3) int64: vertices of each triangle."""
     rest: Double2
-    """(v, 2) float64: vertices at rest, model pixels."""
+    """(v, 2) float64: vertices at p = 0, model pixels."""
     basis: Double2
-    """(2 v, n_p) float64: derivative of the vertices, x and y in turn, by p."""
+    """(2 v, n_p) float64: derivative of the vertices x0, y0, x1, y1, ... by p."""
     movement: float
     """Root mean square movement of the landmarks by a step of p of unit length, model pixels."""
 
@@ -84,17 +84,17 @@ class PiecewiseAffineWarp:
     """Piecewise-affine warp of a mesh whose vertices follow a shape model (paper eq 3).
 
     W(x; p) = sum_v beta_v(x) s_v(p) is linear in p, so dW/dp_i = sum_v beta_v(x) s_i[v] is constant and
-    worked out once.
+    computed once.
 
     Attributes
     ----------
     frame : ReferenceFrame
-        Of the mean shape, or of the mean shape and what surrounds it.
+        Pixels of the mean shape, or of the mean shape and its surroundings.
     shape_model : ShapeModel
     extension : (n_vertices, n_points) float64, optional
-        Takes landmarks to the frame's vertices (:class:`liaam.model.mesh.Surroundings`); they are the same if left out.
+        Maps landmarks to the frame's vertices (:class:`liaam.model.mesh.Surroundings`); the identity by default.
     kept : (n_pixels,) int64, optional
-        Those of the frame's pixels that count, in the order they are wanted in; all in raster order if left out.
+        Indices of the frame's pixels to use, in order; by default all, in raster order.
     """
 
     frame: ReferenceFrame
@@ -126,22 +126,22 @@ class PiecewiseAffineWarp:
         return sqrt(float(step @ step) / self.shape_model.n_points)
 
     def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
-        """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64."""
+        """W(x; p) of every model pixel, mapped by a similarity if one is given, (n_pixels, 2) float64."""
         landmarks = self.shape_model.shape(p)
-        # Barycentric weights sum to 1, so carrying the few landmarks carries all pixels.
+        # Barycentric weights sum to 1, so it suffices to map the landmarks.
         return self.interpolate(landmarks if pose is None else pose(landmarks))
 
     def interpolate(self, landmarks: np.ndarray) -> np.ndarray:
-        """Carry (n_points, 2) positions of the landmarks to all model pixels, (n_pixels, 2) float64."""
+        """Interpolate positions (n_points, 2) of the landmarks at all model pixels, (n_pixels, 2) float64."""
         corners, beta = self._corners
         return np.einsum("nv,nva->na", beta, self._vertices(landmarks)[corners])
 
     def _vertices(self, landmarks: np.ndarray) -> np.ndarray:
-        """Positions of the frame's vertices, (n_vertices, 2), for those of the landmarks."""
+        """Positions of the frame's vertices, (n_vertices, 2), from those of the landmarks."""
         return landmarks if self.extension is None else self.extension @ landmarks
 
     def _vertices_of(self, p: np.ndarray) -> np.ndarray:
-        """Positions of the frame's vertices, (n_vertices, 2)."""
+        """Positions of the frame's vertices at p, (n_vertices, 2)."""
         return self._resting_vertices + (p @ self._by_parameters).reshape(-1, 2)
 
     @cached_property
@@ -170,7 +170,7 @@ class PiecewiseAffineWarp:
         return modes if self.extension is None else np.einsum("vn,ina->iva", self.extension, modes, optimize=True)
 
     def mesh(self) -> Mesh:
-        """The warp as compiled loops take it; its pixels have to be in the order of the triangles."""
+        """Return the warp's arrays for compiled loops; its pixels must be sorted by triangle."""
         triangles = self.frame.triangles.astype(np.int64)
         assert not (np.diff(self._owners) < 0).any()
         return Mesh(
@@ -183,25 +183,25 @@ class PiecewiseAffineWarp:
         )
 
     def every(self, spacing: float) -> np.ndarray:
-        """Numbers of pixels so far apart: all, every other, or a square grid; in the order of the triangles."""
+        """Indices of pixels at a spacing (all, a chequerboard, or a square grid), sorted by triangle."""
         rows, columns = self.frame.pixels.T
         if spacing < 1.75:
             kept = np.flatnonzero((rows + columns) % 2 < (2 if spacing < 1.25 else 1))
         else:
             kept = np.flatnonzero((rows % round(spacing) == 0) & (columns % round(spacing) == 0))
-        if len(kept) < min(FEWEST, len(rows)):  # of a small frame under a wide blur
+        if len(kept) < min(FEWEST, len(rows)):  # a small frame under a wide blur
             return self.every(0.5 * spacing)
         return kept[np.argsort(self.frame.owners[kept], kind="stable")]
 
     def at(self, kept: np.ndarray) -> "PiecewiseAffineWarp":
-        """Give the same warp of some of the frame's pixels only."""
+        """Return the warp of some of the frame's pixels only."""
         return replace(self, kept=kept)
 
     @cached_property
     def _jacobian(self) -> np.ndarray:
         corners, beta = self._corners
-        carried = np.einsum("nv,inva->nai", beta, self._vertex_modes[:, corners], optimize=True)
-        return np.ascontiguousarray(carried, dtype=np.float32)
+        jacobian = np.einsum("nv,inva->nai", beta, self._vertex_modes[:, corners], optimize=True)
+        return np.ascontiguousarray(jacobian, dtype=np.float32)
 
     def jacobian(self, p: np.ndarray) -> np.ndarray:
         """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32; the same for every p."""
@@ -212,28 +212,28 @@ class PiecewiseAffineWarp:
         return p + step
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
-        """Derivatives of values (n, k) at *all* of the frame's pixels along x and y, at those that count."""
+        """Derivatives along x and y at the used pixels, of values (n, k) at *all* of the frame's pixels."""
         slopes = self.frame.gradient(values)
         return slopes if self.kept is None else slopes[self.kept]
 
     def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2) float32.
+        """Map gradients (n_pixels, 2, k) at x to gradients at W(x; p), (n_pixels, k, 2) float32.
 
-        If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Triangles of next to no area give 0.
+        If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Nearly flat triangles give 0.
         """
         back = _inverse_slopes(self.frame.points, self._vertices_of(p), self.frame.triangles)[self._owners]
         return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
 
 
 FEWEST = 8
-"""Pixels of a frame that are looked at, at least."""
+"""Least number of a frame's pixels to use."""
 
 FLAT = 0.05
-"""Share of its area at rest below which a triangle counts as flat."""
+"""Fraction of its area on the mean shape below which a triangle counts as flat."""
 
 
 def _inverse_slopes(rest: np.ndarray, shape: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(dW/dx)^-1 of each triangle, (t, 2, 2) float64; 0 for triangles that are flat."""
+    """(dW/dx)^-1 of each triangle, (t, 2, 2) float64; 0 for flat triangles."""
     at_rest, now = (
         (points[triangles[:, 1:]] - points[triangles[:, :1]]).transpose(0, 2, 1) for points in (rest, shape)
     )
@@ -245,12 +245,12 @@ def _inverse_slopes(rest: np.ndarray, shape: np.ndarray, triangles: np.ndarray) 
 
 
 def mesh_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
-    """Warp of a mesh on the mean shape."""
+    """Make the warp of a mesh on the mean shape."""
     return PiecewiseAffineWarp(model_frame(shape_model.mean, triangles), shape_model)
 
 
 def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
-    """Warp of a mesh on the mean shape and of what surrounds it (see :class:`liaam.model.mesh.Surroundings`)."""
+    """Make the warp of a mesh and its surroundings (see :class:`liaam.model.mesh.Surroundings`)."""
     around = surroundings(shape_model.mean, triangles)
     frame = model_frame(around.extension @ shape_model.mean, around.triangles)
     return PiecewiseAffineWarp(frame, shape_model, around.extension)
@@ -262,10 +262,10 @@ GENERATORS: dict[str, tuple[tuple[tuple[int, int, float], ...], ...]] = {
     "affine": (((0, 0, 1.0), (1, 1, -1.0)), ((0, 1, 1.0), (1, 0, 1.0))),
     "homography": (((2, 0, 1.0),), ((2, 1, 1.0),)),
 }
-"""Entries (row, column, value) of the matrices that each group of plane maps adds to the one before it."""
+"""Entries (row, column, value) of the generators that each group of plane maps adds to the previous group."""
 
 NEAREST = 0.1
-"""Depth, relative to that of the grid's centre, below which a point counts as behind the picture plane."""
+"""Depth, relative to that of the grid's centre, below which a point counts as behind the image plane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,13 +273,13 @@ class HomographyWarp:
     """Homography of a regular grid of pixels, or a subgroup with fewer parameters.
 
     W(x; p) = (N_1 / N_3, N_2 / N_3) with N = (I + sum_i p_i G_i) (x, 1) in centred and scaled coordinates. The
-    G_i span all matrices of the group whose last entry is 0, and are combined so that at rest a step of p moves the
-    grid's pixels by as many pixels as it is long (root mean square): no parameter is stiffer than another.
+    G_i span the matrices of the group whose last entry is 0. They are scaled such that, at p = 0, a step of unit length
+    moves the grid's pixels by one pixel (root mean square).
 
     Attributes
     ----------
     kept : (rows, columns) bool
-        Points of the grid that count; the others are left out.
+        Points of the grid to use.
     rest : (n, 2) float64
         Handles, model pixels: four corners or more, no three of the four on a line.
     stride : float
@@ -294,17 +294,17 @@ class HomographyWarp:
 
     @cached_property
     def pixels(self) -> np.ndarray:
-        """Points of the grid that count, (n_pixels, 2) float64 model pixels."""
+        """Used points of the grid, (n_pixels, 2) float64 model pixels."""
         rows, columns = np.nonzero(self.kept)
         return self.stride * np.column_stack([columns, rows]).astype(np.float64)
 
     @property
     def n_parameters(self) -> int:
-        """2, 4, 6 or 8."""
+        """Number of parameters: 2, 4, 6 or 8."""
         return len(self._basis)
 
     def movement(self, step: np.ndarray) -> float:
-        """Root mean square movement of the grid's pixels by a step of p from rest, model pixels."""
+        """Root mean square movement of the grid's pixels by a step from p = 0, model pixels."""
         return float(np.linalg.norm(step))
 
     def matrix(self, p: np.ndarray) -> np.ndarray:
@@ -323,20 +323,20 @@ class HomographyWarp:
         moved = np.einsum("iab,nb->ina", plain, x, optimize=True)
         flow = (moved[..., :2] - self.pixels * moved[..., 2:]).reshape(len(plain), -1)
         products = flow @ flow.T / n
-        products[np.diag_indices_from(products)] *= 1.0 + 1e-9  # pixels on one line cannot tell all parameters
+        products[np.diag_indices_from(products)] *= 1.0 + 1e-9  # pixels on one line do not determine all parameters
         return np.tensordot(np.linalg.inv(np.linalg.cholesky(products)), plain, axes=1)
 
     @cached_property
     def _single(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points (x, 1) and the rows 1 to 2 and 3 of the G_i as columns, in single precision."""
+        """Points (x, 1), and rows 1 to 2 and row 3 of the G_i as columns, in single precision."""
         basis = self._basis.astype(np.float32)
         rows = np.ascontiguousarray(basis.transpose(1, 2, 0))
         return _homogeneous(self.pixels).astype(np.float32), rows[:2], rows[2]
 
     def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
-        """W(x; p) of every model pixel, carried on by a similarity if one is given, (n_pixels, 2) float64.
+        """W(x; p) of every model pixel, mapped by a similarity if one is given, (n_pixels, 2) float64.
 
-        Points behind the picture plane are NaN.
+        Points behind the image plane are NaN.
         """
         points = apply_homography(self.matrix(p), self.pixels)
         return points if pose is None else pose(points)
@@ -358,22 +358,22 @@ class HomographyWarp:
         return p + step
 
     def shape(self, p: np.ndarray) -> np.ndarray:
-        """Handles moved by the warp, (n, 2) float64; NaN behind the picture plane."""
+        """Handles at p, (n, 2) float64; NaN behind the image plane."""
         return apply_homography(self.matrix(p), self.rest)
 
     def parameters(self, shape: np.ndarray) -> np.ndarray:
-        """Parameters of the group's map that brings the handles nearest to a shape, (n_parameters,) float64.
+        """Parameters that move the handles nearest to a shape, (n_parameters,) float64.
 
-        Nearest algebraically: N_12 - W N_3 = 0 is linear in p, and exact where four handles meet a homography.
+        Minimises the algebraic distance N_12 - W N_3, which is linear in p; exact for a homography of four handles.
         """
         moved = np.einsum("iab,nb->ina", self._basis, _homogeneous(self.rest))
         columns = (moved[..., :2] - shape * moved[..., 2:]).reshape(self.n_parameters, -1)
         return np.linalg.lstsq(columns.T, (shape - self.rest).ravel(), rcond=None)[0]
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
-        """Derivatives of per-pixel values (n_pixels, k) along x and y at rest, (n_pixels, 2, k) float32.
+        """Derivatives of per-pixel values (n_pixels, k) along x and y at p = 0, (n_pixels, 2, k) float32.
 
-        Central differences where both neighbours count, else the difference to the one that does, else 0.
+        Central differences where both neighbours are used, the difference to one where only one is, else 0.
         """
         picture = np.full((*self.kept.shape, values.shape[1]), np.nan)
         picture[self.kept] = values
@@ -381,12 +381,12 @@ class HomographyWarp:
         return slopes.astype(np.float32)
 
     def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Gradient at W(x; p) of what has the given slopes (n_pixels, 2, k) at x, (n_pixels, k, 2) float32."""
+        """Map gradients (n_pixels, 2, k) at x to gradients at W(x; p), (n_pixels, k, 2) float32."""
         matrix, x = self.matrix(p), _homogeneous(self.pixels)
         depth = np.maximum(x @ matrix[2], NEAREST)
-        carried = apply_homography(matrix, self.pixels)
-        slope = (matrix[None, :2, :2] - carried[:, :, None] * matrix[2, :2]) / depth[:, None, None]  # dW/dx
-        slope[~np.isfinite(slope).all(axis=(1, 2))] = 0.0  # behind the picture plane
+        moved = apply_homography(matrix, self.pixels)
+        slope = (matrix[None, :2, :2] - moved[:, :, None] * matrix[2, :2]) / depth[:, None, None]  # dW/dx
+        slope[~np.isfinite(slope).all(axis=(1, 2))] = 0.0  # behind the image plane
         flat = ~(np.linalg.det(slope) > 0.05)
         slope[flat] = np.eye(2)
         back = np.linalg.inv(slope)
@@ -395,7 +395,7 @@ class HomographyWarp:
 
 
 def _generators(group: str) -> np.ndarray:
-    """Generators of a group of plane maps and of those within it, (n, 3, 3) float64."""
+    """Generators of a group of plane maps, (n, 3, 3) float64."""
     names = tuple(GENERATORS)
     entries = [generator for name in names[: names.index(group) + 1] for generator in GENERATORS[name]]
     generators = np.zeros((len(entries), 3, 3))
@@ -410,21 +410,21 @@ def _homogeneous(points: np.ndarray) -> np.ndarray:
 
 
 def picture_corners(height: int, width: int) -> np.ndarray:
-    """Centres of a picture's corner pixels (x, y), clockwise from the first, (4, 2) float64."""
+    """Centres (x, y) of an image's corner pixels, clockwise from the top left, (4, 2) float64."""
     return np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
 
 
 def apply_homography(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Apply a homography to (n, 2) points; NaN for points behind the picture plane."""
-    carried = _homogeneous(points) @ matrix.T
-    depth = carried[:, 2]
-    return carried[:, :2] / np.where(depth > NEAREST, depth, np.nan)[:, None]
+    """Apply a homography to (n, 2) points; NaN for points behind the image plane."""
+    moved = _homogeneous(points) @ matrix.T
+    depth = moved[:, 2]
+    return moved[:, :2] / np.where(depth > NEAREST, depth, np.nan)[:, None]
 
 
 def _differences(picture: np.ndarray, axis: int) -> np.ndarray:
-    """Derivative of a picture (rows, columns, k) along an axis from the neighbours that are numbers; 0 without any."""
+    """Derivative of an image (rows, columns, k) along an axis from the neighbours that are not NaN; 0 without any."""
     ahead = np.diff(picture, axis=axis, append=np.full_like(np.take(picture, [0], axis), np.nan))
     behind = np.roll(ahead, 1, axis)  # the last difference is NaN, so the first pixel has none behind
-    seen = np.isfinite(np.stack([ahead, behind]))
-    total = np.where(seen, np.stack([ahead, behind]), 0.0).sum(axis=0)
-    return total / np.maximum(seen.sum(axis=0), 1)
+    known = np.isfinite(np.stack([ahead, behind]))
+    total = np.where(known, np.stack([ahead, behind]), 0.0).sum(axis=0)
+    return total / np.maximum(known.sum(axis=0), 1)
