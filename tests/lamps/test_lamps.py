@@ -116,8 +116,8 @@ def test_grey_pictures_stay_grey_and_faults_stay_finite(lamps, pictures):
     ("change", "message"),
     [
         (lambda p: [sample("day", p[0].image, p[0].landmarks.points)], r"day: name the pictures .* 037-00 and 037-07"),
-        (lambda p: p[1:], "object head2 has no picture under lamp day"),
-        (lambda p: p[:1], "object head2 has a picture under lamp day only"),
+        (lambda p: p[1:], "object head2 has no image under lamp day"),
+        (lambda p: p[:1], "object head2 has an image under lamp day only"),
         (lambda p: [p[0], sample("head2-left", p[1].image, p[1].landmarks.points + 20)], "have not moved"),
         (lambda p: [p[0], sample("head2-left", p[1].image[:-9], p[1].landmarks.points)], "differ in size"),
         (lambda p: [p[0], sample("head2-left", p[1].image, p[1].landmarks.points[1:])], "57 to 58 landmarks"),
@@ -140,7 +140,7 @@ def test_the_light_of_training_has_to_be_told(pictures):
 
 
 def test_lamps_serve_objects_with_the_same_landmarks(pictures, lamps):
-    with pytest.raises(TrainingError, match="with 58 landmarks, but these pictures have 50"):
+    with pytest.raises(TrainingError, match="with 58 landmarks, but these images have 50"):
         lamps.relit(pictures[0].image, pictures[0].landmarks.points[:50], [0])
     pairs = [(each.image, each.landmarks.points[:50]) for each in pictures[:3]]
     with pytest.raises(TrainingError, match="with 58 landmarks, but the pictures have 50"):
@@ -163,12 +163,12 @@ def test_files_without_lamps_are_refused(lamps, tmp_path, trained):
     trained[0].save(model_file)
     with pytest.raises(LiaamError, match="does not exist; make one with 'liaam lamps"):
         load_lamps(path)
-    with pytest.raises(LiaamError, match="holds no lamps"):
+    with pytest.raises(LiaamError, match="contains no lamps"):
         load_lamps(model_file)
     lamps.save(path)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(LiaamError, match="no complete file of lamps"):
+    with pytest.raises(LiaamError, match="not a complete lamp file"):
         load_lamps(path)
 
 

@@ -1,4 +1,4 @@
-"""Light: what lamps do to pictures of a class of objects, learnt from a few objects and laid on others."""
+"""Relighting with learnt lamps: their effect is learnt from a few objects and applied to images of others."""
 
 from liaam.lamps.bank import Lamps, load_lamps
 from liaam.lamps.copies import Copies

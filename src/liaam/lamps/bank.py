@@ -1,8 +1,8 @@
-"""Lamps as fields: by how much each changes a picture's values, place by place on the mean shape and around it.
+"""Lamps as fields on the mean shape: the factor by which each lamp changes the values of an image.
 
-A field is the logarithm of what a picture stores under a lamp, over what it stores in the light of training, on a
-square about the mean shape. Landmarks carry it to any picture: piecewise linear between them, and beyond them towards
-the square's border, which follows the shape's pose.
+A field is the logarithm of the ratio of the values stored under a lamp and under the training light, on a square around
+the mean shape. A piecewise-linear map through the landmarks warps it to an image. Outside the landmarks the map
+interpolates towards the square's border, which follows the shape's pose.
 """
 
 import json
@@ -22,39 +22,39 @@ from liaam.photometry.encoding import stored_values
 from liaam.photometry.response import from_linear, linear_to_srgb, srgb_to_linear, to_linear
 
 HALF = 0.9
-"""Half the side of a field's square, in diagonals of the mean shape: the object, what surrounds it, and the background
-that a search looks at."""
+"""Half the side of a field's square, in diagonals of the mean shape. The square includes the background that a search
+covers."""
 
 SIDE = 128
-"""Pixels across a field."""
+"""Side of a field, pixels."""
 
 DARK = 4.0 / 255.0
-"""Added to stored values before their logarithm: rounding and noise of the dark are no light."""
+"""Added to stored values before the logarithm, to suppress rounding and noise in dark pixels."""
 
 STRIDE = 4
-"""Pixels of a picture between those whose place in a field is worked out; the others' lie between."""
+"""Spacing of the pixels for which the map is computed; it is interpolated in between."""
 
 FORMAT, SCHEMA_VERSION = "liaam-lamps", 1
 
 MAKE = "liaam lamps FOLDER -o LAMPS"
-"""The command that makes a file of lamps."""
+"""The command that makes a lamp file."""
 
 MOST = 10_000
-"""Lamps in a file at most."""
+"""Largest number of lamps in a file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lamps:
-    """Lamps that pictures of a class of objects can be put under.
+    """Lamps for relighting images of a class of objects.
 
     Attributes
     ----------
     mean : (n, 2) float64
-        Landmarks of the mean shape, the middle of their box at the origin and its diagonal 1.
+        Mean shape. The centre of its bounding box is the origin, and the diagonal 1.
     fields : (k, SIDE, SIDE, 3) float16
-        Logarithm of what a lamp does to stored sRGB values (to these plus :data:`DARK`), red, green and blue.
+        Log ratio of stored sRGB values plus :data:`DARK`, under each lamp and under the training light, in RGB order.
     names : tuple of str
-        Of the lamps, for people.
+        Names of the lamps, for display.
     """
 
     mean: np.ndarray
@@ -68,15 +68,15 @@ class Lamps:
         return f"Lamps({len(self)} lamps, {len(self.mean)} landmarks)"
 
     def check_landmarks(self, n: int, whose: str) -> None:
-        """Complain unless objects with n landmarks are of the kind that the lamps were learnt from."""
+        """Raise unless the lamps were learnt with n landmarks; ``whose`` names the objects in the message."""
         if n != len(self.mean):
             raise TrainingError(
-                f"the lamps were learnt with {len(self.mean)} landmarks, but {whose} have {n}; lamps serve objects "
-                "with the same landmarks only"
+                f"the lamps were learnt with {len(self.mean)} landmarks, but {whose} have {n}; use lamps learnt with "
+                "the same landmarks"
             )
 
     def relit(self, image: np.ndarray, points: np.ndarray, which, response: Response = "srgb") -> list[np.ndarray]:
-        """Put a picture that was taken in the light of training under lamps.
+        """Relight an image that was taken under the training light.
 
         Parameters
         ----------
@@ -84,37 +84,35 @@ class Lamps:
         points : (n, 2) float
             Its landmarks.
         which : iterable of int
-            Numbers of lamps.
+            Indices of lamps.
         response
-            Of the picture's camera.
+            Response of the image's camera.
 
         Returns
         -------
         list of (h, w, 3) arrays of the image's type
-            As the camera would store them: rounded, and cut where they are too bright.
+            Relit images as the camera would store them, rounded and clipped.
 
         Raises
         ------
         TrainingError
-            If the lamps belong to objects with other landmarks.
+            If the lamps were learnt with another number of landmarks.
         """
         import cv2  # heavy: imported when first needed
 
-        self.check_landmarks(len(points), "these pictures")
+        self.check_landmarks(len(points), "these images")
         places, values = self._places(points, image.shape[1::-1]), as_srgb(image, response) + np.float32(DARK)
-        grey, pictures = is_grey(image), []
+        grey, images = is_grey(image), []
         for i in which:
             field = self.fields[i].astype(np.float32)
             field = field.mean(axis=2, keepdims=True).repeat(3, axis=2) if grey else field
-            carried = cv2.remap(
-                field, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-            )
-            changed = np.clip(values * cv2.exp(carried) - np.float32(DARK), 0.0, 1.0)
-            pictures.append(_as_stored(changed, image.dtype, response))
-        return pictures
+            warped = cv2.remap(field, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            relit = np.clip(values * cv2.exp(warped) - np.float32(DARK), 0.0, 1.0)
+            images.append(_as_stored(relit, image.dtype, response))
+        return images
 
     def _places(self, points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-        """Pixel of a field for each pixel of a picture of some size (width, height), (h, w, 2) float32."""
+        """Position in the field of each pixel of an image of size (width, height), (h, w, 2) float32."""
         import cv2  # heavy: imported when first needed
         from scipy.interpolate import LinearNDInterpolator
 
@@ -122,7 +120,7 @@ class Lamps:
         x, y = np.arange(0, width + STRIDE, STRIDE), np.arange(0, height + STRIDE, STRIDE)
         coarse = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
         pose, (rest, there) = align(self.mean, points), anchors(self.mean, points)
-        # Triangles of the picture's own points: none is folded, whatever the shape does.
+        # Triangulate the image's points, not the mean shape: this cannot fold.
         found = LinearNDInterpolator(there, rest)(coarse)
         found = np.where(np.isfinite(found), found, pose.inverse()(coarse.reshape(-1, 2)).reshape(coarse.shape))
         found = ((found + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)
@@ -144,7 +142,7 @@ class Lamps:
 
 
 def square() -> np.ndarray:
-    """Places of a field's pixels about the mean shape, (SIDE, SIDE, 2) float64."""
+    """Positions of a field's pixels in the coordinates of the mean shape, (SIDE, SIDE, 2) float64."""
     steps = np.linspace(-HALF, HALF, SIDE)
     return np.stack(np.meshgrid(steps, steps), axis=-1)
 
@@ -155,22 +153,22 @@ def _border() -> np.ndarray:
 
 
 BORDER = _border()
-"""Points on a square's border, (16, 2) float64: they follow the shape's pose."""
+"""Points on the square's border, (16, 2) float64, which follow the shape's pose."""
 
 
 def anchors(mean: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places that carry a field between the mean shape and a picture: landmarks and border, here and there."""
+    """Corresponding points (landmarks and border) in the coordinates of the mean shape and of an image."""
     return np.concatenate([mean, BORDER]), np.concatenate([points, align(mean, points)(BORDER)])
 
 
 def as_srgb(image: np.ndarray, response: Response) -> np.ndarray:
-    """Values of a picture, (h, w, 3) float32, as an sRGB camera would store them, from 0 to 1."""
+    """Convert an image to sRGB values, (h, w, 3) float32, 0 to 1."""
     stored = stored_values(image)
     return stored if response == "srgb" else linear_to_srgb(to_linear(stored, response)).astype(np.float32)
 
 
 def _as_stored(values: np.ndarray, dtype: np.dtype, response: Response) -> np.ndarray:
-    """Give sRGB values (h, w, 3) of 0 to 1 as a camera of some response and type would store them."""
+    """Convert sRGB values (h, w, 3), 0 to 1, to the values that a camera of a response and type would store."""
     stored = values if response == "srgb" else from_linear(srgb_to_linear(values), response).astype(np.float32)
     if dtype.kind == "f":
         return stored
@@ -178,30 +176,30 @@ def _as_stored(values: np.ndarray, dtype: np.dtype, response: Response) -> np.nd
 
 
 def load_lamps(path: str | os.PathLike) -> Lamps:
-    """Read a file of lamps, checking all of it.
+    """Read and validate a lamp file.
 
     Raises
     ------
     LiaamError
-        If the file is missing, cut short, forged, or holds no lamps.
+        If the file is missing, truncated, inconsistent, or not a lamp file.
     """
     path = Path(path)
-    broken = "this is no complete file of lamps ({fault}); copy it or make it again"
-    names, tensors = read_tensors(path, lambda text: _names(path, text), LiaamError, "file of lamps", MAKE, broken)
+    broken = "this is not a complete lamp file ({fault}); copy it again or make it again"
+    names, tensors = read_tensors(path, lambda text: _names(path, text), LiaamError, "lamp file", MAKE, broken)
     mean, fields = tensors.get("mean"), tensors.get("fields")
     if mean is None or fields is None or not _are_sound(mean, fields, names):
-        raise LiaamError(f"{path}: the file of lamps contradicts itself; copy it or make it again")
+        raise LiaamError(f"{path}: the lamp file contradicts itself; copy it again or make it again")
     return Lamps(mean, fields, tuple(names))
 
 
 def _names(path: Path, text: str) -> Any:
-    """Names of the lamps, by a file's header."""
+    """Read the names of the lamps from a file's header."""
     try:
         about = json.loads(text)
     except (ValueError, RecursionError):
         about = None
     if not isinstance(about, dict) or (about.get("format"), about.get("schema")) != (FORMAT, SCHEMA_VERSION):
-        raise LiaamError(f"{path}: this file holds no lamps; make one with '{MAKE}'")
+        raise LiaamError(f"{path}: this file contains no lamps; make one with '{MAKE}'")
     return about.get("names")
 
 

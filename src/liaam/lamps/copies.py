@@ -1,4 +1,4 @@
-"""Copies of training pictures, relit and mirrored: made when they are needed, close to the object, and not kept."""
+"""Relit and mirrored copies of training images, cropped around the object and generated on demand."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,28 +11,28 @@ from liaam.model.shape import diagonal_of
 from liaam.photometry import Response
 
 AROUND = 0.5
-"""What is kept around an object, as a share of its diagonal."""
+"""Margin of a crop, as a fraction of the object's diagonal."""
 
 FINER = 2.0
-"""How much finer than asked for a picture may be before it is averaged down."""
+"""An image is averaged down if it exceeds the required resolution by more than this factor."""
 
 MOST = 1200
-"""Pictures and copies together, of few pictures; of more there is a copy of each."""
+"""Largest number of images and copies together, if that allows a copy of each image; otherwise there is one of each."""
 
 
 @dataclass(frozen=True, eq=False)
 class Copies:
-    """What copies of which training pictures are made.
+    """Plan of the copies of training images.
 
     Attributes
     ----------
     lamps : Lamps or None
-        Without any, copies are in the light of training.
+        Lamps for relit copies; without lamps, copies keep the training light.
     counts : (n,) int
-        Copies of each picture.
+        Number of copies of each image.
     order : (n_points,) int, optional
-        Counterparts of the landmarks on the other side (:func:`liaam.model.shape.mirror_order`), where objects look
-        alike in a mirror: every other copy is of the mirrored picture.
+        Index of each landmark's mirror image (:func:`liaam.model.shape.mirror_order`), for symmetric objects: half of
+        the copies are mirrored.
     """
 
     lamps: Lamps | None
@@ -41,25 +41,25 @@ class Copies:
 
     @classmethod
     def of(cls, lamps: Lamps | None, n: int, each: int, order: np.ndarray | None) -> "Copies":
-        """So many copies of each of n pictures, fewer of many pictures, and without lamps a mirrored one at most."""
+        """Plan ``each`` copies of each of n images: fewer of many images, and without lamps only a mirrored one."""
         each = each if lamps is not None else min(each, 0 if order is None else 1)
         total = min(each * n, max(MOST - n, n))
         return cls(lamps, np.diff(np.arange(n + 1) * total // n), order)
 
     @property
     def are_relit(self) -> bool:
-        """Whether any copy is in another light."""
+        """Whether any copy is relit."""
         return self.lamps is not None and bool(self.counts.any())
 
     @property
     def owners(self) -> np.ndarray:
-        """Number of the picture that each texture is of, the pictures' own first among their copies, (n + total,)."""
+        """Index of the image of each texture, (n + total,): each image is followed by its copies."""
         return np.repeat(np.arange(len(self.counts)), 1 + self.counts)
 
     def of_picture(
         self, i: int, image: np.ndarray, points: np.ndarray, response: Response, diagonal: float
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Copies of picture i, and their landmarks, as fine as a reference frame of some diagonal needs them."""
+        """Yield the copies of image i and their landmarks, at the resolution for a reference frame of a diagonal."""
         count, known = int(self.counts[i]), 1 if self.lamps is None else len(self.lamps)
         if not count:
             return
@@ -73,7 +73,7 @@ class Copies:
         yield from ((copy, points) for copy in self._relit(image, points, which, response))
 
     def relit(self, i: int, image: np.ndarray, points: np.ndarray, response: Response) -> list[np.ndarray]:
-        """Picture i in full under another lamp; none where there are no lamps."""
+        """Return the uncropped image i under one random lamp, in a list; an empty list without lamps."""
         if self.lamps is None:
             return []
         return self.lamps.relit(image, points, [np.random.default_rng([31, i]).integers(len(self.lamps))], response)
@@ -83,7 +83,7 @@ class Copies:
 
 
 def close_up(image: np.ndarray, points: np.ndarray, diagonal: float) -> tuple[np.ndarray, np.ndarray]:
-    """An object and what surrounds it, averaged down to about twice a diagonal in pixels, and its landmarks there."""
+    """Crop an object, average it down to about twice a diagonal in pixels, and map its landmarks."""
     import cv2  # heavy: imported when first needed
 
     low, high = corners_around(image, points, AROUND, 0.0)

@@ -1,4 +1,4 @@
-"""Lamps learnt from objects that were photographed under each without having moved."""
+"""Learn lamps from objects that were photographed under several lamps without moving."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -15,11 +15,12 @@ from liaam.photometry.encoding import as_colour
 from liaam.progress import Progress
 
 BLUR = 0.016
-"""Blur of a ratio of two pictures, as a share of the object's diagonal: the light stays, the grain of skin or fur goes,
-and so does what a breath has moved."""
+"""Standard deviation of the blur of a ratio of two images, as a fraction of the object's diagonal. It keeps the light,
+and removes fine texture and the effect of small movements."""
 
 MOVED = 0.03
-"""Mean distance of the landmarks of an object's pictures, as a share of its diagonal, beyond which it has moved."""
+"""Mean distance of landmarks between two images of an object, as a fraction of its diagonal, above which the object
+counts as moved."""
 
 
 class _Picture(NamedTuple):
@@ -36,30 +37,29 @@ def learn_lamps(
     response: Response = "srgb",
     progress: Progress | None = None,
 ) -> Lamps:
-    """Learn lamps from a few objects, each in the light of training and under other lamps.
+    """Learn lamps from a few objects, each photographed under the training light and under other lamps.
 
     Parameters
     ----------
     data : Dataset or iterable of Sample
-        Named by object and lamp with a ``-`` between them: ``037-00`` and ``037-07`` show object ``037`` under the
-        lamps ``00`` and ``07``. An object may not have moved between its pictures.
+        Samples named by object and lamp with a ``-`` in between: ``037-00`` and ``037-07`` show object ``037`` under
+        the lamps ``00`` and ``07``. An object must not move between its images.
     training_lamp : str, optional
-        Name of the lamp that is the light of the pictures to train on. It may be left out where each object has but one
-        lamp in common with all others.
+        Name of the lamp of the training images. It may be omitted if exactly one lamp is common to all objects.
     response
-        Of the camera.
+        Response of the camera.
     progress : callable, optional
-        Called with (done, total, what) before each picture, and at the end.
+        Called with (done, total, what) before each image, and at the end.
 
     Returns
     -------
     Lamps
-        One for each picture in another light.
+        One lamp for each image that is not under the training light.
 
     Raises
     ------
     TrainingError
-        If names do not tell objects and lamps, an object has no picture in the light of training, or has moved.
+        If the names do not contain object and lamp, an object has no image under the training light, or it has moved.
     """
     objects = _by_object(data)
     training_lamp = _training_lamp(objects, training_lamp)
@@ -83,7 +83,7 @@ def learn_lamps(
 
 
 def unit_shape(mean: np.ndarray) -> np.ndarray:
-    """A shape with the middle of its box at the origin and a diagonal of 1."""
+    """Normalise a shape: centre of the bounding box at the origin, diagonal 1."""
     low, high = mean.min(axis=0), mean.max(axis=0)
     return (mean - 0.5 * (low + high)) / diagonal_of(mean)
 
@@ -92,73 +92,73 @@ def _by_object(data: Iterable) -> dict[str, list[_Picture]]:
     objects: dict[str, list[_Picture]] = {}
     for sample in data:
         if not hasattr(sample, "landmarks"):
-            raise TrainingError("lamps are learnt from named pictures; for a folder give liaam.load_folder(folder)")
+            raise TrainingError("lamps are learnt from named samples; for a folder, pass liaam.load_folder(folder)")
         name, _, lamp = sample.name.rpartition("-")
         if not name:
             raise TrainingError(
-                f"{sample.name}: name the pictures to learn lamps from by object and lamp, such as 037-00 and 037-07"
+                f"{sample.name}: the name lacks object and lamp; name the images such as 037-00 and 037-07"
             )
         points = np.asarray(sample.landmarks.points, np.float64)
         if not np.isfinite(points).all():
-            raise TrainingError(f"{sample.name}: landmarks are missing (NaN); place them or leave this picture out")
+            raise TrainingError(f"{sample.name}: landmarks are missing (NaN); place them or remove this image")
         objects.setdefault(name, []).append(_Picture(sample.name, lamp, sample.read_image, points))
     if not objects:
-        raise TrainingError("there are no pictures to learn lamps from")
+        raise TrainingError("there are no images to learn lamps from; pass at least two of one object")
     counts = {len(picture.points) for pictures in objects.values() for picture in pictures}
     if len(counts) > 1:
         raise TrainingError(
-            f"the pictures to learn lamps from have {min(counts)} to {max(counts)} landmarks; make all alike"
+            f"the images to learn lamps from have {min(counts)} to {max(counts)} landmarks; use the same number in all"
         )
     return objects
 
 
 def _training_lamp(objects: dict[str, list[_Picture]], asked: str | None) -> str:
-    """Name of the lamp of training: the one that is asked for, or the only one that every object has."""
+    """Name of the training lamp: the given one, or the only one that all objects have in common."""
     counts = Counter(lamp for pictures in objects.values() for lamp in {picture.lamp for picture in pictures})
     if asked is not None:
         if asked not in counts:
-            raise TrainingError(f"no picture is named after the lamp {asked!r}; there are {', '.join(sorted(counts))}")
+            raise TrainingError(f"no image has the lamp {asked!r} in its name; there are {', '.join(sorted(counts))}")
         return asked
     common = [lamp for lamp, count in counts.items() if count == len(objects)]
     if len(common) != 1:
         raise TrainingError(
-            f"which lamp is the light of training? Say so (--training-lamp, or training_lamp=...); there are "
+            f"the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...); there are "
             f"{', '.join(sorted(counts))}"
         )
     return common[0]
 
 
 def _base(name: str, pictures: list[_Picture], training_lamp: str) -> _Picture:
-    """The picture of an object in the light of training, checked against its others."""
+    """Find the image of an object under the training light, and check that the object has not moved."""
     base = next((picture for picture in pictures if picture.lamp == training_lamp), None)
     if base is None:
         raise TrainingError(
-            f"object {name} has no picture under lamp {training_lamp}, the light of training; add one, or leave it out"
+            f"object {name} has no image under lamp {training_lamp}, the training light; add one, or remove the object"
         )
     if len(pictures) == 1:
-        raise TrainingError(f"object {name} has a picture under lamp {training_lamp} only; add some under other lamps")
+        raise TrainingError(f"object {name} has an image under lamp {training_lamp} only; add images under other lamps")
     for picture in pictures:
         moved = point_error(picture.points, base.points) / diagonal_of(base.points)
         if moved > MOVED:
             raise TrainingError(
-                f"{picture.name}: its landmarks lie {moved:.0%} of the object's size from those of {base.name}; lamps "
-                "are learnt from objects that have not moved"
+                f"{picture.name}: its landmarks lie {moved:.0%} of the object's size from those of {base.name}; use "
+                "images of objects that have not moved"
             )
     return base
 
 
 def _field(before: np.ndarray, after: np.ndarray, base: _Picture, picture: _Picture, mean: np.ndarray) -> np.ndarray:
-    """What a lamp does to values, carried to the mean shape, (SIDE, SIDE, 3) float16."""
+    """Log ratio of two images, warped to the mean shape, (SIDE, SIDE, 3) float16."""
     import cv2  # heavy: imported when first needed
     from scipy.interpolate import LinearNDInterpolator
 
     if before.shape != after.shape:
-        raise TrainingError(f"{picture.name} and {base.name} differ in size; lamps are learnt from pictures that match")
+        raise TrainingError(f"{picture.name} and {base.name} differ in size; use images of equal size")
     ratio = np.log((after + np.float32(DARK)) / (before + np.float32(DARK)))
     blur = BLUR * diagonal_of(base.points)
     if blur > 0.2:
         ratio = cv2.GaussianBlur(ratio, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
-    carry = LinearNDInterpolator(*anchors(mean, base.points))
-    x, y = np.moveaxis(carry(square()).astype(np.float32), -1, 0)
+    to_image = LinearNDInterpolator(*anchors(mean, base.points))
+    x, y = np.moveaxis(to_image(square()).astype(np.float32), -1, 0)
     field = cv2.remap(ratio, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.nan_to_num(field).astype(np.float16)
