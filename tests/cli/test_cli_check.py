@@ -56,7 +56,7 @@ def test_check_finds_shows_and_mends(run, scenes, spoilt, tmp_path):
     code, text, err = run("check", spoilt, "-o", tmp_path / "o")
     assert (code, err) == (1, "")
     assert SPOILT in text
-    assert "the other way round" in " ".join(text.split())
+    assert "in reverse order" in " ".join(text.split())
     assert sorted(path.name for path in (tmp_path / "o").iterdir()) == [f"{SPOILT}.pts", f"{SPOILT}_faults.png"]
     mended = read_landmarks(tmp_path / "o" / f"{SPOILT}.pts").points
     assert np.abs(mended - scenes[int(SPOILT[-1])].landmarks).max() < 1e-3

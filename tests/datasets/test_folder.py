@@ -72,7 +72,7 @@ def test_asf_of_another_stem_is_paired_by_the_image_it_names(tmp_path: Path) -> 
     assert names(dataset) == ["a"]
     np.testing.assert_array_equal(dataset[0].landmarks.points, SQUARE)
     write_asf(tmp_path / "shape_18.asf", "b.png")
-    assert reasons(load_folder(tmp_path)) == {"shape_18.asf": "there is no image of its name"}
+    assert reasons(load_folder(tmp_path)) == {"shape_18.asf": "no image has its name"}
 
 
 def test_collections(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_collections(tmp_path: Path) -> None:
         tmp_path / name for name in ("all.csv", "all.xml", "all.json")
     ]
     assert all((sample.landmarks.points == SQUARE).all() for sample in dataset)
-    assert reasons(dataset) == {"all.csv": "it names images that are not there: gone.png (1 in all)"}
+    assert reasons(dataset) == {"all.csv": "it names images that do not exist: gone.png (1 in total)"}
 
 
 def test_an_entry_s_path_decides_between_images_of_one_name(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_an_entry_s_path_decides_between_images_of_one_name(tmp_path: Path) -> N
     dataset = load_folder(tmp_path, recursive=True)
     assert names(dataset) == ["two/a"]
     np.testing.assert_array_equal(dataset[0].landmarks.points, SQUARE)
-    assert reasons(dataset)["all.csv"] == "it names images that are not there: a.png (1 in all)"
+    assert reasons(dataset)["all.csv"] == "it names images that do not exist: a.png (1 in total)"
 
 
 def test_recursive_or_not(tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ def test_every_reason_is_told(tmp_path: Path) -> None:
     told = reasons(dataset)
     assert told["few.pts"] == "3 landmarks where most have 4: those of few"
     assert told["lonely.png"] == "the image has no landmarks"
-    assert told["orphan.pts"] == told["orphan2.csv"] == "there is no image of its name"
+    assert told["orphan.pts"] == told["orphan2.csv"] == "no image has its name"
     assert told["broken.pts"].startswith("the landmarks cannot be read: ")
     assert "no '}' after its points" in told["broken.pts"]
     assert told["noise.asf"].startswith("the header of its image cannot be read: ")
@@ -180,7 +180,7 @@ def test_the_preferred_file_is_used_and_the_other_told(tmp_path: Path) -> None:
     write_collection(tmp_path / "all.csv", {"a.png": Landmarks(SQUARE + 2)})
     dataset = load_folder(tmp_path)
     np.testing.assert_array_equal(dataset[0].landmarks.points, SQUARE)
-    told = "an image has landmarks in a preferred file: a.pts is used"
+    told = "another landmark file takes precedence: a.pts is used"
     assert reasons(dataset) == {"a.ljson": told, "all.csv": told}
 
 
@@ -210,14 +210,14 @@ def test_of_two_images_of_one_stem_the_one_with_landmarks_is_taken(tmp_path: Pat
 def test_missing_folder_no_images_no_pairs(tmp_path: Path) -> None:
     with pytest.raises(ImageError, match="does not exist: name the folder"):
         load_folder(tmp_path / "no")
-    with pytest.raises(ImageError, match=r"holds no image \(.*\.png.*subfolders"):
+    with pytest.raises(ImageError, match=r"contains no image \(.*\.png.*subfolders"):
         load_folder(tmp_path)
     add_image(tmp_path / "a.png")
     with pytest.raises(ImageError, match="is a file, not a folder"):
         load_folder(tmp_path / "a.png")
     with pytest.raises(ImageError, match=r"no image like 'b\*'"):
         load_folder(tmp_path, "b*")
-    with pytest.raises(LandmarkError, match=r"none of the 1 images has landmarks\. Looked for .* a\.pts"):
+    with pytest.raises(LandmarkError, match=r"none of the 1 images has landmarks\. Add a file such as a\.pts"):
         load_folder(tmp_path)
     (tmp_path / "a.pts").write_text("junk")
     with pytest.raises(LandmarkError, match=r"The first fault: .*a\.pts has no '\{'"):
@@ -258,7 +258,7 @@ def test_report(tmp_path: Path) -> None:
     add_pair(tmp_path, "few", SQUARE[:3])
     assert load_folder(tmp_path).report().splitlines() == [
         f"3 samples from {tmp_path}",
-        "4 landmarks each, 1 of them missing in all; 300-W points (.pts): 3",
+        "4 landmarks each, 1 missing in total; 300-W points (.pts): 3",
         "left out 1: 3 landmarks where most have 4 (few.pts)",
         "  first: those of few",
         "left out 4: the image has no landmarks (p.png, q.png, r.png, ...)",

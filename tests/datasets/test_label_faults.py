@@ -50,7 +50,7 @@ def test_a_run_that_goes_the_other_way_round_is_found_and_mended(shapes, shift):
     mended = exchanged(shapes, 5, order)[5][fault.order]
     assert np.abs(mended - shapes[5]).max() == 0.0
     assert fault.distance > 4 * fault.mended
-    assert "the other way round" in fault.message
+    assert "in reverse order" in fault.message
 
 
 def test_a_run_that_begins_elsewhere_is_found(shapes):
@@ -116,7 +116,7 @@ def test_a_landmark_far_off_is_told_and_not_moved(shapes):
     (fault,) = find_label_faults(made)
     assert (fault.picture, fault.kind, fault.points) == (7, "stray", (11,))
     assert np.array_equal(fault.order, np.arange(len(made[7])))
-    assert "point 12 far off" in fault.message
+    assert "point 12 is far off" in fault.message
     assert not fault.is_order
 
 

@@ -357,7 +357,7 @@ def test_supersampling_does_not_move_the_picture(supersample):
         (lambda: Camera(white_K=0), "kelvin"),
         (lambda: Camera().theta("laser"), "'wien' or 'planck'"),
         (lambda: render(Head(1), lights=()), "at least one PointLight or Ambient"),
-        (lambda: render(Head(1), size=(10, 10)), "whole numbers from 32"),
+        (lambda: render(Head(1), size=(10, 10)), "integers from 32"),
         (lambda: render(Head(1), mixing="both"), "'additive' or 'planckian'"),
         (lambda: render(Head(1), supersample=9), "1, 2, 3 or 4"),
         (lambda: make_set(0), "at least 1"),

@@ -1,4 +1,4 @@
-"""Sets of landmarked images: read from a folder, or made."""
+"""Sets of landmarked images: read from a folder, or simulated."""
 
 from liaam.datasets.folder import Dataset, LeftOut, Sample, load_folder
 

@@ -1,8 +1,8 @@
-"""Pair the images of a folder with their landmarks, and say what was left out and why.
+"""Pair the images of a folder with their landmarks, and report the files left out.
 
 An image ``face.jpg`` takes its landmarks from the file of the same stem in the same folder (``face.pts``),
 or from an entry for it in a file of many images (dlib ``.xml``, COCO ``.json``, ``.csv`` with a column
-``image``). Where there are several, its own file comes before a file of many, and then the order of
+``image``). A file of its own takes precedence over a file of many images, then the order of
 `liaam.io.LANDMARK_SUFFIXES` decides.
 """
 
@@ -24,11 +24,11 @@ from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image
 from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, parse_landmark_file
 from liaam.io.raw import RAW_SUFFIXES
 
-_UNIT = (1.0, 1.0)  # stands for the image's size where only the name of the image is wanted
+_UNIT = (1.0, 1.0)  # placeholder for the image's size when only its name is needed
 
 
 PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
-"""Endings of pictures; where a camera wrote a picture twice, as RAW and JPEG, the one named first here is taken."""
+"""Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Sample:
     """One landmarked image."""
 
     name: str
-    """Unique in its data set: the path inside the folder, without ending."""
+    """Unique in its data set: the path inside the folder, without suffix."""
     image: np.ndarray | Path
     """(height, width, 3) uint8, uint16 or float32 in RGB order, or the file to read it from."""
     landmarks: Landmarks
@@ -44,7 +44,7 @@ class Sample:
     """Where the landmarks were read from."""
 
     def read_image(self) -> np.ndarray:
-        """Give the image, (height, width, 3); reads it anew at each call if it is a file.
+        """Return the image, (height, width, 3). A file is read at each call.
 
         Raises
         ------
@@ -56,11 +56,11 @@ class Sample:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A file that gave no sample."""
+    """A file that was not used."""
 
     path: Path
     reason: str
-    """One sentence; what it has in common with others stands before the first colon."""
+    """One sentence; the part before the first colon groups files in the report."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,7 +70,7 @@ class Dataset:
     samples: tuple[Sample, ...]
     left_out: tuple[LeftOut, ...] = ()
     source: str = ""
-    """Where the samples are from, for the report."""
+    """Origin of the samples, for the report."""
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -96,13 +96,13 @@ class Dataset:
         Parameters
         ----------
         which : str, iterable of str, or callable
-            Patterns such as ``"01-*"`` (``*``, ``?``, ``[...]``) of which a sample's name must match one,
-            or a function of the sample.
+            Patterns such as ``"01-*"`` (``*``, ``?``, ``[...]``), of which a sample's name must match one,
+            or a predicate.
 
         Raises
         ------
         LiaamError
-            If nothing is left.
+            If no sample matches.
         """
         kept = tuple(filter(which if callable(which) else _matcher(which), self.samples))
         if not kept:
@@ -113,7 +113,7 @@ class Dataset:
         return replace(self, samples=kept)
 
     def report(self) -> str:
-        """Give a few lines for people: how many samples, from which formats, what was left out and why."""
+        """Summarise the number of samples, their formats, and the files left out with reasons, as text."""
         source = f" from {self.source}" if self.source else ""
         lines = [f"{len(self)} samples{source}", *self._landmark_lines()]
         groups: dict[str, list[LeftOut]] = defaultdict(list)
@@ -131,7 +131,7 @@ class Dataset:
         suffixes = Counter(sample.landmark_file.suffix.lower() for sample in self.samples if sample.landmark_file)
         formats = ", ".join(f"{FORMATS[suffix].title} ({suffix}): {n}" for suffix, n in suffixes.items())
         n_missing = sum(int(sample.landmarks.missing.sum()) for sample in self.samples)
-        missing = f", {n_missing} of them missing in all" if n_missing else ""
+        missing = f", {n_missing} missing in total" if n_missing else ""
         count = f"{len(self.samples[0].landmarks)} landmarks each{missing}"
         return [f"{count}; {formats}" if formats else count]
 
@@ -144,31 +144,31 @@ def load_folder(
 ) -> Dataset:
     """Find the landmarked images of a folder.
 
-    The images are not decoded; of an image whose landmarks need its size (``.asf``) the header is read.
-    Hidden files are passed over.
+    The images are not decoded; headers are read for landmarks that need the image's size (``.asf``).
+    Hidden files are ignored.
 
     Parameters
     ----------
     folder : path-like
-        Holds images and landmark files.
+        Folder with images and landmark files.
     pattern : str, optional
-        Take only images whose name (with or without ending, or path inside the folder) matches, e.g.
+        Use only images whose name (with or without suffix, or path inside the folder) matches, e.g.
         ``"01-*"``.
     recursive : bool, optional
-        Whether to look into subfolders.
+        Whether to include subfolders.
     progress : bool, optional
         Whether to show a progress bar on stderr.
 
     Returns
     -------
     Dataset
-        Samples in natural order of their names (2 before 10), all with the number of landmarks that most
-        have. `left_out` tells which files gave no sample, and why.
+        Samples in natural order of their names (2 before 10), all with the most common number of landmarks.
+        `left_out` lists the files that were not used, with reasons.
 
     Raises
     ------
     ImageError
-        If the folder is missing, or holds no image (of that pattern).
+        If the folder is missing, or contains no (matching) image.
     LandmarkError
         If no image has landmarks.
     """
@@ -179,8 +179,8 @@ def load_folder(
     if not wanted:
         endings = ", ".join(PICTURE_SUFFIXES)
         like = f" like '{pattern}'" if pattern else ""
-        hint = "" if recursive else ", or look into subfolders too (recursive)"
-        raise ImageError(f"{root} holds no image{like} ({endings}): name another folder{hint}.")
+        hint = "" if recursive else ", or include subfolders (recursive)"
+        raise ImageError(f"{root} contains no image{like} ({endings}): name another folder{hint}.")
     marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
     samples, left_out = pair_files(root, images, _track(marks, progress), wanted)
     if not samples:
@@ -200,16 +200,16 @@ def pair_files(
     root : Path
         Folder that names are relative to.
     images, marks : Path
-        Pictures and landmark files below it.
+        Images and landmark files in the folder.
     wanted : list of Path, optional
-        Those of the images to give; all if left out.
+        Images to make samples of; all by default.
 
     Returns
     -------
     samples : list of Sample
         In the order of the images.
     left_out : list of LeftOut
-        Files that gave no sample, and why.
+        Files that were not used, with reasons.
     """
     pairing = _Pairing(root, images, images if wanted is None else wanted)
     for file in marks:
@@ -218,10 +218,10 @@ def pair_files(
 
 
 def _list_files(root: Path, recursive: bool) -> list[Path]:
-    """List the files that are not hidden, in natural order."""
+    """List the visible files in natural order."""
     if not root.is_dir():
         what = "is a file, not a folder" if root.exists() else "does not exist"
-        raise ImageError(f"{root} {what}: name the folder that holds the images and their landmarks.")
+        raise ImageError(f"{root} {what}: name the folder with the images and their landmarks.")
     try:
         paths = root.rglob("*") if recursive else root.iterdir()
         files = [path for path in paths if not _is_hidden(path.relative_to(root)) and path.is_file()]
@@ -259,16 +259,16 @@ def _track(files: list[Path], progress: bool) -> Iterable[Path]:
 
 @dataclass(frozen=True)
 class _Option:
-    """Landmarks that an image could have."""
+    """Candidate landmarks of an image."""
 
     file: Path
     landmarks: Landmarks
     own: bool
-    """Whether the file is of this image alone."""
+    """Whether the file belongs to this image only."""
 
 
 class _Pairing:
-    """Collects, file by file, which landmarks each image could have."""
+    """Collects the candidate landmarks of each image, file by file."""
 
     def __init__(self, root: Path, images: list[Path], wanted: list[Path]) -> None:
         self.root = root
@@ -282,7 +282,7 @@ class _Pairing:
             self.by_name[image.name].append(image)
 
     def add(self, file: Path) -> None:
-        """Read one landmark file, if an image that is wanted may need it."""
+        """Read one landmark file if a wanted image may need it."""
         form = FORMATS[file.suffix.lower()]
         image = self.by_stem.get(file.with_suffix(""))
         if image is not None and image not in self.options and not form.may_be_collection:
@@ -291,7 +291,7 @@ class _Pairing:
             if image is None and form.parse_with_size is not None:
                 image = self._host(file)
             if image is None and not form.may_be_collection:
-                self._leave_out(file, "there is no image of its name")
+                self._leave_out(file, "no image has its name")
                 return
             size = image_size(image) if image is not None and form.parse_with_size is not None else None
             parsed = parse_landmark_file(file, size)
@@ -303,7 +303,7 @@ class _Pairing:
             self._add_parsed(file, image, parsed)
 
     def finish(self) -> list[Sample]:
-        """Choose the landmarks of each image, the best option first; tell of everything not used."""
+        """Choose the landmarks of each image, and record the files that are not used."""
         winners = self._winners()
         samples = []
         for image in self.wanted:
@@ -315,11 +315,11 @@ class _Pairing:
                 self._leave_out(image, "the image has no landmarks")
             else:
                 samples.append(Sample(_name(self.root, image), image, options[0].landmarks, options[0].file))
-                self._tell_unused(options)
+                self._leave_out_unused(options)
         return samples
 
     def _winners(self) -> dict[Path, Path]:
-        """Choose among images of the same stem: one that has landmarks, without loss if possible."""
+        """Choose among images of the same stem: one with landmarks, then by suffix (lossless formats first)."""
         winners: dict[Path, Path] = {}
         for image in sorted(self.wanted, key=lambda path: (not self.options[path], _rank(path, PICTURE_SUFFIXES))):
             winners.setdefault(image.with_suffix(""), image)
@@ -329,7 +329,7 @@ class _Pairing:
         if isinstance(parsed, dict):
             self._add_collection(file, parsed)
         elif image is None:
-            self._leave_out(file, "there is no image of its name")
+            self._leave_out(file, "no image has its name")
         elif image in self.options:
             self.options[image].append(_Option(file, parsed, own=True))
 
@@ -342,16 +342,16 @@ class _Pairing:
             elif image in self.options:
                 self.options[image].append(_Option(file, landmarks, own=False))
         if absent:
-            self._leave_out(file, f"it names images that are not there: {_some(absent)} ({len(absent)} in all)")
+            self._leave_out(file, f"it names images that do not exist: {_some(absent)} ({len(absent)} in total)")
 
     def _host(self, file: Path) -> Path | None:
-        """Find the image that a file names inside, where none has the file's own name."""
+        """Find the image that is named inside a landmark file."""
         parsed = parse_landmark_file(file, _UNIT)
         name = parsed.image_name if isinstance(parsed, Landmarks) else None
         return self._find(file.parent, name) if name else None
 
     def _find(self, folder: Path, entry: str) -> Path | None:
-        """Find the image that an entry of a file names: by its path, or else by its name alone."""
+        """Find the image that an entry names: by its path, or else by a unique file name."""
         relative = PurePosixPath(entry.replace("\\", "/"))
         candidates = self.by_name.get(relative.name, [])
         exact = [image for image in candidates if image == folder / relative]
@@ -359,10 +359,10 @@ class _Pairing:
             return exact[0]
         return candidates[0] if len(candidates) == 1 else None
 
-    def _tell_unused(self, options: list[_Option]) -> None:
+    def _leave_out_unused(self, options: list[_Option]) -> None:
         for unused in options[1:]:
             used = options[0].file.name
-            self._leave_out(unused.file, f"an image has landmarks in a preferred file: {used} is used")
+            self._leave_out(unused.file, f"another landmark file takes precedence: {used} is used")
 
     def _leave_out(self, path: Path, reason: str) -> None:
         self.left_out.append(LeftOut(path, reason))
@@ -397,10 +397,9 @@ def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[LeftOut]]:
 def _no_pairs(root: Path, wanted: list[Path], left_out: list[LeftOut]) -> str:
     unreadable = [left.reason for left in left_out if "cannot be read" in left.reason]
     if unreadable:
-        return f"{root}: no image has landmarks that can be read. The first fault: {unreadable[0]}"
+        return f"{root}: no image has readable landmarks. The first fault: {unreadable[0]}"
     stem = wanted[0].stem
     return (
-        f"{root}: none of the {len(wanted)} images has landmarks. Looked for files such as {stem}.pts "
-        f"({', '.join(LANDMARK_SUFFIXES)}), and for .csv, .xml or .json files "
-        "that name the images: put them there."
+        f"{root}: none of the {len(wanted)} images has landmarks. Add a file such as {stem}.pts for each image "
+        f"({', '.join(LANDMARK_SUFFIXES)}), or a .csv, .xml or .json file that names the images."
     )

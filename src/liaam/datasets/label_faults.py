@@ -1,7 +1,7 @@
-"""Landmarks that were labelled by another rule than in the other pictures: exchanged, run backwards, far off.
+"""Find labelling errors: landmarks that are exchanged, reversed or far off compared with the other images.
 
-A contour begun at the other end is no shape, yet a model learns it as one, and a fit that is right is told to be wrong.
-What a picture's landmarks should look like, the pictures nearest to it tell, by medians: a few faults do not count.
+A model would learn a contour labelled from the other end as a shape, and evaluations would count right fits as wrong.
+The expected landmarks of an image are the median of its nearest neighbours, which is robust to a few errors.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,53 +16,53 @@ from liaam.model.shape import diagonal_of, mirror_order, procrustes_mean
 from liaam.progress import Progress
 
 LEAST_PICTURES = 8
-"""Pictures without which nobody can say what is usual."""
+"""Least number of images to estimate the usual deviations."""
 
 NEIGHBOURS = 9
-"""Pictures whose median is what a picture's landmarks are expected at. Those with the same fault are drawn to each
-other: faults of single pictures are found, one that a tenth of the pictures share by half."""
+"""Number of neighbours whose median gives the expected landmarks. Images with the same error are neighbours: errors of
+single images are found, but only half of those that a tenth of the images share."""
 
 MOST_COMPARED = 400
-"""Pictures that each is compared with, at most."""
+"""Largest number of images that each is compared with."""
 
-STRANGE = 4.0
-"""How many times as far off as is usual landmarks have to lie to be exchanged for others."""
+OUTLIER = 4.0
+"""Least distance, in usual deviations, of landmarks that may be exchanged."""
 
 BETTER = 8.0
-"""How many times smaller squared distances have to be once they are exchanged."""
+"""Least factor by which an exchange must reduce the squared distances."""
 
 STRAY, LEAST_STRAY = 8.0, 0.05
-"""How many times as far off as is usual a landmark has to lie, and which share of the shape's diagonal at least, to be
-told: a face that turns away has landmarks in places of its own."""
+"""Least distance of a stray landmark, in usual deviations and as a fraction of the shape's diagonal. The second limit
+allows for turned faces."""
 
 LEAST_LANDMARKS, AS_USUAL = 10, 2.5
-"""How many landmarks there have to be, and how many times as far off as is usual half of them may lie, for a single one
-to be told: of few landmarks, or in a shape like no other, each may lie anywhere."""
+"""Least number of landmarks, and largest median distance in usual deviations, for stray landmarks to be reported.
+Single landmarks of small or unusual shapes cannot be judged."""
 
 ALL_OFF = 3.0
-"""How many times as far off as is usual half of the landmarks have to lie before all are tried in other orders, and how
-many times nearer they have to be in one of them: the other way round, begun elsewhere, or left for right."""
+"""Median distance, in usual deviations, above which other orders of all landmarks are tried, and the least factor by
+which such an order must reduce it."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelFault:
-    """Landmarks of one picture that differ from those of the others by more than shape.
+    """A labelling error: landmarks of one image that are inconsistent with those of the other images.
 
     Attributes
     ----------
     picture : int
-        Number of the picture.
+        Index of the image.
     kind : {"reversed", "shifted", "mirrored", "exchanged", "stray"}
-        Run the other way round; begin at another one; left and right exchanged; exchanged in some other way; far off.
+        In reverse order; starting at another landmark; left and right exchanged; exchanged in another way; far off.
     points : tuple of int
-        Which landmarks.
+        Indices of the landmarks.
     order : (n,) int64
-        ``landmarks[order]`` are the landmarks as the others have them; all in their places where that is not known.
+        Correction: ``landmarks[order]`` has the order of the other images. The identity for stray landmarks.
     distance, mended : float
-        Root mean square distance of these landmarks from where the others have them, pixels: as they are, and in the
-        other order.
+        Root mean square distance of these landmarks to their expected positions, pixels: in the present order, and in
+        the corrected order.
     expected : (n, 2) float64
-        Where the others have all landmarks, image pixels.
+        Expected positions of all landmarks, image pixels.
     """
 
     picture: int
@@ -75,55 +75,54 @@ class LabelFault:
 
     @property
     def is_order(self) -> bool:
-        """Whether another order mends it."""
+        """Whether another order corrects the error."""
         return self.kind != "stray"
 
     def mended_landmarks(self, landmarks: Landmarks) -> Landmarks:
-        """Landmarks of the picture in the order of the others; names and contours stay with the places."""
+        """Reorder the image's landmarks as in the other images; names and contours keep their order."""
         hidden = np.isin(self.order, landmarks.invisible)
         return replace(landmarks, points=landmarks.points[self.order], invisible=tuple(np.flatnonzero(hidden).tolist()))
 
     @property
     def message(self) -> str:
-        """What is wrong, for people who count from 1."""
-        told = ranges_of([point + 1 for point in self.points], most=len(self.points))
-        if self.kind == "mirrored":
-            return f"left and right are exchanged ({self.distance:.1f} px off, {self.mended:.1f} px the other way)"
-        said = {
-            "reversed": f"points {told} run the other way round",
-            "shifted": f"points {told} begin at another one",
-            "exchanged": f"points {told} are exchanged",
-            "stray": f"point{'s' if len(self.points) > 1 else ''} {told} far off",
+        """Description of the error; landmarks are counted from 1."""
+        numbers = ranges_of([point + 1 for point in self.points], most=len(self.points))
+        fault = {
+            "mirrored": "left and right are exchanged",
+            "reversed": f"points {numbers} are in reverse order",
+            "shifted": f"points {numbers} start at another point",
+            "exchanged": f"points {numbers} are exchanged",
+            "stray": f"points {numbers} are far off" if len(self.points) > 1 else f"point {numbers} is far off",
         }[self.kind]
-        once = f", {self.mended:.1f} px in the other order" if self.is_order else ""
-        return f"{said} ({self.distance:.1f} px off{once})"
+        corrected = f", {self.mended:.1f} px in the corrected order" if self.is_order else ""
+        return f"{fault} ({self.distance:.1f} px off{corrected})"
 
 
 def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = None) -> list[LabelFault]:
-    """Find landmarks that were labelled by another rule than in the other pictures.
+    """Find landmarks that are labelled inconsistently with the other images.
 
     Parameters
     ----------
     shapes : sequence of (n, 2) float
-        Landmarks of each picture, none missing.
+        Landmarks of each image, none missing.
     progress : callable(done, total, what), optional
 
     Returns
     -------
     list of LabelFault
-        In the order of the pictures; none where there is no fault.
+        Labelling errors in the order of the images; empty if there are none.
 
     Raises
     ------
     LiaamError
-        If there are fewer than :data:`LEAST_PICTURES` pictures, too few to tell what is usual.
+        If there are fewer than :data:`LEAST_PICTURES` images.
     """
     if len(shapes) < LEAST_PICTURES:
         raise LiaamError(
-            f"{len(shapes)} landmarked pictures are too few to tell which landmarks are unusual; at least "
-            f"{LEAST_PICTURES} are needed"
+            f"{len(shapes)} landmarked images are too few to find unusual landmarks; at least {LEAST_PICTURES} are "
+            "needed"
         )
-    pictures = [i for i, shape in enumerate(shapes) if diagonal_of(shape) > 0]  # points on one spot have no order
+    pictures = [i for i, shape in enumerate(shapes) if diagonal_of(shape) > 0]  # coincident points have no order
     if len(pictures) < LEAST_PICTURES:
         return []
     own = np.array([shapes[i] for i in pictures], dtype=np.float64)
@@ -136,7 +135,7 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
             progress(i, len(own), "comparing landmarks")
         expected[i] = _expected(shape, own, i)
     off = np.linalg.norm(own - expected, axis=2) / sizes[:, None]
-    usual = np.maximum(np.median(off, axis=0), 1e-4)  # of each landmark, as a share of the diagonal
+    usual = np.maximum(np.median(off, axis=0), 1e-4)  # of each landmark, as a fraction of the diagonal
     return [
         fault
         for i, picture in enumerate(pictures)
@@ -145,7 +144,7 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
 
 
 def _others(shapes: np.ndarray, own: int) -> np.ndarray:
-    """All shapes but one, or so many that are spread over them."""
+    """All shapes except one, thinned to at most :data:`MOST_COMPARED`."""
     pool = np.delete(np.arange(len(shapes)), own)
     if len(pool) > MOST_COMPARED:
         pool = pool[np.linspace(0, len(pool) - 1, MOST_COMPARED).astype(int)]
@@ -153,15 +152,15 @@ def _others(shapes: np.ndarray, own: int) -> np.ndarray:
 
 
 def _expected(shape: np.ndarray, shapes: np.ndarray, own: int) -> np.ndarray:
-    """Where the pictures nearest to a shape (n, 2) have its landmarks, (n, 2) float64; its own one does not count."""
+    """Expected landmarks (n, 2) float64 of a shape (n, 2): median of its nearest neighbours, without itself."""
     placed = _onto(_others(shapes, own), shape)
-    # Medians of distances: the few landmarks that were exchanged have little say in the company.
+    # The median of distances: a few exchanged landmarks hardly change the choice of neighbours.
     nearest = np.median(np.linalg.norm(placed - shape, axis=2), axis=1).argsort(kind="stable")[:NEIGHBOURS]
     return _onto(np.median(placed[nearest], axis=0)[None], shape)[0]
 
 
 def _onto(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Bring shapes (m, n, 2) onto another (n, 2) by similarities that the nearer three quarters of landmarks tell."""
+    """Align shapes (m, n, 2) to another (n, 2) by similarities, fitted to the nearest three quarters of landmarks."""
     # Similarities are complex factors.
     own, aim = shapes[..., 0] + 1j * shapes[..., 1], target[:, 0] + 1j * target[:, 1]
     placed, near = own, np.ones(own.shape)
@@ -186,7 +185,7 @@ def _faults_of(
     mean: np.ndarray,
     mirrored: np.ndarray | None,
 ) -> Iterator[LabelFault]:
-    """Faults of the shape number ``own`` of all (m, n, 2), which is that of a picture."""
+    """Yield the faults of ``shapes[own]``, the shape of image ``picture``."""
     shape = shapes[own]
     distances = np.linalg.norm(shape - expected, axis=1)
     identity, everything = np.arange(len(shape)), tuple(range(len(shape)))
@@ -214,7 +213,7 @@ def _faults_of(
 
 
 def _turns(n: int) -> dict[str, np.ndarray]:
-    """Orders of n landmarks in a row by kind, (n, n) int64 each: begun at each of them, and so the other way round."""
+    """Cyclic shifts of n landmarks, and the same in reverse order, (n, n) int64 each."""
     rolls = (np.arange(n)[:, None] + np.arange(n)) % n
     return {"shifted": rolls, "reversed": rolls[:, ::-1]}
 
@@ -222,12 +221,12 @@ def _turns(n: int) -> dict[str, np.ndarray]:
 def _best_whole(
     shapes: np.ndarray, own: int, usual: np.ndarray, mean: np.ndarray, mirrored: np.ndarray | None
 ) -> tuple[str, np.ndarray, np.ndarray]:
-    """Kind and order in which a shape is nearest to the pictures that are then like it, and where those have it.
+    """Kind, order and expected landmarks for the order of all landmarks that is nearest to its neighbours.
 
-    Of each kind the order is tried that is nearest to the mean shape.
+    Of each kind only the order nearest to the mean shape is tried.
     """
     turns = _turns(len(mean))
-    orders = {"shifted": turns["shifted"][1:], "reversed": turns["reversed"]}  # the first is the one that it has
+    orders = {"shifted": turns["shifted"][1:], "reversed": turns["reversed"]}  # the first shift is the identity
     if mirrored is not None:
         orders = {"mirrored": mirrored[None], **orders}
     tried = []
@@ -241,18 +240,18 @@ def _best_whole(
 
 
 def _exchanged(shape: np.ndarray, expected: np.ndarray, usual: np.ndarray) -> np.ndarray:
-    """Order of the landmarks that agrees with what is expected, (n,) int64; as they are where there is no doubt."""
+    """Order of the landmarks that matches the expected ones, (n,) int64; the identity without clear exchanges."""
     from scipy.optimize import linear_sum_assignment
 
     identity = np.arange(len(shape))
-    squares = np.square(expected[:, None] - shape[None]).sum(axis=2)  # of place i and landmark j
-    if not (np.sqrt(np.diagonal(squares)) > STRANGE * usual).sum() >= 2:
+    squares = np.square(expected[:, None] - shape[None]).sum(axis=2)  # between expected landmark i and landmark j
+    if not (np.sqrt(np.diagonal(squares)) > OUTLIER * usual).sum() >= 2:
         return identity
     assigned = linear_sum_assignment(squares)[1]
     order = identity.copy()
     for cycle in _cycles(assigned):
         before, after = squares[cycle, cycle].sum(), squares[cycle, assigned[cycle]].sum()
-        if before > BETTER * after and before > STRANGE**2 * np.square(usual[cycle]).sum():
+        if before > BETTER * after and before > OUTLIER**2 * np.square(usual[cycle]).sum():
             order[cycle] = assigned[cycle]
     return _as_run(order, squares)
 
@@ -269,9 +268,9 @@ def _cycles(order: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def _as_run(order: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Give the run that an exchange most likely is: backwards, or begun elsewhere; the exchange itself if none fits.
+    """Replace an exchange by the reversed or shifted run that explains it best; the exchange itself if none does.
 
-    Neighbours that lie close together would not have been exchanged by themselves; as parts of a run they are.
+    A run includes neighbours that lie too close together to be detected as exchanged.
     """
     identity = np.arange(len(order))
     moved = np.flatnonzero(order != identity)

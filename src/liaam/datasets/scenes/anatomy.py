@@ -1,4 +1,4 @@
-"""Where the features of a neutral face are, and how each expression moves them."""
+"""Positions of the features of a neutral face, and their displacements by each expression."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LID, BELOW_EYE, CHEEK, BELOW_LIP, JOWL = ([76 + i, 86 + i] for i in range(5, 10)
 
 
 def head_profile(t: Traits) -> Profile:
-    """Sections of the skull; knots from crown to chin, smooth in the knot's number."""
+    """Sections of the skull; knots from crown to chin, smooth in the knot's index."""
     crown, chin = 1.10, t.chin - 0.15 * CHART_OPENING
     drop = lambda d: chin + d  # noqa: E731
     knots = np.array(
@@ -76,7 +76,7 @@ def neutral_lip_line(t: Traits) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pins(t: Traits) -> np.ndarray:
-    """Further points whose displacement is prescribed, (n, 2); their names are at the module's top."""
+    """Additional points with prescribed displacements, (n, 2); the constants above name them."""
     half = np.array(
         [
             (0.20, 0.50),

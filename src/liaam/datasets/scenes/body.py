@@ -13,13 +13,13 @@ from liaam.datasets.scenes.head import Expression, Pose
 from liaam.datasets.scenes.surface import head_points
 
 HEAD, SKIN, CLOTH, HAIR = 1, 2, 3, 4
-NECK = np.array([0.0, -0.75, -0.22])  # the head turns about this point
+NECK = np.array([0.0, -0.75, -0.22])  # centre of the head's rotation
 BODY_FOLLOWS = 0.22
 
 
 @dataclass(frozen=True)
 class Body:
-    """Vertices in the viewer's axes (head units, neutral head's middle at the origin)."""
+    """Vertices in the viewer's axes (head units, centre of the neutral head at the origin)."""
 
     points: np.ndarray
     """(n, 3) float64."""
@@ -45,7 +45,7 @@ class _Patch:
 
 
 def build_body(face: Face, pose: Pose, expression: Expression) -> Body:
-    """Pose the figure; the shoulders follow the head only a little."""
+    """Pose the figure; the shoulders follow the head by a fraction."""
     points, skull = head_points(face, expression)
     chart = np.concatenate([np.stack([face.u, face.v], -1), skull], axis=-1)
     moving = [_Patch(points, chart, HEAD)]
@@ -59,7 +59,7 @@ def build_body(face: Face, pose: Pose, expression: Expression) -> Body:
 
 
 def turn(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Turn points (..., 3) about the neck."""
+    """Rotate points (..., 3) about the neck."""
     return (points - NECK) @ rotation.T + NECK
 
 
@@ -80,7 +80,7 @@ def _join(placed: list[tuple[_Patch, np.ndarray]]) -> Body:
 
 
 def _normals(points: np.ndarray) -> np.ndarray:
-    """Outward normals of a grid whose rows go up and whose columns go round from left to right."""
+    """Outward normals of a grid whose rows go upwards and whose columns go around from left to right."""
     around, up = np.gradient(points, axis=1), np.gradient(points, axis=0)
     normals = np.cross(around, up)
     return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
@@ -88,7 +88,7 @@ def _normals(points: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def _grid_triangles(rows: int, columns: int, step: int = 1) -> np.ndarray:
-    """Triangles (m, 3) of a grid, or of every ``step``-th row and column with the last ones."""
+    """Triangles (m, 3) of a grid, or of every ``step``-th row and column and the last ones."""
     index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     index = index[np.unique(np.r_[0:rows:step, rows - 1])][:, np.unique(np.r_[0:columns:step, columns - 1])]
     a, b, c, d = (s.ravel() for s in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
@@ -96,7 +96,7 @@ def _grid_triangles(rows: int, columns: int, step: int = 1) -> np.ndarray:
 
 
 def _ears(half_width: float) -> list[_Patch]:
-    """Two flattened shells, tilted back and out; the middle is hollow."""
+    """Two flattened, hollow shells, tilted back and outwards."""
     s, w = np.meshgrid(np.linspace(-np.pi, np.pi, 36), np.linspace(-1, 1, 24))
     ring = np.sqrt(np.clip(1 - w**2, 0, 1))
     hollow = 1 - 0.45 * np.exp(-((np.cos(s) - 1) ** 2 + (w - 0.1) ** 2) / 0.25)

@@ -20,11 +20,11 @@ class Camera:
     peaks_nm: tuple[float, float, float] = (600.0, 540.0, 460.0)
     """Wavelengths of the channels R, G, B, nm."""
     widths_nm: tuple[float, float, float] = (28.0, 30.0, 24.0)
-    """Standard deviations of the sensitivities, nm; 0 is a line, for which the paper's theory is exact."""
+    """Standard deviations of the sensitivities, nm. At 0 (line sensors) the paper's theory is exact."""
     white_K: float = 5000.0  # noqa: N815 - a kelvin is a K
-    """Temperature of the light in which white is rendered white (fixed gains, no automatic white balance)."""
+    """Temperature of the light under which white appears white (fixed gains, no automatic white balance)."""
     exposure: float | None = None
-    """Gain from reflectance times irradiance to linear values; None: bright parts of the face come to 0.8."""
+    """Gain from reflectance times irradiance to linear values; None: bright parts of the face reach 0.8."""
     vignetting: float = 0.08
     """Loss of light in the corners, 0 to 1."""
     response: str | float = "srgb"
@@ -32,7 +32,7 @@ class Camera:
     read_noise: float = 0.0015
     """Standard deviation of the noise in the dark, in linear units (1 is white)."""
     shot_noise: float = 0.0001
-    """Growth a of the variance with the linear value: variance = a rho + read_noise**2."""
+    """Slope a of the variance of the linear value rho: variance = a rho + read_noise**2."""
     bits: int | None = 8
     """8 or 16 for integers; None for float32 in 0..1."""
 
@@ -67,7 +67,7 @@ class Camera:
         return np.einsum("...n,kn,jn->...kj", light, sensitivity / white[:, None], reflectance_basis(nodes))
 
     def theta(self, radiator: Radiator = "wien") -> float:
-        """Give the true invariant angle, radians in 0..pi.
+        """Return the true invariant angle, radians in 0..pi.
 
         L(theta) is orthogonal to the shift of log RGB with temperature. For line sensors and Wien's law it is
         90 deg + atan2(1/lB - 1/lG, 1/lB - 1/lR); otherwise the shift is that of a grey surface from 4000
@@ -92,12 +92,12 @@ class Camera:
         return encoded if self.response == "linear" else encoded ** float(self.response)
 
     def expose(self, linear: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Take the picture: noise, response and quantisation.
+        """Simulate the exposure: noise, response and quantisation.
 
         Parameters
         ----------
         linear : (h, w, 3) array
-            Linear values without noise; above 1 the sensor saturates.
+            Linear values without noise; the sensor saturates at 1.
 
         Returns
         -------
@@ -110,12 +110,12 @@ class Camera:
         return np.round(encoded * (2**self.bits - 1)).astype(np.uint8 if self.bits == 8 else np.uint16)
 
     def falloff(self, height: int, width: int) -> np.ndarray:
-        """Vignetting (h, w): 1 in the middle."""
+        """Vignetting (h, w): 1 at the centre."""
         y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
         return 1 - self.vignetting * 0.5 * (x**2 + y**2)
 
     def noiseless(self, response: str | float = "linear") -> Camera:
-        """Give the same camera without noise and quantisation."""
+        """Return the same camera without noise and quantisation."""
         return replace(self, read_noise=0.0, shot_noise=0.0, bits=None, response=response)
 
     def _quadrature(self) -> tuple[np.ndarray, np.ndarray]:
@@ -155,16 +155,16 @@ def narrow_band_camera(
 
 
 def reflectance_basis(wavelength_nm: np.ndarray) -> np.ndarray:
-    """Three smooth positive spectra (3, n) that add to 1: the red, green and blue parts of a reflectance."""
+    """Three smooth positive spectra (3, n) that sum to 1: the red, green and blue parts of a reflectance."""
     peaks = np.array(BASIS_PEAKS_NM)[:, None]
     bells = np.exp(-0.5 * ((wavelength_nm - peaks) / BASIS_WIDTH_NM) ** 2 + 1e-12)
     return bells / bells.sum(axis=0)
 
 
 def matrices_at(camera: Camera, mired: np.ndarray, radiator: Radiator) -> np.ndarray:
-    """`Camera.matrix` for a whole image (h, w) of reciprocal temperatures, by a table.
+    """`Camera.matrix` for an image (h, w) of reciprocal temperatures, interpolated from a table.
 
-    The table is interpolated in the logarithm, which Wien's law and line sensors make exactly linear in 1/T.
+    The logarithm is interpolated: for Wien's law and line sensors it is linear in 1/T.
     """
     grid = np.linspace(1e6 / HOTTEST_K, 1e6 / COLDEST_K, TABLE_SIZE)
     table = np.log(camera.matrix(grid, radiator))

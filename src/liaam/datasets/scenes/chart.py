@@ -1,9 +1,9 @@
-"""The chart of a face: where a point of the skin is, whoever the person and whatever the expression.
+"""The chart of a face: coordinates of the skin that do not depend on person and expression.
 
 The chart has coordinates (u, v): v is the height y of the relaxed face, u = 0.75 s with s the angle about the
-vertical axis. Two layers share it. The *skin* moves with the expression; the *skull* (eyeballs, teeth,
-sockets) stays and shows through the openings of the skin. The chart is laid out with the mouth a little open
-(`CHART_OPENING`), so that closing it only squeezes the opening.
+vertical axis. Two layers use it. The *skin* moves with the expression; the *skull* (eyeballs, teeth,
+sockets) is fixed and visible through the openings of the skin. The chart has the mouth slightly open
+(`CHART_OPENING`), so that closing the mouth only compresses the opening.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Profile:
 
 @dataclass(frozen=True)
 class Face:
-    """All that is fixed for one identity."""
+    """Geometry of one identity."""
 
     traits: Traits
     profile: Profile
@@ -66,7 +66,7 @@ class Face:
     centres: np.ndarray
     """(n, 2) chart positions of the radial basis functions."""
     coefficients: np.ndarray
-    """(n, 5, 3) their coefficients per field of `Expression`: (du, dv, dz)."""
+    """(n, 5, 3) coefficients (du, dv, dz) of these functions per field of `Expression`."""
     u: np.ndarray
     """(N_UP, N_AROUND) chart coordinate of the mesh's vertices."""
     v: np.ndarray
@@ -76,13 +76,13 @@ class Face:
 
 
 def frontal_to_u(x: np.ndarray, v: np.ndarray, profile: Profile) -> np.ndarray:
-    """Chart coordinate u of a point that the frontal view shows at (x, v)."""
+    """Chart coordinate u of a point at (x, v) in the frontal view."""
     ratio = x / np.maximum(profile.at(v)[0], 1e-6)
     return U_PER_RADIAN * np.arcsin(np.clip(ratio, -1, 1))
 
 
 def u_to_frontal(u: np.ndarray, v: np.ndarray, profile: Profile) -> np.ndarray:
-    """Inverse of `frontal_to_u`, continued monotonically round the back of the head."""
+    """Inverse of `frontal_to_u`, continued monotonically around the back of the head."""
     angle = u / U_PER_RADIAN
     sine = np.where(np.abs(angle) <= np.pi / 2, np.sin(angle), np.sign(angle) * (2 - np.abs(np.sin(angle))))
     return profile.at(v)[0] * sine
@@ -109,7 +109,7 @@ def hair_depth(face: Face, u: np.ndarray, v: np.ndarray, ragged: float | np.ndar
 
 
 def eye_opening(face: Face, x: np.ndarray, v: np.ndarray, soft: float = 0.012) -> np.ndarray:
-    """Soft indicator of the opening between the lids; ``x`` is a distance from the mid-line."""
+    """Soft indicator of the opening between the lids; ``x`` is the distance from the mid-line."""
     upper, lower = eye_curves(face)
     inside = np.minimum(upper(x) - v, v - lower(x))
     ends = face.landmarks[[17, 13], 0]
@@ -124,7 +124,7 @@ def eye_curves(face: Face) -> tuple[PchipInterpolator, PchipInterpolator]:
 
 
 def lip_curves(face: Face) -> tuple[PchipInterpolator, ...]:
-    """Outer upper, inner upper, inner lower and outer lower edges of the lips, against x."""
+    """Outer upper, inner upper, inner lower and outer lower edges of the lips as functions of x."""
     mouth = face.landmarks[list(MOUTH)]
     first, last = mouth[:1], mouth[4:5]
     upper, lower = (np.concatenate([first, edge, last]) for edge in (face.inner_upper, face.inner_lower))

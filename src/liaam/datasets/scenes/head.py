@@ -1,4 +1,4 @@
-"""Who is in the picture: an identity, a pose, an expression.
+"""The subject of an image: identity, pose and expression.
 
 Lengths are *head units* of about 10 cm (the pupils are 0.62 apart) and the axes those of the viewer: x to the
 right of the image, y up, z towards the camera; the origin lies inside the head at eye level.
@@ -18,7 +18,7 @@ HairStyle = Literal["short", "long"]
 
 @dataclass(frozen=True)
 class Head:
-    """A person. Every trait follows from ``seed``; a trait that is given overrides the drawn one."""
+    """A person. Every trait is drawn from ``seed``; a given trait overrides the drawn one."""
 
     seed: int = 0
     """Identity."""
@@ -31,7 +31,7 @@ class Head:
 
     def __post_init__(self) -> None:
         if not isinstance(self.seed, int | np.integer) or self.seed < 0:
-            raise LiaamError(f"Head.seed is {self.seed!r}: give a whole number of at least 0")
+            raise LiaamError(f"Head.seed is {self.seed!r}: give an integer of at least 0")
         if self.hair not in (None, "short", "long"):
             raise LiaamError(f"Head.hair is {self.hair!r}: give 'short', 'long' or None (drawn from the seed)")
         for name in ("skin", "stubble"):
@@ -41,16 +41,16 @@ class Head:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the head is: rotation in radians, size relative to the portrait framing, shift in pixels."""
+    """Pose of the head: rotation in radians, size relative to the portrait framing, shift in pixels."""
 
     yaw: float = 0.0
-    """Turn of the face towards the right of the image."""
+    """Rotation of the face towards the right of the image."""
     pitch: float = 0.0
-    """Turn of the face upwards."""
+    """Rotation of the face upwards."""
     roll: float = 0.0
     """Tilt of the head, clockwise in the image."""
     scale: float = 1.0
-    """Size; at 1 the head takes about three quarters of the image's height."""
+    """Size; at 1 the head covers about three quarters of the image's height."""
     x: float = 0.0
     """Shift to the right, pixels."""
     y: float = 0.0
@@ -76,7 +76,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Expression:
-    """What the face does; zero everywhere is the neutral face."""
+    """Expression of the face; all zeros is the neutral face."""
 
     mouth_open: float = 0.0
     """0 (closed) to 1 (wide open)."""
@@ -97,7 +97,7 @@ class Expression:
 
 @dataclass(frozen=True)
 class Traits:
-    """The measures of one person: lengths in head units, colours linear RGB."""
+    """Measurements of one person: lengths in head units, colours in linear RGB."""
 
     width: float
     jaw: float
@@ -142,7 +142,7 @@ WALL_COLOURS = ((0.24, 0.28, 0.31), (0.30, 0.28, 0.25), (0.22, 0.27, 0.25), (0.2
 
 
 def traits_of(head: Head) -> Traits:
-    """Draw the measures of a person from the seed."""
+    """Draw the measurements of a person from the seed."""
     rng = np.random.default_rng([head.seed, 0x4EAD])
     vary = lambda mean, spread: float(mean + spread * np.clip(rng.normal(), -1.8, 1.8))  # noqa: E731
     skin = float(rng.beta(1.3, 1.9))

@@ -16,13 +16,13 @@ from liaam.errors import LiaamError
 
 Radiator = Literal["wien", "planck"]
 K2_NM = 1.438776877e7  # second radiation constant, nm K
-REFERENCE_NM = 550.0  # spectra are 1 here, so that a strength does not depend on the temperature
+REFERENCE_NM = 550.0  # spectra are 1 at this wavelength, so that strength does not depend on temperature
 COLDEST_K, HOTTEST_K = 1500.0, 20000.0
 
 SHADOW_MAP = 420
-SHADOW_REACH = 1.55  # half width of what the shadow map covers, head units
+SHADOW_REACH = 1.55  # half width of the shadow map, head units
 PENUMBRA_SAMPLES, WIDE_SAMPLES = 5, 10
-WIDE = 0.1  # a lamp of this softness throws shadows so blurred that a coarse mesh will do
+WIDE = 0.1  # softness above which shadows are so blurred that the coarse mesh suffices
 DOME_MAP = 110
 DOME_SAMPLES = 28
 
@@ -36,16 +36,16 @@ def _check_source(owner: str, temperature: float, strength: float) -> None:
 
 @dataclass(frozen=True)
 class PointLight:
-    """A far lamp."""
+    """A distant lamp."""
 
     direction: tuple[float, float, float] = (0.0, 0.3, 1.0)
-    """Towards the lamp: right in the image, up, towards the camera. Any length."""
+    """Direction towards the lamp (right in the image, up, towards the camera), of any length."""
     temperature_K: float = 5000.0  # noqa: N815 - a kelvin is a K
     """Colour temperature, kelvin."""
     strength: float = 1.0
     """Irradiance of a surface that faces the lamp."""
     softness: float = 0.025
-    """Angular radius of the lamp, radians: the wider, the softer the shadow's edge."""
+    """Angular radius of the lamp, radians; it determines the width of the penumbra."""
 
     def __post_init__(self) -> None:
         if not np.all(np.isfinite(self.direction)) or len(self.direction) != 3 or not np.any(self.direction):
@@ -63,7 +63,7 @@ class PointLight:
 
 @dataclass(frozen=True)
 class Ambient:
-    """Light from everywhere, a little more from above, dimmed in hollows."""
+    """Light from all directions, slightly more from above, occluded in concavities."""
 
     temperature_K: float = 6500.0  # noqa: N815
     """Colour temperature, kelvin."""
@@ -80,7 +80,7 @@ DIFFUSE: Lights = (
     Ambient(temperature_K=5000.0, strength=0.62),
     PointLight((0.0, 0.45, 1.0), temperature_K=5000.0, strength=0.42, softness=0.35),
 )
-"""Homogeneous frontal light of one temperature, as a photographer's diffusers give it."""
+"""Homogeneous frontal light of one temperature, as from a photographer's diffusers."""
 
 
 def lateral(
@@ -92,7 +92,7 @@ def lateral(
     ambient_temperature_K: float = 7500.0,
     ambient_strength: float = 0.15,
 ) -> Lights:
-    """Hard light from one side of the image, which casts shadows, and a weak bluish ambient.
+    """Hard light from one side of the image, which casts shadows, and weak bluish ambient light.
 
     Parameters
     ----------
@@ -123,9 +123,9 @@ def spectrum(wavelength_nm: np.ndarray, mired: np.ndarray | float, radiator: Rad
     ----------
     wavelength_nm : array_like
     mired : array_like
-        Reciprocal temperature, 1e6 / K; broadcast against the wavelengths.
+        Reciprocal temperature, 1e6 / K; broadcast with the wavelengths.
     radiator : {"wien", "planck"}
-        The law of radiation.
+        Law of radiation.
     """
     c = K2_NM * np.asarray(mired) * 1e-6
     if radiator == "wien":
@@ -139,7 +139,7 @@ def spectrum(wavelength_nm: np.ndarray, mired: np.ndarray | float, radiator: Rad
 
 @dataclass(frozen=True)
 class Geometry:
-    """What casts shadows: a triangle mesh in the viewer's axes."""
+    """Triangle mesh that casts shadows, in the viewer's axes."""
 
     points: np.ndarray
     """(n, 3) float64 vertices."""
@@ -148,15 +148,15 @@ class Geometry:
     coarse: np.ndarray
     """(about m / 4, 3) int32: the same surface with larger triangles."""
     centre: np.ndarray
-    """(3,) middle of the head."""
+    """(3,) centre of the head."""
     unit: float
     """Length of a head unit."""
 
 
 def direct_visibility(geometry: Geometry, at: np.ndarray, normals: np.ndarray, light: PointLight) -> np.ndarray:
-    """Share (n,) of a lamp that points (n, 3) with normals (n, 3) see past the mesh."""
+    """Fraction (n,) of a lamp that is visible from points (n, 3) with normals (n, 3)."""
     seen = np.zeros(len(at), np.float32)
-    # Away from the surface by a texel or so, lest it shadow itself.
+    # Offset the points by about a texel, so that the surface does not shadow itself.
     lifted = at + normals * (0.022 * geometry.unit)
     samples = _lamp_samples(light)
     triangles = geometry.coarse if light.softness > WIDE else geometry.triangles
@@ -182,7 +182,7 @@ def dome_irradiance(geometry: Geometry, normals: np.ndarray) -> np.ndarray:
 
 
 def _lamp_samples(light: PointLight) -> np.ndarray:
-    """Directions (n, 3) spread evenly over the lamp's disc, in a sunflower's spiral."""
+    """Directions (n, 3) spread evenly over the lamp's disc in a sunflower spiral."""
     unit = light.unit
     side = np.cross(unit, [0.0, 1.0, 0.0] if abs(unit[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
@@ -195,7 +195,7 @@ def _lamp_samples(light: PointLight) -> np.ndarray:
 
 
 def _dome() -> np.ndarray:
-    """Directions (n, 3) spread over the sphere's half that faces the camera, and a little behind."""
+    """Directions (n, 3) spread over the hemisphere that faces the camera, and slightly beyond."""
     i = np.arange(DOME_SAMPLES) + 0.5
     z = 1 - 1.25 * i / DOME_SAMPLES
     turn = np.pi * (1 + 5**0.5) * i
@@ -204,7 +204,7 @@ def _dome() -> np.ndarray:
 
 
 def _light_frame(geometry: Geometry, direction: np.ndarray, size: int, reach: float) -> np.ndarray:
-    """Affine map (3, 4) from the viewer's axes to the pixels and the nearness of a light's depth map."""
+    """Affine map (3, 4) from the viewer's axes to pixels and nearness of a light's depth map."""
     side = np.cross([0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0], direction)
     side /= np.linalg.norm(side)
     scale = size / (2 * reach * geometry.unit)

@@ -1,4 +1,4 @@
-"""Painting a person: reflectance of skin and skull on the chart, once per identity.
+"""Reflectance of a person's skin and skull on the chart, computed once per identity.
 
 Colours are linear RGB reflectances, 0 to 1; `liaam.datasets.scenes.light` turns them into spectra.
 """
@@ -23,7 +23,7 @@ NOISE_SIZE = 256
 
 FAIR, MIDDLE, DEEP = (0.74, 0.46, 0.365), (0.47, 0.245, 0.155), (0.155, 0.080, 0.052)
 BLOOD = np.array([0.10, 0.62, 0.52])
-"""What a unit of blood under the skin takes from the log-reflectance."""
+"""Decrease of the log-reflectance by a unit of blood under the skin."""
 MELANIN = np.array([0.30, 0.55, 0.80])
 
 
@@ -32,7 +32,7 @@ class Textures:
     """Reflectances of a person."""
 
     skin: np.ndarray
-    """(h, w, 4) float32 on the skin's chart: colour, and how open (0 or 1) to the skull below."""
+    """(h, w, 4) float32 on the skin's chart: colour, and opening (0 to 1) to the skull below."""
     skull: np.ndarray
     """(h, w, 3) float32 on the skull's chart: eyes and mouth."""
     weave: np.ndarray
@@ -57,7 +57,7 @@ def textures_of(head: Head) -> Textures:
 
 
 def look_up(texture: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Sample a chart's texture at coordinates (h, w), bilinear; beyond its border the border's colour."""
+    """Sample a chart's texture at coordinates (h, w), bilinear; the border's colour continues outside."""
     column = (u - CHART[0]) * TEXELS_PER_UNIT
     row = (CHART[3] - v) * TEXELS_PER_UNIT
     return cv2.remap(
@@ -83,7 +83,7 @@ def skin_tone(depth: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Canvas:
-    """The chart's coordinates at every texel, and the identity's source of chance."""
+    """The chart's coordinates at every texel, and the identity's random generator."""
 
     face: Face
     rng: np.random.Generator
@@ -113,7 +113,7 @@ class _Canvas:
         """Smooth Gaussian noise of unit variance; correlation lengths in head units."""
         sigma_v = sigma_u if sigma_v is None else sigma_v
         shape = self.u.shape
-        # A blur wide against a texel is drawn coarse and enlarged: the same look at a fraction of the time.
+        # Noise that is smooth over many texels is drawn at a lower resolution and enlarged, which is much faster.
         step = max(1, int(min(sigma_u, sigma_v) * TEXELS_PER_UNIT / 3))
         small = self.rng.standard_normal((shape[0] // step + 2, shape[1] // step + 2)).astype(np.float32)
         small = cv2.GaussianBlur(
@@ -127,7 +127,7 @@ class _Canvas:
 
 
 def _complexion(c: _Canvas) -> np.ndarray:
-    """Log-reflectance (h, w, 3) of bare skin against its mean tone."""
+    """Log-reflectance (h, w, 3) of bare skin relative to its mean tone."""
     t, y_mouth, base = c.traits, c.traits.mouth_y, -c.traits.nose_length
     blood = 0.40 * c.bump(0.40, -0.33, 0.16, 0.14) + 0.38 * c.bump(0.0, base + 0.06, 0.10, 0.08)
     blood += 0.25 * c.bump(t.nose_width, base + 0.04, 0.05, 0.05) + 0.14 * c.bump(
@@ -153,7 +153,7 @@ def _freckles(c: _Canvas) -> np.ndarray:
 
 
 def _moles(c: _Canvas) -> np.ndarray:
-    """A few moles, off the features."""
+    """A few moles away from the features."""
     total = np.zeros_like(c.u)
     for _ in range(c.rng.integers(1, 5)):
         x, v = c.rng.choice([-1, 1]) * c.rng.uniform(0.36, 0.55), c.rng.uniform(-0.70, -0.15)
@@ -179,7 +179,7 @@ def _paint_lips(c: _Canvas, colour: np.ndarray) -> np.ndarray:
     depth = (1.05 if c.traits.hair_style == "long" else 0.62) + 0.20 * (c.v > 0.5 * (upper_in + lower_in)) + wrinkles
     tone = colour * np.exp(-depth[..., None] * (BLOOD * 1.10 + 0.13))
     colour = colour + lips[..., None] * (tone - colour)
-    # The line where the lips meet stays dark also when they close.
+    # The line between the lips stays dark when they close.
     line = np.minimum(np.abs(c.v - upper_in), np.abs(c.v - lower_in))
     line = np.exp(-((line / 0.012) ** 2)) * smoothstep((half - np.abs(c.x)) / 0.05)
     return colour * np.exp(-line[..., None] * np.array([0.75, 1.0, 0.95]))
@@ -228,7 +228,7 @@ def _paint_brows(c: _Canvas, colour: np.ndarray) -> np.ndarray:
 
 
 def _slanted_noise(c: _Canvas) -> np.ndarray:
-    """Noise of unit variance drawn out along slanted strokes, mirrored in the mid-line."""
+    """Noise of unit variance smeared along slanted strokes, mirrored at the mid-line."""
     size = 15
     kernel = np.zeros((size, size), np.float32)
     cv2.line(kernel, (1, size - 5), (size - 2, 4), 1.0, 1, cv2.LINE_AA)
@@ -252,7 +252,7 @@ def _paint_hair(c: _Canvas, colour: np.ndarray) -> np.ndarray:
 
 
 def _swept_noise(c: _Canvas) -> np.ndarray:
-    """Noise of unit variance drawn out along the parabolas in which hair falls from a parting."""
+    """Noise of unit variance smeared along the parabolas in which hair falls from a parting."""
     noise = _periodic(c.rng, (1.0, 22))
     away = np.abs(c.u - chart.PARTING)
     swept = look_up_periodic(noise, 0.9 * (c.v + 1.3 * away**2) + 0.4 * (c.u > chart.PARTING), 0.5 * away)
@@ -260,7 +260,7 @@ def _swept_noise(c: _Canvas) -> np.ndarray:
 
 
 def _openings(c: _Canvas) -> np.ndarray:
-    """1 where the skin opens to the eyes and the mouth."""
+    """Mask of the openings of the skin at the eyes and the mouth."""
     eyes = chart.eye_opening(c.face, np.abs(c.x), c.v, soft=0.006)
     half = c.face.landmarks[43, 0]
     _, upper, lower, _ = (f(np.clip(c.x, -0.998 * half, 0.998 * half)) for f in chart.lip_curves(c.face))

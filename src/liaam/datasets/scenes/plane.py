@@ -1,7 +1,7 @@
-"""Flat scenes: a colour chart or a poster under uneven Planckian light with cast shadows, seen by a camera.
+"""Flat scenes: a colour chart or a poster under uneven Planckian light with cast shadows.
 
-Each pixel receives one Planckian spectrum of its own temperature and strength, so that with line sensors the
-paper's theory holds exactly, shadows and all.
+Each pixel receives one Planckian spectrum with its own temperature and strength. With line sensors the paper's theory
+holds exactly, also in shadows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from liaam.errors import LiaamError
 
 CHART_ROWS, CHART_COLUMNS = 4, 6
 GREYS = (0.88, 0.58, 0.36, 0.19, 0.09, 0.035)
-"""Reflectances of the chart's last row, about those of the charts one can buy."""
+"""Reflectances of the chart's last row, similar to those of commercial charts."""
 
 CHART_COLOURS = (
     (0.17, 0.08, 0.06), (0.55, 0.31, 0.23), (0.12, 0.20, 0.34),
@@ -26,7 +26,7 @@ CHART_COLOURS = (
     (0.03, 0.05, 0.30), (0.06, 0.30, 0.06), (0.45, 0.03, 0.04),
     (0.84, 0.57, 0.02), (0.51, 0.09, 0.31), (0.03, 0.24, 0.37),
 )  # fmt: skip
-"""Coefficients of the first three rows' reflectances in red, green and blue parts: the chart's colours, roughly."""
+"""Coefficients of the first three rows' reflectances in red, green and blue parts, approximately those of a chart."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class PlaneLight:
 
 
 def colour_chart(patch: int = 30, gap: int = 6) -> tuple[np.ndarray, np.ndarray]:
-    """Make a chart of 24 patches on a dark ground.
+    """Make a chart of 24 patches on a dark background.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def colour_chart(patch: int = 30, gap: int = 6) -> tuple[np.ndarray, np.ndarray]
     reflectance : (h, w, 3) float64
         Coefficients of the reflectance in its red, green and blue parts (see ``Camera.matrix``).
     boxes : (24, 4) int
-        x0, y0, x1, y1 of each patch, the last pixel not included.
+        x0, y0, x1, y1 of each patch; x1 and y1 are excluded.
     """
     colours = np.array([*CHART_COLOURS, *[(grey,) * 3 for grey in GREYS]])
     step = patch + gap
@@ -71,7 +71,7 @@ def colour_chart(patch: int = 30, gap: int = 6) -> tuple[np.ndarray, np.ndarray]
 
 
 def poster(size: tuple[int, int] = (240, 320), seed: int = 0) -> np.ndarray:
-    """Make a printed sheet: coloured discs and stripes of many sizes, with a fine grain.
+    """Make a printed sheet of coloured discs and stripes of many sizes, with fine grain.
 
     Parameters
     ----------
@@ -113,24 +113,24 @@ def uneven_light(
     sky_K: float = 8000.0,
     shadow: float = 0.75,
 ) -> PlaneLight:
-    """Make light that falls off over a plane, with cast shadows in which only bluish skylight is left.
+    """Make light that varies over a plane, with cast shadows in which only bluish skylight remains.
 
     Parameters
     ----------
     size : (int, int)
         Height and width, pixels.
     seed : int
-        Places the lamp and the shadows.
+        Seed of the positions of lamp and shadows.
     lamp_K, sky_K : float
         Colour temperatures, kelvin.
     shadow : float
-        Share of the light that the lamp gives, 0 to 1: what the shadows lack.
+        Fraction of the light that comes from the lamp and is missing in shadows, 0 to 1.
     """
     for name, kelvin in (("lamp_K", lamp_K), ("sky_K", sky_K)):
         if not COLDEST_K <= kelvin <= HOTTEST_K:
             raise LiaamError(f"{name} is {kelvin!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin")
     if not 0 <= shadow < 1:
-        raise LiaamError(f"shadow is {shadow!r}: give a share from 0 to below 1")
+        raise LiaamError(f"shadow is {shadow!r}: give a fraction from 0 to below 1")
     rng = np.random.default_rng([seed, 0x11947])
     height, width = _checked(size)
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
@@ -147,7 +147,7 @@ def uneven_light(
 
 
 def even_light(size: tuple[int, int], kelvin: float = 5000.0, strength: float = 1.0) -> PlaneLight:
-    """Make the same light everywhere on a plane of a size (height, width)."""
+    """Make uniform light on a plane of size (height, width)."""
     height, width = _checked(size)
     return PlaneLight(np.full((height, width), float(strength)), np.full((height, width), 1e6 / kelvin))
 
@@ -162,7 +162,7 @@ def photograph(
     homography: np.ndarray | None = None,
     radiator: Radiator = "wien",
 ) -> np.ndarray:
-    """Take a picture of a flat scene.
+    """Render an image of a flat scene.
 
     Parameters
     ----------
@@ -172,12 +172,12 @@ def photograph(
     camera : Camera, optional
         Default: broad sensors, sRGB, 8 bits.
     seed : int
-        Of the sensor's noise.
+        Seed of the sensor's noise.
     exposure : float, optional
-        Gain from reflectance times irradiance to linear values; the camera's own, or one that brings the brightest
-        hundredth to 0.85, if left out.
+        Gain from reflectance times irradiance to linear values. By default the camera's, or one that maps the 99th
+        percentile to 0.85.
     homography : (3, 3) float, optional
-        From the scene's pixels to the picture's; the picture has the scene's size, black beyond its border.
+        From the scene's pixels to the image's. The image has the scene's size and is black outside the scene.
     radiator : {"wien", "planck"}
 
     Returns
@@ -206,7 +206,7 @@ def _checked(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def _smooth_noise(rng: np.random.Generator, size: tuple[int, int], blur: float) -> np.ndarray:
-    """Noise of unit deviation, smooth over some pixels."""
+    """Smooth noise of unit standard deviation."""
     import cv2  # heavy: imported when first needed
 
     noise = cv2.GaussianBlur(rng.standard_normal(size), (0, 0), blur)

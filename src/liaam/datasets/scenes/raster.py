@@ -1,4 +1,4 @@
-"""Drawing triangles: a z-buffer with interpolated attributes, and depth maps for shadows."""
+"""Rasterise triangles: a z-buffer with interpolated attributes, and depth maps for shadows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numba import njit
 
 @njit(cache=True)
 def transform(points, frame):
-    """Apply an affine map (3, 4) to points (n, 3); unlike a BLAS product it stays on one core."""
+    """Apply an affine map (3, 4) to points (n, 3); unlike a BLAS product it uses one core."""
     out = np.empty(points.shape)
     for i in range(points.shape[0]):
         for k in range(3):
@@ -25,7 +25,7 @@ def draw(points, triangles, attributes, height, width):
     Parameters
     ----------
     points : (n, 3) float64
-        (column, row, nearness) of the vertices; the larger nearness wins.
+        (column, row, nearness) of the vertices; the largest nearness is visible.
     triangles : (m, 3) int32
     attributes : (n, k) float32
 
@@ -92,7 +92,7 @@ def depth_map(points, triangles, size):
 
 @njit(cache=True)
 def visibility(points, depth, bias):
-    """Share of light (n,) that reaches points (n, 3) of a depth map: 2 x 2 comparisons, bilinear."""
+    """Fraction of light (n,) that reaches points (n, 3) of a depth map: 2 x 2 comparisons, bilinear."""
     size = depth.shape[0]
     seen = np.ones(points.shape[0], np.float32)
     for i in range(points.shape[0]):
@@ -108,7 +108,7 @@ def visibility(points, depth, bias):
 
 @njit(cache=True)
 def splat_map(points, size):
-    """Nearness map (size, size) of a cloud of points (n, 3): each marks the pixel that it falls into."""
+    """Nearness map (size, size) of a cloud of points (n, 3), each drawn as one pixel."""
     depth = np.full((size, size), -np.float32(1e9), np.float32)
     for i in range(points.shape[0]):
         x, y = int(np.floor(points[i, 0] + 0.5)), int(np.floor(points[i, 1] + 0.5))

@@ -1,4 +1,4 @@
-"""The relief of a face over its egg: what stands out, in head units, as a function of the chart."""
+"""The relief of a face: its height over the base shape of the head, in head units, as a function of the chart."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from liaam.datasets.scenes.head import Expression
 
 
 def skull_relief(face: Face, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Relief that an expression does not move: sockets, eyeballs, brow ridge, cheekbones, temples."""
+    """Relief that does not move with expressions: sockets, eyeballs, brow ridge, cheekbones, temples."""
     t = face.traits
     x = np.abs(u_to_frontal(u, v, face.profile))
     relief = -0.085 * bump(x, v, t.eye_x - 0.02, 0.030, 0.150, 0.085)

@@ -1,4 +1,4 @@
-"""From a head, its pose, lights and a camera to a picture with its ground truth."""
+"""Render a head with a pose, lights and a camera to an image with ground truth."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ BRIGHTEST = 0.8  # linear value given to the 98th percentile of the face
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture and all that is true of it; ``(h, w)`` is its size."""
+    """An image of size ``(h, w)`` and its ground truth."""
 
     image: np.ndarray
-    """(h, w, 3) uint8, uint16 or float32: the encoded picture, with noise."""
+    """(h, w, 3) uint8, uint16 or float32: the encoded image, with noise."""
     linear: np.ndarray
     """(h, w, 3) float32: linear values before noise and saturation."""
     landmarks: np.ndarray
@@ -44,7 +44,7 @@ class Scene:
     shading: np.ndarray
     """(h, w) float32: irradiance, summed over the lights."""
     shadow: np.ndarray
-    """(h, w) float32: share of the lamps' light that is missing, 0 (lit) to 1 (cast or attached shadow)."""
+    """(h, w) float32: fraction of the lamps' light that is missing, 0 (lit) to 1 (cast or attached shadow)."""
     mask: np.ndarray
     """(h, w) bool: inside the hull of the landmarks."""
 
@@ -62,7 +62,7 @@ def render(
     radiator: Radiator = "wien",
     supersample: int = 2,
 ) -> Scene:
-    """Take a picture of a head.
+    """Render an image of a head.
 
     A pixel has one reflectance spectrum S and, per light, one irradiance. Its linear value in channel k is
     the paper's equation 6: the sum over the lights of irradiance times the integral of
@@ -71,9 +71,9 @@ def render(
     Parameters
     ----------
     head, pose, expression
-        Who, where, and what the face does; the default is neutral and frontal.
+        Identity, pose and expression; frontal and neutral by default.
     lights : tuple of PointLight and Ambient
-        All lights.
+        Light sources.
     camera : Camera, optional
         Default: broad sensors, sRGB, 8 bits.
     size : (int, int)
@@ -81,9 +81,9 @@ def render(
     seed : int
         Seed of the sensor's noise.
     mixing : {"additive", "planckian"}
-        "additive" adds the lights' spectra, as nature does. "planckian" gives each pixel one Planckian
-        spectrum whose reciprocal temperature is the mean of the lights', weighted by irradiance: the paper's
-        model then holds exactly, also where lights of different temperatures mix.
+        "additive" adds the lights' spectra, which is physically correct. "planckian" uses one Planckian
+        spectrum per pixel, whose reciprocal temperature is the mean of the lights' weighted by irradiance. The
+        paper's model then holds exactly, also where lights of different temperatures mix.
     radiator : {"wien", "planck"}
         Law of radiation.
     supersample : int
@@ -135,12 +135,12 @@ def make_set(
     size: tuple[int, int] = (320, 240),
     **options,
 ) -> list[Scene]:
-    """Take ``n`` pictures of one head with random expressions and poses.
+    """Render ``n`` images of one head with random expressions and poses.
 
-    Further ``options`` go to `render`. The pictures of a longer set begin with those of a shorter one.
+    Further ``options`` are passed to `render`. A longer set begins with the images of a shorter one.
     """
     if n < 1:
-        raise LiaamError(f"a set of {n!r} pictures: give a number of at least 1")
+        raise LiaamError(f"a set of {n!r} images: give a number of at least 1")
     head = head or Head(0)
     scenes = []
     for i in range(n):
@@ -151,7 +151,7 @@ def make_set(
 
 
 def random_pose(rng: np.random.Generator, size: tuple[int, int] = (320, 240)) -> Pose:
-    """Draw a natural pose for a picture of that size."""
+    """Draw a natural pose for an image of the given size."""
     yaw, pitch, roll = np.clip(rng.normal(0, (0.10, 0.06, 0.045)), -0.26, 0.26)
     shift = 0.012 * min(size)
     x, y = np.clip(rng.normal(0, shift, 2), -2 * shift, 2 * shift)
@@ -216,7 +216,7 @@ def _paint_pixels(pixels: np.ndarray, face: Face, textures: Textures, expression
     u, v, skull_u, skull_v = np.moveaxis(pixels[..., _CHART], -1, 0)
     skin = look_up(textures.skin, u, v)
     skull = look_up(textures.skull, skull_u, skull_v)
-    # Closed lips and lids meet: what the mesh leaves open between them is lip line and lashes.
+    # Close the remaining openings of the mesh between closed lips and lids.
     mouth, eyes = (
         smoothstep(expression.mouth_open / 0.12),
         1 - smoothstep((expression.eye_close - 0.75) / 0.2),
@@ -249,7 +249,7 @@ def _wall(shape: tuple[int, int], t: Traits, textures: Textures) -> np.ndarray:
 
 
 def _irradiances(body: Body, pixels: np.ndarray, lights: Lights, s: int) -> tuple[np.ndarray, np.ndarray]:
-    """Irradiance (n_lights, h, w) and the share of the lamps' light that is in shadow (h, w)."""
+    """Irradiance (n_lights, h, w) and the fraction of the lamps' light that is in shadow (h, w)."""
     geometry, shape = _geometry(body), pixels.shape[:2]
     solid = pixels[..., _PART] > 0.5
     at = pixels[..., _POINT][solid].astype(float)
@@ -317,7 +317,7 @@ def _check_request(lights: Lights, size: tuple[int, int], mixing: str, supersamp
     if not isinstance(lights, tuple) or not lights or not all(isinstance(s, PointLight | Ambient) for s in lights):
         raise LiaamError("the lights are a tuple of at least one PointLight or Ambient, such as DIFFUSE or lateral()")
     if len(size) != 2 or not all(isinstance(n, int | np.integer) and 32 <= n <= 4096 for n in size):
-        raise LiaamError(f"the size is {size!r}: give (height, width), whole numbers from 32 to 4096")
+        raise LiaamError(f"the size is {size!r}: give (height, width), integers from 32 to 4096")
     if mixing not in ("additive", "planckian"):
         raise LiaamError(f"the mixing is {mixing!r}: give 'additive' or 'planckian'")
     if supersample not in (1, 2, 3, 4):

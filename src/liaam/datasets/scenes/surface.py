@@ -1,7 +1,7 @@
-"""The head's surface: chart points to positions in space, under an expression.
+"""The head's surface: maps chart points to positions in space, under an expression.
 
-The displacement of the skin is interpolated between control points by radial basis functions; it is linear in
-the fields of `Expression`. Landmarks and mesh go through the same function, so landmarks lie on the surface.
+The displacement of the skin is interpolated between control points by radial basis functions, and linear in
+the fields of `Expression`. Landmarks and mesh use the same function, so landmarks lie on the surface.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def face_of(head: Head) -> Face:
 
 
 def expression_vector(expression: Expression) -> np.ndarray:
-    """Amounts (5,) of the displacement fields, counted from the chart's own state."""
+    """Amounts (5,) of the displacement fields, relative to the chart's expression."""
     e = expression
     return np.array([e.mouth_open - CHART_OPENING, e.smile, e.brow_raise, e.eye_close, e.pucker])
 
@@ -71,7 +71,7 @@ def head_points(face: Face, expression: Expression) -> tuple[np.ndarray, np.ndar
     points : (N_UP, N_AROUND, 3) float64
         Positions in head axes.
     skull : (N_UP, N_AROUND, 2) float64
-        Chart position of the skull under each vertex.
+        Chart position of the skull below each vertex.
     """
     shift = np.einsum("...ek,e->...k", face.fields, expression_vector(expression))
     return surface_points(face, face.u, face.v, shift, expression)
@@ -94,7 +94,7 @@ def surface_points(
     angle = skull_u / U_PER_RADIAN
     width, front, back = face.profile.at(v)
     height = skin_relief(face, u, v, expression) + skull_relief(face, skull_u, skull_v)
-    # Relief stands out horizontally on the face, and turns upwards on the crown.
+    # Relief is horizontal on the face and turns upwards on the crown.
     up = np.sin(np.pi / 2 * smoothstep((v - 0.45) / 0.65))
     out = height * np.sqrt(1 - up**2)
     x = (width + out) * np.sin(angle)
@@ -104,12 +104,12 @@ def surface_points(
 
 
 def _flattened(angle: np.ndarray) -> np.ndarray:
-    """Superelliptic counterpart of the cosine: a face is flatter than an ellipsoid."""
+    """Superelliptic version of the cosine, since a face is flatter than an ellipsoid."""
     return np.maximum(1 - np.abs(np.sin(angle)) ** FLATNESS, 0) ** (1 / FLATNESS)
 
 
 def _mesh_grid(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
-    """Chart coordinates of the vertices: three quarters of the columns face the camera."""
+    """Chart coordinates of the vertices; three quarters of the columns face the camera."""
     t = np.linspace(-1, 1, N_AROUND)
     angle = np.pi * (0.62 * t + 0.38 * t**5)
     length = np.cumsum(np.hypot(np.diff(profile.height), 0.6 * np.diff(profile.half_width)))
