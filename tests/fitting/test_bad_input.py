@@ -24,7 +24,7 @@ def start(lit_scene) -> np.ndarray:
 def test_a_grey_picture_is_refused_by_methods_that_compare_colours(model, lit_scene, start, method):
     grey = lit_scene.image.mean(axis=2)
     for image in (grey, grey[..., None], np.repeat(grey[..., None], 3, axis=2), np.round(grey * 255).astype(np.uint8)):
-        with pytest.raises(ImageError, match=f"portrait: the picture is grey .* method {method} .* use method 'grey'"):
+        with pytest.raises(ImageError, match=f"portrait: the image is grey .* method {method} .* use method 'grey'"):
             Fitter(model, method).fit(image, start, name="portrait")
 
 

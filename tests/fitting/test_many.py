@@ -175,7 +175,7 @@ def test_the_error_of_the_first_bad_picture_is_raised_and_names_it(model, spoilt
     images, start = spoilt
     with pytest.raises(ImageError, match=r"cut\.png"):
         fit_many(model, images, start, "li", workers=workers, max_iterations=2)
-    with pytest.raises(ImageError, match=r"images\[3\]: the picture is grey"):
+    with pytest.raises(ImageError, match=r"images\[3\]: the image is grey"):
         fit_many(model, [images[i] for i in (0, 2, 0, 3, 3)], start, "li", workers=workers, max_iterations=2)
 
 
@@ -183,7 +183,7 @@ def test_errors_may_take_the_place_of_results(model, spoilt):
     images, start = spoilt
     results = fit_many(model, images, start, "li", errors="return", workers=2, max_iterations=2)
     assert [isinstance(result, ImageError) for result in results] == [False, True, False, True]
-    assert "cut.png" in str(results[1]) and "images[3]: the picture is grey" in str(results[3])
+    assert "cut.png" in str(results[1]) and "images[3]: the image is grey" in str(results[3])
     for fault in (results[1], results[1].__cause__, results[3]):
         assert fault is None or fault.__traceback__ is None, "its frames hold on to the picture"
 

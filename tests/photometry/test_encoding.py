@@ -160,9 +160,9 @@ def test_alpha_is_dropped(rng):
     [
         (np.zeros((1, 1, 3), np.uint8), "1×1 pixels, too small"),
         (np.zeros((7, 300, 3), np.uint8), "300×7 pixels, too small"),
-        (np.zeros((9, 9, 2), np.uint8), r"\(9, 9, 2\) is no image"),
-        (np.zeros(9, np.uint8), "is no image"),
-        (np.zeros((2, 9, 9, 3), np.uint8), "is no image"),
+        (np.zeros((9, 9, 2), np.uint8), r"\(9, 9, 2\) is not an image"),
+        (np.zeros(9, np.uint8), "is not an image"),
+        (np.zeros((2, 9, 9, 3), np.uint8), "is not an image"),
         (np.zeros((9, 9, 3), np.int64), "int64 are not supported"),
         (np.zeros((9, 9, 3), np.uint32), "uint32 are not supported"),
         (np.zeros((9, 9, 3), bool), "bool are not supported"),
@@ -187,7 +187,7 @@ def test_no_usable_level_lies_on_the_floor_of_the_logarithm(response):
 
 
 def test_floats_that_count_to_255_are_refused():
-    with pytest.raises(ImageError, match="cat: its float values reach 200, but float images count from 0 to 1"):
+    with pytest.raises(ImageError, match="cat: its float values reach 200, but float images range from 0 to 1"):
         as_colour(np.full((16, 16, 3), 200.0), "cat")
     highlights = np.full((16, 16, 3), 0.5)
     highlights[0, :5] = 7.0

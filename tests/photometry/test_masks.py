@@ -71,7 +71,7 @@ def test_what_is_no_number_is_dark():
 
 @pytest.mark.parametrize("find", [dark_pixels, saturated_pixels, usable_pixels, specular_pixels])
 def test_what_is_no_image_is_refused(find):
-    with pytest.raises(ImageError, match="is no image"):
+    with pytest.raises(ImageError, match="is not an image"):
         find(np.zeros((9, 9, 2), np.uint8))
 
 

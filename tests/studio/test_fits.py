@@ -229,7 +229,7 @@ class TestLayers:
             ("face.png", "grey", "method grey does not tell colour from shading"),
             ("face.png", "igo", "method igo does not tell"),
             ("face.png", "li-lit", "method li-lit does not tell"),
-            ("grey.png", "soft-li", "the picture is grey"),
+            ("grey.png", "soft-li", "the image is grey"),
         ],
     )
     def test_that_make_no_sense_are_left_out_and_say_why(self, fits, name, method, text):
@@ -486,7 +486,7 @@ class TestRequests:
             ({"picture": "face.png", "start": {"box": [5, 5, 5, 5]}}, 422, "the box 5, 5, 5, 5 is empty"),
             ({"picture": "face.png", "start": {"box": [900, 900, 990, 990]}}, 422, "the start lies outside the image"),
             ({"picture": "face.png", "start": {"shape": [[1, 2], [3, 4]]}}, 422, "the start has 2 landmarks"),
-            ({"picture": "grey.png", "method": "li"}, 422, "the picture is grey"),
+            ({"picture": "grey.png", "method": "li"}, 422, "the image is grey"),
         ],
     )
     def test_that_make_no_sense(self, page, asked, status, text):
@@ -528,7 +528,7 @@ class TestRequests:
         made = page.fit(picture="grey.png").json()
         answer = page.ask("GET", f"/api/fits/{made['id']}/layers/flat")
         assert answer.status_code == 422
-        assert "the picture is grey" in answer.json()["error"]
+        assert "the image is grey" in answer.json()["error"]
 
     def test_without_a_model(self, folder, tmp_path):
         shutil.copy(folder / "face.png", tmp_path)

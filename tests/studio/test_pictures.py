@@ -290,7 +290,7 @@ class TestChroma:
 
     @pytest.mark.parametrize("value", [0, 128, 255])
     def test_a_grey_picture_has_none(self, value):
-        with pytest.raises(ImageError, match=r"a\.png: the picture is grey"):
+        with pytest.raises(ImageError, match=r"a\.png: the image is grey"):
             chroma(np.full((20, 20, 3), value, np.uint8), 640, name="a.png")
 
     def test_a_picture_of_holes_is_masked_all_over(self):

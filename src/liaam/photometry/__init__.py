@@ -1,6 +1,6 @@
-"""Photometry: what fits need of it. Response, exposure, noise, the light-invariant projection, and encodings.
+"""Photometry for fitting: response, exposure, noise, the light-invariant projection, and encodings.
 
-How a camera is calibrated is in :mod:`liaam.calibration`.
+For camera calibration see :mod:`liaam.calibration`.
 """
 
 from typing import TYPE_CHECKING

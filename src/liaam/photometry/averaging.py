@@ -1,4 +1,4 @@
-"""What is worked out pixel by pixel: block means of any size, and directions of gradients (numba)."""
+"""Compiled loops over pixels: means of blocks of any size, blurs, and directions of gradients (numba)."""
 
 from typing import NamedTuple
 
@@ -9,12 +9,12 @@ from liaam.kernels.fields import Byte1, Byte2, Long1, Short1, Single1, Single2, 
 from liaam.kernels.jit import F as _F
 from liaam.kernels.jit import jit as _jit
 
-# Room is made by the callers: to compile np.empty takes as long as a loop.
+# Callers allocate the arrays: compiling np.empty takes as long as compiling a loop.
 
 
 @compiled
 def _taps(n_in: int, start: float, size: float, first: Long1, shares: Single2) -> None:
-    """First pixel of each block, and shares in it of that pixel and those that follow, of which some are nought."""
+    """First pixel of each block, and the weights of that pixel and the following ones in the block's mean."""
     for j in range(shares.shape[0]):
         low = start + j * size
         high = low + size if low + size < n_in else float(n_in)
@@ -27,7 +27,7 @@ def _taps(n_in: int, start: float, size: float, first: Long1, shares: Single2) -
 
 
 class _Cuts(NamedTuple):
-    """Shares of pixels in blocks, down and across, and room for sums of rows of pixels."""
+    """Weights of pixels in blocks along both axes, and buffers for sums of rows of pixels."""
 
     first_x: np.ndarray
     shares_x: np.ndarray
@@ -37,25 +37,25 @@ class _Cuts(NamedTuple):
     sums: np.ndarray
 
     @classmethod
-    def of(cls, picture: tuple[int, int], start: tuple[float, float], size: float, shape: tuple[int, int]) -> "_Cuts":
-        """For a picture of (rows, columns)."""
+    def of(cls, size_in: tuple[int, int], start: tuple[float, float], size: float, shape: tuple[int, int]) -> "_Cuts":
+        """Make the weights for an image of size (rows, columns)."""
         n_taps, arrays = int(np.ceil(size)) + 1, []
         for axis in (1, 0):
             first, shares = np.empty(shape[axis], np.int64), np.empty((shape[axis], n_taps), np.float32)
-            _taps(picture[axis], start[1 - axis], size, first, shares)
+            _taps(size_in[axis], start[1 - axis], size, first, shares)
             arrays += [first, shares]
-        # Blocks at the border reach for pixels beyond, of which they have no share.
-        return cls(*arrays, *np.zeros((2, 4 * (picture[1] + n_taps)), np.float32))
+        # Blocks at the border read pixels outside, with weight 0.
+        return cls(*arrays, *np.zeros((2, 4 * (size_in[1] + n_taps)), np.float32))
 
 
 @compiled
 def _cut(
     sums: Single1, across: int, between: int, known_at: int, first: Long1, shares: Single2, means: Single3, row: int
 ) -> None:
-    """Cut a sum of rows of pixels into a row of blocks.
+    """Average a sum of rows of pixels into a row of blocks.
 
-    ``across`` is how far pixels lie apart in it, ``between`` how far their colours, and ``known_at`` is where the
-    fourth numbers begin, side by side.
+    ``across`` is the stride of pixels in the sum, ``between`` that of their colours, and ``known_at`` the start of the
+    contiguous fourth channel.
     """
     n_taps = shares.shape[1]
     reds, greens, blues, knowns = sums[0:], sums[between:], sums[2 * between :], sums[known_at:]
@@ -84,8 +84,8 @@ def _stored_means(
     sums: Single1,
     means: Single3,
 ) -> None:
-    # Whole rows of pixels are brought to light and added up, which the compiler does many at a time; only what they
-    # add up to is cut into blocks.
+    # Whole rows of pixels are converted to linear light and summed, which the compiler vectorises; only the sums are
+    # averaged into blocks.
     width, reach, at, low, high = lines.shape[1] // 3, len(sums) // 4, -1, limits[0], limits[1]
     known = light[3 * reach :]
     for i in range(len(first_y)):
@@ -95,7 +95,7 @@ def _stored_means(
             y, share = first_y[i] + k, shares_y[i, k]
             if share <= _F(0.0):
                 continue
-            if y != at:  # the last row of a block is the first of the next, where blocks cut through pixels
+            if y != at:  # blocks that cut through pixels share a row
                 at, row = y, lines[y]
                 for x in range(3 * width):
                     light[x] = table[row[x]]
@@ -129,18 +129,18 @@ def stored_means(
     table : (256,) or (65536,) float32
         Linear light of each stored value.
     usable : (low, high)
-        Stored values between which a channel's logarithm says something, both included.
+        Range of usable stored values, both included.
     start : (x, y)
-        Where the first block begins: 0 at the border of the first pixel.
+        Start of the first block; 0 is the border of the first pixel.
     size : float
-        Of a block, pixels, at least 1; blocks may cut through pixels.
+        Side of a block, pixels, at least 1; blocks may cut through pixels.
     shape : (rows, columns)
-        How many blocks.
+        Number of blocks.
 
     Returns
     -------
     (4, rows, columns) float32
-        Mean R, G, B, and the share of usable pixels.
+        Mean R, G, B, and the fraction of usable pixels.
     """
     means = np.empty((4, *shape), np.float32)
     limits, lines = np.array(usable, image.dtype), np.ascontiguousarray(image).reshape(len(image), -1)
@@ -174,7 +174,7 @@ def _value_means(
 
 
 def value_means(values: np.ndarray, start: tuple[float, float], size: float, shape: tuple[int, int]) -> np.ndarray:
-    """Average blocks of four planes (4, h, w) float32 as they are: (4, rows, columns); see :func:`stored_means`."""
+    """Average blocks of four planes (4, h, w) float32 to (4, rows, columns); see :func:`stored_means`."""
     means = np.empty((4, *shape), np.float32)
     cuts = _Cuts.of(values.shape[1:], start, size, shape)
     _value_means(np.ascontiguousarray(values), *cuts[:4], cuts.sums, means)
@@ -183,7 +183,7 @@ def value_means(values: np.ndarray, start: tuple[float, float], size: float, sha
 
 @_jit
 def _area_shares(n_in, n_out):
-    """First and last pixel of each of the blocks that tile a side, and their shares in it; those between count full."""
+    """First and last pixel of each block that tiles a side, and their weights; pixels in between have full weight."""
     ends, shares = np.empty((n_out, 2), np.int64), np.empty((n_out, 2), np.float32)
     size = n_in / n_out
     for i in range(n_out):
@@ -191,26 +191,26 @@ def _area_shares(n_in, n_out):
         first = min(int(low + 1e-9), n_in - 1)
         last = max(min(int(np.ceil(high - 1e-9)) - 1, n_in - 1), first)
         ends[i, 0], ends[i, 1] = first, last
-        # Of a block within one pixel, that pixel is all.
+        # A block inside one pixel has only that pixel.
         shares[i, 0] = (min(first + 1.0, high) - low) / size
         shares[i, 1] = (high - last) / size if last > first else 0.0
     return ends, shares
 
 
 @_jit
-def _area_means(picture, means):
+def _area_means(image, means):
     rows, columns = means.shape
-    ends_y, shares_y = _area_shares(picture.shape[0], rows)
-    ends_x, shares_x = _area_shares(picture.shape[1], columns)
-    full_y, full_x = _F(rows / picture.shape[0]), _F(columns / picture.shape[1])
-    line = np.empty(picture.shape[1], np.float32)
+    ends_y, shares_y = _area_shares(image.shape[0], rows)
+    ends_x, shares_x = _area_shares(image.shape[1], columns)
+    full_y, full_x = _F(rows / image.shape[0]), _F(columns / image.shape[1])
+    line = np.empty(image.shape[1], np.float32)
     for i in range(rows):
-        first, last = ends_y[i, 0], ends_y[i, 1]  # taking a row apart would count references to it, for 40 ns
-        top, bottom, w0, w1 = picture[first], picture[last], shares_y[i, 0], shares_y[i, 1]
+        first, last = ends_y[i, 0], ends_y[i, 1]  # unpacking a row would count references, which takes 40 ns
+        top, bottom, w0, w1 = image[first], image[last], shares_y[i, 0], shares_y[i, 1]
         for x in range(len(line)):
             line[x] = w0 * top[x] + w1 * bottom[x]
         for y in range(first + 1, last):
-            between = picture[y]
+            between = image[y]
             for x in range(len(line)):
                 line[x] += full_y * between[x]
         for j in range(columns):
@@ -222,15 +222,15 @@ def _area_means(picture, means):
 
 
 def area_means(picture: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Make a picture smaller: means of the blocks that tile it, whatever their height and width.
+    """Downsample an image to means of the blocks that tile it.
 
-    What OpenCV's ``INTER_AREA`` gives, rows first, which takes a fifth of its time.
+    Equivalent to OpenCV's ``INTER_AREA``; averaging rows first takes a fifth of its time.
 
     Parameters
     ----------
     picture : (h, w) float32
     shape : (rows, columns)
-        At most (h, w).
+        Size of the result, at most (h, w).
 
     Returns
     -------
@@ -256,7 +256,7 @@ def stored_luminance(image: np.ndarray, table: np.ndarray, weights: np.ndarray) 
     ----------
     image : (h, w, 3) uint8 or uint16
     table : (256,) or (65536,) float32
-        Encoded value of each stored one.
+        Encoded value of each stored value.
     weights : (3,) float
 
     Returns
@@ -275,25 +275,25 @@ def _bent_counts(lines: Byte2, rows: Long1, bent: Short1, sizes: Short1, counts:
         y = rows[k]
         for i in range(n):
             bent[i] = np.int16(lines[y - 1, i]) - np.int16(2) * np.int16(lines[y, i]) + np.int16(lines[y + 1, i])
-        for i in range(3, n - 3):  # three on: the same channel of the neighbour
+        for i in range(3, n - 3):  # an offset of 3: the same channel of the neighbour
             sizes[i] = abs(bent[i - 3] - np.int16(2) * bent[i] + bent[i + 3])
         for i in range(3, n - 3):
             counts[sizes[i]] += 1
 
 
 def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """How often each size of the mask (1, -2, 1)' (1, -2, 1) occurs, which is blind to planes.
+    """Histogram of the absolute response of the filter (1, -2, 1)' (1, -2, 1), which is zero on planes.
 
     Parameters
     ----------
     image : (h, w, 3) uint8
     rows : (n,) int
-        Rows of the mask's middle.
+        Rows of the filter's centre.
 
     Returns
     -------
     (4081,) int64
-        Sizes from 0 on.
+        Counts of the responses 0, 1, 2, ...
     """
     counts = np.zeros(16 * 255 + 1, np.int64)
     lines = np.ascontiguousarray(image).reshape(len(image), -1)
@@ -304,9 +304,9 @@ def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 @compiled
 def _soft_row(picture: Single2, y: int, turn: Single2, softness: float, across: Single1, down: Single1) -> None:
-    """Turned gradient along a row, as differences to its neighbours tell it, over the root of its square and another.
+    """Rotated gradient g along a row, by differences of neighbours, normalised to g / sqrt(|g|^2 + softness^2).
 
-    Rows are contiguous, so that the compiler works out many pixels at a time.
+    Rows are contiguous, so that the compiler can vectorise.
     """
     last, right = len(picture) - 1, picture.shape[1] - 1
     own, above, below = picture[y], picture[y - 1 if y > 0 else 0], picture[y + 1 if y < last else last]
@@ -333,7 +333,7 @@ def _soft_directions(
 
 
 def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> np.ndarray:
-    """Directions of a picture's gradient; see :func:`liaam.photometry.encoding.soft_direction`.
+    """Directions of an image's gradient; see :func:`liaam.photometry.encoding.soft_direction`.
 
     Parameters
     ----------
@@ -375,33 +375,33 @@ def _light_planes(
 def light_planes(
     means: np.ndarray, weights: np.ndarray, least: float, grey: bool, floor: float, dark: float, unusable: float
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Light whose logarithms are taken, and where these say something.
+    """Prepare linear light for logarithms, and mask unusable colours.
 
     Parameters
     ----------
     means : (4, h, w) float32
-        Mean linear R, G, B, and the share of pixels whose logarithm says something.
+        Mean linear R, G, B, and the fraction of usable pixels.
     weights : (3,) float
-        Of R, G and B in brightness.
+        Weights of R, G and B in brightness.
     least : float
-        Share above which all are meant.
+        Fraction of usable pixels above which the colours of a block are usable.
     grey : bool
-        Whether colours say nothing.
+        Whether the image is grey; then no colour is usable.
     floor : float
-        Least R, G and B.
+        Lower bound of R, G and B.
     dark : float
         Added to brightness.
     unusable : float
-        Weight in a blur where colour says nothing, beside 1.
+        Weight in a blur of unusable colours, relative to 1.
 
     Returns
     -------
     planes : (5, h, w) float32
-        Brightness, R, G, B, and the weight in a blur of the last three.
+        Brightness, R, G, B, and the weights of the colours in a blur.
     known : (h, w) float32
-        1 where colour says something, else 0.
+        1 where colours are usable, else 0.
     every : bool
-        Whether it does everywhere.
+        Whether colours are usable everywhere.
     """
     planes, known = np.empty((5, *means.shape[1:]), np.float32), np.empty(means.shape[1:], np.float32)
     means, weights = np.ascontiguousarray(means), np.asarray(weights, np.float32)
@@ -411,7 +411,7 @@ def light_planes(
 
 @compiled
 def _blur(planes: Single3, taps: Single1, line: Single1, blurred: Single3) -> None:
-    # Along columns into a line, which is then blurred along itself.
+    # Blur along columns into a line, then along the line.
     reach, height, width = len(taps) - 1, planes.shape[1], planes.shape[2]
     middle = line[reach:]
     for p in range(planes.shape[0]):
@@ -419,7 +419,7 @@ def _blur(planes: Single3, taps: Single1, line: Single1, blurred: Single3) -> No
             own, to, tap = planes[p, y], blurred[p, y], taps[0]
             for x in range(width):
                 middle[x] = tap * own[x]
-            for k in range(1, reach, 2):  # two at a time: the line is read and written half as often
+            for k in range(1, reach, 2):  # two at a time halves the reads and writes of the line
                 near, far = taps[k], taps[k + 1]
                 above, below = planes[p, y - k if y > k else 0], planes[p, y + k if y + k < height else height - 1]
                 top, bottom = (
@@ -440,11 +440,11 @@ def _blur(planes: Single3, taps: Single1, line: Single1, blurred: Single3) -> No
 
 
 REACH = 3.0
-"""Standard deviations at which a blur is cut off."""
+"""Standard deviations at which a blur kernel is truncated."""
 
 
 def blur_planes(planes: np.ndarray, sigma: float, blurred: np.ndarray) -> None:
-    """Gaussian blur of planes (n, h, w) float32; the border's pixels go on beyond it.
+    """Gaussian blur of planes; border pixels are replicated.
 
     Parameters
     ----------
@@ -452,10 +452,11 @@ def blur_planes(planes: np.ndarray, sigma: float, blurred: np.ndarray) -> None:
     sigma : float
         Standard deviation, pixels, above 0.
     blurred : (n, h, w) float32
-        Where they are put.
+        Output array.
     """
     reach = int(np.ceil(REACH * sigma))
-    taps = np.exp(-0.5 * np.square(np.arange(reach + reach % 2 + 1) / sigma))  # of both sides, two at a time
+    # An even number of taps on each side, for the loop over pairs.
+    taps = np.exp(-0.5 * np.square(np.arange(reach + reach % 2 + 1) / sigma))
     taps /= 2.0 * taps.sum() - taps[0]
     _blur(planes, taps.astype(np.float32), np.empty(planes.shape[2] + 2 * len(taps), np.float32), blurred)
 
@@ -472,7 +473,7 @@ def _lay_out(
     down: Single1,
     channels: Single3,
 ) -> None:
-    height, width, nought = known.shape[0], known.shape[1], _F(0.0)
+    height, width, zero = known.shape[0], known.shape[1], _F(0.0)
     for y in range(height):
         if soft:
             _soft_row(planes[0], y, turn, softness, across, down)
@@ -482,33 +483,33 @@ def _lay_out(
             if soft:
                 own[0], own[1], own[2], own[3], own[4], own[5] = across[x], down[x], red, green, blue, known[y, x]
             else:
-                own[0], own[1], own[2], own[3], own[4], own[5] = red, green, blue, nought, nought, nought
-            own[6], own[7] = nought, usable[y, x]
+                own[0], own[1], own[2], own[3], own[4], own[5] = red, green, blue, zero, zero, zero
+            own[6], own[7] = zero, usable[y, x]
 
 
 def lay_out(
     planes: np.ndarray, known: np.ndarray, usable: np.ndarray, soft: bool, turn: np.ndarray, softness: float
 ) -> np.ndarray:
-    """Lay out what kernels sample: eight channels, pixel by pixel.
+    """Interleave planes to the eight channels that the kernels sample.
 
     Parameters
     ----------
     planes : (4, h, w) float32
-        What directions are taken of, and three colours.
+        Brightness for directions, and three colours.
     known : (h, w) float32
-        How far the colours may be trusted.
+        Weight of the colours.
     usable : (h, w) float32
-        How far the pixel may be.
+        Weight of the pixel.
     soft : bool
-        Whether directions (see :func:`liaam.photometry.encoding.soft_direction`) come first, and what is known of the
-        colours after them; the three colours alone, else.
+        Whether the channels are directions (see :func:`liaam.photometry.encoding.soft_direction`), colours and
+        ``known``, or only the colours.
     turn : (2, 2) float
     softness : float
 
     Returns
     -------
     (h, w, 8) float32
-        What is usable comes last; noughts are in between.
+        Channels, zeros, and ``usable``.
     """
     channels = np.empty((*known.shape, 8), np.float32)
     turn = np.ascontiguousarray(turn, np.float32)

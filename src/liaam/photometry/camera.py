@@ -1,4 +1,4 @@
-"""What is known of a camera: its angle, response, vignetting and noise, in one small readable file."""
+"""Camera model: angle, response, vignetting and noise, and its JSON file."""
 
 import json
 import os
@@ -19,16 +19,16 @@ FORMAT = "liaam-camera"
 VERSION = 1
 
 DIMMEST, BRIGHTEST = 0.02, 50.0
-"""Least and largest share of light that vignetting may leave."""
+"""Least and largest relative light that vignetting may leave."""
 
 MOST_COEFFICIENTS = 16
-"""Coefficients of vignetting: each costs a pass over the picture."""
+"""Largest number of vignetting coefficients; each costs a pass over the image."""
 
 NOISIEST = 1e8
-"""Largest slope and offset of noise, on the curve's own scale of light; more has no meaning, and squares of it end."""
+"""Largest slope and offset of noise, on the curve's scale of light; the squares of larger values might overflow."""
 
 LARGEST = 10_000_000
-"""Bytes of a camera file at most."""
+"""Largest size of a camera file, bytes."""
 
 
 @dataclass(frozen=True)
@@ -38,46 +38,46 @@ class NoiseModel:
     Attributes
     ----------
     slope : float
-        a: photon noise, which grows with the light.
+        Photon noise, proportional to the light.
     offset : float
-        b: noise in the dark.
+        Noise in the dark.
     """
 
     slope: float
     offset: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no noise."""
+        """Check the values."""
         if not all(0 <= part <= NOISIEST for part in (self.slope, self.offset)):  # NaN is not
             raise CameraError(
-                f"noise of slope {self.slope} and offset {self.offset}: give two numbers of at least 0, "
-                f"and of {NOISIEST:g} at most"
+                f"noise of slope {self.slope} and offset {self.offset}: give two numbers of at least 0 and "
+                f"at most {NOISIEST:g}"
             )
 
     def variance(self, linear: np.ndarray) -> np.ndarray:
-        """Variance of linear light of given values (any shape)."""
+        """Variance of the noise at values of linear light (any shape)."""
         return self.slope * np.maximum(linear, 0.0) + self.offset
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """What is known of a camera; each part has a sensible default.
+    """Model of a camera; every part has a default.
 
     Attributes
     ----------
     theta : float
         Angle of the invariant projection, radians.
     theta_deviation : float, optional
-        Its standard error, radians; None where the angle is assumed rather than measured.
+        Its standard error, radians; None if the angle is assumed and not measured.
     response : Response
-        From stored values to linear light.
+        Map from stored values to linear light.
     vignetting : tuple of float
-        Coefficients of r^2, r^4, ... of the share of light that arrives off the centre, 1 + sum v_i r^(2 i),
-        with r = 1 in the corners; empty for none.
+        Coefficients v_i of the relative light 1 + sum v_i r^(2 i) at distance r from the centre, with r = 1 in the
+        corners; empty for none.
     noise : NoiseModel, optional
-        Of linear light; None where it is estimated from each picture.
+        Noise of linear light; None to estimate it from each image.
     history : tuple of str
-        What was estimated from what, a sentence each.
+        Provenance of the values, one sentence per calibration.
     """
 
     theta: float = THETA_DEFAULT
@@ -88,7 +88,7 @@ class CameraModel:
     history: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        """Refuse a camera that cannot be."""
+        """Check the values."""
         if not np.isfinite(self.theta) or abs(self.theta) > 2 * np.pi:
             raise CameraError(f"theta {self.theta}: give the camera's angle in radians (122 degrees are 2.13)")
         if self.theta_deviation is not None and not 0 <= self.theta_deviation < np.inf:
@@ -97,12 +97,12 @@ class CameraModel:
         _check_vignetting(self.vignetting)
 
     def falloff(self, height: int, width: int) -> np.ndarray:
-        """Share of light that arrives at each pixel, (h, w) float32: 1 in the centre."""
+        """Relative light at each pixel, (h, w) float32: 1 at the centre."""
         squared = squared_radius(np.arange(width)[None, :], np.arange(height)[:, None], height, width)
         return falloff_at(squared, self.vignetting).astype(np.float32)
 
     def flatten(self, image: np.ndarray) -> np.ndarray:
-        """Undo the vignetting of a picture.
+        """Correct the vignetting of an image.
 
         Parameters
         ----------
@@ -112,8 +112,8 @@ class CameraModel:
         Returns
         -------
         (h, w, 3)
-            Stored values as they would be without vignetting, float32; the very same picture where there is none.
-            What was dark or clipped stays so, and what was not does not become it.
+            Stored values without vignetting, float32; the input itself if there are no coefficients. Dark and clipped
+            pixels stay as they are, and no other pixel becomes dark or clipped.
         """
         if not self.vignetting:
             return image
@@ -124,14 +124,14 @@ class CameraModel:
         return np.where(np.isfinite(image), flat, np.float32(np.nan)) if image.dtype.kind == "f" else flat
 
     def suited_to(self, *, raw: bool, response: str | None = None) -> "CameraModel":
-        """Camera with the response of some pictures: the one given, or linear for RAW files."""
+        """Return a copy with the response of some images: the given one, or linear for RAW files."""
         if response is not None:
             return replace(self, response=parse_response(response))
-        # A response that was measured is known better; srgb or a gamma speaks of the camera's finished pictures.
+        # Keep a measured response; srgb or a gamma describes the camera's processed images, not its RAW files.
         return replace(self, response="linear") if raw and isinstance(self.response, str | float) else self
 
     def describe(self) -> dict:
-        """Facts as JSON knows them; :func:`camera_from` reads them back."""
+        """Convert to a dict for JSON; :func:`camera_from` is the inverse."""
         error = self.theta_deviation
         return {
             "theta_deg": round(float(np.rad2deg(self.theta)), 9),
@@ -157,46 +157,48 @@ class CameraModel:
 
 def _check_vignetting(vignetting: tuple[float, ...]) -> None:
     if len(vignetting) > MOST_COEFFICIENTS:
-        raise CameraError(f"vignetting of {len(vignetting)} coefficients: give {MOST_COEFFICIENTS} at most")
+        raise CameraError(f"vignetting of {len(vignetting)} coefficients: give at most {MOST_COEFFICIENTS}")
     with np.errstate(over="ignore", invalid="ignore"):
         shares = _shares(vignetting)
     if not shares.min() >= DIMMEST:  # NaN is not
-        raise CameraError(f"vignetting {vignetting}: hardly any light would arrive off the centre")
+        raise CameraError(
+            f"vignetting {vignetting}: less than {DIMMEST:g} times the light would remain; calibrate it again"
+        )
     if shares.max() > BRIGHTEST:
         raise CameraError(
-            f"vignetting {vignetting}: more than {BRIGHTEST:g} times the light would arrive off the centre"
+            f"vignetting {vignetting}: more than {BRIGHTEST:g} times the light would result; calibrate it again"
         )
 
 
 def squared_radius(x: np.ndarray, y: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Squared distance of points from a picture's centre, 1 in its corners; x and y, pixels, are broadcast."""
+    """Squared distance of points from an image's centre, 1 in its corners; x and y, pixels, are broadcast."""
     middle_x, middle_y = (width - 1) / 2.0, (height - 1) / 2.0
-    corner = max(middle_x**2 + middle_y**2, 1e-12)  # a picture of one pixel has no corners
+    corner = max(middle_x**2 + middle_y**2, 1e-12)  # an image of one pixel has no corners
     return (np.square(x - middle_x) + np.square(y - middle_y)) / corner
 
 
 def falloff_at(squared: np.ndarray, vignetting: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Share of light at squared distances from the centre (1 in the corners), same shape: 1 + sum v_i r^(2 i)."""
+    """Relative light 1 + sum v_i r^(2 i) at squared distances r^2 from the centre (1 in the corners), same shape."""
     return 1.0 + sum((v * squared ** (i + 1) for i, v in enumerate(vignetting)), np.zeros_like(squared))
 
 
 def least_share(vignetting: Sequence[float] | np.ndarray) -> float:
-    """Least share of light that arrives anywhere in the picture."""
+    """Least relative light in the image."""
     return float(_shares(vignetting).min())
 
 
 def _shares(vignetting: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Shares of light that arrive from the centre to the corners."""
+    """Relative light from the centre to the corners."""
     return falloff_at(np.square(np.linspace(0.0, 1.0, 101)), vignetting)
 
 
 def load_camera(path: str | os.PathLike) -> CameraModel:
-    """Read a camera file, checking all of it.
+    """Read and validate a camera file.
 
     Raises
     ------
     CameraError
-        If the file is missing, is no camera file, or says what cannot be.
+        If the file is missing, not a camera file, or inconsistent.
     """
     path = Path(path)
     try:
@@ -208,23 +210,24 @@ def load_camera(path: str | os.PathLike) -> CameraModel:
     except (ValueError, RecursionError):
         facts = None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        raise CameraError(f"{path}: this is no camera file; make one with 'liaam calibrate'")
+        raise CameraError(f"{path}: this is not a camera file; make one with 'liaam calibrate'")
     if facts.get("version") != VERSION:
-        raise CameraError(f"{path}: the camera file has version {facts.get('version')}, this liaam reads {VERSION}")
+        raise CameraError(
+            f"{path}: the camera file has version {facts.get('version')}, this liaam reads version {VERSION}; make it "
+            "again with 'liaam calibrate'"
+        )
     unknown = set(facts) - {"format", "version", *CameraModel().describe()}
     if unknown or "theta_deg" not in facts:
-        what = f"knows no {', '.join(sorted(unknown))}" if unknown else "needs theta_deg"
-        raise CameraError(f"{path}: a camera file {what}; its entries are {', '.join(CameraModel().describe())}")
+        fault = f"unknown entry {', '.join(sorted(unknown))}" if unknown else "the entry theta_deg is missing"
+        raise CameraError(f"{path}: {fault}; the entries are {', '.join(CameraModel().describe())}")
     try:
         return camera_from(facts)
     except (KeyError, TypeError, ValueError, OverflowError, LiaamError) as error:
-        raise CameraError(
-            f"{path}: the camera file contradicts itself ({error}); mend it or calibrate again"
-        ) from error
+        raise CameraError(f"{path}: the camera file contradicts itself ({error}); fix it or calibrate again") from error
 
 
 def camera_from(facts: Mapping) -> CameraModel:
-    """Camera of the facts of :meth:`CameraModel.describe`; raises what a forged file may make it raise."""
+    """Make a camera from the dict of :meth:`CameraModel.describe`; invalid entries raise various exceptions."""
     error, noise = facts.get("theta_standard_error_deg"), facts.get("noise")
     return CameraModel(
         theta=float(np.deg2rad(float(facts["theta_deg"]))),

@@ -1,8 +1,7 @@
-"""Encodings: what a fitting method measures in an image (DESIGN section 1, column "encoding").
+"""Encodings: the channels in which a method compares images (DESIGN section 1, column "encoding").
 
-A stored image becomes float32 channels: the encoded ones, three colours for most, and a last one that says how
-far the pixel may be trusted (1 usable, 0 not). NaN, black, saturated, 16-bit and float images all
-get a defined answer here and nowhere else.
+An image is encoded to float32 channels: usually three colours, and last the weight of the pixel (1 usable, 0 not).
+This module alone defines the result for NaN, black, saturated, 16-bit and float images.
 """
 
 from functools import lru_cache
@@ -15,51 +14,56 @@ from liaam.photometry.invariant import LUMINANCE
 from liaam.photometry.response import Response, linear_to_srgb, to_linear
 
 ENCODINGS = ("value", "log", "orientation", "soft")
-"""``value``: sRGB-encoded values in [0, 1]; ``log``: natural logarithm of linear light; ``orientation``: cosine
-and sine of the direction of luminance's gradient, third channel zero (Tzimiropoulos, Zafeiriou and Pantic,
-"Subspace learning from image gradient orientations", PAMI 2012); ``soft``: the gradient of log brightness, softly
-normalised, log of linear light, and whether that log says anything (six channels, see :func:`encode`)."""
+"""Names of the encodings.
+
+- ``value``: sRGB-encoded values in [0, 1].
+- ``log``: natural logarithm of linear light.
+- ``orientation``: cosine and sine of the direction of luminance's gradient, third channel zero (Tzimiropoulos,
+  Zafeiriou and Pantic, "Subspace learning from image gradient orientations", PAMI 2012).
+- ``soft``: softly normalised gradient of log brightness, log of linear light, and the weight of that log (six channels,
+  see :func:`encode`).
+"""
 
 LOGARITHMIC = ("log", "soft")
-"""Those of logarithms, which say nothing in the dark and in highlights."""
+"""Encodings with logarithms, which are unusable in dark and saturated pixels."""
 
 WIDTHS = {"value": 3, "log": 3, "orientation": 3, "soft": 6}
-"""Channels of each, the usable weight aside."""
+"""Number of channels of each encoding, without the weight of the pixel."""
 
 BRIGHTNESS = np.full(3, 1.0 / 3.0)
-"""Weights of linear R, G and B in the brightness that ``soft`` takes gradients of. The eye's luminance leans on green
-and throws red and blue away: with equal weights errors by noise are a sixth smaller (generated scenes, efficiency 0.80
-instead of 0.67), and on photographs as large."""
+"""Weights of linear R, G and B in the brightness for the gradients of ``soft``. Luminance is mostly green and loses
+information of red and blue. Measured on simulated scenes: equal weights reduce errors by noise by a sixth (efficiency
+0.80 instead of 0.67); on photographs there is no difference."""
 
 SOFTNESS = 0.1
-"""Gradient of log brightness, per pixel of the object's own frame, at which its length is half normalised away.
-Measured on real faces: 0.025 to 0.1 alike, the larger a little ahead with persons that a model has not seen."""
+"""Gradient of log brightness, per pixel of the reference frame, for which the squared length is normalised to one half.
+Measured on photographs of faces: 0.025 to 0.1 perform alike; larger values are slightly better on unseen persons."""
 
 LOG_FLOOR = 0.004
-"""Added to linear brightness before its logarithm, so that the noise of black makes no strong gradients."""
+"""Added to linear brightness before the logarithm, to suppress gradients of noise in dark pixels."""
 
 FLAT = 1e-4
-"""Gradient of luminance per pixel, in values of [0, 1], below which its direction fades to nothing: a fortieth
-of an 8-bit step. The published orientation has no such limit, and no answer where a picture is flat."""
+"""Gradient of luminance per pixel, in values of [0, 1], below which its direction fades to zero: a fortieth of an 8-bit
+step. The published orientation has no such limit, and is undefined in flat regions."""
 
 DARK = 7.5 / 255
-"""Stored value below which a logarithm says nothing (noise and JPEG rounding), in any channel. Half a step of 8 bits
-off what a picture stores, so that rounding does not decide."""
+"""Stored value below which a logarithm is unusable because of noise and JPEG rounding. Half an 8-bit step away from
+stored values, so that rounding does not matter."""
 
 SATURATED = 250.5 / 255
-"""Stored value above which a channel is taken as clipped; half a step off, too."""
+"""Stored value above which a channel counts as clipped; also half an 8-bit step away from stored values."""
 
 
 def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
-    """Check a user's image array and give it three channels.
+    """Validate an image array and convert it to three channels.
 
     Parameters
     ----------
     image : (h, w), (h, w, 1), (h, w, 3) or (h, w, 4) uint8, uint16 or float
-        Integer images count from 0 to their type's maximum, floats from 0 to 1. A fourth channel
+        Integer images range from 0 to their type's maximum, floats from 0 to 1. A fourth channel
         (alpha) is dropped.
     name : str
-        What to call the image in an error.
+        Name of the image in error messages.
 
     Returns
     -------
@@ -68,14 +72,14 @@ def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
     Raises
     ------
     ImageError
-        If the array is no image of at least 8 by 8 pixels.
+        If the array is not an image of at least 8 by 8 pixels.
     """
     image = np.asarray(image)
     image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.ndim == 2:
         image = image[..., None]
     if image.ndim != 3 or image.shape[2] not in (1, 3, 4):
-        raise ImageError(f"{name}: an array of shape {image.shape} is no image; give (height, width, 3)")
+        raise ImageError(f"{name}: an array of shape {image.shape} is not an image; give (height, width, 3)")
     if min(image.shape[:2]) < 8:
         size = f"{image.shape[1]}×{image.shape[0]}"
         raise ImageError(f"{name}: the image is {size} pixels, too small to fit to; at least 8×8 are needed")
@@ -90,41 +94,41 @@ def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
 
 
 def _check_range(image: np.ndarray, name: str) -> None:
-    """Refuse floats that count to 255 or the like; a few values above 1 (highlights) are fine."""
+    """Reject floats that range to 255 or similar; a few values above 1 (highlights) are accepted."""
     sparse = image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
     finite = sparse[np.isfinite(sparse)]
     if finite.size and np.percentile(finite, 90) > 4.0:
         raise ImageError(
-            f"{name}: its float values reach {finite.max():g}, but float images count from 0 to 1; divide by the "
+            f"{name}: its float values reach {finite.max():g}, but float images range from 0 to 1; divide by the "
             "largest possible value (255 or 65535)"
         )
 
 
 def is_grey(image: np.ndarray) -> bool:
-    """Tell whether all three channels are equal everywhere (a grey picture stored as colour)."""
+    """Whether all three channels are equal everywhere (a grey image stored as colour)."""
     sparse = image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
-    # Most colour pictures are told by a few pixels; only a suspect is looked at in full.
+    # A few pixels identify most colour images; the whole image is compared only if they are grey.
     for part in (sparse, image):
         nan = part.dtype.kind == "f"
         if not all(np.array_equal(part[..., i], part[..., i + 1], equal_nan=nan) for i in (0, 1)):
             return False
-    return bool(np.isfinite(image).any())  # a picture of holes is nothing, not grey
+    return bool(np.isfinite(image).any())  # an image of NaN only is not grey
 
 
 def refuse_grey(image: np.ndarray, name: str, need: str, error: type[LiaamError] = ImageError) -> None:
-    """Raise an error about a grey picture where colours are needed; ``need`` says what needs them."""
+    """Raise an error if an image is grey; ``need`` is the reason in the message."""
     if is_grey(image):
-        raise error(f"{name}: the picture is grey (three equal channels); {need}")
+        raise error(f"{name}: the image is grey (three equal channels); {need}")
 
 
 def stored_values(image: np.ndarray, dtype: type = np.float32) -> np.ndarray:
-    """Stored values counted from 0 to 1, finite, in a float type; integers count to their type's maximum."""
+    """Convert stored values to finite floats from 0 to 1; integers are divided by their type's maximum."""
     top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
     return np.nan_to_num(image.astype(dtype) / dtype(top))
 
 
 def exposure_faults(pixels: np.ndarray) -> tuple[float, float]:
-    """Shares of pixels whose logarithm says nothing because a channel is dark, or because one is clipped.
+    """Fractions of pixels that are dark, and that are clipped, in any channel.
 
     Parameters
     ----------
@@ -134,7 +138,7 @@ def exposure_faults(pixels: np.ndarray) -> tuple[float, float]:
     Returns
     -------
     dark, clipped : float
-        Shares, 0 to 1; a pixel may count in both, and one that is not a number counts as dark.
+        Fractions, 0 to 1; a pixel can count in both, and NaN counts as dark.
     """
     values = stored_values(pixels, np.float64)
     return float((values < DARK).any(axis=1).mean()), float((values > SATURATED).any(axis=1).mean())
@@ -155,34 +159,34 @@ def encode(
     Parameters
     ----------
     image : (h, w, 3) uint8, uint16 or float32
-        Stored values. Integers count from 0 to the type's maximum.
+        Stored values. Integers range from 0 to the type's maximum.
     encoding : {"value", "log", "orientation", "soft"}
         See :data:`ENCODINGS`.
     response : Response
-        How stored values relate to linear light.
+        Map from stored values to linear light.
     blur : float
         Standard deviation, in pixels after reduction, of a Gaussian blur of the *encoded* channels, 0 for
         none. Blurring a logarithm keeps shading additive, so the invariant of a blurred image is the blurred
-        invariant; blurring linear light mixes lit with shadowed pixels and loses that (measured on the spot
-        protocol: at 2 pixels, ``li`` has a median of 5.4 % this way and 6.3 % the other).
+        invariant. Blurring linear light would mix lit and shadowed pixels. Measured on the spot protocol with a blur of
+        2 pixels: ``li`` has a median error of 5.4 % with blurred logarithms and 6.3 % with blurred light.
     reduce : float
-        Average blocks of this many pixels across into one, in linear light (at least 1; blocks may cut through
-        pixels); a rest at the right and lower border is dropped.
+        Side of the blocks of pixels that are averaged in linear light, at least 1. Blocks may cut through pixels;
+        incomplete blocks at the right and lower border are dropped.
     turn : (2, 2) float, optional
-        Rotation from the image's to the object's axes, in which directions are given; none if left out.
+        Rotation from the image's to the object's axes, to which directions refer; the identity by default.
     pixel : float
-        Size of a pixel, after reduction, in pixels of the object's own frame; gradients of ``soft`` are per pixel of
-        that frame, so that their normalisation does not depend on the object's size in the picture.
+        Size of a pixel, after reduction, in pixels of the reference frame. Gradients of ``soft`` are per pixel of
+        that frame, so that their normalisation does not depend on the object's size in the image.
     start : (x, y)
-        Where the first block begins, pixels; 0 is the border of the first pixel.
+        Start of the first block, pixels; 0 is the border of the first pixel.
 
     Returns
     -------
     ((h - y) // reduce, (w - x) // reduce, c + 1) float32
-        Encoded channels, always finite, and the usable weight in {0, 1}: not NaN, and for
-        ``log`` neither dark nor saturated in any channel. For ``soft`` the six channels are the gradient's two
-        components g / sqrt(|g|^2 + SOFTNESS^2), log R, log G, log B, and how far these three may be trusted (0 to 1);
-        the gradient may be used in the dark and in highlights too.
+        Encoded channels, always finite, and the weight of the pixel in {0, 1}. Pixels with NaN have weight 0; for
+        ``log`` also those with a dark or saturated channel. For ``soft`` the six channels are the gradient's two
+        components g / sqrt(|g|^2 + SOFTNESS^2), log R, log G, log B, and the weight of these three (0 to 1). The
+        gradient is usable in dark and saturated pixels too.
     """
     channels = encode_means(
         block_means(image, encoding, response, reduce, start), encoding, response, blur, turn, pixel
@@ -191,24 +195,24 @@ def encode(
 
 
 BRIGHTEST = 1e6
-"""Stored value and linear light that count at most, where highlights of floats are still brighter."""
+"""Upper bound of stored values and linear light of float images."""
 
 ALL = 0.999
-"""Share of a block's pixels above which all are meant."""
+"""Fraction of a block's pixels above which the whole block counts as usable."""
 
 
 class Means(NamedTuple):
     """Linear light of blocks of pixels."""
 
     light: np.ndarray
-    """(4, rows, columns) float32: R, G, B, and the share of pixels that are usable."""
+    """(4, rows, columns) float32: R, G, B, and the fraction of usable pixels."""
     finite: np.ndarray | None = None
-    """(rows, columns) float32: the share of finite pixels; all are, if left out."""
+    """(rows, columns) float32: the fraction of finite pixels; None if all are finite."""
     grey: bool = False
-    """Whether the picture is grey, so that colour says nothing."""
+    """Whether the image is grey, so that colours are unusable."""
 
     def averaged(self, start: tuple[float, float], size: float, shape: tuple[int, int]) -> "Means":
-        """Averages of blocks of ``size`` by ``size`` of them, the first beginning at ``start`` (x, y)."""
+        """Average blocks of ``size`` by ``size`` blocks; the first starts at ``start`` (x, y)."""
         if size == 1 and start[0] == int(start[0]) and start[1] == int(start[1]):
             x, y = int(start[0]), int(start[1])
             part = np.s_[..., y : y + shape[0], x : x + shape[1]]
@@ -224,19 +228,19 @@ class Means(NamedTuple):
 def block_means(
     image: np.ndarray, encoding: str, response: Response, size: float, start: tuple[float, float] = (0.0, 0.0)
 ) -> Means:
-    """Average an image in linear light, as far as it holds whole blocks.
+    """Average an image in linear light over complete blocks.
 
     Parameters
     ----------
     image : (h, w, 3) uint8, uint16 or float32
         Stored values.
     encoding : {"value", "log", "orientation", "soft"}
-        For which pixels have to be usable.
+        Encoding, which defines the usable pixels.
     response : Response
     size : float
-        Pixels across a block, at least 1; blocks may cut through pixels.
+        Side of a block, pixels, at least 1; blocks may cut through pixels.
     start : (x, y)
-        Where the first block begins, pixels; 0 is the border of the first pixel.
+        Start of the first block, pixels; 0 is the border of the first pixel.
     """
     from liaam.photometry import averaging  # numba: imported when first needed
 
@@ -249,7 +253,7 @@ def block_means(
         table = _table(image.dtype.str, "linear", response)
         return Means(averaging.stored_means(image, table, (low, high), start, size, (rows, columns)), None, grey)
     stored, usable, finite = _stored_and_usable(image, encoding)
-    # A curve may take the highlights of a picture of floats beyond what single precision holds.
+    # A curve may map highlights of float images beyond the range of single precision.
     linear = np.minimum(to_linear(stored, response), BRIGHTEST).astype(np.float32, copy=False)
     light = np.concatenate([np.moveaxis(linear, -1, 0), usable[None]], axis=0, dtype=np.float32)
     pixels = Means(light, None if finite.all() else finite.astype(np.float32), grey)
@@ -264,7 +268,7 @@ def encode_means(
     turn: np.ndarray | None = None,
     pixel: float = 1.0,
 ) -> np.ndarray:
-    """Encode averaged light: eight channels, whatever the encoding, as kernels sample them.
+    """Encode averaged light to eight channels, as the kernels sample them.
 
     Parameters
     ----------
@@ -276,7 +280,7 @@ def encode_means(
     Returns
     -------
     (h, w, 8) float32
-        The encoding's channels (:data:`WIDTHS`) first, then noughts, and the usable weight in {0, 1} last.
+        The encoding's channels (:data:`WIDTHS`), zeros, and last the weight of the pixel in {0, 1}.
     """
     from liaam.photometry import averaging  # numba: imported when first needed
 
@@ -287,14 +291,14 @@ def encode_means(
 
 
 def _planes(means: Means, encoding: str, response: Response, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What gradients are taken of and three colours, blurred, and how far the colours are usable, and the pixel."""
+    """Blurred brightness (for gradients) and colours, the weight of the colours, and the weight of the pixel."""
     if encoding not in LOGARITHMIC:
         return _value_planes(means, encoding, blur)
     import cv2  # heavy: imported when first needed
 
     from liaam.photometry import averaging
 
-    # Of a grey picture there is no invariant to know.
+    # The colours of a grey image have no weight: it has no invariant.
     planes, known, every = averaging.light_planes(
         means.light, BRIGHTNESS, ALL, means.grey, float(_floor(response)), LOG_FLOOR, float(UNUSABLE)
     )
@@ -308,7 +312,7 @@ def _planes(means: Means, encoding: str, response: Response, blur: float) -> tup
 
 
 def _value_planes(means: Means, encoding: str, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same for ``value`` and for ``orientation``, whose gradients are those of values, taken after the blur."""
+    """Planes and weights for ``value`` and for ``orientation``, which uses gradients of blurred values."""
     usable = (means.light[3] > ALL).astype(np.float32)
     planes = np.zeros((5, *usable.shape), np.float32)
     planes[1:4], planes[4] = linear_to_srgb(means.light[:3]), usable + UNUSABLE
@@ -322,13 +326,13 @@ def _value_planes(means: Means, encoding: str, blur: float) -> tuple[np.ndarray,
 
 
 def _usable_range(dtype: np.dtype) -> tuple[int, int]:
-    """Lowest and highest stored value whose logarithm says something."""
+    """Lowest and highest stored value with a usable logarithm."""
     top = np.iinfo(dtype).max
     return int(np.ceil(DARK * top)), int(np.floor(SATURATED * top))
 
 
 def _stored_and_usable(image: np.ndarray, encoding: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finite values in [0, 1] of a picture of floats, and the masks of usable and of finite pixels."""
+    """Finite values of a float image, limited to [0, BRIGHTEST], and the masks of usable and of finite pixels."""
     finite = np.asarray(np.isfinite(image).all(axis=-1))
     stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, BRIGHTEST), np.float32(0.0))
     if encoding not in LOGARITHMIC:
@@ -337,13 +341,13 @@ def _stored_and_usable(image: np.ndarray, encoding: str) -> tuple[np.ndarray, np
 
 
 def _floor(response: Response) -> np.float32:
-    """Linear light that keeps black's logarithm finite and lies below every usable pixel, whatever the response."""
+    """Lower bound of linear light that keeps logarithms finite and lies below every usable pixel."""
     return np.float32(0.5 * float(to_linear(np.array(DARK), response)))
 
 
 @lru_cache(maxsize=16)
 def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
-    """Look-up table of linear light, or of the encoding ``value``, for an integer pixel type."""
+    """Look-up table of linear light or of the encoding ``value`` for an integer pixel type."""
     linear = to_linear(np.linspace(0.0, 1.0, np.iinfo(dtype).max + 1), response)
     return (linear if encoding == "linear" else linear_to_srgb(linear)).astype(np.float32)
 
@@ -358,15 +362,15 @@ def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarra
 
 
 def soft_direction(luminance: np.ndarray, softness: float, turn: np.ndarray | None = None) -> np.ndarray:
-    """Direction of the gradient, fading where it is weak: g / sqrt(|g|^2 + softness^2).
+    """Softly normalised gradient: g / sqrt(|g|^2 + softness^2).
 
     Parameters
     ----------
     luminance : (h, w) float32
     softness : float
-        Gradient per pixel at which half of its square is normalised away.
+        Gradient per pixel for which the squared length is normalised to one half.
     turn : (2, 2) float, optional
-        Rotation from the image's to the object's axes; none if left out.
+        Rotation from the image's to the object's axes; the identity by default.
 
     Returns
     -------
@@ -378,24 +382,24 @@ def soft_direction(luminance: np.ndarray, softness: float, turn: np.ndarray | No
 
 
 UNUSABLE = np.float32(1e-3)
-"""Weight of an unusable pixel in a blur beside a usable one."""
+"""Weight of an unusable pixel in a blur; usable pixels have about 1."""
 
 
 def _blurred(planes: np.ndarray, every: bool, finite: np.ndarray | None, sigma: float, first: int = 0) -> np.ndarray:
-    """Gaussian blur in which unusable pixels count next to nothing.
+    """Gaussian blur in which unusable pixels have hardly any weight.
 
     Parameters
     ----------
     planes : (5, h, w) float32
-        Brightness, three colours, and their weights; lost.
+        Brightness, three colours, and the colours' weights; overwritten.
     every : bool
         Whether the colours are usable everywhere.
     finite : (h, w) float32 or None
-        Share of pixels whose brightness is finite; it is everywhere, if left out.
+        Fraction of pixels with finite brightness; None if all are finite.
     sigma : float
-        Pixels.
+        Standard deviation, pixels.
     first : int
-        1 to leave out the brightness, which is then anything.
+        1 to skip the brightness, which is then undefined in the result.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """The light-invariant projection of log-RGB (paper, section 2 and eq 6-8).
 
-Under Lambert + Planck (Wien) + narrow-band sensors a change of light moves ``log rho`` along
+For Lambertian surfaces, Planckian light (Wien) and narrow-band sensors, a change of light moves ``log rho`` along
 ``1 = (1, 1, 1)`` (intensity) and along ``d(theta)`` (colour temperature). The row ``L(theta)`` is
-orthogonal to both, so the invariant ``L(theta) . log rho`` does not move.
+orthogonal to both, so the invariant ``L(theta) . log rho`` does not change.
 """
 
 import numpy as np
@@ -19,9 +19,8 @@ CHROMATICITY = np.array(
 """The two orthonormal rows orthogonal to 1, the metric of the ``chroma`` method, shape (2, 3)."""
 
 THETA_DEFAULT = float(np.deg2rad(122.0))
-"""Angle assumed for an unknown camera, radians: the direction in which Planckian lights of 3000-8000 K move
-the logarithm of linear sRGB, which is what most pictures hold. Published sensor sensitivities give 116-122
-degrees (DESIGN section 1)."""
+"""Angle assumed for an unknown camera, radians: that of the shift of the logarithm of linear sRGB under Planckian
+lights of 3000-8000 K. Published sensor sensitivities give 116-122 degrees (DESIGN section 1)."""
 
 
 def invariant_row(theta: float) -> np.ndarray:
@@ -54,8 +53,8 @@ def invariant_row_derivative(theta: float) -> np.ndarray:
 def temperature_direction(theta: float) -> np.ndarray:
     """Unit direction d(theta) in which log rho moves with colour temperature, shape (3,) float64.
 
-    It is orthogonal to both ``1`` and ``L(theta)``; the sign is that of rising blue for theta in
-    90-135 degrees (a hotter light).
+    It is orthogonal to both ``1`` and ``L(theta)``. For theta in 90-135 degrees it points towards more blue (a hotter
+    light).
     """
     d = np.cross(invariant_row(theta)[0], np.ones(3))
     d /= np.linalg.norm(d)

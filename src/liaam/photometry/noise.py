@@ -1,4 +1,4 @@
-"""Standard deviation of a picture's noise, in stored values."""
+"""Standard deviation of an image's noise, in stored values."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ import numpy as np
 from liaam.photometry.encoding import stored_values
 
 ENOUGH = 600
-"""Pixels across that :func:`noise_deviation` looks at."""
+"""Side of the central crop that :func:`noise_deviation` uses, pixels."""
 
 SPARSE = 5_000
-"""Pixels within them that it looks at, in rows evenly apart; the median of as many is right to 2 per cent."""
+"""Approximate number of pixels that it uses, in evenly spaced rows; their median is accurate to 2 per cent."""
 
 STEP = 1 / 255
 """The step between stored values of 8 bits."""
 
 
 def noise_deviation(image: np.ndarray) -> float:
-    """Standard deviation of white noise in stored values, from one picture.
+    """Standard deviation of white noise in stored values, from one image.
 
-    A mask that is blind to planes leaves noise and fine texture; its median size tells the noise unless
-    texture fills more than half of the picture. After Immerkaer, "Fast noise variance estimation" (CVIU 1996), with
-    the median of Donoho (1995) for his mean.
+    A filter that is zero on planes leaves noise and fine texture. Its median absolute response estimates the noise,
+    unless texture fills more than half of the image. After Immerkaer, "Fast noise variance estimation" (CVIU 1996),
+    with the median of Donoho (1995) instead of the mean.
 
     Parameters
     ----------
@@ -31,16 +31,15 @@ def noise_deviation(image: np.ndarray) -> float:
     Returns
     -------
     float
-        In values of [0, 1], at least what rounding to 8 bits leaves; JPEG's smoothing makes it too small.
+        In values of [0, 1], at least the error of rounding to 8 bits. JPEG smooths noise, which makes it too small.
     """
     least = STEP / np.sqrt(12.0)
     if min(image.shape[:2]) < 3:
         return least
-    # The middle of a large picture tells enough.
+    # The central crop of a large image suffices.
     y, x = (max(0, (size - ENOUGH) // 2) for size in image.shape[:2])
     image = image[y : y + ENOUGH, x : x + ENOUGH]
-    # So do some of its rows.
-    step = max(1, image.shape[0] * image.shape[1] // SPARSE) | 1  # odd: rows of all phases of JPEG's blocks
+    step = max(1, image.shape[0] * image.shape[1] // SPARSE) | 1  # odd: rows at all positions in JPEG's blocks
     rows = np.arange(1, image.shape[0] - 1, step)
     whole = image.dtype.kind == "u"  # differences of integers are exact
     top = np.iinfo(image.dtype).max if whole else 1.0
@@ -59,7 +58,7 @@ def noise_deviation(image: np.ndarray) -> float:
 
 
 def _median_of_counts(counts: np.ndarray) -> float:
-    """Median of whole numbers of which it is known how often each occurs."""
+    """Median of integers from their histogram."""
     up_to = counts.cumsum()
-    # The two in the middle, one and the same of an odd number.
+    # The mean of the two middle values, which are the same for an odd number.
     return float(np.searchsorted(up_to, ((up_to[-1] - 1) // 2, up_to[-1] // 2), side="right").mean())

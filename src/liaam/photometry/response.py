@@ -12,46 +12,46 @@ from liaam.errors import ImageError
 
 @dataclass(frozen=True)
 class ResponseCurve:
-    """A measured response, common to the three channels: stored values and the linear light they stand for.
+    """A measured response, common to the three channels: stored values and their linear light.
 
-    Between its points the logarithm of light is a monotone cubic of the logarithm of the stored value, below the
-    first a power, so that a power (gamma) needs two points only and dark values keep their relative accuracy.
+    Between the points the logarithm of light is a monotone cubic of the logarithm of the stored value; outside it is a
+    power law. Thus a power (gamma) needs two points only, and dark values keep their relative accuracy.
 
     Attributes
     ----------
     stored : tuple of float
-        Stored values, rising, above 0 and at most 1.
+        Stored values, increasing, above 0 and at most 1.
     linear : tuple of float
-        Linear light there, rising; on a scale of its own (only ratios matter to the invariant), but 1 at stored
-        value 1 keeps pictures as bright as they were.
+        Linear light of the stored values, increasing, on any scale (only ratios matter to the invariant). Light 1 at
+        stored value 1 preserves the brightness of images.
 
     Raises
     ------
     ImageError
-        If the points do not rise, are not positive, or are fewer than two.
+        If the points do not increase, are not positive, or are fewer than two.
     """
 
     stored: tuple[float, ...]
     linear: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Refuse what is no response."""
+        """Check the points."""
         points = (
             np.array([self.stored, self.linear], dtype=np.float64) if len(self.stored) == len(self.linear) else None
         )
         if points is None or points.shape[1] < 2 or not np.isfinite(points).all() or points.min() <= 0:
             raise ImageError("a response curve needs two or more pairs of positive stored values and linear light")
         if not (np.diff(points, axis=1) > 0).all() or points[0, -1] > 1:
-            raise ImageError("a response curve must rise from point to point, with stored values of at most 1")
+            raise ImageError("a response curve must increase from point to point, with stored values of at most 1")
         _check_range(self, np.log(points))
 
 
 Response = Literal["srgb", "linear"] | float | ResponseCurve
-"""How stored values relate to linear light: the sRGB curve, no curve, a power (gamma), or a measured curve."""
+"""Relation of stored values and linear light: the sRGB curve, no curve, a power (gamma), or a measured curve."""
 
 
 def parse_response(text: "str | float | Mapping | ResponseCurve") -> Response:
-    """Read a response as people and files write it.
+    """Convert the notation of users and files to a response.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def parse_response(text: "str | float | Mapping | ResponseCurve") -> Response:
         return text
     if isinstance(text, Mapping):
         if set(text) != {"stored", "linear"}:
-            raise ImageError("a response curve is given by its 'stored' and 'linear' values, and by nothing else")
+            raise ImageError("a response curve has exactly the entries 'stored' and 'linear'; remove or add entries")
         return ResponseCurve(tuple(map(float, text["stored"])), tuple(map(float, text["linear"])))
     if text in ("srgb", "linear"):
         return text
@@ -76,12 +76,12 @@ def parse_response(text: "str | float | Mapping | ResponseCurve") -> Response:
     except ValueError:
         gamma = np.nan
     if not 0.2 <= gamma <= 5.0:
-        raise ImageError(f"response {text!r} is not known: use 'srgb', 'linear' or a gamma between 0.2 and 5")
+        raise ImageError(f"response {text!r} is unknown: use 'srgb', 'linear' or a gamma between 0.2 and 5")
     return gamma
 
 
 def describe_response(response: Response) -> "str | float | dict[str, list[float]]":
-    """Write a response as JSON knows it; :func:`parse_response` reads it back."""
+    """Convert a response to JSON types; :func:`parse_response` is the inverse."""
     if isinstance(response, ResponseCurve):
         return {"stored": list(response.stored), "linear": list(response.linear)}
     return response
@@ -100,7 +100,7 @@ def linear_to_srgb(values: np.ndarray) -> np.ndarray:
 
 
 def to_linear(values: np.ndarray, response: Response = "srgb") -> np.ndarray:
-    """Decode stored values in [0, 1] (any shape) to linear light under a response."""
+    """Decode stored values in [0, 1] (any shape) to linear light."""
     if response == "srgb":
         return srgb_to_linear(values)
     if response == "linear":
@@ -111,7 +111,7 @@ def to_linear(values: np.ndarray, response: Response = "srgb") -> np.ndarray:
 
 
 def from_linear(linear: np.ndarray, response: Response = "srgb") -> np.ndarray:
-    """Encode linear light in [0, 1] (any shape) as stored values under a response; inverse of :func:`to_linear`."""
+    """Encode linear light in [0, 1] (any shape) as stored values; inverse of :func:`to_linear`."""
     if response == "srgb":
         return linear_to_srgb(linear)
     if response == "linear":
@@ -124,7 +124,7 @@ def from_linear(linear: np.ndarray, response: Response = "srgb") -> np.ndarray:
 def log_slope(stored: np.ndarray, response: Response = "srgb") -> np.ndarray:
     """Derivative of the logarithm of linear light by the stored value, d log rho / d v, at positive values.
 
-    It turns a standard deviation of stored values into one of logarithms.
+    It converts a standard deviation of stored values to one of logarithms.
     """
     v = np.asarray(stored)
     if response == "srgb":
@@ -135,53 +135,52 @@ def log_slope(stored: np.ndarray, response: Response = "srgb") -> np.ndarray:
 
 
 MOST_POINTS = 65536
-"""Points of a curve: as many as there are values of 16 bits."""
+"""Largest number of points of a curve: the number of 16-bit values."""
 
 MOST_STEEP = 1e5
-"""Largest slope of a curve in logarithms from point to point. Codes of 16 bits just above a black level have 10,000;
-beyond, squares of a logarithm's noise leave single precision."""
+"""Largest slope of a curve in logarithms. 16-bit values just above a black level have 10,000; with larger slopes the
+squares of a logarithm's noise exceed the range of single precision."""
 
 MOST_CONTRAST = 10.0
-"""Gamma that a curve may be like on the whole; twice the largest that may be given by itself."""
+"""Largest overall gamma of a curve; twice the largest gamma accepted as a number."""
 
 WHITES = (1e-4, 1e4)
-"""Linear light that stored value 1 may stand for."""
+"""Range of linear light at stored value 1."""
 
 BLACKEST = 0.02
-"""Stored value from which light has to be told from none."""
+"""Stored value, relative to which the overall gamma is measured up to 1."""
 
 
 def _check_range(curve: ResponseCurve, logs: np.ndarray) -> None:
-    """Raise about a curve that no camera has, on whose light single precision would run out.
-
-    ``logs``: of its points, (2, n).
-    """
+    """Raise if a curve is implausible for a camera and would exceed single precision; ``logs`` (2, n) of its points."""
     steps = np.diff(logs, axis=1)
     if logs.shape[1] > MOST_POINTS:
-        raise ImageError(f"a response curve of {logs.shape[1]} points: give {MOST_POINTS} at most")
+        raise ImageError(f"a response curve of {logs.shape[1]} points: give at most {MOST_POINTS}")
     if not (steps[1] <= MOST_STEEP * steps[0]).all() or not (steps[0] > 0).all():
-        raise ImageError("a response curve has two points that are almost one, with light far apart: leave one out")
+        raise ImageError(
+            "a response curve has two almost equal stored values with very different light: remove one of the points"
+        )
     black, white = _power_law_ends(_spline(curve), np.log([BLACKEST, 1.0]))
     if not np.log(WHITES[0]) <= white <= np.log(WHITES[1]):
         raise ImageError(
-            f"a response curve takes white to linear light of about 1e{white / np.log(10.0):.0f}: scale its light, so "
-            f"that white lies between {WHITES[0]:g} and {WHITES[1]:g} (1 is usual)"
+            f"a response curve maps white to linear light of about 1e{white / np.log(10.0):.0f}: scale its light so "
+            f"that white lies between {WHITES[0]:g} and {WHITES[1]:g} (usually 1)"
         )
     exponent = (white - black) / -np.log(BLACKEST)
     if not exponent <= MOST_CONTRAST:
         raise ImageError(
-            f"a response curve is like a gamma of {exponent:.3g} on the whole, which no camera has ({MOST_CONTRAST:g} "
-            "at most): its points give linear light for stored values of 0 to 1"
+            f"a response curve has an overall gamma of {exponent:.3g}; the maximum is {MOST_CONTRAST:g}: check its "
+            "linear light and that its stored values range from 0 to 1"
         )
 
 
 SMALLEST = 1e-12
-"""Stored value or light below which a curve gives 0: its logarithm has to end somewhere."""
+"""Stored value or light below which a curve gives 0."""
 
 
 FLATTEST, STEEPEST_END = 1e-3, 5.0
-"""Least slope of a curve in logarithms, since rising points may still meet with a flat end; and the largest beyond its
-first and last point: just above a black level a curve is far steeper than below it."""
+"""Least slope of a curve in logarithms, and the largest outside its points. The spline of increasing points can have
+flat ends, and just above a black level it is very steep."""
 
 
 @lru_cache(maxsize=8)
@@ -193,7 +192,7 @@ def _spline(curve: ResponseCurve):
 
 
 def _power_law_ends(spline, log_values: np.ndarray, slope: bool = False) -> np.ndarray:
-    """Value (or slope) of a log-log curve, with straight ends beyond its first and last point."""
+    """Value (or slope) of a log-log curve, extended linearly outside its points."""
     inside = np.clip(log_values, spline.x[0], spline.x[-1])
     within = np.maximum(spline(inside, 1), FLATTEST)
     beyond = np.minimum(within, STEEPEST_END)
@@ -208,7 +207,7 @@ def _decode_curve(values: np.ndarray, curve: ResponseCurve) -> np.ndarray:
 
 
 def _encode_curve(linear: np.ndarray, curve: ResponseCurve) -> np.ndarray:
-    """Invert by table and a few Newton steps in logarithms: exact, and monotone like the curve."""
+    """Invert a curve by a table and two Newton steps in logarithms."""
     spline, wanted = _spline(curve), np.log(np.maximum(linear, SMALLEST))
     grid = np.linspace(spline.x[0], spline.x[-1], 2048)
     ends = _power_law_ends(spline, np.array([grid[0] - 1.0, grid[-1] + 1.0]), slope=True)
