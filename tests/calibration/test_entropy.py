@@ -164,7 +164,7 @@ def test_without_a_change_of_light_nothing_is_trusted():
         assert not found.observable
         assert found.standard_error == np.inf
         assert found.interval == (0.0, np.pi)
-        assert "which is not to be trusted" in found.message
+        assert "which is not reliable" in found.message
         assert np.isfinite([found.theta, found.spread, found.light_change]).all()
 
 
@@ -210,12 +210,12 @@ REFUSED = {
     "grey": (np.repeat(NOISE[..., :1], 3, axis=2), {}, "is grey"),
     "grey of one channel": (NOISE[..., 0], {}, "is grey"),
     "one colour": (np.full((60, 60, 3), (90, 120, 60), np.uint8), {}, "one colour only"),
-    "dark": (NOISE // 30, {}, "only 0 of the picture's 3600 pixels are well exposed"),
+    "dark": (NOISE // 30, {}, "only 0 of the image's 3600 pixels are well exposed"),
     "saturated": (np.full((60, 60, 3), (255, 120, 60), np.uint8), {}, "neither dark nor overexposed"),
     "missing": (np.full((60, 60, 3), np.nan), {}, "well exposed"),
     "small": (NOISE[:20, :20], {}, "1000 are needed"),
     "tiny": (NOISE[:4, :4], {}, "too small"),
-    "kind": (NOISE, {"kind": "renyi"}, "entropy 'renyi' is not known: give one of quadratic, shannon"),
+    "kind": (NOISE, {"kind": "renyi"}, "entropy 'renyi' is unknown: give one of quadratic, shannon"),
     "keep": (NOISE, {"keep": 0.2}, "keep is 0.2"),
 }
 

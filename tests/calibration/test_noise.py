@@ -273,7 +273,7 @@ def test_one_brightness_is_put_down_to_photons():
     estimate = noise_from_flat(photograph(wall, even_light((64, 64)), camera, seed=1, exposure=0.8))
     assert not estimate.observable
     assert np.isinf([estimate.slope_error, estimate.offset_error]).all()
-    assert "one brightness cannot tell photon noise from noise in the dark" in estimate.message
+    assert "one brightness does not separate photon noise from noise in the dark" in estimate.message
     assert estimate.noise.offset == 0
     assert off(estimate.noise, truth(camera), np.array([0.4])) < 0.05
 
@@ -326,9 +326,9 @@ def test_black_and_white_pictures_are_refused(value):
 def test_pictures_of_nothing_are_refused():
     with pytest.raises(CameraError, match="only 0 blocks"):
         noise_from_flat(np.full((64, 64, 3), np.nan, np.float32))
-    with pytest.raises(ImageError, match="picture 2: the image is 64×7 pixels"):
+    with pytest.raises(ImageError, match="image 2: the image is 64×7 pixels"):
         noise_from_flat([np.full((64, 64, 3), 100, np.uint8), np.full((7, 64, 3), 100, np.uint8)])
-    with pytest.raises(CameraError, match="no picture or no box"):
+    with pytest.raises(CameraError, match="no image or no box"):
         noise_from_flat([])
 
 
@@ -339,7 +339,7 @@ def test_noise_that_fills_the_range_is_refused(rng):
 
 def test_pairs_that_are_none_are_refused():
     image = picture(Camera(), 0)
-    with pytest.raises(CameraError, match="the pair's pictures are the same"):
+    with pytest.raises(CameraError, match="the pair's images are identical"):
         noise_from_pair(image, image)
     with pytest.raises(CameraError, match="200×160 pixels of uint8 and 200×159 pixels of uint8"):
         noise_from_pair(image, image[:-1])
@@ -350,14 +350,14 @@ def test_pairs_that_are_none_are_refused():
 @pytest.mark.parametrize(
     ("boxes", "words"),
     [
-        ([[0, 0, 201, 20]], "box 0, 0, 201, 20: give x0, y0, x1, y1 of at least 8×8 pixels inside picture 1"),
+        ([[0, 0, 201, 20]], "box 0, 0, 201, 20: give x0, y0, x1, y1 of at least 8×8 pixels inside image 1"),
         ([[0, -1, 20, 20]], "box 0, -1, 20, 20"),
         ([[0, 0, 7, 20]], "box 0, 0, 7, 20"),
         ([[20, 20, 0, 0]], "box 20, 20, 0, 0"),
-        ([[0.0, 0.0, 20.5, 20.0]], "give whole numbers"),
-        ([0, 0, 20, 20], "give whole numbers"),
+        ([[0.0, 0.0, 20.5, 20.0]], "give integers"),
+        ([0, 0, 20, 20], "give integers"),
         ([[0, 0, 8, 8]], "only 3 blocks"),
-        (np.zeros((0, 4), int), "no picture or no box"),
+        (np.zeros((0, 4), int), "no image or no box"),
     ],
 )
 def test_boxes_that_cannot_be_are_refused(boxes, words):

@@ -311,7 +311,7 @@ def test_what_is_no_wall_tells_nothing(is_black):
     lens = vignetting_from_flat_field(image)
     assert not lens.observable
     assert lens.coefficients == ()
-    assert "cannot be told" in lens.message
+    assert "cannot be estimated" in lens.message
 
 
 # --- what cannot be told ---
@@ -334,12 +334,13 @@ def test_exposures_that_hardly_differ_tell_no_response(exposures):
 def test_black_white_and_missing_pictures_tell_nothing(value):
     image = np.full((64, 64, 3), value, np.float32 if np.isnan(value) else np.uint8)
     estimate = unobservable([image, image])
-    assert "picture 1 has 0 blocks" in estimate.message
+    assert "image 1 has 0 blocks" in estimate.message
     assert np.isnan(estimate.log_exposures[1])
 
 
 def test_one_grey_level_tells_no_response():
-    assert "uncertain" in unobservable([np.full((64, 64, 3), v, np.uint8) for v in (100, 150)]).message
+    greys = [np.full((64, 64, 3), v, np.uint8) for v in (100, 150)]
+    assert "log light has a standard error of" in unobservable(greys).message
 
 
 def test_two_lights_are_no_exposures():
@@ -351,14 +352,14 @@ def test_a_wrong_response_is_noticed():
     estimate = calibrate_response(pictures, exposures=(1, 4), homographies=maps, response="srgb")
     assert not estimate.observable
     assert not estimate.vignetting.observable
-    assert "response) right?" in estimate.message
+    assert "exposures or response are correct" in estimate.message
 
 
 def test_a_picture_that_nothing_links_to_the_first_is_named():
     left = (np.arange(SIZE[1]) < SIZE[1] // 2)[:, None]
     dark, bright = series(s_shaped, 0, (1, 2))
     images = [np.where(side, image, 0).astype(np.uint8) for side in (left, ~left) for image in (dark, bright)]
-    assert re.search("nothing links picture [34] to the first", unobservable(images).message)
+    assert re.search("nothing links image [34] to the first", unobservable(images).message)
 
 
 def test_a_camera_that_hardly_turned_tells_no_vignetting():

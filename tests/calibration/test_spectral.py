@@ -135,9 +135,9 @@ BAD_CURVES = {
     "few": (np.arange(400.0, 460, 10), np.ones((6, 3)), "8 wavelengths or more"),
     "nan": (np.arange(380.0, 730, 10), np.full((35, 3), np.nan), "not a finite number"),
     "falling": (np.arange(730.0, 380, -10), np.ones((35, 3)), "shortest first"),
-    "doubled": (np.repeat(np.arange(380.0, 730, 10), 2), np.ones((70, 3)), "wavelength 380 does not rise"),
+    "doubled": (np.repeat(np.arange(380.0, 730, 10), 2), np.ones((70, 3)), "wavelength 380 is not in order"),
     "micrometres": (np.linspace(0.38, 0.73, 35), np.ones((35, 3)), "are not in nm"),
-    "nothing": (np.arange(380.0, 730, 10), np.ones((35, 3)) * [1, 0, 1], "channel G sees nothing"),
+    "nothing": (np.arange(380.0, 730, 10), np.ones((35, 3)) * [1, 0, 1], "channel G has no sensitivity"),
     "gaps": (np.arange(380.0, 730, 30), np.ones((12, 3)), "30 nm apart"),
     "alike": (np.arange(380.0, 730, 10), np.ones((35, 3)), "respond alike"),
     "difference": (np.arange(380.0, 730, 10), np.eye(35)[:, [30, 15, 5]] - 0.1, "does not respond to white"),
@@ -154,7 +154,7 @@ def test_what_are_no_sensitivities_is_refused(name):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"lights": "neon"}, "lights 'neon' are not known: give one of both"),
+        ({"lights": "neon"}, "lights 'neon' are unknown: give one of both"),
         ({"kelvin": (9000, 3000)}, "give the colder first"),
         ({"kelvin": (10, 3000)}, "within 1000 to 25000 K"),
         ({"lights": "daylight", "kelvin": (2000, 3500)}, "no CIE daylight from 2000 to 3500 K"),
@@ -200,9 +200,9 @@ def test_tables_are_read_in_any_order(tmp_path, name):
 
 BAD_TABLES = {
     "": "is empty",
-    "\n\n,,,\n": "this is no table",
-    "wavelength_nm,R,G\n400,1,2\n": "B is missing or doubled in: wavelength_nm, r, g",
-    "wavelength_nm,R,R,G,B\n400,1,2,3,4\n": "R is missing or doubled",
+    "\n\n,,,\n": "this is not a table",
+    "wavelength_nm,R,G\n400,1,2\n": "B is missing or duplicated in: wavelength_nm, r, g",
+    "wavelength_nm,R,R,G,B\n400,1,2,3,4\n": "R is missing or duplicated",
     "400,1,2\n410,1,2\n": "line 1: there are 3 columns instead of 4",
     "wavelength_nm,R,G,B\n400,1,2,3\n410,1,2\n": "line 3: there are 3 columns instead of 4",
     "wavelength_nm,R,G,B\n400,1,2,x\n": "line 2: 'x' is not a number",
@@ -210,7 +210,7 @@ BAD_TABLES = {
     "wavelength_nm,R,G,B\n400,1,2,nan\n": "line 2: 'nan' is not a number",
     "wavelength_nm,R,G,B\n400,1,2,3\n410,1,2,3\n": "2 wavelengths are too few",
     table().replace("410,", "400,", 1): "give each once",
-    table("wBGR", header=False): "R sees shorter wavelengths",
+    table("wBGR", header=False): "R has a shorter mean wavelength",
 }
 
 
@@ -228,7 +228,7 @@ def test_what_is_no_file_of_text_is_refused(tmp_path):
         read_sensitivities(tmp_path / "none.csv")
     picture = tmp_path / "camera.png"
     picture.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe\x00")
-    with pytest.raises(CameraError, match="this is no table"):
+    with pytest.raises(CameraError, match="this is not a table"):
         read_sensitivities(picture)
 
 

@@ -1,6 +1,6 @@
-"""Calibration: the camera's angle, response, vignetting and noise, from pictures or from what is known of its sensors.
+"""Camera calibration: angle, response, vignetting and noise, from images or from sensor data.
 
-Names load on first use, so that each calibration imports only what it needs.
+Names are loaded on first use, so that each calibration imports only what it needs.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Pictures of one scene, aligned with the first before they are compared."""
+"""Align images of one scene with the first."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ from liaam.progress import Progress
 from liaam.registration import Registration, register
 
 STILL = 0.25
-"""Movement of the corners, pixels, up to which a picture counts as aligned and is not sampled anew."""
+"""Movement of the corners, pixels, up to which an image counts as aligned and is not resampled."""
 
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Pictures brought into the frame of the first.
+    """Images warped to the pixels of the first.
 
     Attributes
     ----------
     pictures : tuple of (h, w, 3) arrays
     masks : tuple of (h, w) bool
-        Where each shows anything.
+        Valid pixels of each image.
     moved : tuple of float
-        How far each had to be moved, pixels at the corners (root mean square).
+        Root mean square movement of each image's corners, pixels.
     """
 
     pictures: tuple[np.ndarray, ...]
@@ -41,17 +41,17 @@ def align_pictures(
     names: Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> Aligned:
-    """Align pictures of one scene with the first, whatever the light in each.
+    """Align images of one scene under different lights with the first.
 
     Parameters
     ----------
     pictures : sequence of (h, w, 3) uint8, uint16 or float arrays
     camera : CameraModel, optional
-        Gives response and angle.
+        Camera with response and angle.
     names : sequence of str, optional
-        What to call the pictures in errors.
+        Names of the images in error messages.
     progress : callable, optional
-        Called with (done, total, name) before each picture.
+        Called with (done, total, name) before each image.
 
     Returns
     -------
@@ -60,7 +60,7 @@ def align_pictures(
     Raises
     ------
     CameraError
-        If a picture cannot be aligned; the message names it.
+        If an image cannot be aligned; the message names it.
     """
     first, camera = pictures[0], camera or CameraModel()
     aligned, masks, moved = [first], [np.ones(first.shape[:2], dtype=bool)], [0.0]
@@ -83,7 +83,7 @@ def homographies_between(
     names: Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> list[np.ndarray]:
-    """Homographies from the pixels of each picture to those of the first, (3, 3) float64 each.
+    """Estimate homographies from the pixels of each image to those of the first, (3, 3) float64 each.
 
     Parameters and errors are those of :func:`align_pictures`.
     """
@@ -94,21 +94,21 @@ def homographies_between(
 def _register_all(
     pictures: Sequence[np.ndarray], camera: CameraModel, names: Sequence[str] | None, progress: Progress | None
 ) -> list[Registration]:
-    """Register the first picture with each of the others."""
-    names, found = names or [f"picture {i + 1}" for i in range(len(pictures))], []
+    """Register the first image with each of the others."""
+    names, found = names or [f"image {i + 1}" for i in range(len(pictures))], []
     for i, (picture, name) in enumerate(zip(pictures[1:], names[1:], strict=True)):
         if progress:
             progress(i, len(pictures) - 1, name)
         found.append(register(pictures[0], picture, response=camera.response, theta=camera.theta))
         if not found[-1].status.ok:
             raise CameraError(
-                f"{name} could not be aligned with {names[0]} ({found[-1].message}); take the pictures from a tripod "
-                "and leave the alignment out, or choose pictures that differ less"
+                f"{name} could not be aligned with {names[0]} ({found[-1].message}); take the images from a tripod "
+                "and skip the alignment, or choose images that differ less"
             )
     return found
 
 
 def _corner_movement(homography: np.ndarray, size: tuple[int, int]) -> float:
-    """Root mean square movement of the picture's corners by a homography, pixels."""
+    """Root mean square movement of the image's corners by a homography, pixels."""
     corners = picture_corners(*size)
     return rms_error(apply_homography(homography, corners), corners)

@@ -1,4 +1,4 @@
-"""The angle from pictures of a colour chart, and where its patches lie."""
+"""Estimate the angle from images of a colour chart, and locate its patches."""
 
 from collections.abc import Sequence
 
@@ -17,14 +17,14 @@ def theta_from_chart(
     *,
     free_balance: bool = False,
 ) -> AngleEstimate:
-    """Angle from pictures of a chart (or of any flat patches of colour) under several lights.
+    """Estimate the angle from images of a chart (or of any flat patches of colour) under several lights.
 
     Parameters
     ----------
     images : sequence of (h, w, 3) uint8, uint16 or float arrays
-        Two or more; they need not be registered.
-    patches : sequence of (n, 4) or (n, 4, 2) float arrays, one for each picture
-        The same patches in each: boxes x0, y0, x1, y1, or four corners in order around each patch, pixels (see
+        Two or more images; they need not be registered.
+    patches : sequence of (n, 4) or (n, 4, 2) float arrays, one for each image
+        The same patches in each image: boxes x0, y0, x1, y1, or four corners in order around each patch, pixels (see
         :func:`chart_patches`).
     camera, free_balance
         As for :func:`theta_from_scene`.
@@ -36,14 +36,14 @@ def theta_from_chart(
     Raises
     ------
     CameraError
-        If a patch lies outside its picture, patches differ in number, or hardly any is well exposed in two pictures.
+        If a patch lies outside its image, the numbers of patches differ, or too few are well exposed in two images.
     """
     pictures = as_pictures(images)
     camera = camera or CameraModel()
     if len(patches) != len(pictures) or len({len(p) for p in patches}) != 1:
-        raise CameraError(f"{len(pictures)} pictures need as many lists of patches, with the same patches in each")
+        raise CameraError(f"{len(pictures)} images need as many lists of patches, with the same patches in each")
     regions = [
-        patch_labels(quads, picture.shape[:2], f"picture {i + 1}")
+        patch_labels(quads, picture.shape[:2], f"image {i + 1}")
         for i, (picture, quads) in enumerate(zip(pictures, patches, strict=True))
     ]
     deviations = [deviation_of(picture, camera) for picture in pictures]
@@ -52,17 +52,17 @@ def theta_from_chart(
 
 
 def chart_patches(corners: np.ndarray, rows: int = 4, columns: int = 6, share: float = 0.5) -> np.ndarray:
-    """Patches of a chart from the centres of its four corner patches.
+    """Compute the patches of a chart from the centres of its four corner patches.
 
     Parameters
     ----------
     corners : (4, 2) float
         Centres of the first patch of the first row, the last of the first row, the last of the last row and the
-        first of the last row (x, y), pixels: clockwise for a chart that stands upright.
+        first of the last row (x, y), pixels: clockwise for an upright chart.
     rows, columns : int
-        Of the chart.
+        Numbers of rows and columns of patches.
     share : float
-        Side of the part of a patch that is used, in distances of patches.
+        Side of the used part of a patch, as a fraction of the distance between patches.
 
     Returns
     -------
@@ -73,9 +73,9 @@ def chart_patches(corners: np.ndarray, rows: int = 4, columns: int = 6, share: f
 
     corners = np.asarray(corners, dtype=np.float32)
     if corners.shape != (4, 2) or not np.isfinite(corners).all() or rows < 2 or columns < 2:
-        raise CameraError("a chart is given by the centres of its four corner patches: eight numbers x0,y0,...,x3,y3")
+        raise CameraError("a chart needs the centres of its four corner patches: eight numbers x0,y0,...,x3,y3")
     if not cv2.isContourConvex(corners.reshape(-1, 1, 2)):
-        raise CameraError("the four corner patches of the chart must go round it: first row left to right, then back")
+        raise CameraError("the corner patches of the chart are not in order: give them clockwise from the first patch")
     ends = np.array([[0, 0], [columns - 1, 0], [columns - 1, rows - 1], [0, rows - 1]], dtype=np.float32)
     homography = cv2.getPerspectiveTransform(ends, corners)
     middle = np.array([(c, r) for r in range(rows) for c in range(columns)], dtype=np.float64)
@@ -85,7 +85,7 @@ def chart_patches(corners: np.ndarray, rows: int = 4, columns: int = 6, share: f
 
 
 def patch_corners(patches: np.ndarray) -> np.ndarray:
-    """Pixels in the corners of patches, (n, 4, 2) float64: of boxes (n, 4), whose x1, y1 lie outside, or as given."""
+    """Corner pixels of patches, (n, 4, 2) float64; converts boxes (n, 4), whose x1 and y1 are excluded."""
     patches = np.asarray(patches, dtype=np.float64)
     if patches.ndim != 2 or patches.shape[1] != 4:
         return patches
@@ -93,13 +93,13 @@ def patch_corners(patches: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(c, -1) for c in ((x0, y0), (x1 - 1, y0), (x1 - 1, y1 - 1), (x0, y1 - 1))], axis=1)
 
 
-def patch_labels(patches: np.ndarray, size: tuple[int, int], name: str = "picture") -> np.ndarray:
-    """Number of the patch that each pixel of a picture belongs to, -1 for none, (h, w) int32.
+def patch_labels(patches: np.ndarray, size: tuple[int, int], name: str = "image") -> np.ndarray:
+    """Label each pixel of an image with the index of its patch, -1 outside patches, (h, w) int32.
 
     Raises
     ------
     CameraError
-        If a patch lies outside the picture or holds fewer than 4 pixels.
+        If a patch lies outside the image or has fewer than 4 pixels.
     """
     import cv2  # heavy: imported when first needed
 
@@ -109,9 +109,9 @@ def patch_labels(patches: np.ndarray, size: tuple[int, int], name: str = "pictur
     labels = np.full(size, -1, dtype=np.int32)
     for i, quad in enumerate(patches):
         if quad.min() < 0 or (quad > np.array(size[::-1]) - 1).any():
-            raise CameraError(f"{name}: patch {i + 1} lies partly outside the picture of {size[1]}×{size[0]} pixels")
+            raise CameraError(f"{name}: patch {i + 1} lies partly outside the image of {size[1]}×{size[0]} pixels")
         cv2.fillConvexPoly(labels, np.rint(quad).astype(np.int32), i)
     counts = np.bincount(labels[labels >= 0], minlength=len(patches))
     if counts.min() < 4:
-        raise CameraError(f"{name}: patch {counts.argmin() + 1} holds {counts.min()} pixels; 4 or more are needed")
+        raise CameraError(f"{name}: patch {counts.argmin() + 1} has {counts.min()} pixels; 4 or more are needed")
     return labels

@@ -1,4 +1,4 @@
-"""How well the invariant images of registered pictures agree."""
+"""Agreement of the invariant images of registered images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,16 +15,16 @@ from liaam.photometry.invariant import LUMINANCE, invariant
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well two pictures of one scene under different lights agree.
+    """Agreement of two images of one scene under different lights.
 
     Attributes
     ----------
     first, second : int
-        Numbers of the pictures, from 0.
+        Indices of the images.
     invariant, log_grey : float
-        Correlation of their invariant images, and of the logarithms of their luminance; NaN where nothing is left.
+        Correlation of their invariant images, and of the logarithms of their luminance; NaN without enough pixels.
     share : float
-        Share of the pixels asked for that are well exposed in both.
+        Fraction of the selected pixels that are well exposed in both.
     """
 
     first: int
@@ -36,16 +36,16 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Averaged:
-    """What registered pictures look like in blocks: the mean linear light of each, projected.
+    """Projections of the mean linear light of registered images in blocks.
 
     Attributes
     ----------
     invariant : (m, h, w) float64
-        Invariant values of m pictures, NaN where a block is dark, saturated or masked.
+        Invariant values of m images, NaN where a block is dark, saturated or masked.
     log_grey : (m, h, w) float64
-        Logarithm of luminance, NaN at the same places.
+        Logarithm of luminance, NaN in the same blocks.
     wanted : int
-        Blocks that were asked for: all, or those of the mask.
+        Number of selected blocks: all, or those of the mask.
     """
 
     invariant: np.ndarray
@@ -62,21 +62,21 @@ def averaged(
     mask: np.ndarray | None = None,
     names: Sequence[str] | None = None,
 ) -> Averaged:
-    """Average registered pictures over blocks of linear light, and project.
+    """Average registered images over blocks in linear light, and project the means.
 
     Parameters
     ----------
     images : sequence of (h, w, 3) uint8, uint16 or float arrays
-        Pictures of one size in which a pixel shows the same surface.
+        Images of equal size in which a pixel shows the same surface.
     camera : CameraModel, optional
     block : int
-        Pixels across a block, against noise and rounding; 1 for the pixels themselves.
+        Side of a block, pixels; averaging reduces noise and rounding errors, 1 disables it.
     dark : float
-        Stored value, in [0, 1], below which a block says nothing, in any channel.
+        Stored value, in [0, 1], below which a block is unusable, in any channel.
     mask : (h, w) bool, optional
-        Pixels that count.
+        Selected pixels.
     names : sequence of str, optional
-        What to call the pictures in errors.
+        Names of the images in error messages.
 
     Returns
     -------
@@ -85,22 +85,22 @@ def averaged(
     Raises
     ------
     ImageError
-        If the pictures are fewer than two, differ in size, or are grey.
+        If there are fewer than two images, they differ in size, or are grey.
     CameraError
-        If the blocks are wider than a third of the pictures.
+        If the blocks are wider than a third of the images.
     """
     camera = camera or CameraModel()
-    names = names or [f"picture {i + 1}" for i in range(len(images))]
+    names = names or [f"image {i + 1}" for i in range(len(images))]
     pictures = [as_colour(image, name) for image, name in zip(images, names, strict=True)]
     if len(pictures) < 2 or len({picture.shape for picture in pictures}) > 1:
-        raise ImageError("to compare invariant images, give two or more registered pictures of one size")
+        raise ImageError("to compare invariant images, give two or more registered images of one size")
     for picture, name in zip(pictures, names, strict=True):
         refuse_grey(picture, name, "an invariant image needs colour")
     height, width = pictures[0].shape[:2]
     labels, (down, across) = block_labels(height, width, block)
     if mask is not None:
         if mask.shape != (height, width):
-            raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels, the pictures {width}×{height}")
+            raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels, the images {width}×{height}")
         labels = np.where(mask, labels, -1)
     m = len(pictures)
     surfaces = observe(pictures, [labels] * m, down * across, camera, [0.0] * m, full=block * block, dark=dark)
@@ -114,12 +114,12 @@ def averaged(
 
 
 def agreement(seen: Averaged) -> list[Agreement]:
-    """Correlate the invariant images of registered pictures, each with each, and their log-grey beside it.
+    """Correlate the invariant images, and the logarithms of luminance, of all pairs of registered images.
 
     Parameters
     ----------
     seen : Averaged
-        Of :func:`averaged`.
+        Result of :func:`averaged`.
 
     Returns
     -------
@@ -142,7 +142,7 @@ def agreement(seen: Averaged) -> list[Agreement]:
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Pearson's correlation, NaN where there are fewer than three values or no variation."""
+    """Pearson's correlation; NaN for fewer than three values or constant values."""
     if len(a) < 3 or not (np.ptp(a) > 0 and np.ptp(b) > 0):
         return float("nan")
     return float(np.corrcoef(a, b)[0, 1])

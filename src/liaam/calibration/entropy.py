@@ -1,20 +1,20 @@
-"""The angle from one picture with shadows: where the projected colours have least entropy.
+"""Estimate the angle from one image with shadows, by minimising the entropy of the projected colours.
 
 Finlayson, Drew and Lu, "Intrinsic images by entropy minimization" (ECCV 2004) and "Entropy minimization for shadow
-removal" (IJCV 2009): along L(theta) each surface falls on one value, lit or shadowed, so the distribution of values is
-spiky; along any other direction shadows smear it. Geometric-mean log-chromaticities are projected onto the unit vector
-along L(theta) for all angles, the outermost values left out, and Shannon's entropy taken of a histogram or Renyi's
-quadratic entropy of a kernel density.
+removal" (IJCV 2009): along L(theta) each surface has one value, lit or shadowed, so the distribution of values has
+peaks. Along other directions shadows blur it. Geometric-mean log-chromaticities are projected onto the unit vector
+along L(theta) for all angles, and the outermost values are discarded. Shannon's entropy is computed from a histogram,
+Renyi's quadratic entropy from a kernel density.
 
-What was measured on simulated scenes, and differs from the papers:
+Differences to the papers, by measurements on simulated scenes:
 
-* One width of bins for all angles. Scott's rule applied to each angle's own spread makes the entropy blind to
-  the spread, and finds the least Gaussian direction instead (a third to three quarters right, not nine tenths).
-* A quarter of Scott's width, which is meant for one Gaussian and not for spikes.
-* The quadratic entropy at the same width does better than Shannon's, and leaving out 2 % better than 10 %.
+* One bin width for all angles. With Scott's rule per angle the entropy does not depend on the spread, and the minimum
+  is the least Gaussian direction: one third to three quarters of the angles are right, instead of nine tenths.
+* A quarter of Scott's width, which is optimal for one Gaussian and not for peaks.
+* At the same width the quadratic entropy performs better than Shannon's, and discarding 2 % better than 10 %.
 
-Colours alone may line up by chance or by nature (skin, wood), so that there always is a minimum. Whether light made
-it is judged apart: see :func:`theta_from_image`.
+There is always a minimum, since colours can be aligned by chance or by material (skin, wood). Further tests check
+whether light caused it: see :func:`theta_from_image`.
 """
 
 from dataclasses import dataclass
@@ -36,66 +36,66 @@ THETAS = np.deg2rad(np.arange(180.0))
 """Angles of a curve, radians."""
 
 KEPT = 0.98
-"""Share of the projected values, in the middle, that counts; the papers have 0.9."""
+"""Central fraction of the projected values that is used; the papers use 0.9."""
 
 FINENESS = 0.25
-"""Width of a bin, and twice the kernel's standard deviation, in widths by Scott's rule."""
+"""Width of a bin, and twice the kernel's standard deviation, in units of Scott's width."""
 
 SMOOTHING = 2.0
-"""Standard deviation, in pixels, of the blur of log-RGB before: noise and JPEG blocks hide the spikes."""
+"""Standard deviation, in pixels, of the blur of log-RGB, since noise and JPEG blocks blur the peaks."""
 
 MOST_PIXELS = 310_000
-"""Larger pictures are averaged in blocks, in linear light, until no more are left."""
+"""Largest number of pixels; larger images are averaged in blocks, in linear light."""
 
 FEWEST_PIXELS = 1000
-"""Well-exposed pixels that are needed at least."""
+"""Least number of well-exposed pixels."""
 
 FEWEST_VALUES = 100
-"""Pixels that a curve needs at least."""
+"""Least number of pixels for a curve."""
 
 LEAST_COLOUR = 1e-3
-"""Standard deviation of log-chromaticity below which a picture has one colour only."""
+"""Standard deviation of log-chromaticity below which an image has one colour only."""
 
 SUBDIVISION = 2
-"""Cells of a histogram in a bin: Shannon's entropy is averaged over as many origins of the bins."""
+"""Cells of a histogram per bin; Shannon's entropy is averaged over as many origins of the bins."""
 
 WIDEST_HISTOGRAM = 6000
-"""Cells across a histogram at most, against far outliers."""
+"""Largest number of cells of a histogram, in case of distant outliers."""
 
 BLOCKS = 8
-"""The bootstrap draws blocks of a picture cut into this many by this many."""
+"""Number of blocks along each axis of the image, which the bootstrap draws."""
 
 REPLICATES = 40
-"""Pictures that the bootstrap makes."""
+"""Number of bootstrap replicates."""
 
 MODEL_ERROR = float(np.deg2rad(1.0))
-"""Error that the bootstrap does not see, radians: sensors that are no lines, surfaces that are not white."""
+"""Error that the bootstrap does not include, radians: broad sensors and coloured surfaces."""
 
 NEAR = float(np.deg2rad(10.0))
-"""Angles as near as this belong to one minimum, radians."""
+"""Distance up to which angles belong to one minimum, radians."""
 
 WIDEST_SPREAD = float(np.deg2rad(5.0))
-"""Spread over bootstrap pictures, and difference between the two entropies, from which a minimum is not trusted."""
+"""Limit of the spread over bootstrap replicates, and of the difference between the two entropies, radians."""
 
 LEAST_MARGIN = 0.1
-"""Bits by which the next minimum must lie higher."""
+"""Least difference to the next minimum, bits."""
 
 LEAST_CHANGE = 0.15
-"""Change of log(R / B) at one value of the invariant from which light can be told from noise and grain."""
+"""Least change of log(R / B) at one value of the invariant that distinguishes light from noise and texture."""
 
 LEAST_BLUER = 0.2
-"""Correlation of redness and brightness, at one value of the invariant, from which it is taken for light's doing:
-shadows are lit by the sky or the room, and bluer. Surfaces whose colours line up by chance show none, and pigments the
-reverse: the darker, the redder. Shadows of daylight in lamplight are warm, and are turned down with the pigments."""
+"""Least correlation of redness and brightness, at one value of the invariant, that indicates a change of light: light
+from the sky or the room makes shadows bluer. There is no correlation for colours aligned by chance, and a negative one
+for pigments. Warm shadows of daylight in lamp light are rejected together with pigments."""
 
 LINE = 0.4
-"""Colours whose spread across is less than this share of that along lie on a line, as those of skin, wood and soil do:
-there the minimum tells the material's line as readily as the light's."""
+"""Ratio of the spread across and along the main direction of all colours, below which they lie on a line (such as those
+of skin, wood and soil). The minimum may then be due to the material."""
 
 
 @dataclass(frozen=True, eq=False)
 class EntropyEstimate(AngleEstimate):
-    """An angle by least entropy. Where the minimum is not to be trusted, it is not observable.
+    """Angle of least entropy; not observable if the minimum fails a test.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class EntropyEstimate(AngleEstimate):
     entropies : (k,) float64
         Entropy of the projection at each angle, bits.
     spread : float
-        Root mean square deviation of the minimum over bootstrap pictures, radians, trusted or not.
+        Root mean square deviation of the minimum over bootstrap replicates, radians.
     """
 
     kind: Entropy
@@ -123,25 +123,26 @@ class EntropyEstimate(AngleEstimate):
 def theta_from_image(
     image: np.ndarray, response: Response = "srgb", kind: Entropy = "quadratic", *, keep: float = KEPT, seed: int = 0
 ) -> EntropyEstimate:
-    """Angle from one picture with shadows, and whether it can be trusted.
+    """Estimate the angle from one image with shadows, and test whether it is reliable.
 
-    There always is a minimum. It is trusted if a camera can have the angle (90 to 135 degrees), the two entropies
-    agree, it stays when blocks of the picture are drawn anew, no other comes near, the colours do not lie on a line,
-    and pixels that it takes for one surface are the bluer the darker, as in shadows. On simulated posters with and
-    without shadows and on heads, 97 % of the trusted angles were right to 5 degrees. Trusted were half of the posters
-    with bluish shadows, hardly a scene of few colours, and no portrait.
+    There is always a minimum. It is accepted if all of these hold: the angle is that of a camera (90 to 135 degrees),
+    the two entropies agree, and the bootstrap over image blocks finds it stable; other minima are clearly higher, the
+    colours do not lie on a line, and darker pixels of a surface are bluer, as in shadows.
+
+    Measured on simulated posters, with and without shadows, and on heads: 97 % of the accepted angles are correct to
+    5 degrees. Half of the posters with bluish shadows are accepted, few scenes of few colours, and no portraits.
 
     Parameters
     ----------
     image : (h, w, 3) uint8, uint16 or float
-        Stored values; dark and saturated pixels are left out.
+        Stored values; dark and saturated pixels are ignored.
     response : Response
-        From stored values to linear light.
+        Map from stored values to linear light.
     kind : {"quadratic", "shannon"}
     keep : float
-        Share of the projected values that counts.
+        Central fraction of the projected values to use.
     seed : int
-        Of the bootstrap.
+        Seed of the bootstrap.
 
     Returns
     -------
@@ -150,9 +151,9 @@ def theta_from_image(
     Raises
     ------
     CameraError
-        If the picture is grey, has one colour only, or hardly a pixel is well exposed.
+        If the image is grey, has one colour only, or too few pixels are well exposed.
     ImageError
-        If the array is no picture.
+        If the array is not an image.
     """
     _check_kind(kind)
     log_rgb, blocks = _usable_pixels(image, response)
@@ -176,7 +177,7 @@ def theta_from_image(
 def entropy_curve(
     log_rgb: np.ndarray, kind: Entropy = "quadratic", *, keep: float = KEPT
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Entropy of log-chromaticities projected onto the unit vector along L(theta), for all angles.
+    """Compute the entropy of log-chromaticities projected onto the unit vector along L(theta), for all angles.
 
     Parameters
     ----------
@@ -184,17 +185,17 @@ def entropy_curve(
         Logarithms of linear light, finite.
     kind : {"quadratic", "shannon"}
     keep : float
-        Share of the projected values that counts, 0 to 1.
+        Central fraction of the projected values to use, 0.5 to 1.
 
     Returns
     -------
     thetas, entropies : (180,) float64
-        Radians in [0, pi), and bits, up to a constant.
+        Angles, radians in [0, pi), and entropies, bits, up to a constant.
 
     Raises
     ------
     CameraError
-        If the values are fewer than 100, not finite, or have one colour only.
+        If there are fewer than 100 values, some are not finite, or they have one colour only.
     """
     _check_kind(kind)
     log_rgb = np.asarray(log_rgb, dtype=np.float32).reshape(-1, 3)
@@ -203,7 +204,7 @@ def entropy_curve(
 
 
 def _usable_pixels(image: np.ndarray, response: Response) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed log-RGB of well-exposed pixels (n, 3) float32, and the block (n,) that each belongs to."""
+    """Smoothed log-RGB of well-exposed pixels (n, 3) float32, and their block (n,)."""
     image = as_colour(image)
     refuse_grey(image, "image", "an angle needs colour", CameraError)
     reduce = int(np.ceil(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))
@@ -213,7 +214,7 @@ def _usable_pixels(image: np.ndarray, response: Response) -> tuple[np.ndarray, n
     usable = encoded[..., 3] > 0
     if usable.sum() < FEWEST_PIXELS:
         raise CameraError(
-            f"only {usable.sum()} of the picture's {usable.size} pixels are well exposed, {FEWEST_PIXELS} are needed: "
+            f"only {usable.sum()} of the image's {usable.size} pixels are well exposed, {FEWEST_PIXELS} are needed: "
             "give one that is neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
         )
     return encoded[..., :3][usable], (rows[:, None] * BLOCKS + columns)[usable]
@@ -221,7 +222,7 @@ def _usable_pixels(image: np.ndarray, response: Response) -> tuple[np.ndarray, n
 
 @dataclass(frozen=True, eq=False)
 class _Projections:
-    """Histograms of log-chromaticities along any direction, block by block.
+    """Histograms of log-chromaticities along any direction, one per block.
 
     Attributes
     ----------
@@ -229,13 +230,13 @@ class _Projections:
         Coordinates in the plane orthogonal to intensity, about their median.
     blocks : (n,) int64
     scott : float
-        Width of a bin by Scott's rule, for the spread in the middling direction.
+        Width of a bin by Scott's rule, for the median spread over directions.
     cell : float
         Width of a histogram's cells.
     cells : int
-        Number of cells; what lies beyond falls into the outermost.
+        Number of cells; outliers fall into the outermost.
     keep : float
-        Share of the values, in the middle, that counts.
+        Central fraction of the values that is used.
     """
 
     chroma: np.ndarray
@@ -247,17 +248,17 @@ class _Projections:
 
     @staticmethod
     def of(log_rgb: np.ndarray, blocks: np.ndarray, keep: float) -> "_Projections":
-        """Lay out histograms for pixels (n, 3) in numbered blocks (n,)."""
+        """Set up histograms for log-RGB values (n, 3) in blocks (n,)."""
         if len(log_rgb) < FEWEST_VALUES or not np.isfinite(log_rgb).all():
             raise CameraError(f"entropy needs {FEWEST_VALUES} or more pixels, all finite; there are {len(log_rgb)}")
         if not 0.5 <= keep <= 1:
-            raise CameraError(f"keep is {keep}: give the share of the values that counts, 0.5 to 1")
+            raise CameraError(f"keep is {keep}: give the fraction of values to use, 0.5 to 1")
         chroma = log_rgb @ CHROMATICITY.T.astype(np.float32)
         chroma -= np.median(chroma, axis=0)
         spread = float(np.median([np.std(chroma @ _direction(theta)) for theta in THETAS[::15]]))
         if spread < LEAST_COLOUR:
             raise CameraError(
-                "the picture has one colour only: an angle needs surfaces of several, in light and shadow"
+                "the image has one colour only: an angle needs surfaces of several colours, in light and shadow"
             )
         scott = 3.5 * spread * len(chroma) ** (-1 / 3)
         reach = 1.5 * float(np.quantile(np.abs(chroma).max(axis=1), 0.999))
@@ -285,28 +286,28 @@ def _direction(theta: float) -> np.ndarray:
 def _curve(kind: Entropy, histograms: list[np.ndarray]) -> np.ndarray:
     """Entropies (b, k), bits, of k histograms (b, cells_k)."""
     entropy = _shannon if kind == "shannon" else _quadratic
-    shares = (counts / counts.sum(axis=1, keepdims=True) for counts in histograms)
-    return np.stack([entropy(share) for share in shares], axis=1).astype(np.float64)
+    fractions = (counts / counts.sum(axis=1, keepdims=True) for counts in histograms)
+    return np.stack([entropy(each) for each in fractions], axis=1).astype(np.float64)
 
 
-def _shannon(shares: np.ndarray) -> np.ndarray:
-    """Shannon's entropy (b,), bits, of shares (b, cells), averaged over the bins' origins."""
+def _shannon(fractions: np.ndarray) -> np.ndarray:
+    """Shannon's entropy (b,), bits, of normalised histograms (b, cells), averaged over the bins' origins."""
     from scipy.special import entr  # heavy: imported when first needed
 
-    total = np.zeros(len(shares))
+    total = np.zeros(len(fractions))
     for origin in range(SUBDIVISION):
-        padded = np.pad(shares, ((0, 0), (origin, -(shares.shape[1] + origin) % SUBDIVISION)))
-        total += entr(padded.reshape(len(shares), -1, SUBDIVISION).sum(axis=2)).sum(axis=1)
+        padded = np.pad(fractions, ((0, 0), (origin, -(fractions.shape[1] + origin) % SUBDIVISION)))
+        total += entr(padded.reshape(len(fractions), -1, SUBDIVISION).sum(axis=2)).sum(axis=1)
     return total / (SUBDIVISION * np.log(2.0))
 
 
-def _quadratic(shares: np.ndarray) -> np.ndarray:
+def _quadratic(fractions: np.ndarray) -> np.ndarray:
     """Renyi's quadratic entropy (b,), bits: -log of the information potential sum_ij G(x_i - x_j; 2 s^2) / n^2."""
     from scipy.ndimage import gaussian_filter1d  # heavy: imported when first needed
 
-    # The pairs' kernel is sqrt(2) times as wide as the density's, whose deviation is half a bin.
-    around = gaussian_filter1d(shares, np.sqrt(2.0) * 0.5 * SUBDIVISION, axis=1, mode="constant")
-    return -np.log2((around * shares).sum(axis=1) * SUBDIVISION)
+    # The kernel of pairs is sqrt(2) times as wide as that of the density, whose standard deviation is half a bin.
+    around = gaussian_filter1d(fractions, np.sqrt(2.0) * 0.5 * SUBDIVISION, axis=1, mode="constant")
+    return -np.log2((around * fractions).sum(axis=1) * SUBDIVISION)
 
 
 def _lowest(thetas: np.ndarray, entropies: np.ndarray) -> float:
@@ -319,7 +320,7 @@ def _lowest(thetas: np.ndarray, entropies: np.ndarray) -> float:
 
 
 def _bootstrap(kind: Entropy, histograms: list[np.ndarray], seed: int) -> list[float]:
-    """Angles of least entropy of pictures whose blocks are drawn anew from the picture's."""
+    """Angles of least entropy of bootstrap replicates, with blocks drawn from those of the image."""
     n_blocks = len(histograms[0])
     drawn = np.random.default_rng(seed).multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), size=REPLICATES)
     drawn = drawn.astype(np.float32)
@@ -328,7 +329,7 @@ def _bootstrap(kind: Entropy, histograms: list[np.ndarray], seed: int) -> list[f
 
 
 def _margin(entropies: np.ndarray, theta: float) -> float:
-    """Bits by which the next minimum lies higher; the curve's depth if there is none."""
+    """Difference to the next minimum, bits; the range of the curve if there is none."""
     far = np.abs([axis_difference(angle, theta) for angle in THETAS]) > NEAR
     minima = far & (entropies <= np.roll(entropies, 1)) & (entropies <= np.roll(entropies, -1))
     others = entropies[minima] if minima.any() else entropies.max()
@@ -336,21 +337,21 @@ def _margin(entropies: np.ndarray, theta: float) -> float:
 
 
 def _light(log_rgb: np.ndarray, theta: float, width: float) -> dict[str, float]:
-    """Tell what differs among the pixels that the angle takes for one surface.
+    """Measure the variation of light among pixels with the same invariant.
 
     Parameters
     ----------
     log_rgb : (n, 3) float32
     theta : float
     width : float
-        Pixels whose invariants fall into one bin of this width are taken for one surface.
+        Width of the bins of the invariant; pixels in one bin count as one surface.
 
     Returns
     -------
     dict
-        ``change``: root mean square difference, as log(R / B), along the temperature direction; ``redness``: its
-        correlation with brightness; ``aspect``: spread of all colours across their main direction, as a share of that
-        along it.
+        ``change``: root mean square difference along the temperature direction, as log(R / B). ``redness``:
+        correlation of redness and brightness. ``aspect``: ratio of the spread of all colours across and along their
+        main direction.
     """
     towards_blue = temperature_direction(theta)
     chroma = log_rgb @ CHROMATICITY.T.astype(np.float32)
@@ -375,7 +376,7 @@ def _light(log_rgb: np.ndarray, theta: float, width: float) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What speaks for or against a minimum; angles in radians."""
+    """Test statistics of a minimum; angles in radians."""
 
     theta: float
     spread: float
@@ -386,37 +387,37 @@ class _Evidence:
     aspect: float
 
     def faults(self) -> list[str]:
-        """Say why the minimum is not to be trusted; nothing if it is."""
+        """List the reasons to reject the minimum."""
         tests = (
-            (not PHYSICAL[0] <= self.theta <= PHYSICAL[1], "no camera has such an angle (90° to 135°)"),
-            (self.disagreement > WIDEST_SPREAD, f"the other entropy is {np.rad2deg(self.disagreement):.0f}° off"),
-            (self.spread > WIDEST_SPREAD, f"parts of the picture put it {np.rad2deg(self.spread):.0f}° elsewhere"),
+            (not PHYSICAL[0] <= self.theta <= PHYSICAL[1], "the angle is outside the range of cameras (90° to 135°)"),
+            (self.disagreement > WIDEST_SPREAD, f"the other entropy differs by {np.rad2deg(self.disagreement):.0f}°"),
+            (self.spread > WIDEST_SPREAD, f"parts of the image differ by {np.rad2deg(self.spread):.0f}°"),
             (self.margin < LEAST_MARGIN, f"another minimum is only {self.margin:.2f} bits higher"),
-            (self.aspect < LINE, "the picture's colours lie on a line, as skin's do, with or without shadows"),
-            (self.change < LEAST_CHANGE, "nothing shows that the light's colour differs within the picture"),
-            (self.redness < LEAST_BLUER, "what it takes for shadows is not bluer than what it takes for lit"),
+            (self.aspect < LINE, "the image's colours lie on a line, as those of skin, with or without shadows"),
+            (self.change < LEAST_CHANGE, "the colour of the light does not vary in the image"),
+            (self.redness < LEAST_BLUER, "the darker pixels of a surface are not bluer, as shadows are"),
         )
         return [fault for failed, fault in tests if failed]
 
 
 def _judged(evidence: _Evidence, kind: Entropy, entropies: np.ndarray, n: int) -> EntropyEstimate:
-    """Give the estimate with its verdict."""
+    """Make the estimate, observable if the minimum passed all tests."""
     theta, faults = evidence.theta, evidence.faults()
     if faults:
         error = float("inf")
         message = (
-            f"the entropy is least at {np.rad2deg(theta):.0f}°, which is not to be trusted: {'; '.join(faults)}. Give "
-            "a picture of many colours with cast shadows, or better two pictures under different lights"
+            f"the entropy is least at {np.rad2deg(theta):.0f}°, which is not reliable: {'; '.join(faults)}. Give "
+            "an image of many colours with cast shadows, or better two images under different lights"
         )
     else:
         error = float(np.hypot(evidence.spread, MODEL_ERROR))
         message = (
-            f"the entropy is least by {evidence.margin:.2f} bits; light differs by {evidence.change:.2f} in log R/B "
-            f"within surfaces, bluer where they are darker (correlation {evidence.redness:.2f})"
+            f"the next minimum of the entropy is {evidence.margin:.2f} bits higher; the light on surfaces varies by "
+            f"{evidence.change:.2f} in log R/B, bluer where they are darker (correlation {evidence.redness:.2f})"
         )
     return EntropyEstimate(theta, error, message, evidence.change, n, kind, THETAS.copy(), entropies, evidence.spread)
 
 
 def _check_kind(kind: str) -> None:
     if kind not in get_args(Entropy):
-        raise CameraError(f"entropy {kind!r} is not known: give one of {', '.join(get_args(Entropy))}")
+        raise CameraError(f"entropy {kind!r} is unknown: give one of {', '.join(get_args(Entropy))}")

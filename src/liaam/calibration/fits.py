@@ -1,4 +1,4 @@
-"""The angle of a camera, pooled over fits of a model."""
+"""Estimate the angle of a camera from fits of a model."""
 
 from collections.abc import Iterable
 
@@ -9,27 +9,27 @@ from liaam.errors import CameraError
 from liaam.fitting import FitResult, FitStatus
 
 FEWEST_FITS = 5
-"""Fits that a pooled angle needs at least."""
+"""Least number of fits for a pooled angle."""
 
 HUBER = 1.5
 """Scale of Huber's loss for the pooled angle, in standard deviations."""
 
 
 def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
-    """Angle of a camera pooled over fits that estimate it (methods ``li-pc`` and ``li-pcs``; paper section 2.2).
+    """Pool the camera's angle over fits that estimate it (methods ``li-pc`` and ``li-pcs``; paper section 2.2).
 
-    Each fit's own covariance knows nothing of what the model cannot explain, so the error is taken from how much
-    the fits differ; a few that went wrong are outliers to Huber's loss.
+    The covariance of a single fit ignores model errors, so the standard error is estimated from the spread of the fits.
+    Huber's loss reduces the weight of wrong fits.
 
     Parameters
     ----------
     results : iterable of FitResult
-        Fits of pictures of one camera under lights that differ from the training light.
+        Fits to images of one camera under lights that differ from the training light.
 
     Returns
     -------
     AngleEstimate
-        ``light_change`` is NaN: fits do not tell it.
+        ``light_change`` is NaN, since fits do not estimate it.
 
     Raises
     ------
@@ -41,23 +41,29 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
         raise CameraError(
             "to pool a camera's angle, fit with method li-pcs (one camera) or li-pc (another one trained)"
         )
-    told = [r for r in results if r.status is FitStatus.CONVERGED and np.isfinite(r.theta)]
-    unseen = sum(r.status is FitStatus.LIGHT_UNOBSERVABLE for r in results)
-    left = f"{len(results) - len(told)} of {len(results)} fits tell no angle ({unseen} saw no change of light)"
-    if len(told) < FEWEST_FITS:
-        message = f"{left}; at least {FEWEST_FITS} are needed: fit more pictures, under lights other than in training"
-        return AngleEstimate(nan, float("inf"), message, nan, len(told))
-    angles = np.array([r.theta for r in told])
-    centre = float(np.angle(np.exp(2j * angles).mean()) / 2 % np.pi)  # only up to a half turn
+    used = [r for r in results if r.status is FitStatus.CONVERGED and np.isfinite(r.theta)]
+    unobservable = sum(r.status is FitStatus.LIGHT_UNOBSERVABLE for r in results)
+    unused = (
+        f"{len(results) - len(used)} of {len(results)} fits give no angle ({unobservable} without a change of light)"
+    )
+    if len(used) < FEWEST_FITS:
+        message = (
+            f"{unused}; at least {FEWEST_FITS} fits with an angle are needed: fit more images, under lights other than "
+            "in training"
+        )
+        return AngleEstimate(nan, float("inf"), message, nan, len(used))
+    angles = np.array([r.theta for r in used])
+    centre = float(np.angle(np.exp(2j * angles).mean()) / 2 % np.pi)  # angles have a period of pi
     offset, error = _huber_location(np.array([axis_difference(angle, centre) for angle in angles]))
     from scipy.stats import t  # heavy: imported when first needed
 
-    theta, spread = (centre + offset) % np.pi, np.rad2deg(error * np.sqrt(len(told)))
-    error *= float(t.ppf(0.975, len(told) - 1)) / 1.96
-    message = f"{len(told)} fits differ by {spread:.2f}°; {left}"
+    theta, spread = (centre + offset) % np.pi, np.rad2deg(error * np.sqrt(len(used)))
+    error *= float(t.ppf(0.975, len(used) - 1)) / 1.96
+    message = f"the angles of {len(used)} fits have a standard deviation of {spread:.2f}°; {unused}"
     if error > WIDEST_ERROR:
-        return AngleEstimate(theta, float("inf"), f"{message}: too much", nan, len(told))
-    return AngleEstimate(theta, error, message, nan, len(told)).doubted()
+        remedy = "the standard error is too large; fit more images, under lights other than in training"
+        return AngleEstimate(theta, float("inf"), f"{message}: {remedy}", nan, len(used))
+    return AngleEstimate(theta, error, message, nan, len(used)).with_warning()
 
 
 def _huber_location(values: np.ndarray) -> tuple[float, float]:

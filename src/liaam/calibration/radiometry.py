@@ -1,23 +1,24 @@
-"""Response, vignetting and exposures of a camera, from pictures of one scene under one light.
+"""Estimate response, vignetting and exposures of a camera from images of one scene under one light.
 
-A surface x sends light rho(x), of which picture i stores v_i(x). With f from stored values to light (the response),
-V the share of light that the lens lets through at the distance r_i(x) from the centre, and e_i the exposure,
+A surface x emits light rho(x), and image i stores v_i(x). With the response f from stored values to light, the relative
+light V at the distance r_i(x) from the centre, and the exposure e_i,
 
-    log f(v_i(x)) - log V(r_i(x)) - log e_i = log rho(x)        for every picture i,
+    log f(v_i(x)) - log V(r_i(x)) - log e_i = log rho(x)        for every image i,
 
 after Kim and Pollefeys, "Robust radiometric calibration and vignetting correction" (PAMI 2008). The unknown
-log rho(x) is eliminated as the weighted mean over the pictures; what is left is solved jointly by robust weighted
-least squares. Three facts decide how:
+log rho(x) is eliminated as the weighted mean over the images. The other unknowns are solved jointly by robust weighted
+least squares, with three precautions:
 
-- Stored values are noisy on both sides of the equation, most of all (in logarithms) in the dark. Blocks of pixels
+- Noise of stored values affects both sides of the equation, mostly (in logarithms) in the dark. Blocks of pixels
   are averaged, the equation is weighted by 1 / (noise times slope of log f), and log f is linearised about
-  the value that the other pictures predict, not about the noisy one: otherwise the noise flattens the curve.
-- (log f, log V, log e) times one constant solve the equation as well, unless ratios of exposures are known
+  the value that the other images predict. Linearising about the noisy value would flatten the curve.
+- (log f, log V, log e) times a constant is also a solution, unless ratios of exposures are known
   (the exponential ambiguity: Grossberg and Nayar, "Determining the camera response from images: what is knowable?",
-  PAMI 2003). A common power of R, G and B does not turn the invariant angle.
-- A pair of ratio e leaves log f free by whatever repeats with each log e, and pictures say nothing of values that they
-  do not hold. A prior fills both in: the spread of a family of real-looking curves, in the part of the EMoR basis
-  (Grossberg and Nayar, "Modeling the space of camera response functions", PAMI 2004), plus what is smooth.
+  PAMI 2003). A common power of R, G and B does not change the invariant angle.
+- A pair of images with exposure ratio e does not determine components of log f with period log e, and images do not
+  determine f at values that they do not contain. A prior does: the covariance of a family of realistic curves, in place
+  of the EMoR basis (Grossberg and Nayar, "Modeling the space of camera response functions", PAMI 2004), plus a smooth
+  Gaussian process.
 """
 
 from collections.abc import Sequence
@@ -34,94 +35,95 @@ from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import Response, ResponseCurve, to_linear
 
 LOWEST = 6 / 255
-"""Stored value at which the fitted curve begins; darker still, it goes on as a power."""
+"""Stored value at which the fitted curve starts; below it continues as a power law."""
 
 TOE, TOP = 0.02, 1.1
-"""The curve is a spline along log((v + toe) / (top - v)): near log v in the dark, and stretched again at a shoulder."""
+"""The curve is a spline of log((v + toe) / (top - v)), which resolves dark values and the shoulder finely."""
 
 KNOTS = 17
-"""Knots of the spline, equally far apart."""
+"""Number of equidistant knots of the spline."""
 
 SMOOTH, REACH = 0.3, 0.35
-"""The prior's smooth part: standard deviation of the logarithm of light, and how far along the curve it is alike."""
+"""Standard deviation (of log light) and correlation length (along the curve) of the prior's Gaussian process."""
 
 USUAL_RANGE, RANGE_SPREAD = 6.6, 0.15
-"""Logarithm of light between the stored values 8 and 250 where nothing tells the power, and the relative spread of it:
-sRGB has 6.0, a gamma of 2.2 has 7.6."""
+"""Assumed range of log light between the stored values 8 and 250 if the power is unknown, and its relative standard
+deviation: sRGB has 6.0, a gamma of 2.2 has 7.6."""
 
 TERMS = 3
-"""Coefficients of vignetting: r^2, r^4, r^6."""
+"""Number of vignetting coefficients: r^2, r^4, r^6."""
 
 TERM_SPREAD, BALANCE_SPREAD, EXPOSURE_SPREAD = 0.5, 0.1, 5.0
-"""Prior standard deviations of each, and of the logarithms of a picture's white balance and exposure."""
+"""Prior standard deviations of a vignetting coefficient, and of the logarithms of an image's white balance and
+exposure."""
 
 BLOCK = 8
-"""Pixels across the blocks that are averaged; up to twice as many in large pictures."""
+"""Side of the blocks that are averaged, pixels; up to twice as large in large images."""
 
 MOST_BLOCKS = 4000
-"""Blocks that are looked at."""
+"""Largest number of blocks."""
 
 TEXTURE = 0.05
-"""Most relative deviation within a block: stored values of mixed light are not the mixture's stored value."""
+"""Largest relative standard deviation within a block, since averaging of stored values is not linear in light."""
 
 UNREGISTERED = 0.03
-"""Share of the deviation within a block that counts as noise, for pictures that are not quite registered."""
+"""Fraction of the standard deviation within a block that counts as noise, for small registration errors."""
 
 OUTLYING = 4.0
-"""Residuals, in standard deviations, that keep a quarter of their weight."""
+"""Residual, in standard deviations, at which the weight is a quarter."""
 
 MOST_STEPS = 40
 
 LEAST_INCREMENT, LEAST_SCALE, LEAST_SHARE = 1e-3, 0.3, 0.1
-"""What keeps the curve rising, the residuals' scale from nothing, and vignetting from black on the way there."""
+"""Lower bounds of the curve's increments, of the scale of the residuals, and of the relative light."""
 
 EXACT = 1e-4
-"""Standard deviation of the range of light that is set where nothing tells the power."""
+"""Standard deviation of the assumed range of log light if the power is unknown."""
 
 POINTS = 33
-"""Points of the curve that is given back."""
+"""Number of points of the resulting curve."""
 
 FEWEST, LEAST_CONTRAST, LEAST_RADII = 20, 0.1, 0.05
-"""Blocks of a picture, difference of log exposure, and difference of r^2 below which nothing is claimed."""
+"""Least number of blocks of an image, difference of log exposures, and difference of r^2, for an estimate."""
 
 WIDEST_RESPONSE, WIDEST_CORNER, LOOSEST = 0.1, 0.05, 0.5
-"""Standard errors (of log light over the stored values at hand, of the share of light in corners, of log exposures)
-beyond which nothing is claimed."""
+"""Largest standard errors of an estimate: of log light over the observed stored values, of the relative light in the
+corners, and of log exposures."""
 
 WORST_RMS, WORST_NOISE = 0.06, 0.3
-"""Residuals in log exposure beyond which nothing is claimed: what noise does not explain, and what it does."""
+"""Largest residuals in log exposure of an estimate, if noise does not explain them and if it does."""
 
 SYSTEMATIC = 1.5e-3
-"""Standard error of log light and exposure that more pixels do not reduce (blocks of mixed light, clipped noise), as
-simulated."""
+"""Standard error of log light and exposure that more pixels do not reduce (mixed light in blocks, clipped noise), from
+simulations."""
 
 MISFIT = 4.0
-"""Residuals, in units of what noise explains, that noise does not explain; JPEG of quality 75 brings 4 to 6."""
+"""Ratio of residuals to noise above which noise does not explain them; JPEG of quality 75 gives 4 to 6."""
 
 UNEVEN = 0.05
-"""Root mean square residual in log light, if noise does not explain it, of what is no flat field."""
+"""Root mean square residual in log light, not explained by noise, above which an image is not a flat field."""
 
 
 @dataclass(frozen=True)
 class VignettingEstimate:
-    """A lens's falloff, estimated.
+    """Estimate of the vignetting of a lens.
 
     Attributes
     ----------
     coefficients : tuple of float
-        Of r^2, r^4, ... as in ``CameraModel.vignetting``; empty where they cannot be told.
+        Coefficients of r^2, r^4, ... as in ``CameraModel.vignetting``; empty if not observable.
     standard_errors : tuple of float
-        Of the coefficients; they are far from independent.
+        Standard errors of the coefficients, which are strongly correlated.
     corner, corner_error : float
-        Share of light in the corners and its standard error; NaN where they cannot be told.
+        Relative light in the corners and its standard error; NaN if not observable.
     observable : bool
-        Whether the material can tell the vignetting.
+        Whether the data determine the vignetting.
     message : str
-        What made it observable, or what is missing.
+        Why it is observable, or the missing data and the remedy.
     rms : float
-        Root mean square residual in log light, NaN where nothing was fitted.
+        Root mean square residual in log light; NaN if nothing was fitted.
     n : int
-        Number of blocks that it rests on.
+        Number of blocks used.
     """
 
     coefficients: tuple[float, ...]
@@ -136,34 +138,34 @@ class VignettingEstimate:
 
 @dataclass(frozen=True)
 class RadiometricEstimate:
-    """A camera's response, vignetting and exposures, estimated together.
+    """Joint estimate of a camera's response, vignetting and exposures.
 
     Attributes
     ----------
     response : Response
-        Common to the channels: a curve with f(1) = 1 where ``observable``, else what was given or assumed.
+        Common to the channels: a curve with f(1) = 1 if ``observable``, else the given or assumed response.
     response_errors : tuple of float
-        Standard error of the logarithm of light at each ``response.stored``, about the mean over the usable
-        range (a common factor of light means nothing); empty unless ``response`` was fitted. Without the power's.
+        Standard error of log light at each ``response.stored``, relative to the mean over the usable range, without the
+        error of the power. Empty unless ``response`` was fitted.
     vignetting : VignettingEstimate
     log_exposures, log_exposure_errors : tuple of float
-        Natural logarithm of each picture's exposure relative to the first, and its standard error
-        (0 where it was given).
+        Natural logarithm of each image's exposure relative to the first, and its standard error
+        (0 if given).
     power_known : bool
-        Whether ratios of exposures, or the response, were given. If not, response, vignetting and exposures hold up to
-        a common power, f^g, V^g, e^g, and g was assumed; the invariant angle does not depend on it.
+        Whether ratios of exposures, or the response, were given. Otherwise response, vignetting and exposures are known
+        up to a common power, f^g, V^g, e^g, and g is assumed. The invariant angle does not depend on g.
     power_error : float
         Relative standard error of the power.
     rms : float
         Root mean square residual in log exposure.
     observable : bool
-        Whether the material can tell the response (for a response that was given: the exposures).
+        Whether the data determine the response, or the exposures if the response was given.
     message : str
-        What made it observable, or what is missing, in a few sentences.
+        Why it is observable, or the missing data and the remedy.
     stored_range : (float, float)
-        Least and greatest stored values that two pictures hold and the curve rests on; beyond, it is the prior's.
+        Range of stored values that two images contain. Outside, the curve is that of the prior.
     n : int
-        Number of blocks that two or more pictures hold.
+        Number of blocks in two or more images.
     """
 
     response: Response
@@ -188,42 +190,42 @@ def calibrate_response(
     response: Response | None = None,
     vignetting: bool = True,
 ) -> RadiometricEstimate:
-    """Estimate response, vignetting and exposures from pictures of one scene under one light.
+    """Estimate response, vignetting and exposures from images of one scene under one light.
 
-    An exposure series from a tripod tells the response; overlapping pictures, registered by homographies, tell
-    vignetting, too. Two or three exposures at steps of two to four, of a scene that goes from black to white, are best.
+    An exposure series from a tripod determines the response. Overlapping images, registered by homographies, also
+    determine vignetting. Use two or three exposures in steps of two to four, of a scene from black to white.
 
     Parameters
     ----------
     images : sequence of (h, w, 3) uint8, uint16 or float
-        Stored values of two or more pictures, of one camera, aperture and focal length (which change vignetting);
-        their white balance may drift by some per cent.
+        Stored values of two or more images of one camera, with the same aperture and focal length (which change
+        vignetting). The white balance may vary by some per cent.
     exposures : sequence of float, optional
-        Relative exposures (time times gain); estimated if left out. Only their ratios matter.
+        Relative exposures (time times gain), of which only ratios matter; estimated by default.
     homographies : sequence of (3, 3) float, optional
-        From each picture's pixels to the first's. Left out, the pictures are registered (tripod), and
-        vignetting cannot be seen, as each surface is at the same distance from the centre in all of them.
+        From each image's pixels to the first's. By default the images are assumed registered (tripod). Vignetting is
+        then unobservable, since each surface has the same distance from the centre in all images.
     response : Response, optional
-        Where it is known: only vignetting and exposures are estimated.
+        Known response; then only vignetting and exposures are estimated.
     vignetting : bool
-        Whether to estimate vignetting where it can be seen; if not, there is none.
+        Whether to estimate vignetting if it is observable; otherwise none is assumed.
 
     Returns
     -------
     RadiometricEstimate
-        What the material cannot tell is said there; the rest is then fitted without it.
+        Its messages name the quantities that are not observable; the others are estimated without them.
 
     Raises
     ------
     CameraError
-        If there are fewer than two pictures, or sizes, exposures or homographies do not fit together.
+        If there are fewer than two images, or sizes, exposures or homographies are inconsistent.
     ImageError
-        If an array is no picture.
+        If an array is not an image.
 
     Examples
     --------
     >>> dark, bright = (np.full((64, 64, 3), value, np.uint8) for value in (60, 90))
-    >>> calibrate_response([dark, bright], exposures=(1, 2)).observable  # two stored values are no curve
+    >>> calibrate_response([dark, bright], exposures=(1, 2)).observable  # two stored values do not define a curve
     False
     """
     pictures = _checked(images)
@@ -231,7 +233,7 @@ def calibrate_response(
     seen = _observe(pictures, _maps(homographies, pictures))
     if fault := _overlap_fault(seen):
         return _nothing(seen, logs, response, fault)
-    lens_fault = _lens_fault(seen) if vignetting else "Vignetting was not asked for."
+    lens_fault = _lens_fault(seen) if vignetting else "Vignetting was not requested."
     fit = _solve(_Problem(seen, logs, response, 0 if lens_fault else TERMS))
     if fault := _fit_fault(fit):
         fit = _solve(replace(fit.problem, response=fit.problem.response or "srgb"))
@@ -241,9 +243,9 @@ def calibrate_response(
 
 
 def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -> VignettingEstimate:
-    """Estimate vignetting from one picture of an evenly lit, even surface: a white wall, the sky, a sheet of paper.
+    """Estimate vignetting from one image of an evenly lit, uniform surface: a white wall, the sky, a sheet of paper.
 
-    Light that falls off to one side is told apart; light that falls off to all sides is taken for vignetting.
+    A linear gradient of the light is estimated too; light that falls off in all directions counts as vignetting.
 
     Parameters
     ----------
@@ -258,7 +260,11 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
 
     seen = _observe(_checked([image], fewest=1), [np.eye(3)], least=1)
     if seen.n < FEWEST:
-        return _no_vignetting("Vignetting cannot be told: hardly any block of the picture is evenly exposed.", seen.n)
+        return _no_vignetting(
+            "Vignetting cannot be estimated: too few blocks of the image are uniform and well exposed; fill it with an "
+            "evenly lit white wall, out of focus.",
+            seen.n,
+        )
     curve, radius2 = _Curve.of(response), seen.radius2[0]
     log_light = curve.log_light(seen.stored[0])
     deviation = seen.deviation[0] * curve.slope(seen.stored[0])
@@ -277,20 +283,22 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     rms = float(np.sqrt(np.average(np.square(standard * deviation), weights=_robust(standard / scale))))
     if scale > MISFIT and rms > UNEVEN:
         return _no_vignetting(
-            f"Vignetting cannot be told: the picture is not of an even surface (light differs by {100 * rms:.0f} %); "
-            "fill it with an evenly lit white wall, out of focus.",
+            f"Vignetting cannot be estimated: the surface is not uniform (its light varies by {100 * rms:.0f} %); "
+            "fill the image with an evenly lit white wall, out of focus.",
             seen.n,
         )
-    message = f"From {seen.n} blocks of an evenly lit surface; light that falls off to all sides would look the same."
+    message = (
+        f"From {seen.n} blocks of an evenly lit surface; light that falls off in all directions has the same effect."
+    )
     return _vignetting_estimate(found.x[:TERMS], covariance, message, rms, seen.n)
 
 
-# --- what the pictures show -------------------------------------------------------------------------------------------
+# --- measurements -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Blocks of pixels as m pictures show them, each channel by itself: n of them.
+    """Measurements of n blocks of one channel each in m images.
 
     Attributes
     ----------
@@ -298,9 +306,9 @@ class _Seen:
         Mean stored value in [0, 1] and its standard deviation.
     usable : (m, n) bool
     radius2 : (m, n) float64
-        Squared distance from the picture's centre, 1 in its corners.
+        Squared distance from the image's centre, 1 in its corners.
     offset : (n, 2) float64
-        Place in the first picture, from its centre, the half diagonal being 1.
+        Position in the first image relative to its centre, in units of half the diagonal.
     channel, block : (n,) int
     """
 
@@ -318,47 +326,47 @@ class _Seen:
         return len(np.unique(self.block))
 
     def over_channels(self, values: np.ndarray) -> np.ndarray:
-        """Root mean square (m, n) of values (m, n) of a block's channels: what moved, moved in all three."""
+        """Root mean square (m, n) of values (m, n) over a block's channels, since moved blocks move in all three."""
         count = np.bincount(self.block)
         sums = np.stack([np.bincount(self.block, weights=np.square(row)) for row in values])
         return np.sqrt(sums / np.maximum(count, 1))[:, self.block]
 
 
 def _checked(images: Sequence[np.ndarray], fewest: int = 2) -> list[np.ndarray]:
-    pictures = [as_colour(image, f"picture {i + 1}") for i, image in enumerate(images)]
+    pictures = [as_colour(image, f"image {i + 1}") for i, image in enumerate(images)]
     if len(pictures) < fewest:
-        raise CameraError(f"{len(pictures)} picture was given; a response needs two or more of one scene")
-    # Three equal channels are one.
+        raise CameraError(f"there are too few images ({len(pictures)}); a response needs two or more of one scene")
+    # Grey images have one channel of information.
     return [picture[..., :1] for picture in pictures] if all(map(is_grey, pictures)) else pictures
 
 
 def _log_ratios(exposures: Sequence[float] | None, count: int) -> np.ndarray | None:
-    """Logarithms of the exposures relative to the first's."""
+    """Logarithms of the exposures relative to the first."""
     if exposures is None:
         return None
     values = np.asarray(exposures, dtype=np.float64)
     if values.shape != (count,) or not np.isfinite(values).all() or (values <= 0).any():
-        raise CameraError(f"exposures {list(exposures)}: give one positive number for each of the {count} pictures")
+        raise CameraError(f"exposures {list(exposures)}: give one positive number for each of the {count} images")
     return np.log(values / values[0])
 
 
 def _maps(homographies: Sequence[np.ndarray] | None, pictures: list[np.ndarray]) -> list[np.ndarray]:
     if homographies is None:
         if len({picture.shape for picture in pictures}) > 1:
-            raise CameraError("the pictures differ in size; give homographies, or pictures from one tripod")
+            raise CameraError("the images differ in size; give homographies, or images from one tripod")
         return [np.eye(3)] * len(pictures)
     maps = [np.asarray(h, dtype=np.float64) for h in homographies]
     if len(maps) != len(pictures) or any(h.shape != (3, 3) or not np.isfinite(h).all() for h in maps):
-        raise CameraError(f"give one 3×3 homography for each of the {len(pictures)} pictures, to the first's pixels")
+        raise CameraError(f"give one 3×3 homography for each of the {len(pictures)} images, to the first's pixels")
     if any(np.linalg.cond(h) > 1e12 for h in maps):
-        raise CameraError("a homography cannot be inverted; give maps from each picture's pixels to the first's")
+        raise CameraError("a homography cannot be inverted; give maps from each image's pixels to the first's")
     if not np.allclose(maps[0] / maps[0][2, 2], np.eye(3), atol=1e-6):
-        raise CameraError("the first picture's homography must be the identity: all lead to its pixels")
+        raise CameraError("the first image's homography must be the identity, since all map to its pixels")
     return maps
 
 
 def _observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) -> _Seen:
-    """Average blocks of the first picture's pixels in all pictures; keep what ``least`` of them hold well exposed."""
+    """Average blocks of the first image's pixels in all images; keep those that are usable in ``least`` of them."""
     height, width = pictures[0].shape[:2]
     edge = int(np.clip(np.sqrt(height * width / MOST_BLOCKS), min(BLOCK, height // 8, width // 8), 2 * BLOCK))
     parts = [_observe_one(p, m, (height, width), edge) for p, m in zip(pictures, maps, strict=True)]
@@ -378,7 +386,7 @@ def _observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2)
 def _observe_one(
     picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int], edge: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of blocks, its deviation, whether it is usable, and squared radius: each (rows, columns, channels)."""
+    """Mean of blocks, its standard deviation, whether it is usable, and squared radius: (rows, columns, channels)."""
     import cv2  # heavy: imported when first needed
 
     height, width = size
@@ -392,14 +400,14 @@ def _observe_one(
         mean = cv2.resize(cut, (columns, rows), interpolation=cv2.INTER_AREA)
         return mean.reshape(rows, columns, -1).astype(np.float64)
 
-    # Centred, as the variance is a small difference of large float32 numbers.
+    # Centred, since the variance is a small difference of large float32 numbers.
     values = stored_values(picture)
     noise = noise_deviation(picture)
     mean = block_mean(values)
     texture = np.sqrt(np.maximum(block_mean(np.square(values - 0.5)) - np.square(mean - 0.5) - noise**2, 0.0))
     is_inside = block_mean(np.ones(picture.shape[:2], np.float32)) > 0.999
-    is_cut = block_mean(((values <= 0) | (values >= 1)).astype(np.float32)) > 0.02
-    usable = is_inside & ~is_cut & (mean >= DARK) & (mean <= SATURATED) & (texture <= TEXTURE * mean + noise)
+    is_clipped = block_mean(((values <= 0) | (values >= 1)).astype(np.float32)) > 0.02
+    usable = is_inside & ~is_clipped & (mean >= DARK) & (mean <= SATURATED) & (texture <= TEXTURE * mean + noise)
     deviation = np.sqrt(noise**2 / edge**2 + (UNREGISTERED * texture) ** 2 + (0.1 / 255) ** 2)
     y, x = np.mgrid[:rows, :columns] * edge + (edge - 1) / 2
     there = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(to_first).T
@@ -415,7 +423,7 @@ def _axis(stored: np.ndarray) -> np.ndarray:
 
 
 def _evenly(count: int) -> np.ndarray:
-    """Stored values (count,) from the lowest to 1, equally far apart along the curve."""
+    """Stored values (count,) from the lowest to 1, equidistant along the curve."""
     low, high = _axis(np.array([LOWEST, 1.0])).tolist()
     ratio = np.exp(np.linspace(low, high, count))
     return np.clip((TOP * ratio - TOE) / (1.0 + ratio), LOWEST, 1.0)
@@ -426,7 +434,7 @@ def _knots() -> np.ndarray:
 
 
 def _increments(stored: np.ndarray) -> np.ndarray:
-    """Integrated B-splines (..., J) of stored values: a curve of positive coefficients rises."""
+    """Integrated B-splines (..., J) of stored values; a curve with positive coefficients is increasing."""
     from scipy.interpolate import BSpline  # heavy: imported when first needed
 
     knots = _knots()
@@ -437,14 +445,14 @@ def _increments(stored: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Curve:
-    """Logarithm of light by stored value, as a table: (k,) each, rising."""
+    """Table of the logarithm of light by stored value: (k,) each, increasing."""
 
     stored: np.ndarray
     light: np.ndarray
 
     @classmethod
     def of(cls, response: "Response | np.ndarray") -> "_Curve":
-        """Tabulate a response, or a curve of given increments (J,)."""
+        """Tabulate a response, or a curve with given increments (J,)."""
         stored = _evenly(1500)
         if isinstance(response, np.ndarray):
             return cls(stored, _increments(stored) @ response)
@@ -462,9 +470,9 @@ class _Curve:
 
 @lru_cache(maxsize=1)
 def _prior() -> tuple[np.ndarray, np.ndarray]:
-    """Mean (J,) and covariance (J, J) of a response's increments.
+    """Prior mean (J,) and covariance (J, J) of a response's increments.
 
-    The family is powers of v + v (1 - v) times a quadratic: tone curves with toe, shoulder and s-shape.
+    The family of curves is powers of v + v (1 - v) times a quadratic: tone curves with toe, shoulder and s-shape.
     """
     stored = _evenly(300)
     levels = np.linspace(-0.6, 0.6, 5)
@@ -487,15 +495,16 @@ def _prior() -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is sought: z (P,) of increments, exposures, white balances and vignetting, as far as they are free.
+    """The problem; its unknowns z (P,) are the free increments, exposures, white balances and vignetting coefficients.
 
     Attributes
     ----------
     known_logs : (m,) float64, optional
-        Log exposures.
+        Known log exposures.
     response : Response, optional
+        Known response.
     terms : int
-        Coefficients of vignetting.
+        Number of vignetting coefficients.
     """
 
     seen: _Seen
@@ -505,7 +514,7 @@ class _Problem:
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
-        """Numbers of increments, exposures, white balances and coefficients of vignetting that are free."""
+        """Numbers of free increments, exposures, white balances and vignetting coefficients."""
         increments = 0 if self.response is not None else len(_prior()[0])
         others = len(self.seen.stored) - 1
         colours = 2 * others if self.seen.channel.any() else 0
@@ -517,7 +526,7 @@ class _Problem:
         return self.response is not None or (logs is not None and float(np.ptp(logs)) >= LEAST_CONTRAST)
 
     def split(self, z: np.ndarray) -> list[np.ndarray]:
-        """Increments, exposures, white balances and coefficients of vignetting, those that are free."""
+        """Split z into increments, exposures, white balances and vignetting coefficients."""
         return np.split(z, np.cumsum(self.sizes)[:-1])
 
     def curve(self, z: np.ndarray) -> _Curve:
@@ -528,7 +537,7 @@ class _Problem:
         return np.concatenate([[0.0], self.split(z)[1]]) if self.known_logs is None else self.known_logs
 
     def exposure(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Log of what scales each block's light in each picture (m, n), and its derivative by z (m, n, P)."""
+        """Log of the factor of each block's light in each image (m, n), and its derivative by z (m, n, P)."""
         seen, (curve, logs, colours, falloff) = self.seen, self.split(z)
         m, n = seen.stored.shape
         share = _share(seen.radius2, falloff)
@@ -542,9 +551,9 @@ class _Problem:
         return value, np.concatenate([np.zeros((m, n, len(curve))), by_log, by_colour, by_falloff], axis=-1)
 
     def linearised(self, z: np.ndarray, about: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Log radiance as known (m, n) + design (m, n, P) @ z, about stored values and the last z.
+        """Linearise log radiance about stored values and the last z, as known (m, n) + design (m, n, P) @ z.
 
-        log f(v) = log f(about) + (log f)'(about) (v - about), the derivative taken from the last curve.
+        log f(v) = log f(about) + (log f)'(about) (v - about), with the derivative of the last curve.
         """
         curve, (exposure, derivative) = self.curve(z), self.exposure(z)
         known = curve.slope(about) * (self.seen.stored - about) - exposure + derivative @ z
@@ -559,7 +568,7 @@ class _Problem:
         return np.concatenate([_prior()[0][: self.sizes[0]], np.zeros(sum(self.sizes[1:]))])
 
     def prior(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (k, P) and values (k,) of unit deviation; without known ratios they fix the power, too."""
+        """Whitened rows (k, P) and values (k,) of the prior, which fixes the power if ratios are unknown."""
         mean, covariance = _prior()
         curve, exposures, colours, terms = self.sizes
         spreads = np.repeat([EXPOSURE_SPREAD, BALANCE_SPREAD, TERM_SPREAD], [exposures, colours, terms])
@@ -577,7 +586,7 @@ class _Problem:
 
 
 def _share(radius2: np.ndarray, falloff: np.ndarray) -> np.ndarray:
-    """Share of light that vignetting leaves, kept from zero on the way to the solution."""
+    """Relative light with vignetting, bounded below during the iteration."""
     return np.maximum(falloff_at(radius2, falloff), LEAST_SHARE)
 
 
@@ -589,7 +598,7 @@ class _Fit:
     ----------
     covariance : (P, P) float64
     scale : float
-        Deviation of the residuals in units of what noise explains.
+        Robust standard deviation of the residuals, in units of the noise.
     rms : float
         Root mean square residual in log exposure, robustly weighted.
     """
@@ -602,7 +611,7 @@ class _Fit:
 
     @property
     def log_errors(self) -> np.ndarray:
-        """Standard errors (m,) of the log exposures, 0 where they were given."""
+        """Standard errors (m,) of the log exposures, 0 if given."""
         free = np.sqrt(self.problem.split(np.diag(self.covariance))[1] + SYSTEMATIC**2)
         return np.concatenate([[0.0], free]) if len(free) else np.zeros(len(self.problem.seen.stored))
 
@@ -613,19 +622,19 @@ class _Fit:
 
     @property
     def contrast(self) -> float:
-        """Root mean square difference of log exposure by which surfaces were seen."""
+        """Root mean square difference of the surfaces' log exposures."""
         spread = _spread(self.problem.exposure(self.z)[0], self.problem.seen.usable)
         return float(np.sqrt(np.mean(np.square(spread))))
 
     def curve_errors(self, stored: np.ndarray) -> np.ndarray:
-        """Standard errors of log light about its mean over the usable range."""
+        """Standard errors of log light relative to its mean over the usable range."""
         size = self.problem.sizes[0]
         rows = _increments(stored) - _increments(np.linspace(DARK, SATURATED, 100)).mean(axis=0)
         return np.sqrt(np.einsum("ij,jk,ik->i", rows, self.covariance[:size, :size], rows) + SYSTEMATIC**2)
 
 
 def _solve(problem: _Problem) -> _Fit:
-    """Iterate linearised, reweighted least squares to the joint robust estimate."""
+    """Compute the joint robust estimate by linearised, iteratively reweighted least squares."""
     seen, z = problem.seen, problem.start()
     prior_rows, prior_values = problem.prior()
     about, robust, scale, gram, rms = seen.stored, np.ones_like(seen.stored), 1.0, np.zeros((0, 0)), 0.0
@@ -634,14 +643,14 @@ def _solve(problem: _Problem) -> _Fit:
         weight = seen.usable * robust / np.square(noise)
         own = weight / weight.sum(axis=0)
         design, known = problem.linearised(z, about)
-        # The surface's own log radiance, the weighted mean over pictures, is eliminated.
+        # Eliminate the log radiance of the surfaces, the weighted mean over images.
         design_rest = design - np.einsum("mn,mnp->np", own, design)
         known_rest = known - np.einsum("mn,mn->n", own, known)
         root = np.sqrt(weight) / scale
         rows = np.concatenate([(design_rest * root[..., None]).reshape(known.size, len(z)), prior_rows])
         values = np.concatenate([-(known_rest * root).ravel(), prior_values])
         gram = rows.T @ rows
-        before, z = z, _rising(gram, rows.T @ values, problem.sizes[0])
+        before, z = z, _bounded(gram, rows.T @ values, problem.sizes[0])
         residual = np.where(seen.usable, design_rest @ z + known_rest, 0.0)
         standard = residual / (noise * np.sqrt(np.maximum(1.0 - own, 0.05)))
         scale = max(_robust_deviation(standard[seen.usable]), LEAST_SCALE)
@@ -654,8 +663,8 @@ def _solve(problem: _Problem) -> _Fit:
     return _Fit(problem, z, np.linalg.inv(gram), scale, rms)
 
 
-def _rising(gram: np.ndarray, moment: np.ndarray, increments: int) -> np.ndarray:
-    """Solve normal equations with increments that stay positive."""
+def _bounded(gram: np.ndarray, moment: np.ndarray, increments: int) -> np.ndarray:
+    """Solve normal equations with positive increments."""
     from scipy.optimize import lsq_linear  # heavy: imported when first needed
 
     if not len(moment):
@@ -666,7 +675,7 @@ def _rising(gram: np.ndarray, moment: np.ndarray, increments: int) -> np.ndarray
 
 
 def _robust(standard: np.ndarray) -> np.ndarray:
-    """Weights of Geman and McClure: what does not belong loses its say, unlike with Cauchy's."""
+    """Weights of Geman and McClure, which reject outliers, unlike Cauchy's."""
     return 1.0 / np.square(1.0 + np.square(standard / OUTLYING))
 
 
@@ -675,49 +684,49 @@ def _robust_deviation(values: np.ndarray) -> float:
 
 
 def _spread(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Largest difference (n,) between pictures (m, n) that can be used."""
+    """Largest difference (n,) of values (m, n) between usable images."""
     return np.where(usable, values, -np.inf).max(axis=0) - np.where(usable, values, np.inf).min(axis=0)
 
 
-# --- what is said of it -----------------------------------------------------------------------------------------------
+# --- report -----------------------------------------------------------------------------------------------------------
 
 
 def _overlap_fault(seen: _Seen) -> str:
-    """Say which picture shows too little that others show; nothing if none does."""
+    """Message if an image shares too few blocks with the others, else an empty string."""
     counts = [len(np.unique(seen.block[row])) for row in seen.usable]
     least = int(np.argmin(counts))
     if counts[least] >= FEWEST:
         return ""
     return (
-        f"Nothing can be told: picture {least + 1} has {counts[least]} blocks (of {FEWEST} needed) that are well "
-        "exposed and smooth in another one, too; register the pictures, and take exposures that differ by less."
+        f"Nothing can be estimated: image {least + 1} has {counts[least]} blocks (of {FEWEST} needed) that are well "
+        "exposed and smooth in another image too; register the images, and use exposures that differ less."
     )
 
 
 def _lens_fault(seen: _Seen) -> str:
-    """Say why the places of the surfaces tell nothing of the vignetting; nothing if they do."""
+    """Message if the positions of the surfaces do not determine vignetting, else an empty string."""
     if _radii(seen) >= LEAST_RADII:
         return ""
     return (
-        "Vignetting cannot be told: each surface is seen at the same distance from the centre in all pictures; "
-        "turn the camera between them, or take a picture of an evenly lit wall."
+        "Vignetting cannot be estimated: each surface has the same distance from the centre in all images; "
+        "turn the camera between them, or take an image of an evenly lit wall."
     )
 
 
 def _radii(seen: _Seen) -> float:
-    """Difference of r^2 between pictures that a tenth of the surfaces exceed."""
+    """90th percentile over surfaces of the difference of r^2 between images."""
     return float(np.percentile(_spread(seen.radius2, seen.usable), 90))
 
 
 def _corner_fault(fit: _Fit) -> str:
-    """Say what is wrong with the vignetting that was found; nothing if it can be used."""
+    """Message if the estimated vignetting is unusable, else an empty string."""
     if _disagrees(fit):
-        return "Vignetting cannot be told: the pictures disagree."
+        return "Vignetting cannot be estimated: the images are inconsistent."
     if fit.corner_error <= WIDEST_CORNER and least_share(fit.problem.split(fit.z)[-1]) > LEAST_SHARE:
         return ""
     return (
-        f"Vignetting cannot be told: the share of light in the corners is uncertain by {fit.corner_error:.2f}; "
-        "turn the camera further, so that surfaces go from the middle to the corners."
+        f"Vignetting cannot be estimated: the relative light in the corners has a standard error of "
+        f"{fit.corner_error:.2f}; turn the camera further, so that surfaces move from the centre to the corners."
     )
 
 
@@ -726,36 +735,36 @@ def _disagrees(fit: _Fit) -> bool:
 
 
 def _fit_fault(fit: _Fit) -> str:
-    """Say why the response (a given one: the exposures) cannot be told; nothing if it can."""
+    """Message if the response (or the exposures, for a given response) is not observable, else an empty string."""
     if _disagrees(fit):
         return (
-            f"Nothing can be told: where the pictures should agree they differ by a factor of {np.exp(fit.rms):.2f}; "
-            "are they registered, taken under one light, and is what was given (exposures, response) right?"
+            f"Nothing can be estimated: the images are inconsistent by a factor of {np.exp(fit.rms):.2f}; check that "
+            "they are registered and taken under one light, and that the given exposures or response are correct."
         )
     if fit.log_errors.max() > LOOSEST:
         return (
-            f"The exposures cannot be told: nothing links picture {int(np.argmax(fit.log_errors)) + 1} to the first; "
-            "let the pictures overlap in a chain."
+            f"The exposures cannot be estimated: nothing links image {int(np.argmax(fit.log_errors)) + 1} to the "
+            "first; use images that overlap in a chain."
         )
     if fit.problem.response is not None:
         return ""
     if fit.contrast < LEAST_CONTRAST:
         return (
-            f"The response cannot be told: the exposures hardly differ (by {100 * fit.contrast:.0f} %); take pictures "
-            "at one, two and four times an exposure. sRGB is assumed."
+            f"The response cannot be estimated: the exposures hardly differ (by {100 * fit.contrast:.0f} %); take "
+            "images at one, two and four times an exposure. sRGB is assumed."
         )
     low, high = _held(fit.problem.seen)
     error = float(np.sqrt(np.mean(np.square(fit.curve_errors(np.linspace(low, high, 100))))))
     if error <= WIDEST_RESPONSE:
         return ""
     return (
-        f"The response cannot be told: the logarithm of light would be uncertain by {error:.2f}; take pictures at one, "
+        f"The response cannot be estimated: log light has a standard error of {error:.2f}; take images at one, "
         "two and four times an exposure, of a scene with dark and bright parts. sRGB is assumed."
     )
 
 
 def _held(seen: _Seen) -> tuple[float, float]:
-    """Stored values between which nearly all lie."""
+    """Range of nearly all stored values."""
     low, high = np.percentile(seen.stored[seen.usable], [0.5, 99.5])
     return float(low), float(high)
 
@@ -766,7 +775,7 @@ def _report(fit: _Fit, fault: str, lens_fault: str) -> RadiometricEstimate:
     lens = _no_vignetting(lens_fault, seen.n)
     if problem.terms:
         covariance = fit.covariance[-problem.terms :, -problem.terms :]
-        message = f"Surfaces are seen at distances from the centre that differ by up to {_radii(seen):.2f} in r^2."
+        message = f"The distances of surfaces from the centre differ by up to {_radii(seen):.2f} in r^2."
         lens = _vignetting_estimate(falloff, covariance, message, fit.rms, seen.n)
     response, response_errors = problem.response, ()
     if response is None:
@@ -791,27 +800,27 @@ def _report(fit: _Fit, fault: str, lens_fault: str) -> RadiometricEstimate:
 
 
 def _sentences(fit: _Fit) -> str:
-    """Say what made response or exposures observable, and what to mind."""
+    """Message of an observable response: the data, assumptions, and warnings."""
     low, high = (255 * value for value in _held(fit.problem.seen))
-    said = [
+    sentences = [
         f"From {fit.problem.seen.n} blocks with stored values of {low:.0f} to {high:.0f} (of 255) at exposures that "
         f"differ by a factor of {np.exp(fit.contrast):.2f}."
     ]
     if not fit.problem.power_known:
-        said.append(
-            "No ratio of exposures is known, so response, vignetting and exposures hold up to a common power, "
+        sentences.append(
+            "No ratio of exposures is known, so response, vignetting and exposures are known up to a common power, "
             f"which is assumed (to about {100 * RANGE_SPREAD:.0f} %); the invariant angle does not depend on it."
         )
     if fit.scale > MISFIT:
-        said.append(
-            f"Residuals are {fit.scale:.0f} times what noise explains: hard JPEG compression, poor registration, or "
-            "another light?"
+        sentences.append(
+            f"Residuals are {fit.scale:.0f} times the noise: check for strong JPEG compression, registration errors, "
+            "or different lights."
         )
-    return " ".join(said)
+    return " ".join(sentences)
 
 
 def _nothing(seen: _Seen, logs: np.ndarray | None, response: Response | None, fault: str) -> RadiometricEstimate:
-    """Report that there is too little to see."""
+    """Estimate without any observable quantity."""
     nan = float("nan")
     unknown = (0.0, *[nan] * (len(seen.stored) - 1))
     return RadiometricEstimate(
@@ -841,7 +850,11 @@ def _vignetting_estimate(
     errors = np.sqrt(np.diag(covariance))
     corner_error = float(np.sqrt(covariance.sum()))
     if least_share(falloff) <= LEAST_SHARE:
-        return _no_vignetting("Vignetting cannot be told: less than a tenth of the light would reach the corners.", n)
+        return _no_vignetting(
+            "Vignetting cannot be estimated: less than a tenth of the light would remain in the corners; take an image "
+            "of an evenly lit wall.",
+            n,
+        )
     return VignettingEstimate(
         coefficients=tuple(falloff.tolist()),
         standard_errors=tuple(errors.tolist()),

@@ -1,14 +1,14 @@
-"""The angle from surfaces seen under several lights: the direction of least scatter (paper section 2.2).
+"""Estimate the angle from surfaces under several lights: the direction of least scatter (paper section 2.2).
 
-Whatever the light, L(theta) . log rho of a surface stays: theta is where the surfaces scatter least from light to
-light. Three things make this an estimate that can be trusted:
+L(theta) . log rho of a surface does not depend on the light, so theta minimises the scatter of the surfaces between
+lights. Three measures make the estimate accurate:
 
-* Averaging. A logarithm of noisy values is biased, so linear light is averaged first, over the pixels of a
-  patch or of a small block of a scene, and the logarithm taken of the mean.
+* Averaging. The logarithm of noisy values is biased, so linear light is first averaged over the pixels of a
+  patch or of a small block of a scene.
 * Whitening. var L(theta) . log rho = sum_c L_c^2 var log rho_c depends on the angle and on the pixel; plain least
-  squares runs towards the angle of least noise. The whitened sum of squares is a profile likelihood, whose
-  derivative by the angle is zero on average at the true one.
-* Robustness. Highlights, edges of shadows that moved within a block, and things that moved are outliers.
+  squares is biased towards the angle of least noise. The whitened sum of squares is a profile likelihood, whose
+  derivative by the angle has zero mean at the true angle.
+* Robustness. Highlights, moving shadow edges and moving objects are outliers.
 """
 
 from collections.abc import Sequence
@@ -25,51 +25,51 @@ from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope, to_linear
 
 GRID = np.deg2rad(np.arange(0.0, 180.0, 1.0))
-"""Angles at which the cost is looked at before the best is refined."""
+"""Angles at which the cost is evaluated before the best is refined."""
 
 CAUCHY = 2.385
 """Scale of Cauchy's loss, in standard deviations: 95 % efficient for Gaussian errors."""
 
 FEWEST = 6
-"""Surfaces that an estimate needs at least."""
+"""Least number of surfaces for an estimate."""
 
 FEW = 2000
-"""Surfaces that tell well enough where the least scatter is; all of them refine it."""
+"""Approximate number of surfaces for the search on the grid; all surfaces are used for refinement."""
 
-SETTLED = 1e-6
-"""Change of the angle, radians, at which angle and errors agree."""
+CONVERGED = 1e-6
+"""Change of the angle, radians, at which the iteration of angle and errors stops."""
 
 BLOCK_NOISE = 0.05
-"""Noise of a block's logarithm that averaging aims at: its bias is then a thousandth."""
+"""Target standard deviation of a block's logarithm; its bias is then about 0.001."""
 
 MOST_BLOCKS = 10_000
-"""Blocks that a large picture is cut into at most."""
+"""Largest number of blocks of an image."""
 
 CLUSTERS = 6
-"""Blocks are left out in this many by this many regions of the picture, since neighbours err together."""
+"""Number of regions along each axis for the jackknife, since errors of neighbouring blocks are correlated."""
 
 COLOURS = 20
-"""Bins of invariant values that tell surfaces of one colour from those of others."""
+"""Number of bins of invariant values that group surfaces by colour."""
 
 EDGE = 5.0
-"""Difference of the light's colour between neighbouring blocks, in units of their noise, that tells an edge; nine
-blocks differ by 3 by noise alone."""
+"""Difference of the light's colour between neighbouring blocks, in standard deviations, that indicates an edge. Noise
+alone gives a range of 3 among nine blocks."""
 
 WEAKEST_SIGNAL = 2.0
-"""Mean square of the lights' difference along the temperature direction, in units of its error, below which the
-angle is called unobservable; errors alone give 1."""
+"""Mean square difference of the lights along the temperature direction, in units of its error variance, below which
+the angle counts as unobservable; errors alone give 1."""
 
 WEAKEST_VARIATION = 16.0
-"""The same where white balance is free and only what varies from place to place counts: what sensors that are no lines
-make of coloured surfaces varies too."""
+"""The same limit if white balance is free, so that only spatial variation counts. Broad sensors and coloured surfaces
+cause variation too."""
 
 SURE = 0.7
-"""Quantile of F above which errors are taken to go by colour rather than by place."""
+"""Quantile of the F distribution above which the standard error is that over colours and not over regions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """Surfaces seen under several lights.
+    """Measurements of surfaces under several lights.
 
     Attributes
     ----------
@@ -78,9 +78,9 @@ class Surfaces:
     variance : (n, m, 3) float64
         Its variance by noise.
     seen : (n, m) bool
-        Whether the surface is neither dark nor saturated there.
+        Whether the surface is neither dark nor saturated under the light.
     clusters : (n,) int
-        Surfaces of one number err together; they are left out together for the standard error.
+        Cluster of each surface; errors within a cluster are correlated, and the jackknife leaves out whole clusters.
     """
 
     log_rgb: np.ndarray
@@ -89,7 +89,7 @@ class Surfaces:
     clusters: np.ndarray
 
     def only(self, chosen: np.ndarray | slice) -> "Surfaces":
-        """Some of the surfaces, by mask, numbers or slice."""
+        """Return some of the surfaces, by mask, indices or slice."""
         return Surfaces(self.log_rgb[chosen], self.variance[chosen], self.seen[chosen], self.clusters[chosen])
 
 
@@ -101,20 +101,20 @@ def theta_from_scene(
     free_balance: bool = False,
     masks: Sequence[np.ndarray] | None = None,
 ) -> AngleEstimate:
-    """Angle from registered pictures of one scene under several lights.
+    """Estimate the angle from registered images of one scene under several lights.
 
     Parameters
     ----------
     images : sequence of (h, w, 3) uint8, uint16 or float arrays
-        Two or more, of one size, in which a pixel shows the same surface.
+        Two or more images of equal size in which a pixel shows the same surface.
     camera : CameraModel, optional
-        Gives response, vignetting and, where it knows it, noise; sRGB if left out.
+        Camera with response, vignetting and optional noise; sRGB by default.
     block : int, optional
-        Pixels across the blocks that are averaged; by the noise if left out.
+        Side of the blocks to average, pixels; chosen from the noise by default.
     free_balance : bool
-        The pictures' white balance differs: only what changes from place to place counts.
+        Whether the white balance differs between the images; then only spatial variation of the light is used.
     masks : sequence of (h, w) bool, optional
-        Pixels of each picture that count.
+        Pixels of each image to use.
 
     Returns
     -------
@@ -123,15 +123,15 @@ def theta_from_scene(
     Raises
     ------
     CameraError
-        If the pictures differ in size, are grey, or hardly any surface is well exposed in two of them.
+        If the images differ in size, are grey, or too few surfaces are well exposed in two of them.
     """
     pictures = as_pictures(images)
     height, width = pictures[0].shape[:2]
     if any(picture.shape != pictures[0].shape for picture in pictures):
         sizes = ", ".join(f"{picture.shape[1]}×{picture.shape[0]}" for picture in pictures)
-        raise CameraError(f"the pictures of a scene must have one size, but these have {sizes}; crop or align them")
+        raise CameraError(f"the images of a scene must have one size, but these have {sizes}; crop or align them")
     if masks is not None and [np.shape(mask) for mask in masks] != [(height, width)] * len(pictures):
-        raise CameraError(f"masks: give one of {width}×{height} pixels for each of the {len(pictures)} pictures")
+        raise CameraError(f"masks: give one of {width}×{height} pixels for each of the {len(pictures)} images")
     camera = camera or CameraModel()
     deviations = [deviation_of(picture, camera) for picture in pictures]
     block = _block_size(pictures, deviations, camera) if block is None else block
@@ -143,31 +143,31 @@ def theta_from_scene(
     surfaces = replace(surfaces, clusters=clusters)
     enough = surfaces.seen.sum(axis=1) >= 2
     if enough.sum() >= FEWEST:
-        # A few blocks tell well enough in which direction the light changes.
-        _, rough = _settled(surfaces.only(np.flatnonzero(enough)[:: int(np.ceil(enough.sum() / FEW))]), free_balance)
+        # A subset of the blocks suffices for the direction in which the light changes.
+        _, rough = _estimated(surfaces.only(np.flatnonzero(enough)[:: int(np.ceil(enough.sum() / FEW))]), free_balance)
         kept = replace(surfaces, seen=surfaces.seen & ~_light_edges(surfaces, across, rough)[:, None])
-        # Where the light changes everywhere there is nothing better to keep.
+        # If there are edges everywhere, keep all blocks.
         if (kept.seen.sum(axis=1) >= 2).sum() >= max(0.4 * enough.sum(), FEWEST):
             surfaces = kept
     return theta_of_least_scatter(surfaces, free_balance=free_balance)
 
 
 def block_labels(height: int, width: int, block: int) -> tuple[np.ndarray, tuple[int, int]]:
-    """Cut a picture into square blocks; those at its right and lower border may be cut off.
+    """Divide an image into square blocks; those at the right and lower border may be smaller.
 
     Parameters
     ----------
     height, width : int
-        Of the picture.
+        Size of the image.
     block : int
-        Pixels across a block.
+        Side of a block, pixels.
 
     Returns
     -------
     labels : (height, width) int
-        Number of the block that each pixel belongs to, row by row.
+        Index of each pixel's block, row by row.
     grid : (int, int)
-        Blocks down and across.
+        Numbers of blocks down and across.
 
     Raises
     ------
@@ -176,17 +176,18 @@ def block_labels(height: int, width: int, block: int) -> tuple[np.ndarray, tuple
     """
     most = min(height, width) // 3
     if not 1 <= block <= most:
-        raise CameraError(f"blocks of {block} pixels: give 1 to {most} for pictures of {width}×{height}")
+        raise CameraError(f"blocks of {block} pixels: give 1 to {most} for images of {width}×{height}")
     rows, columns = np.arange(height) // block, np.arange(width) // block
     across = int(columns[-1]) + 1
     return rows[:, None] * across + columns, (int(rows[-1]) + 1, across)
 
 
 def _light_edges(surfaces: Surfaces, across: int, theta: float) -> np.ndarray:
-    """Blocks beside which the colour of the light jumps, (n,) bool.
+    """Blocks next to an edge of the light's colour, (n,) bool.
 
-    A block on the edge of a shadow averages two lights, and the logarithm of a mixture lies beside the line between
-    its parts. The bias is small (0.003 degrees in scenes) but the same everywhere, so that no error bar shows it.
+    A block on the edge of a shadow averages two lights, and the logarithm of a mixture does not lie on the line between
+    those of its parts. The bias is small (0.003 degrees in scenes) but the same everywhere, so the standard error does
+    not include it.
     """
     from scipy.ndimage import maximum_filter, minimum_filter  # heavy: imported when first needed
 
@@ -211,28 +212,28 @@ def observe(
     full: int | None = None,
     dark: float = DARK,
 ) -> Surfaces:
-    """Mean light of numbered regions in each picture.
+    """Measure the mean light of labelled regions in each image.
 
     Parameters
     ----------
     pictures : sequence of m (h, w, 3) arrays
         Stored values.
     regions : sequence of m (h, w) int arrays
-        Number of the surface that each pixel shows, -1 for none.
+        Index of each pixel's surface, -1 for none.
     n : int
         Number of surfaces.
     camera : CameraModel
     deviations : sequence of m floats or None
-        Noise of stored values, in [0, 1]; None where the camera's own noise model holds.
+        Standard deviation of the noise of stored values, in [0, 1]; None to use the camera's noise model.
     full : int, optional
-        Pixels a whole region has: regions with fewer than half are left out.
+        Number of pixels of a complete region; regions with fewer than half are excluded.
     dark : float
-        Mean stored value, in [0, 1], below which a region says nothing, in any channel.
+        Mean stored value, in [0, 1], below which a region is unusable, in any channel.
 
     Returns
     -------
     Surfaces
-        Each a cluster of its own.
+        Each surface is a separate cluster.
     """
     logs, variances, seen = [], [], []
     for picture, labels, deviation in zip(pictures, regions, deviations, strict=True):
@@ -269,7 +270,7 @@ def _observe_one(
         return sums / np.maximum(count, 1)[:, None]
 
     level, light, noise = mean(stored), mean(light), mean(noise) / np.maximum(count, 1)[:, None]
-    # By the mean, not by each pixel: a threshold on noisy pixels would bias what is left. What is clipped is no noise.
+    # Threshold the mean: a threshold on noisy pixels would bias the rest.
     slack = 2.0 * (0.0 if deviation is None else deviation)
     clipped = np.bincount(labels, weights=(stored >= SATURATED).any(axis=1), minlength=n) > 0.02 * count
     usable = (count > max(0.5 * full, 0)) & ~clipped & (light > 0).all(axis=1)
@@ -282,25 +283,25 @@ def _observe_one(
 def _light_and_variance(
     stored: np.ndarray, camera: CameraModel, deviation: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Linear light free of the bias by noise, and its variance, of stored values (any shape)."""
+    """Linear light without bias by noise, and its variance, of stored values (any shape)."""
     response = camera.response
     light = to_linear(stored, response)
     if deviation is None and camera.noise is not None:  # noise of linear light: decoding has no bias
         return light, camera.noise.variance(light)
     deviation = deviation or 0.0
-    # Noise of stored values: E f(v + n) = f(v) + f'' sigma^2 / 2, which the second difference takes off.
+    # Noise of stored values: E f(v + n) = f(v) + f'' sigma^2 / 2; subtract this bias by a second difference.
     around = to_linear(stored + deviation, response) + to_linear(stored - deviation, response)
     slope = log_slope(np.maximum(stored, 1e-3), response) * to_linear(np.maximum(stored, 1e-3), response)
     return 2.0 * light - 0.5 * around, np.square(deviation * slope)
 
 
 def deviation_of(picture: np.ndarray, camera: CameraModel) -> float | None:
-    """Noise of a picture's stored values; None where the camera's own noise model holds."""
+    """Standard deviation of an image's noise in stored values; None if the camera has a noise model."""
     return None if camera.noise is not None else noise_deviation(picture)
 
 
 def _block_size(pictures: Sequence[np.ndarray], deviations: Sequence[float | None], camera: CameraModel) -> int:
-    """Pixels across a block that bring the noise of a middling dark pixel's logarithm to :data:`BLOCK_NOISE`."""
+    """Side of blocks for which the noise of a moderately dark block's logarithm is :data:`BLOCK_NOISE`."""
     height, width = pictures[0].shape[:2]
     noisiest = 0.0
     for picture, deviation in zip(pictures, deviations, strict=True):
@@ -314,61 +315,61 @@ def _block_size(pictures: Sequence[np.ndarray], deviations: Sequence[float | Non
 
 
 def as_pictures(images: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Check that there are two pictures or more, all in colour."""
-    pictures = [as_colour(image, f"picture {i + 1}") for i, image in enumerate(images)]
+    """Check that there are two or more images, all in colour."""
+    pictures = [as_colour(image, f"image {i + 1}") for i, image in enumerate(images)]
     if len(pictures) < 2:
-        raise CameraError("the angle shows in what a change of light does: give two or more pictures")
+        raise CameraError("the angle is estimated from a change of light: give two or more images")
     for i, picture in enumerate(pictures):
-        refuse_grey(picture, f"picture {i + 1}", "an angle needs colour", CameraError)
+        refuse_grey(picture, f"image {i + 1}", "an angle needs colour", CameraError)
     return pictures
 
 
 def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) -> AngleEstimate:
-    """Angle along which surfaces scatter least from light to light, noise-whitened and robust.
+    """Estimate the angle of least scatter of surfaces between lights, noise-whitened and robust.
 
     Parameters
     ----------
     surfaces : Surfaces
     free_balance : bool
-        Allow each light a constant of its own in the invariant: a white balance that differs.
+        Whether the invariant has a free constant for each light, for different white balances.
 
     Returns
     -------
     AngleEstimate
-        The standard error is the jackknife's over clusters of surfaces, or over colours, whichever is greater.
+        Its standard error is by a jackknife over clusters of surfaces, or over colours if that is clearly larger.
 
     Raises
     ------
     CameraError
-        If fewer than 6 surfaces are seen under two lights.
+        If fewer than 6 surfaces are well exposed under two lights.
     """
     enough = surfaces.seen.sum(axis=1) >= 2
     n = int(enough.sum())
     if n < FEWEST:
         raise CameraError(
-            f"only {n} surfaces are well exposed in two pictures; at least {FEWEST} are needed: give pictures that are "
+            f"only {n} surfaces are well exposed in two images; at least {FEWEST} are needed: give images that are "
             "neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
         )
     surfaces = surfaces.only(enough)
-    return _judge(*_settled(surfaces, free_balance))
+    return _report(*_estimated(surfaces, free_balance))
 
 
-def _settled(surfaces: Surfaces, free_balance: bool) -> "tuple[_Scatter, float]":
-    """Angle of least scatter, with the errors that go with it; each depends on the other."""
+def _estimated(surfaces: Surfaces, free_balance: bool) -> "tuple[_Scatter, float]":
+    """Scatter with its model error, and the angle that minimises it, by alternating between the two."""
     scatter = _Scatter(surfaces, free_balance)
     theta = scatter.best_angle()
     for _ in range(5):
         before, scatter = theta, scatter.with_model_error(theta)
         theta = scatter.best_angle()
-        if abs(theta - before) < SETTLED:
+        if abs(theta - before) < CONVERGED:
             break
     return scatter, theta
 
 
 def least_squares_angle(images: Sequence[np.ndarray], camera: CameraModel | None = None) -> float:
-    """Angle by plain least squares over the pixels of two registered pictures: what to compare with, not to use.
+    """Estimate the angle by plain least squares over the pixels of two registered images, as a baseline.
 
-    Noise pulls it towards the angle at which noise counts least.
+    It is biased towards the angle of least noise.
 
     Returns
     -------
@@ -395,8 +396,7 @@ class _Scatter:
     surfaces : Surfaces
     free_balance : bool
     model : float
-        Variance of log rho, per channel, by what is not noise: sensors that are no lines, highlights, pixels that
-        do not quite correspond.
+        Variance of log rho, per channel, by model errors: broad sensors, highlights, registration errors.
     """
 
     surfaces: Surfaces
@@ -439,7 +439,7 @@ class _Scatter:
         return float(found.x % np.pi)
 
     def with_model_error(self, theta: float) -> "_Scatter":
-        """Give the same with the variance that explains the median surface's scatter at an angle."""
+        """Return the scatter with the model variance that explains the median surface's squares at an angle."""
         from scipy.optimize import brentq  # heavy: imported when first needed
         from scipy.stats import chi2
 
@@ -457,7 +457,7 @@ class _Scatter:
 
 
 def _centred(values: np.ndarray, weights: np.ndarray, free_balance: bool) -> np.ndarray:
-    """Values (..., n, m) without each surface's weighted mean, and without a constant of each light if it is free."""
+    """Subtract each surface's weighted mean from values (..., n, m), and the means of the lights if balance is free."""
 
     def means(of: np.ndarray, axis: int) -> np.ndarray:
         total = np.maximum(weights.sum(axis=axis, keepdims=True), 1e-300)
@@ -465,50 +465,50 @@ def _centred(values: np.ndarray, weights: np.ndarray, free_balance: bool) -> np.
 
     centred = values - means(values, -1)
     if free_balance:
-        for _ in range(3):  # alternately: a constant for each light, a mean for each surface
+        for _ in range(3):  # alternate between lights and surfaces
             centred = centred - means(centred, -2)
             centred = centred - means(centred, -1)
     return centred
 
 
 def _unit_rows(thetas: np.ndarray) -> np.ndarray:
-    """Rows L(theta) of length 1, (k, 3) float64."""
+    """Rows L(theta) of unit length, (k, 3) float64."""
     rows = np.stack([np.cos(thetas), np.sin(thetas), -np.cos(thetas) - np.sin(thetas)], axis=1)
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def _judge(scatter: _Scatter, theta: float) -> AngleEstimate:
-    """Standard error by leaving out clusters, and whether there was a change of light to see the angle by."""
+def _report(scatter: _Scatter, theta: float) -> AngleEstimate:
+    """Make the estimate with its standard error, and test whether the change of light makes it observable."""
     error, (change, signal), n = _error(scatter, theta), _light_change(scatter, theta), len(scatter.degrees)
     times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
     reason = None
     if scatter.free_balance and signal < WEAKEST_VARIATION:
         reason = (
-            f"the lights' colours hardly vary from place to place ({times}), and with a free white balance nothing "
-            "else counts; give pictures with one white balance, or under light of uneven colour"
+            f"the lights' colours hardly vary from place to place ({times}), which a free white balance needs; give "
+            "images with one white balance, or under light of uneven colour"
         )
     elif signal < WEAKEST_SIGNAL:
         reason = (
-            f"the lights' colours hardly differ ({times}); give pictures under lights of different colour, such as "
+            f"the lights' colours hardly differ ({times}); give images under lights of different colour, such as "
             "lamp light and daylight"
         )
     elif not error < WIDEST_ERROR:
         reason = (
-            f"the angle is uncertain by {np.rad2deg(1.96 * error):.0f} degrees either way, though the lights differ "
-            f"({times}): {n} blocks or patches of too few colours tell too little; show more colours, well exposed"
+            f"its 95 % interval is ±{np.rad2deg(1.96 * error):.0f} degrees although the lights differ ({times}): {n} "
+            "blocks or patches have too few colours; give images of more colours, well exposed"
         )
     if reason is not None:
-        message = f"the angle cannot be told: {reason}"
+        message = f"the angle cannot be estimated: {reason}"
         return AngleEstimate(theta, float("inf"), message, change, n)
     message = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
-    return AngleEstimate(theta, error, message, change, n).doubted()
+    return AngleEstimate(theta, error, message, change, n).with_warning()
 
 
 def _error(scatter: _Scatter, theta: float) -> float:
-    """Half the width of the 95 % interval over 1.96, radians.
+    """Half the width of the 95 % interval divided by 1.96, radians.
 
-    Neighbours err together. So do surfaces of one colour, because sensors that are no lines see each colour move
-    differently; errors go by colour where they are clearly greater that way.
+    Errors of neighbouring surfaces are correlated. So are those of surfaces of one colour, because for broad sensors
+    the shift by the light depends on the colour. The jackknife over colours is used if its error is clearly larger.
     """
     from scipy.stats import f, t  # heavy: imported when first needed
 
@@ -516,13 +516,13 @@ def _error(scatter: _Scatter, theta: float) -> float:
     by_colour, colours = _jackknife(scatter, theta, _colours(scatter, theta))
     if not np.isfinite([by_place, by_colour]).all():
         return float("inf")
-    go_by_colour = (by_colour / max(by_place, 1e-12)) ** 2 > f.ppf(SURE, colours, places)
-    error, degrees = (by_colour, colours) if go_by_colour else (by_place, places)
+    use_colours = (by_colour / max(by_place, 1e-12)) ** 2 > f.ppf(SURE, colours, places)
+    error, degrees = (by_colour, colours) if use_colours else (by_place, places)
     return error * float(t.ppf(0.975, degrees)) / 1.96
 
 
 def _colours(scatter: _Scatter, theta: float) -> np.ndarray:
-    """Number of the bin of invariant values that each surface falls in, (n,) int."""
+    """Index of each surface's bin of invariant values, (n,) int."""
     s = scatter.surfaces
     weights = s.seen.astype(np.float64)
     values = (weights * (s.log_rgb @ _unit_rows(np.array([theta]))[0])).sum(axis=1) / weights.sum(axis=1)
@@ -531,7 +531,7 @@ def _colours(scatter: _Scatter, theta: float) -> np.ndarray:
 
 
 def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[float, float]:
-    """Standard error of the angle by leaving out clusters, radians, and its degrees of freedom."""
+    """Jackknife standard error of the angle over clusters, radians, and its degrees of freedom."""
     step = np.deg2rad(0.1)
     low, middle, high = scatter.costs(theta + step * np.array([-1.0, 0.0, 1.0]))
     slopes, bends = (high - low) / (2 * step), (high - 2 * middle + low) / step**2
@@ -540,17 +540,17 @@ def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[f
     rest = bend.sum() - bend
     if len(slope) < 3 or not (rest > 0).all():
         return float("inf"), 1.0
-    # One Newton step from the whole to the rest without each cluster.
+    # One Newton step from all surfaces to those without a cluster.
     moved = slope / rest
     k = len(slope)
     error = float(np.sqrt((k - 1) / k * np.square(moved - moved.mean()).sum()))
-    # Clusters that see little of the change hardly count as observations.
+    # Clusters with little change of light hardly add degrees of freedom.
     effective = float(np.square(np.abs(bend).sum()) / np.square(bend).sum())
     return error, max(effective - 1.0, 1.0)
 
 
 def _light_change(scatter: _Scatter, theta: float) -> tuple[float, float]:
-    """Root mean square difference of the lights along d(theta), as log R/B, and its square in units of its error."""
+    """Root mean square difference of the lights along d(theta), as log R/B, and its ratio to the error variance."""
     direction, s = temperature_direction(theta), scatter.surfaces
     along = s.log_rgb @ direction
     weights = s.seen.astype(np.float64)

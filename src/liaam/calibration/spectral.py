@@ -1,8 +1,8 @@
-"""The angle from a camera's spectral sensitivities, by simulating how light changes what it sees.
+"""Compute the angle from a camera's spectral sensitivities, by simulating its responses under a series of lights.
 
-A series of lights of different colour temperature falls on a surface; the camera's log responses move along a line,
-nearly, in the plane orthogonal to intensity (paper, section 2; Finlayson and Hordley, "Color constancy at a pixel",
-JOSA A 2001). Total least squares finds its direction, and theta is the row L(theta) orthogonal to it.
+Under lights of different colour temperature the log responses to a surface lie nearly on a line in the plane orthogonal
+to intensity (paper, section 2; Finlayson and Hordley, "Color constancy at a pixel", JOSA A 2001). Total least squares
+estimates its direction, and L(theta) is orthogonal to it.
 """
 
 import csv
@@ -20,37 +20,37 @@ from liaam.io.files import existing_file, is_number, read_bytes
 from liaam.photometry.invariant import CHROMATICITY, wien_theta
 
 Lights = Literal["both", "planckian", "daylight", "wien"]
-"""Planckian radiators, CIE daylights, both; ``wien``: radiators by Wien's approximation, as the paper has them."""
+"""Planckian radiators, CIE daylights, both; ``wien``: radiators by Wien's approximation, as in the paper."""
 
 KELVIN = (2500.0, 10000.0)
 """Coldest and hottest light of a series."""
 
 COLDEST_DAYLIGHT = 4000.0
-"""Temperature below which the CIE defines no daylight, kelvin."""
+"""Lowest temperature of CIE daylights, kelvin."""
 
 MIRED_STEP = 10.0
-"""Distance of neighbouring lights in reciprocal megakelvin, in which colour changes evenly."""
+"""Distance of neighbouring lights in reciprocal megakelvin, in which colour changes uniformly."""
 
 K2_NM = 1.438776877e7
 """Second radiation constant, nm K (CODATA 2018)."""
 
 SENSOR_WIDTH = 40.0
-"""Standard deviation of a wide sensor's sensitivity, nm: peak wavelengths alone leave the width open."""
+"""Standard deviation of a broad sensor's sensitivity, nm, since peak wavelengths do not determine the width."""
 
 PEAK_OFFSET = 10.0
-"""How far the wavelength at which a sensor acts lies from its peak, nm: real curves are lopsided."""
+"""Difference between the effective and the peak wavelength of a sensor, nm, since real curves are asymmetric."""
 
 VISIBLE = (300.0, 830.0)
-"""Wavelengths of the daylight table, nm; what a sensor sees beyond is left out."""
+"""Wavelengths of the daylight table, nm; sensitivities outside are ignored."""
 
 FEWEST = 8
-"""Wavelengths that sensitivity curves need at least."""
+"""Least number of wavelengths of sensitivity curves."""
 
 COARSEST = 25.0
-"""Widest gap between wavelengths of sensitivity curves, nm."""
+"""Largest gap between wavelengths of sensitivity curves, nm."""
 
 LARGEST_TABLE = 10_000_000
-"""Bytes of a table of sensitivities at most."""
+"""Largest size of a table of sensitivities, bytes."""
 
 # Components S0, S1, S2 of daylight from 300 to 830 nm in steps of 10 nm: CIE 15:2004, table T.2, after Judd,
 # MacAdam and Wyszecki, "Spectral distribution of typical daylight", JOSA 1964.
@@ -76,12 +76,12 @@ _COLUMNS = {
 
 @dataclass(frozen=True)
 class SpectralEstimate(AngleEstimate):
-    """An angle from sensitivities; the standard error is the spread between surfaces and lights.
+    """Angle from sensitivities; its standard error is the spread between surfaces and lights.
 
     Attributes
     ----------
     planckian, daylight : float or None
-        The angle of a neutral surface under each series of lights alone, radians; None where it was not asked for.
+        Angle of a neutral surface under each series of lights, radians; None if the series was not requested.
         Radiators by Wien's approximation count as Planckian.
     """
 
@@ -90,24 +90,24 @@ class SpectralEstimate(AngleEstimate):
 
 
 def theta_from_peaks(peaks_nm: tuple[float, float, float]) -> AngleEstimate:
-    """Angle from the wavelengths at which the three sensors peak, by Wien's closed form.
+    """Compute the angle from the peak wavelengths of the three sensors, by Wien's closed form.
 
     Parameters
     ----------
     peaks_nm : (float, float, float)
-        Of R, G and B.
+        Peak wavelengths of R, G and B, nm.
 
     Returns
     -------
     AngleEstimate
-        Its standard error is how far wide and lopsided sensors stray from the closed form, under real lights and on
-        coloured surfaces: some degrees. Sensors stacked in depth (Foveon) stray further, by 9 degrees for the one
-        whose curves were published.
+        Its standard error of some degrees is the deviation of broad and asymmetric sensors from the closed form, under
+        real lights and on coloured surfaces. Stacked sensors (Foveon) deviate more: 9 degrees for the one with
+        published curves.
 
     Raises
     ------
     CameraError
-        If the peaks are not three falling wavelengths from 300 to 830 nm.
+        If the peaks are not three decreasing wavelengths from 300 to 830 nm.
     """
     peaks = np.asarray(peaks_nm, dtype=np.float64)
     falling = peaks.shape == (3,) and np.isfinite(peaks).all() and (np.diff(peaks) < 0).all()
@@ -124,8 +124,8 @@ def theta_from_peaks(peaks_nm: tuple[float, float, float]) -> AngleEstimate:
     parts = [broad.standard_error, *(axis_difference(angle, theta) for angle in (broad.theta, *moved))]
     error = float(np.linalg.norm(parts))
     message = (
-        f"by Wien's closed form; the error is that of wide sensors that act within {PEAK_OFFSET:g} nm of their peaks, "
-        "under Planckian lights and daylights: sensitivity curves would tell more"
+        f"by Wien's closed form; the error assumes broad sensors with effective wavelengths within {PEAK_OFFSET:g} nm "
+        "of their peaks, under Planckian lights and daylights: sensitivity curves give a smaller error"
     )
     return AngleEstimate(theta, error, message, broad.light_change, broad.n)
 
@@ -137,15 +137,15 @@ def theta_from_sensitivities(
     *,
     kelvin: tuple[float, float] = KELVIN,
 ) -> SpectralEstimate:
-    """Angle from sensitivity curves, for a neutral surface under a series of lights.
+    """Compute the angle from sensitivity curves, for a neutral surface under a series of lights.
 
     Parameters
     ----------
     wavelengths_nm : (n,) float
-        Rising, nm.
+        Increasing, nm.
     sensitivities : (n, 3) float
-        Of R, G and B to radiant power, each on any scale. Small negative values are fine, as measurements and colour
-        matrices have them.
+        Sensitivities of R, G and B to radiant power, each on any scale. Small negative values, as from measurements and
+        colour matrices, are accepted.
     lights : {"both", "planckian", "daylight", "wien"}
         Planckian radiators; CIE daylights (from 4000 K up); both; or radiators by Wien's approximation.
     kelvin : (float, float)
@@ -154,12 +154,12 @@ def theta_from_sensitivities(
     Returns
     -------
     SpectralEstimate
-        ``n`` counts the surfaces, a neutral one and coloured ones, over which the spread was taken.
+        ``n`` is the number of surfaces, one neutral and the others coloured, of which the spread was computed.
 
     Raises
     ------
     CameraError
-        If the curves are no sensitivities, or their three channels all move together, so that no light changes colour.
+        If the curves are invalid, or the three channels respond alike, so that lights do not change the colour.
     """
     nm, curves = np.asarray(wavelengths_nm, dtype=np.float64), np.asarray(sensitivities, dtype=np.float64)
     _check_curves(nm, curves)
@@ -168,7 +168,9 @@ def theta_from_sensitivities(
     responses = {name: _responses(nm, curves, power) for name, power in spectra.items()}
     seen = np.all([(r > 0).all(axis=(1, 2)) for r in responses.values()], axis=0)
     if not seen[0]:
-        raise CameraError("a channel does not respond to white light: its sensitivity is zero or mostly negative")
+        raise CameraError(
+            "a channel does not respond to white light: its sensitivity is zero or mostly negative; check the curves"
+        )
     series = {name: np.log(r[seen]) for name, r in responses.items()}
     theta = _angle_of([logs[0] for logs in series.values()])
     halves = [half for logs in series.values() for surface in logs for half in _halves(surface)]
@@ -178,7 +180,7 @@ def theta_from_sensitivities(
     return SpectralEstimate(
         theta=theta,
         standard_error=error,
-        message=_told(alone, kelvin, error),
+        message=_message(alone, kelvin, error),
         light_change=float(np.sqrt(2.0) * np.std(warmth, ddof=1)),
         n=int(seen.sum()),
         planckian=alone.get("planckian", alone.get("wien")),
@@ -189,9 +191,9 @@ def theta_from_sensitivities(
 def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
     """Read sensitivity curves from a CSV file.
 
-    Columns are ``wavelength_nm``, ``R``, ``G`` and ``B`` in that order, or in any order and among others if a first
-    line names them (capitals do not matter; ``nm``, ``wavelength``, ``red``, ``green`` and ``blue`` are understood).
-    Commas, semicolons or tabs separate them; lines that start with # are left out.
+    Columns are ``wavelength_nm``, ``R``, ``G`` and ``B``. A header line may give another order and further columns; it
+    is not case-sensitive and may use ``nm``, ``wavelength``, ``red``, ``green`` and ``blue``. The separator is a
+    comma, semicolon or tab. Lines that start with # are comments.
 
     Parameters
     ----------
@@ -200,14 +202,14 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
     Returns
     -------
     wavelengths_nm : (n,) float64
-        Rising.
+        Increasing.
     sensitivities : (n, 3) float64
-        Of R, G and B.
+        Sensitivities of R, G and B.
 
     Raises
     ------
     CameraError
-        If the file is missing, or a line of it makes no sense; the message names the line.
+        If the file is missing, or a line is invalid; the message names the line.
     """
     path = existing_file(path, CameraError, "table of sensitivities")
     lines = _table_lines(path)
@@ -227,21 +229,21 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
     red, blue = (float(nm @ np.maximum(curves[:, c], 0) / np.maximum(curves[:, c], 0).sum()) for c in (0, 2))
     if red <= blue:
         raise CameraError(
-            f"{path}: R sees shorter wavelengths ({red:.0f} nm) than B ({blue:.0f} nm); name the columns in a first "
-            "line, such as wavelength_nm,R,G,B"
+            f"{path}: R has a shorter mean wavelength ({red:.0f} nm) than B ({blue:.0f} nm); name the columns in a "
+            "header line such as wavelength_nm,R,G,B"
         )
     return nm, curves
 
 
 def planckian(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float, *, wien: bool = False) -> np.ndarray:
-    """Spectral power of Planckian radiators, 1 at 560 nm (paper eq 6).
+    """Compute the spectral power of Planckian radiators, 1 at 560 nm (paper eq 6).
 
     Parameters
     ----------
     wavelengths_nm : (n,) float
     kelvin : (m,) float
     wien : bool
-        By Wien's approximation, which the paper uses.
+        Whether to use Wien's approximation, as the paper does.
 
     Returns
     -------
@@ -253,7 +255,7 @@ def planckian(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float, *, wien: b
 
 
 def daylight(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float) -> np.ndarray:
-    """Spectral power of CIE daylights, 100 at 560 nm (CIE 15:2004, section 3.1); zero beyond 300-830 nm.
+    """Compute the spectral power of CIE daylights, 100 at 560 nm (CIE 15:2004, section 3.1); zero outside 300-830 nm.
 
     Parameters
     ----------
@@ -278,9 +280,9 @@ def daylight(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float) -> np.ndarr
 
 
 def _series(nm: np.ndarray, lights: str, kelvin: tuple[float, float]) -> dict[str, np.ndarray]:
-    """Spectra (m, n) of the series of lights that are asked for."""
+    """Spectra (m, n) of the requested series of lights, by name."""
     if lights not in get_args(Lights):
-        raise CameraError(f"lights {lights!r} are not known: give one of {', '.join(get_args(Lights))}")
+        raise CameraError(f"lights {lights!r} are unknown: give one of {', '.join(get_args(Lights))}")
     cold, hot = (float(k) for k in kelvin)
     if not 1000.0 <= cold < hot <= 25000.0:
         raise CameraError(f"lights from {cold:g} to {hot:g} K: give the colder first, within 1000 to 25000 K")
@@ -294,83 +296,82 @@ def _series(nm: np.ndarray, lights: str, kelvin: tuple[float, float]) -> dict[st
 
 
 def _even_in_mired(cold: float, hot: float) -> np.ndarray:
-    """Temperatures, kelvin, that are even in reciprocal temperature."""
+    """Temperatures, kelvin, that are uniform in reciprocal temperature."""
     mired = 1e6 / cold, 1e6 / hot
     return 1e6 / np.linspace(*mired, max(8, round((mired[0] - mired[1]) / MIRED_STEP) + 1))
 
 
 def _surfaces(nm: np.ndarray) -> np.ndarray:
-    """Reflectances (k, n): a neutral one, then eight hues of middling strength."""
+    """Reflectances (k, n): a neutral one, then eight hues of moderate saturation."""
     # One low frequency: frequency-limited reflectances after Stiles, Wyszecki and Ohta (JOSA 1977).
     phases = np.arange(8)[:, None] / 8
     return np.vstack([np.ones_like(nm), 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - phases))])
 
 
 def _responses(nm: np.ndarray, curves: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Responses (k, m, 3) of the camera to each surface under each light, by the trapezoidal rule."""
+    """Responses (k, m, 3) of the camera to each surface under each light, integrated by the trapezoidal rule."""
     weighted = curves * _trapezoid_weights(nm)[:, None]
     return np.einsum("kn,mn,nc->kmc", _surfaces(nm), power, weighted, optimize=True)
 
 
 def _trapezoid_weights(nm: np.ndarray) -> np.ndarray:
-    """Weights (n,) that make a sum over wavelengths an integral by the trapezoidal rule."""
+    """Weights (n,) of the trapezoidal rule."""
     weights = np.gradient(nm)
     weights[[0, -1]] *= 0.5
     return weights
 
 
 def _angle_of(loci: list[np.ndarray]) -> float:
-    """Angle, radians in [0, pi), whose row is orthogonal to the common direction of loci of log responses (m, 3)."""
+    """Angle, radians in [0, pi), with L(theta) orthogonal to the common direction of loci of log responses (m, 3)."""
     chroma = np.concatenate([logs - logs.mean(axis=0) for logs in loci]) @ CHROMATICITY.T
     _, sizes, axes = np.linalg.svd(chroma, full_matrices=False)
     if sizes[0] < 1e-6 * np.sqrt(len(chroma)):
-        raise CameraError("the three channels respond alike to every light, so no angle can be told; check the columns")
+        raise CameraError("the three channels respond alike to every light, so there is no angle; check the columns")
     row = np.cross(axes[0] @ CHROMATICITY, np.ones(3))
     return float(np.arctan2(row[1], row[0]) % np.pi) % float(np.pi)
 
 
 def _halves(locus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split a locus into its cold and its hot lights, to see how much it bends."""
+    """Split a locus into its cold and its hot lights, to measure its curvature."""
     middle = len(locus) // 2
     return locus[: middle + 1], locus[middle:]
 
 
-def _told(alone: dict[str, float], kelvin: tuple[float, float], error: float) -> str:
-    """Say what the angle rests on."""
+def _message(alone: dict[str, float], kelvin: tuple[float, float], error: float) -> str:
     parts = " and ".join(f"{np.rad2deg(angle):.1f}° under the {name} series" for name, angle in alone.items())
     return (
         f"white has {parts}, {kelvin[0]:.0f} to {kelvin[1]:.0f} K; the error of {np.rad2deg(error):.1f}° is the spread "
-        "between white and coloured surfaces, cold and hot lights: the angle of wide sensors is not one number"
+        "between surfaces and between lights, since broad sensors do not have a single angle"
     )
 
 
 def _check_curves(nm: np.ndarray, curves: np.ndarray) -> None:
-    """Refuse what are no sensitivity curves."""
+    """Raise if sensitivity curves are invalid."""
     if nm.ndim != 1 or curves.shape != (len(nm), 3) or len(nm) < FEWEST:
         raise CameraError(
             f"wavelengths of shape {nm.shape} and sensitivities of shape {curves.shape}: give (n,) and (n, 3), of "
             f"{FEWEST} wavelengths or more"
         )
     if not np.isfinite(nm).all() or not np.isfinite(curves).all():
-        raise CameraError("a wavelength or sensitivity is not a finite number; fill the gap or leave its row out")
+        raise CameraError("a wavelength or sensitivity is not a finite number; fill the gap or remove its row")
     if (np.diff(nm) <= 0).any():
-        raise CameraError(f"wavelength {nm[1:][np.diff(nm) <= 0][0]:g} does not rise; give each once, shortest first")
+        raise CameraError(f"wavelength {nm[1:][np.diff(nm) <= 0][0]:g} is not in order; give each once, shortest first")
     if nm[0] < 100 or nm[-1] > 3000:
-        raise CameraError(f"wavelengths from {nm[0]:g} to {nm[-1]:g} are not in nm; visible light has 380 to 780")
+        raise CameraError(f"wavelengths from {nm[0]:g} to {nm[-1]:g} are not in nm; visible light has 380 to 780 nm")
     for name, curve in zip("RGB", curves.T, strict=True):
         if curve.max() <= 0:
-            raise CameraError(f"channel {name} sees nothing: none of its sensitivities is above 0")
+            raise CameraError(f"channel {name} has no sensitivity above 0; check the columns")
     if (np.diff(nm) > COARSEST).any():
         raise CameraError(f"wavelengths are {np.diff(nm).max():g} nm apart; give sensitivities every {COARSEST:g} nm")
 
 
 def _resampled(nm: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Curves at most 1 nm apart, as the lights need, and within the daylight table."""
+    """Resample curves to steps of at most 1 nm within the daylight table."""
     area = np.abs(curves) * _trapezoid_weights(nm)[:, None]
     if (area[(nm < VISIBLE[0]) | (nm > VISIBLE[1])].sum(axis=0) > 0.02 * area.sum(axis=0)).any():
         raise CameraError(
             f"a channel has more than 2 % of its sensitivity outside {VISIBLE[0]:g} to {VISIBLE[1]:g} nm, where "
-            "daylight is not known; measure the camera with its infrared filter"
+            "daylight is unknown; measure the camera with its infrared filter"
         )
     low, high = max(nm[0], VISIBLE[0]), min(nm[-1], VISIBLE[1])
     fine = np.union1d(nm[(nm >= low) & (nm <= high)], np.arange(np.ceil(low), np.floor(high) + 1))
@@ -378,32 +379,32 @@ def _resampled(nm: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _table_lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Line numbers and cells of a table, without empty lines and remarks."""
+    """Line numbers and cells of a table, without empty lines and comments."""
     try:
         text = read_bytes(path, CameraError, LARGEST_TABLE).decode("utf-8-sig")
         kept = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip(" ,;\t") and line[0] != "#"]
         separator = max(",;\t", key=kept[0][1].count)
         return [(i, next(csv.reader([line], delimiter=separator))) for i, line in kept]
     except (UnicodeDecodeError, csv.Error, IndexError) as error:
-        raise CameraError(f"{path}: this is no table; give a CSV file of wavelength_nm,R,G,B") from error
+        raise CameraError(f"{path}: this is not a table; give a CSV file of wavelength_nm,R,G,B") from error
 
 
 def _column_order(header: list[str], path: Path) -> list[int]:
-    """Where the columns wavelength_nm, R, G, B stand."""
+    """Indices of the columns wavelength_nm, R, G, B."""
     names = [_COLUMNS.get(cell) for cell in header]
     wrong = [wanted for wanted in ("wavelength_nm", "R", "G", "B") if names.count(wanted) != 1]
     if wrong:
         raise CameraError(
-            f"{path}: the first line must name the columns wavelength_nm, R, G and B once each, but {', '.join(wrong)} "
-            f"{'is' if len(wrong) == 1 else 'are'} missing or doubled in: {', '.join(header)}"
+            f"{path}: the header line must name the columns wavelength_nm, R, G and B once each, but "
+            f"{', '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} missing or duplicated in: {', '.join(header)}"
         )
     return [names.index(wanted) for wanted in ("wavelength_nm", "R", "G", "B")]
 
 
 def _numbers(cells: list[str], order: list[int], width: int, where: str) -> list[float]:
-    """Give the four numbers of a line, in the columns' order."""
+    """Parse the four numbers of a line, in the order wavelength, R, G, B."""
     if len(cells) != width or max(order) >= width:
-        raise CameraError(f"{where}: there are {len(cells)} columns instead of {max(width, 4)}")
+        raise CameraError(f"{where}: there are {len(cells)} columns instead of {max(width, 4)}; complete the line")
     values = [cells[i].strip() for i in order]
     for value in values:
         if not is_number(value):
