@@ -143,7 +143,7 @@ def test_lamps_serve_objects_with_the_same_landmarks(pictures, lamps):
     with pytest.raises(TrainingError, match="with 58 landmarks, but these images have 50"):
         lamps.relit(pictures[0].image, pictures[0].landmarks.points[:50], [0])
     pairs = [(each.image, each.landmarks.points[:50]) for each in pictures[:3]]
-    with pytest.raises(TrainingError, match="with 58 landmarks, but the pictures have 50"):
+    with pytest.raises(TrainingError, match="with 58 landmarks, but the images have 50"):
         train(pairs, diagonal=40.0, lamps=lamps)
 
 

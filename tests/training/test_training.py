@@ -193,7 +193,7 @@ def test_landmarks_in_one_place_are_refused(pairs):
 
 def test_landmarks_on_a_line_are_refused(pairs):
     line = [(image, np.column_stack([points[:, 0], points[:, 0]])) for image, points in pairs]
-    refused(line, "lie on one line or in one place")
+    refused(line, "lie on one line or at one point")
 
 
 def test_a_mirrored_sample_is_refused_by_name(scenes):
@@ -218,22 +218,22 @@ def test_folded_triangles_are_refused(pairs, model):
     "triangles", [[[0, 1, 58]], [[-1, 0, 1]], [[0.0, 1.0, 2.0]], [[0, 1]], np.zeros((0, 3), int), [0, 1, 2]]
 )
 def test_triangles_that_are_none_are_refused(pairs, triangles):
-    refused(pairs, r"triangles must be \(t, 3\) whole numbers from 0 to 57", triangles=triangles)
+    refused(pairs, r"triangles must be \(t, 3\) integers from 0 to 57", triangles=triangles)
 
 
 def test_an_unexposed_image_is_refused_by_name(pairs):
     pairs[1][0][:] = 0.0
-    refused(pairs, "image 2: the object is almost wholly black")
+    refused(pairs, "image 2: the object is almost completely black")
 
 
 def test_an_overexposed_image_is_refused_by_name(pairs):
     pairs[1][0][:] = 1.0
-    refused(pairs, "image 2: the object is almost wholly saturated")
+    refused(pairs, "image 2: the object is almost completely saturated")
 
 
 def test_an_image_of_nan_is_refused_by_name(pairs):
     pairs[1][0][:] = np.nan
-    refused(pairs, "image 2: the object is almost wholly")
+    refused(pairs, "image 2: the object is almost completely")
 
 
 def test_a_few_nan_pixels_cost_their_pixels_only(pairs, rng):
@@ -383,13 +383,13 @@ def test_a_prior_that_does_not_exist_is_refused(pairs):
 @pytest.mark.parametrize("bad", ["ab", [["a", "b"]] * 5, [[1, 2], [3]]])
 def test_landmarks_that_are_no_numbers_are_refused(pairs, bad):
     pairs[1] = (pairs[1][0], bad)
-    refused(pairs, "image 2: the landmarks are no numbers")
+    refused(pairs, "image 2: the landmarks are not numbers")
 
 
 @pytest.mark.parametrize("height", [0.02, 1e-3, 1e-12])
 def test_landmarks_almost_on_a_line_are_refused(pairs, height):
     flat = [(image, points * [1, height] + [0, 50]) for image, points in pairs]
-    refused(flat, "lie on one line or in one place, or almost so")
+    refused(flat, "lie on one line or at one point, or almost so")
 
 
 def test_options_come_as_an_object_by_name_or_both(pairs):

@@ -1,4 +1,4 @@
-"""Training: from landmarked images to an active appearance model."""
+"""Train an active appearance model from landmarked images."""
 
 from liaam.training.options import TrainingOptions
 from liaam.training.textures import sample_appearance

@@ -1,4 +1,4 @@
-"""Training samples: their landmarks, contours and mesh, checked."""
+"""Training samples: read and validate landmarks, contours and mesh."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -20,12 +20,12 @@ from liaam.model.mesh import (
 from liaam.model.shape import align
 
 FLATTEST = 0.05
-"""Least spread of the landmarks across, as a share of that along: the search's smallest frame has pixels then."""
+"""Least ratio of the landmarks' minor to major spread; flatter meshes have no pixels in the search's smallest frame."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One training sample, checked: a name for messages, the image's reader, and its landmarks."""
+    """A validated training sample: a name for messages, a function that reads the image, and its landmarks."""
 
     name: str
     read_image: Callable[[], np.ndarray]
@@ -33,7 +33,7 @@ class Entry:
 
 
 def read_entries(data: Iterable, at_least: int = 3) -> tuple[list[Entry], tuple, np.ndarray]:
-    """Checked samples, the contours and the connectivity of the first that has any."""
+    """Read and validate samples; also return the contours and connectivity of the first sample that has any."""
     entries: list[Entry] = []
     contours: tuple = ()
     if isinstance(data, (str, os.PathLike)) or not isinstance(data, Iterable):
@@ -50,7 +50,7 @@ def read_entries(data: Iterable, at_least: int = 3) -> tuple[list[Entry], tuple,
     if len(entries) < at_least:
         raise TrainingError(
             f"{len(entries)} landmarked images are too few to learn from; at least {at_least} are needed, "
-            "5 to 20 better"
+            "5 to 20 are better"
         )
     return entries, contours, _edges(contours)
 
@@ -63,26 +63,26 @@ def _entry(item, i: int) -> tuple[Entry, tuple]:
             image, landmarks = item
         except (TypeError, ValueError):
             raise TrainingError(
-                f"training item {i + 1} is no (image, landmarks) pair; for a folder give liaam.load_folder(folder)"
+                f"training item {i + 1} is not an (image, landmarks) pair; for a folder give liaam.load_folder(folder)"
             ) from None
         name = f"image {i + 1}"
         read = lambda: image  # noqa: E731
     try:
         points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
     except (TypeError, ValueError):
-        raise TrainingError(f"{name}: the landmarks are no numbers; give (n, 2) points") from None
+        raise TrainingError(f"{name}: the landmarks are not numbers; give (n, 2) points") from None
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
         raise TrainingError(f"{name}: landmarks of shape {points.shape} are not (n, 2) points with n of at least 3")
     if len(points) > MAX_POINTS:
         raise TrainingError(
-            f"{name}: {len(points)} landmarks are more than {MAX_POINTS}: leave some out of all pictures"
+            f"{name}: {len(points)} landmarks are more than {MAX_POINTS}: remove the same landmarks in all images"
         )
     missing = ~np.isfinite(points).all(axis=1)
     if missing.any():
         which = ", ".join(str(j + 1) for j in np.flatnonzero(missing)[:5])
         raise TrainingError(
             f"{name}: {missing.sum()} of {len(points)} landmarks are missing (NaN; point {which} counting from 1); "
-            "place them or leave this image out"
+            "place them or remove this image"
         )
     if np.ptp(points, axis=0).max() < 2:
         raise TrainingError(f"{name}: all landmarks lie within 2 pixels of each other; are they in pixels?")
@@ -100,35 +100,35 @@ def _edges(contours: tuple) -> np.ndarray:
 
 
 def check_flat(mean: np.ndarray) -> None:
-    """Refuse a shape so flat that hardly a pixel's centre lies inside it, least of all where the search looks."""
+    """Raise if a shape is so flat that its mesh has hardly any pixels, most of all at the scale of the search."""
     along, across = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)
     if across < FLATTEST * along:
         raise TrainingError(
-            f"the landmarks lie on one line or in one place, or almost so ({across / along:.1%} as wide as long, "
-            f"and {FLATTEST:.0%} are needed); check their order and units, or add some beside that line"
+            f"the landmarks lie on one line or at one point, or almost so (their width is {across / along:.1%} of "
+            f"their length, {FLATTEST:.0%} are needed); check their order and units, or add landmarks off that line"
         )
 
 
 def mesh_of(mean: np.ndarray, given: np.ndarray | None, edges: np.ndarray) -> np.ndarray:
-    """Triangles that were given, or of the landmark files' connectivity if it is a mesh, or Delaunay's."""
+    """Triangles: the given ones, or the landmark files' connectivity if it is a mesh, or the Delaunay triangulation."""
     if given is None:
         mesh = triangles_from_edges(mean, edges) if len(edges) else None
         return delaunay(mean) if mesh is None else mesh
     triangles = np.asarray(given)
     right = triangles.ndim == 2 and triangles.shape[1] == 3 and triangles.dtype.kind in "iu" and len(triangles)
     if not right or triangles.min() < 0 or triangles.max() >= len(mean):
-        raise TrainingError(f"triangles must be (t, 3) whole numbers from 0 to {len(mean) - 1}")
+        raise TrainingError(f"triangles must be (t, 3) integers from 0 to {len(mean) - 1}")
     triangles = triangles.astype(np.int32)
-    # People's triangles come clockwise or not; what matters is that all agree.
+    # Triangles may have either orientation, as long as it is the same for all.
     return triangles[:, ::-1].copy() if (signed_areas(mean, triangles) < 0).mean() > 0.5 else triangles
 
 
 def check_fold(entry: Entry, frame: ReferenceFrame) -> None:
-    """Refuse landmarks that fold the mesh."""
+    """Raise if the landmarks of a sample fold the mesh."""
     upright = align(entry.points, frame.points)(entry.points)
     share = folded_share(upright, frame.triangles)
     if share > FOLD_TOLERANCE:
         raise TrainingError(
-            f"{entry.name}: its landmarks fold the mesh ({share:.0%} of the area is turned over); "
-            "are its points in the same order as in the other images, and the image not mirrored?"
+            f"{entry.name}: its landmarks fold the mesh ({share:.0%} of the area is flipped); check that its points "
+            "are in the same order as in the other images, and that the image is not mirrored"
         )

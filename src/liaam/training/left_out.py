@@ -1,4 +1,4 @@
-"""Images left out of training in turn and fitted, to calibrate how reliable fits are."""
+"""Fit left-out images to calibrate the quality of fits."""
 
 import re
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ from liaam.training.steps import FITTED, Steps, learning_cost
 from liaam.training.textures import Sampled
 
 LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
-"""Models to train without some of the samples, and pictures to fit with them, at most."""
+"""Largest numbers of models to train without a fold, and of left-out images to fit."""
 
 
 def reliability_of(
@@ -38,13 +38,13 @@ def reliability_of(
     folds: list[np.ndarray],
     steps: Steps,
 ) -> Reliability | None:
-    """Fit models of some of the samples to others, as they are and relit, to learn what right and wrong fits look like.
+    """Calibrate the quality of fits on left-out images, original and relit.
 
-    Pictures whose names say that they show the same object are left out together: one would give the others away.
+    Images of one object, recognised by their names, are left out together.
     """
 
-    def pictures() -> Iterator[LeftOut]:
-        """Give some pictures of each fold with the model of the others, one model at a time."""
+    def images() -> Iterator[LeftOut]:
+        """Yield some images of each fold with the model of the other folds, one model at a time."""
         for i, fold in enumerate(folds):
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(len(entries)))
             part = _without(model, fold, shapes, sampled, learnt)
@@ -55,17 +55,17 @@ def reliability_of(
                 for relit in copied.relit(j, image, shapes[j], model.response):
                     yield LeftOut(part, relit, shapes[j], relit=True)
 
-    return calibrate(model, pictures())
+    return calibrate(model, images())
 
 
 def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
-    """Pictures of a fold that are fitted when it is left out."""
+    """Images of a left-out fold to fit."""
     each = max(1, LEFT_OUT_PICTURES // len(folds))
     return fold[np.linspace(0, len(fold) - 1, min(each, len(fold))).astype(int)]
 
 
 def folds_of(names: list[str]) -> list[np.ndarray]:
-    """Samples to leave out together: by object, where names such as 07-1, 07-2 or anna1, anna2 tell."""
+    """Folds of samples, by object if names such as 07-1, 07-2 or anna1, anna2 identify it."""
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         groups.setdefault(re.sub(r"([-_. ][^-_. /]*|\d+)$", "", re.sub(r"\.[A-Za-z]{2,4}\d?$", "", name)), []).append(i)
@@ -82,9 +82,9 @@ def _without(
     sampled: Sampled,
     learnt: tuple[Recipe, Variance, Variance],
 ) -> AAM:
-    """Model of all samples but a fold's, on the frame of the model of all, learnt in the same way.
+    """Train a model without a fold, on the frame and with the settings of the whole model.
 
-    ``learnt``: how the shapes of the view were learnt, and how much was asked for of shapes and of appearances.
+    ``learnt`` holds the settings: the recipe of the shapes, and the variances of shapes and appearances to keep.
     """
     recipe, variance, appearance_variance = learnt
     others, name = np.setdiff1d(np.arange(len(shapes)), fold), METHODS[DEFAULT_METHOD].view
@@ -93,7 +93,7 @@ def _without(
         whole = level.appearances["soft"]
         kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
         part = train_appearance_model(textures, kept, rows, left_out=None)
-        # How far models err on what they have not seen, the folds of all have told.
+        # The error on unseen images is that of the whole model's folds.
         levels.append(Level(level.blur, {"soft": replace(part, unexplained=whole.unexplained)}))
     modes = len(view.shape_model.modes) if variance == "auto" else variance
     part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)

@@ -1,4 +1,4 @@
-"""Options of training: what they mean, their defaults, and which values are refused."""
+"""Options of training: their meaning, defaults and valid ranges."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -32,7 +32,7 @@ variance that is left out counts as error: 0.85 is as accurate as 0.98 on IMM an
 
 MOST_SMOOTH = 200
 """Largest number of landmarks for which the ``smooth`` prior is the default. It takes seconds for 200 landmarks, half a
-minute for 1000, and grows with the third power."""
+minute for 1000, and grows with the cube."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class TrainingOptions:
     leave_out: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse values that are out of range."""
+        """Check that the values are in range."""
         for variance in (self.variance, *self.appearance_variances.values()):
             check_variance(variance)
         if not 16 <= self.diagonal <= MAX_DIAGONAL:
@@ -93,7 +93,7 @@ class TrainingOptions:
             raise TrainingError(f"copies {self.n_copies}: give 0 to {MOST_COPIES} relit copies of each image")
 
     def changed(self, changes: Mapping[str, Any]) -> "TrainingOptions":
-        """Replace some of the options by name; unknown names are refused."""
+        """Return a copy with some options replaced by name; raises for unknown names."""
         known = [field.name for field in fields(self)]
         for name in changes:
             if name not in known:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from liaam.progress import Progress
 
 FITTED = 6
-"""Time of fitting a left-out image, from near and far, in units of the time of sampling an image."""
+"""Time of fitting a left-out image, from near and far starts, in units of the time of sampling an image."""
 
 
 def learning_cost(n: int) -> int:
@@ -14,7 +14,7 @@ def learning_cost(n: int) -> int:
 
 
 def total_cost(n: int, n_levels: int, n_folds: int, n_fitted: int) -> int:
-    """Time of training on n images and copies, leaving out so many folds, in units of the time of sampling an image."""
+    """Time of training on n images and copies, in units of the time of sampling an image."""
     return n + learning_cost(n) * (n_levels + n_folds) + FITTED * n_fitted
 
 

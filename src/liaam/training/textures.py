@@ -1,4 +1,4 @@
-"""Textures of all training images and of their relit copies, sampled on the reference frame."""
+"""Sample the textures of all training images and their relit copies on the reference frame."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ from liaam.training.options import Blurs
 from liaam.training.steps import Steps
 
 SAMPLED = {MESH: ("value", "log", "orientation", "varied"), SURROUNDINGS: ("soft",)}
-"""Appearances of each view that pictures are sampled for; ``varied`` where there are relit copies."""
+"""Appearances of each view for which images are sampled; ``varied`` only with relit copies."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Sampled:
     ----------
     textures : dict of str to list of Textures
     owners : (n_textures,) int
-        Which sample the textures of :data:`COPIED_APPEARANCES` are of: each sample's own, then those of its copies.
+        Sample of each texture of :data:`COPIED_APPEARANCES`; each sample is followed by its copies.
     grey : bool
-        Whether all pictures are grey.
+        Whether all images are grey.
     """
 
     textures: dict[str, list[Textures]]
@@ -54,20 +54,20 @@ class Sampled:
 
     @property
     def copies(self) -> np.ndarray:
-        """Which textures of :data:`COPIED_APPEARANCES` are of copies, (n_textures,) bool."""
+        """Mask of the copies among the textures of :data:`COPIED_APPEARANCES`, (n_textures,) bool."""
         return np.diff(self.owners, prepend=-1) == 0
 
     def rows(self, name: str, samples: np.ndarray) -> np.ndarray:
-        """Which textures of an appearance are of some samples."""
+        """Indices of the textures of some samples."""
         return np.flatnonzero(np.isin(self.owners, samples)) if name in COPIED_APPEARANCES else samples
 
     def folds(self, name: str, folds: list[np.ndarray]) -> list[np.ndarray]:
-        """Textures of an appearance to leave out together, for samples to leave out together."""
+        """Convert folds of samples to folds of textures of an appearance."""
         return [self.rows(name, fold) for fold in folds]
 
 
 def sample_all(entries: list[Entry], model: AAM, blurs: dict[str, Blurs], steps: Steps, copied: Copies) -> Sampled:
-    """Sample the textures of all entries, and those of copies, at each blur of the views' levels."""
+    """Sample the textures of all entries and their copies at each blur of the views' levels."""
     camera, owners = model.camera, copied.owners
     view_of = {name: view for view, known in SAMPLED.items() for name in known if name != "varied" or copied.are_relit}
     counts = {name: len(owners) if name in COPIED_APPEARANCES else len(entries) for name in view_of}
@@ -99,24 +99,24 @@ def sample_all(entries: list[Entry], model: AAM, blurs: dict[str, Blurs], steps:
     if any(grey) and not all(grey):
         name = entries[grey.index(True)].name
         raise TrainingError(
-            f"{name} is grey (three equal channels) but others are in colour; leave the grey images out, "
-            "or make all grey"
+            f"{name} is grey (three equal channels) but others are in colour; remove the grey images, "
+            "or convert all to grey"
         )
     textures = {name: [Textures.of(*each) for each in by_blur] for name, by_blur in room.items()}
     return Sampled(textures, owners, all(grey))
 
 
 def _room(n: int, warp: PiecewiseAffineWarp, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Room for the values of n textures of an appearance, and for what is usable of them."""
+    """Allocate the values of n textures of an appearance, and their usable masks."""
     shape = (n, warp.frame.n_pixels, CHANNELS[name])
-    # Of ``soft``, gradient and invariant are usable each for itself.
+    # ``soft`` has separate masks for gradient and invariant.
     return np.empty(shape, np.float32), np.empty(shape if name == "soft" else shape[:2], np.float32)
 
 
 def _learnt(encoding: str, values: np.ndarray, usable: np.ndarray, theta: float) -> tuple[np.ndarray, np.ndarray]:
-    """What is learnt of samples in an encoding, (n_pixels, c), and what is usable of it.
+    """Convert samples in an encoding to values to learn, (n_pixels, c), and their usable mask.
 
-    Of ``soft``, which is log RGB and how far it is known besides the gradient, the invariant is learnt.
+    For ``soft``, log RGB is projected to the invariant.
     """
     if encoding != "soft":
         return values[:, : CHANNELS[encoding]], usable
@@ -133,7 +133,7 @@ def sample_appearance(
     response: Response,
     blur: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sample one image under its own landmarks on the reference frame.
+    """Sample an image on the reference frame, warped by its landmarks.
 
     Parameters
     ----------
@@ -141,11 +141,11 @@ def sample_appearance(
     shape : (n, 2) float
         Landmarks, image pixels.
     warp : PiecewiseAffineWarp
-        Of the model.
+        Warp of the model.
     encoding, response
         See :func:`liaam.photometry.encode`.
     blur : float
-        Pixels of the reference frame.
+        Standard deviation of the blur, pixels of the reference frame.
 
     Returns
     -------
@@ -155,7 +155,7 @@ def sample_appearance(
     pose = align(warp.rest, shape)
     patch = make_patch(image, shape, pose, encoding=encoding, response=response, blur=blur, margin=0.1)
     points = warp.interpolate(shape)
-    # Beyond the border the nearest pixel stands in, with weight 0.
+    # Points outside the image take the value of the nearest pixel, with weight 0.
     border = np.clip(points, 0, np.array(image.shape[1::-1]) - 1.0)
     values, usable = sample_texture(patch, border)
     return values, usable * (border == points).all(axis=1)
@@ -167,7 +167,7 @@ def _check_inside(entry: Entry, image: np.ndarray) -> None:
     if outside.mean() > 0.1:
         raise TrainingError(
             f"{entry.name}: {outside.sum()} of {len(outside)} landmarks lie outside the image of {width}×{height} "
-            "pixels; do the landmarks belong to this image at this size?"
+            "pixels; check that the landmarks belong to this image and this size"
         )
 
 
@@ -177,6 +177,6 @@ def _check_light(entry: Entry, image: np.ndarray, points: np.ndarray, usable: np
     inside = np.clip(np.rint(points).astype(int), 0, np.array(image.shape[1::-1]) - 1)
     dark, clipped = exposure_faults(image[inside[:, 1], inside[:, 0]])
     raise TrainingError(
-        f"{entry.name}: the object is almost wholly {'black' if dark >= clipped else 'saturated'} there "
-        f"({usable.mean():.0%} of its pixels usable); leave this image out or expose it otherwise"
+        f"{entry.name}: the object is almost completely {'black' if dark >= clipped else 'saturated'} "
+        f"({usable.mean():.0%} of its pixels are usable); remove this image or correct its exposure"
     )

@@ -1,4 +1,4 @@
-"""Training: from landmarked images to an active appearance model."""
+"""Train an active appearance model from landmarked images."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -45,9 +45,9 @@ def train(
         Lamps under which copies of the images are relit, or images of a few objects under several lamps to learn these
         from (:func:`liaam.lamps.learn_lamps`).
     training_lamp : str, optional
-        Which of the lamps in the images' names is the light of ``data``.
+        Name of the lamp, in the names of the images of ``lamps``, that is the light of ``data``.
     name : str
-        What the model shows.
+        Name of the model, for display.
     progress : callable, optional
         Called with (done, total, what) before each step and at the end, in units of about the same time.
     **changes
@@ -105,10 +105,10 @@ def train(
         model = model.with_view(view, levels=tuple(levels))
 
     if options.leave_out:
-        judged = METHODS[DEFAULT_METHOD].view
-        how = (recipes[priors[judged]], options.variance, kept[judged])
-        reliability = reliability_of(model, entries, shapes, sampled, copied, how, folds, steps)
-        model = model.with_view(judged, reliability=reliability)
+        default = METHODS[DEFAULT_METHOD].view
+        settings = (recipes[priors[default]], options.variance, kept[default])
+        reliability = reliability_of(model, entries, shapes, sampled, copied, settings, folds, steps)
+        model = model.with_view(default, reliability=reliability)
     steps.next("trained", 0)
     return model
 
@@ -116,9 +116,9 @@ def train(
 def _copies(
     lamps: Lamps | Iterable | None, training_lamp: str | None, each: int, mean: np.ndarray, n: int, camera: CameraModel
 ) -> Copies:
-    """Copies to make of n images, under lamps that are given or learnt."""
+    """Plan the copies of n images, under given or learnt lamps."""
     if lamps is not None and not isinstance(lamps, Lamps):
         lamps = learn_lamps(lamps, training_lamp, response=camera.response)
     if lamps is not None:
-        lamps.check_landmarks(len(mean), "the pictures")
+        lamps.check_landmarks(len(mean), "the images")
     return Copies.of(lamps, n, each, mirror_order(mean) if each else None)
