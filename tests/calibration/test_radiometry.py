@@ -14,8 +14,8 @@ from liaam.calibration.radiometry import (
     RadiometricEstimate,
     _Curve,
     _increments,
+    _Measurements,
     _Problem,
-    _Seen,
     calibrate_response,
     vignetting_from_flat_field,
 )
@@ -403,9 +403,9 @@ def test_positive_increments_are_a_rising_curve_that_inverts(increments):
     np.testing.assert_allclose(curve.log_light(USABLE), _increments(USABLE) @ increments, atol=1e-3)
 
 
-def few_blocks(rng) -> _Seen:
+def few_blocks(rng) -> _Measurements:
     shape, channel = (3, 24), np.arange(24) % 3
-    return _Seen(
+    return _Measurements(
         stored=rng.uniform(0.05, 0.95, shape),
         deviation=np.full(shape, 0.002),
         usable=np.ones(shape, bool),

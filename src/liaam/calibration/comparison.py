@@ -106,19 +106,19 @@ def averaged(
     surfaces = observe(pictures, [labels] * m, down * across, camera, [0.0] * m, full=block * block, dark=dark)
 
     def maps(values: np.ndarray) -> np.ndarray:
-        return np.where(surfaces.seen, values, np.nan).T.reshape(m, down, across)
+        return np.where(surfaces.exposed, values, np.nan).T.reshape(m, down, across)
 
     log_grey = np.log(np.exp(surfaces.log_rgb) @ LUMINANCE[0])
     wanted = len(np.unique(labels[labels >= 0]))
     return Averaged(maps(invariant(surfaces.log_rgb, camera.theta)), maps(log_grey), wanted)
 
 
-def agreement(seen: Averaged) -> list[Agreement]:
+def agreement(blocks: Averaged) -> list[Agreement]:
     """Correlate the invariant images, and the logarithms of luminance, of all pairs of registered images.
 
     Parameters
     ----------
-    seen : Averaged
+    blocks : Averaged
         Result of :func:`averaged`.
 
     Returns
@@ -127,15 +127,15 @@ def agreement(seen: Averaged) -> list[Agreement]:
         One for each pair.
     """
     found = []
-    for i, j in combinations(range(len(seen.invariant)), 2):
-        both = np.isfinite(seen.invariant[i]) & np.isfinite(seen.invariant[j])
+    for i, j in combinations(range(len(blocks.invariant)), 2):
+        both = np.isfinite(blocks.invariant[i]) & np.isfinite(blocks.invariant[j])
         found.append(
             Agreement(
                 i,
                 j,
-                _correlation(seen.invariant[i][both], seen.invariant[j][both]),
-                _correlation(seen.log_grey[i][both], seen.log_grey[j][both]),
-                float(both.sum() / max(seen.wanted, 1)),
+                _correlation(blocks.invariant[i][both], blocks.invariant[j][both]),
+                _correlation(blocks.log_grey[i][both], blocks.log_grey[j][both]),
+                float(both.sum() / max(blocks.wanted, 1)),
             )
         )
     return found

@@ -230,11 +230,11 @@ def calibrate_response(
     """
     pictures = _checked(images)
     logs = _log_ratios(exposures, len(pictures))
-    seen = _observe(pictures, _maps(homographies, pictures))
-    if fault := _overlap_fault(seen):
-        return _nothing(seen, logs, response, fault)
-    lens_fault = _lens_fault(seen) if vignetting else "Vignetting was not requested."
-    fit = _solve(_Problem(seen, logs, response, 0 if lens_fault else TERMS))
+    measured = _observe(pictures, _maps(homographies, pictures))
+    if fault := _overlap_fault(measured):
+        return _nothing(measured, logs, response, fault)
+    lens_fault = _lens_fault(measured) if vignetting else "Vignetting was not requested."
+    fit = _solve(_Problem(measured, logs, response, 0 if lens_fault else TERMS))
     if fault := _fit_fault(fit):
         fit = _solve(replace(fit.problem, response=fit.problem.response or "srgb"))
     if not lens_fault and (lens_fault := _corner_fault(fit)):
@@ -258,18 +258,18 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     """
     from scipy.optimize import least_squares  # heavy: imported when first needed
 
-    seen = _observe(_checked([image], fewest=1), [np.eye(3)], least=1)
-    if seen.n < FEWEST:
+    measured = _observe(_checked([image], fewest=1), [np.eye(3)], least=1)
+    if measured.n < FEWEST:
         return _no_vignetting(
             "Vignetting cannot be estimated: too few blocks of the image are uniform and well exposed; fill it with an "
             "evenly lit white wall, out of focus.",
-            seen.n,
+            measured.n,
         )
-    curve, radius2 = _Curve.of(response), seen.radius2[0]
-    log_light = curve.log_light(seen.stored[0])
-    deviation = seen.deviation[0] * curve.slope(seen.stored[0])
-    constants = np.equal.outer(seen.channel, np.unique(seen.channel)).astype(np.float64)
-    tilted = np.concatenate([seen.offset, constants], axis=1)
+    curve, radius2 = _Curve.of(response), measured.radius2[0]
+    log_light = curve.log_light(measured.stored[0])
+    deviation = measured.deviation[0] * curve.slope(measured.stored[0])
+    constants = np.equal.outer(measured.channel, np.unique(measured.channel)).astype(np.float64)
+    tilted = np.concatenate([measured.offset, constants], axis=1)
 
     def residuals(z: np.ndarray) -> np.ndarray:
         rest = log_light - np.log(_share(radius2, z[:TERMS])) - tilted @ z[TERMS:]
@@ -285,19 +285,20 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
         return _no_vignetting(
             f"Vignetting cannot be estimated: the surface is not uniform (its light varies by {100 * rms:.0f} %); "
             "fill the image with an evenly lit white wall, out of focus.",
-            seen.n,
+            measured.n,
         )
     message = (
-        f"From {seen.n} blocks of an evenly lit surface; light that falls off in all directions has the same effect."
+        f"From {measured.n} blocks of an evenly lit surface; light that falls off in all directions has the same "
+        "effect."
     )
-    return _vignetting_estimate(found.x[:TERMS], covariance, message, rms, seen.n)
+    return _vignetting_estimate(found.x[:TERMS], covariance, message, rms, measured.n)
 
 
 # --- measurements -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Measurements:
     """Measurements of n blocks of one channel each in m images.
 
     Attributes
@@ -365,7 +366,7 @@ def _maps(homographies: Sequence[np.ndarray] | None, pictures: list[np.ndarray])
     return maps
 
 
-def _observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) -> _Seen:
+def _observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) -> _Measurements:
     """Average blocks of the first image's pixels in all images; keep those that are usable in ``least`` of them."""
     height, width = pictures[0].shape[:2]
     edge = int(np.clip(np.sqrt(height * width / MOST_BLOCKS), min(BLOCK, height // 8, width // 8), 2 * BLOCK))
@@ -380,7 +381,7 @@ def _observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2)
     stored, deviation, usable, radius2 = (
         part.reshape(len(pictures), -1)[:, kept] for part in (stored, deviation, usable, radius2)
     )
-    return _Seen(stored, deviation, usable, radius2, offset.reshape(-1, 2)[kept], channel.ravel()[kept], block)
+    return _Measurements(stored, deviation, usable, radius2, offset.reshape(-1, 2)[kept], channel.ravel()[kept], block)
 
 
 def _observe_one(
@@ -507,7 +508,7 @@ class _Problem:
         Number of vignetting coefficients.
     """
 
-    seen: _Seen
+    measured: _Measurements
     known_logs: np.ndarray | None
     response: Response | None
     terms: int
@@ -516,8 +517,8 @@ class _Problem:
     def sizes(self) -> tuple[int, int, int, int]:
         """Numbers of free increments, exposures, white balances and vignetting coefficients."""
         increments = 0 if self.response is not None else len(_prior()[0])
-        others = len(self.seen.stored) - 1
-        colours = 2 * others if self.seen.channel.any() else 0
+        others = len(self.measured.stored) - 1
+        colours = 2 * others if self.measured.channel.any() else 0
         return increments, 0 if self.known_logs is not None else others, colours, self.terms
 
     @property
@@ -538,14 +539,14 @@ class _Problem:
 
     def exposure(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Log of the factor of each block's light in each image (m, n), and its derivative by z (m, n, P)."""
-        seen, (curve, logs, colours, falloff) = self.seen, self.split(z)
-        m, n = seen.stored.shape
-        share = _share(seen.radius2, falloff)
+        measured, (curve, logs, colours, falloff) = self.measured, self.split(z)
+        m, n = measured.stored.shape
+        share = _share(measured.radius2, falloff)
         others = np.eye(m)[:, None, 1:]
         by_log = np.broadcast_to(others, (m, n, m - 1))[..., : len(logs)]
-        by_colour = np.einsum("mop,nc->mnpc", others, CHROMATICITY.T[seen.channel]).reshape(m, n, -1)
+        by_colour = np.einsum("mop,nc->mnpc", others, CHROMATICITY.T[measured.channel]).reshape(m, n, -1)
         by_colour = by_colour[..., : len(colours)]
-        by_falloff = np.stack([seen.radius2 ** (i + 1) for i in range(TERMS)], axis=-1)[..., : self.terms]
+        by_falloff = np.stack([measured.radius2 ** (i + 1) for i in range(TERMS)], axis=-1)[..., : self.terms]
         by_falloff = by_falloff / share[..., None]
         value = self.logs(z)[:, None] + by_colour @ colours + np.log(share)
         return value, np.concatenate([np.zeros((m, n, len(curve))), by_log, by_colour, by_falloff], axis=-1)
@@ -556,7 +557,7 @@ class _Problem:
         log f(v) = log f(about) + (log f)'(about) (v - about), with the derivative of the last curve.
         """
         curve, (exposure, derivative) = self.curve(z), self.exposure(z)
-        known = curve.slope(about) * (self.seen.stored - about) - exposure + derivative @ z
+        known = curve.slope(about) * (self.measured.stored - about) - exposure + derivative @ z
         design = -derivative
         if self.response is None:
             design[..., : self.sizes[0]] += _increments(about)
@@ -613,7 +614,7 @@ class _Fit:
     def log_errors(self) -> np.ndarray:
         """Standard errors (m,) of the log exposures, 0 if given."""
         free = np.sqrt(self.problem.split(np.diag(self.covariance))[1] + SYSTEMATIC**2)
-        return np.concatenate([[0.0], free]) if len(free) else np.zeros(len(self.problem.seen.stored))
+        return np.concatenate([[0.0], free]) if len(free) else np.zeros(len(self.problem.measured.stored))
 
     @property
     def corner_error(self) -> float:
@@ -623,7 +624,7 @@ class _Fit:
     @property
     def contrast(self) -> float:
         """Root mean square difference of the surfaces' log exposures."""
-        spread = _spread(self.problem.exposure(self.z)[0], self.problem.seen.usable)
+        spread = _spread(self.problem.exposure(self.z)[0], self.problem.measured.usable)
         return float(np.sqrt(np.mean(np.square(spread))))
 
     def curve_errors(self, stored: np.ndarray) -> np.ndarray:
@@ -635,12 +636,12 @@ class _Fit:
 
 def _solve(problem: _Problem) -> _Fit:
     """Compute the joint robust estimate by linearised, iteratively reweighted least squares."""
-    seen, z = problem.seen, problem.start()
+    measured, z = problem.measured, problem.start()
     prior_rows, prior_values = problem.prior()
-    about, robust, scale, gram, rms = seen.stored, np.ones_like(seen.stored), 1.0, np.zeros((0, 0)), 0.0
+    about, robust, scale, gram, rms = measured.stored, np.ones_like(measured.stored), 1.0, np.zeros((0, 0)), 0.0
     for _ in range(MOST_STEPS):
-        noise = seen.deviation * problem.curve(z).slope(about)
-        weight = seen.usable * robust / np.square(noise)
+        noise = measured.deviation * problem.curve(z).slope(about)
+        weight = measured.usable * robust / np.square(noise)
         own = weight / weight.sum(axis=0)
         design, known = problem.linearised(z, about)
         # Eliminate the log radiance of the surfaces, the weighted mean over images.
@@ -651,11 +652,11 @@ def _solve(problem: _Problem) -> _Fit:
         values = np.concatenate([-(known_rest * root).ravel(), prior_values])
         gram = rows.T @ rows
         before, z = z, _bounded(gram, rows.T @ values, problem.sizes[0])
-        residual = np.where(seen.usable, design_rest @ z + known_rest, 0.0)
+        residual = np.where(measured.usable, design_rest @ z + known_rest, 0.0)
         standard = residual / (noise * np.sqrt(np.maximum(1.0 - own, 0.05)))
-        scale = max(_robust_deviation(standard[seen.usable]), LEAST_SCALE)
-        robust = _robust(seen.over_channels(standard) / scale)
-        rms = float(np.sqrt(np.average(np.square(residual), weights=robust * seen.usable)))
+        scale = max(_robust_deviation(standard[measured.usable]), LEAST_SCALE)
+        robust = _robust(measured.over_channels(standard) / scale)
+        rms = float(np.sqrt(np.average(np.square(residual), weights=robust * measured.usable)))
         radiance = (own * (design @ z + known)).sum(axis=0)
         about = problem.curve(z).stored_of(radiance + problem.exposure(z)[0])
         if np.abs(z - before).max(initial=0.0) < 1e-4:
@@ -691,9 +692,9 @@ def _spread(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
 # --- report -----------------------------------------------------------------------------------------------------------
 
 
-def _overlap_fault(seen: _Seen) -> str:
+def _overlap_fault(measured: _Measurements) -> str:
     """Message if an image shares too few blocks with the others, else an empty string."""
-    counts = [len(np.unique(seen.block[row])) for row in seen.usable]
+    counts = [len(np.unique(measured.block[row])) for row in measured.usable]
     least = int(np.argmin(counts))
     if counts[least] >= FEWEST:
         return ""
@@ -703,9 +704,9 @@ def _overlap_fault(seen: _Seen) -> str:
     )
 
 
-def _lens_fault(seen: _Seen) -> str:
+def _lens_fault(measured: _Measurements) -> str:
     """Message if the positions of the surfaces do not determine vignetting, else an empty string."""
-    if _radii(seen) >= LEAST_RADII:
+    if _radii(measured) >= LEAST_RADII:
         return ""
     return (
         "Vignetting cannot be estimated: each surface has the same distance from the centre in all images; "
@@ -713,9 +714,9 @@ def _lens_fault(seen: _Seen) -> str:
     )
 
 
-def _radii(seen: _Seen) -> float:
+def _radii(measured: _Measurements) -> float:
     """90th percentile over surfaces of the difference of r^2 between images."""
-    return float(np.percentile(_spread(seen.radius2, seen.usable), 90))
+    return float(np.percentile(_spread(measured.radius2, measured.usable), 90))
 
 
 def _corner_fault(fit: _Fit) -> str:
@@ -753,7 +754,7 @@ def _fit_fault(fit: _Fit) -> str:
             f"The response cannot be estimated: the exposures hardly differ (by {100 * fit.contrast:.0f} %); take "
             "images at one, two and four times an exposure. sRGB is assumed."
         )
-    low, high = _held(fit.problem.seen)
+    low, high = _held(fit.problem.measured)
     error = float(np.sqrt(np.mean(np.square(fit.curve_errors(np.linspace(low, high, 100))))))
     if error <= WIDEST_RESPONSE:
         return ""
@@ -763,20 +764,20 @@ def _fit_fault(fit: _Fit) -> str:
     )
 
 
-def _held(seen: _Seen) -> tuple[float, float]:
+def _held(measured: _Measurements) -> tuple[float, float]:
     """Range of nearly all stored values."""
-    low, high = np.percentile(seen.stored[seen.usable], [0.5, 99.5])
+    low, high = np.percentile(measured.stored[measured.usable], [0.5, 99.5])
     return float(low), float(high)
 
 
 def _report(fit: _Fit, fault: str, lens_fault: str) -> RadiometricEstimate:
-    problem, seen = fit.problem, fit.problem.seen
+    problem, measured = fit.problem, fit.problem.measured
     curve, logs, falloff = problem.curve(fit.z), problem.logs(fit.z), problem.split(fit.z)[-1]
-    lens = _no_vignetting(lens_fault, seen.n)
+    lens = _no_vignetting(lens_fault, measured.n)
     if problem.terms:
         covariance = fit.covariance[-problem.terms :, -problem.terms :]
-        message = f"The distances of surfaces from the centre differ by up to {_radii(seen):.2f} in r^2."
-        lens = _vignetting_estimate(falloff, covariance, message, fit.rms, seen.n)
+        message = f"The distances of surfaces from the centre differ by up to {_radii(measured):.2f} in r^2."
+        lens = _vignetting_estimate(falloff, covariance, message, fit.rms, measured.n)
     response, response_errors = problem.response, ()
     if response is None:
         stored = _evenly(POINTS)
@@ -794,17 +795,17 @@ def _report(fit: _Fit, fault: str, lens_fault: str) -> RadiometricEstimate:
         rms=fit.rms,
         observable=not fault,
         message=fault or _sentences(fit),
-        stored_range=_held(seen),
-        n=seen.n,
+        stored_range=_held(measured),
+        n=measured.n,
     )
 
 
 def _sentences(fit: _Fit) -> str:
     """Message of an observable response: the data, assumptions, and warnings."""
-    low, high = (255 * value for value in _held(fit.problem.seen))
+    low, high = (255 * value for value in _held(fit.problem.measured))
     sentences = [
-        f"From {fit.problem.seen.n} blocks with stored values of {low:.0f} to {high:.0f} (of 255) at exposures that "
-        f"differ by a factor of {np.exp(fit.contrast):.2f}."
+        f"From {fit.problem.measured.n} blocks with stored values of {low:.0f} to {high:.0f} (of 255) at exposures "
+        f"that differ by a factor of {np.exp(fit.contrast):.2f}."
     ]
     if not fit.problem.power_known:
         sentences.append(
@@ -819,14 +820,16 @@ def _sentences(fit: _Fit) -> str:
     return " ".join(sentences)
 
 
-def _nothing(seen: _Seen, logs: np.ndarray | None, response: Response | None, fault: str) -> RadiometricEstimate:
+def _nothing(
+    measured: _Measurements, logs: np.ndarray | None, response: Response | None, fault: str
+) -> RadiometricEstimate:
     """Estimate without any observable quantity."""
     nan = float("nan")
-    unknown = (0.0, *[nan] * (len(seen.stored) - 1))
+    unknown = (0.0, *[nan] * (len(measured.stored) - 1))
     return RadiometricEstimate(
         response="srgb" if response is None else response,
         response_errors=(),
-        vignetting=_no_vignetting(fault, seen.n),
+        vignetting=_no_vignetting(fault, measured.n),
         log_exposures=unknown if logs is None else tuple(logs.tolist()),
         log_exposure_errors=unknown if logs is None else (0.0,) * len(logs),
         power_known=False,
@@ -835,7 +838,7 @@ def _nothing(seen: _Seen, logs: np.ndarray | None, response: Response | None, fa
         observable=False,
         message=fault,
         stored_range=(nan, nan),
-        n=seen.n,
+        n=measured.n,
     )
 
 

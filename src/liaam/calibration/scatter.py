@@ -77,7 +77,7 @@ class Surfaces:
         Logarithm of the mean linear light of surface i under light j.
     variance : (n, m, 3) float64
         Its variance by noise.
-    seen : (n, m) bool
+    exposed : (n, m) bool
         Whether the surface is neither dark nor saturated under the light.
     clusters : (n,) int
         Cluster of each surface; errors within a cluster are correlated, and the jackknife leaves out whole clusters.
@@ -85,12 +85,12 @@ class Surfaces:
 
     log_rgb: np.ndarray
     variance: np.ndarray
-    seen: np.ndarray
+    exposed: np.ndarray
     clusters: np.ndarray
 
     def only(self, chosen: np.ndarray | slice) -> "Surfaces":
         """Return some of the surfaces, by mask, indices or slice."""
-        return Surfaces(self.log_rgb[chosen], self.variance[chosen], self.seen[chosen], self.clusters[chosen])
+        return Surfaces(self.log_rgb[chosen], self.variance[chosen], self.exposed[chosen], self.clusters[chosen])
 
 
 def theta_from_scene(
@@ -141,13 +141,13 @@ def theta_from_scene(
     y, x = np.divmod(np.arange(down * across), across)
     clusters = (y * CLUSTERS // down) * CLUSTERS + x * CLUSTERS // across
     surfaces = replace(surfaces, clusters=clusters)
-    enough = surfaces.seen.sum(axis=1) >= 2
+    enough = surfaces.exposed.sum(axis=1) >= 2
     if enough.sum() >= FEWEST:
         # A subset of the blocks suffices for the direction in which the light changes.
         _, rough = _estimated(surfaces.only(np.flatnonzero(enough)[:: int(np.ceil(enough.sum() / FEW))]), free_balance)
-        kept = replace(surfaces, seen=surfaces.seen & ~_light_edges(surfaces, across, rough)[:, None])
+        kept = replace(surfaces, exposed=surfaces.exposed & ~_light_edges(surfaces, across, rough)[:, None])
         # If there are edges everywhere, keep all blocks.
-        if (kept.seen.sum(axis=1) >= 2).sum() >= max(0.4 * enough.sum(), FEWEST):
+        if (kept.exposed.sum(axis=1) >= 2).sum() >= max(0.4 * enough.sum(), FEWEST):
             surfaces = kept
     return theta_of_least_scatter(surfaces, free_balance=free_balance)
 
@@ -192,15 +192,15 @@ def _light_edges(surfaces: Surfaces, across: int, theta: float) -> np.ndarray:
     from scipy.ndimage import maximum_filter, minimum_filter  # heavy: imported when first needed
 
     direction = temperature_direction(theta)
-    along = _centred(surfaces.log_rgb @ direction, surfaces.seen.astype(np.float64), free_balance=False)
-    noise = np.sqrt((surfaces.variance @ np.square(direction))[surfaces.seen].mean())
+    along = _centred(surfaces.log_rgb @ direction, surfaces.exposed.astype(np.float64), free_balance=False)
+    noise = np.sqrt((surfaces.variance @ np.square(direction))[surfaces.exposed].mean())
 
     def over_neighbours(extreme, outside: float) -> np.ndarray:
-        field = np.where(surfaces.seen, along, outside).reshape(-1, across, along.shape[1])
+        field = np.where(surfaces.exposed, along, outside).reshape(-1, across, along.shape[1])
         return extreme(field, size=(3, 3, 1), mode="nearest").reshape(along.shape)
 
     jump = over_neighbours(maximum_filter, -np.inf) - over_neighbours(minimum_filter, np.inf)
-    return (surfaces.seen & (jump > EDGE * noise)).any(axis=1)
+    return (surfaces.exposed & (jump > EDGE * noise)).any(axis=1)
 
 
 def observe(
@@ -235,13 +235,13 @@ def observe(
     Surfaces
         Each surface is a separate cluster.
     """
-    logs, variances, seen = [], [], []
+    logs, variances, exposed = [], [], []
     for picture, labels, deviation in zip(pictures, regions, deviations, strict=True):
         log, variance, usable = _observe_one(picture, labels.ravel(), n, camera, deviation, full or 0, dark)
         logs.append(log)
         variances.append(variance)
-        seen.append(usable)
-    return Surfaces(np.stack(logs, 1), np.stack(variances, 1), np.stack(seen, 1), np.arange(n))
+        exposed.append(usable)
+    return Surfaces(np.stack(logs, 1), np.stack(variances, 1), np.stack(exposed, 1), np.arange(n))
 
 
 def _observe_one(
@@ -343,7 +343,7 @@ def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) ->
     CameraError
         If fewer than 6 surfaces are well exposed under two lights.
     """
-    enough = surfaces.seen.sum(axis=1) >= 2
+    enough = surfaces.exposed.sum(axis=1) >= 2
     n = int(enough.sum())
     if n < FEWEST:
         raise CameraError(
@@ -407,14 +407,14 @@ class _Scatter:
         """Whitened within-surface sum of squares of projections by rows (k, 3), (k, n) float64."""
         s = self.surfaces
         projected = np.einsum("kc,nmc->knm", rows, s.log_rgb)
-        weights = s.seen / (np.einsum("kc,nmc->knm", np.square(rows), s.variance + self.model) + 1e-12)
+        weights = s.exposed / (np.einsum("kc,nmc->knm", np.square(rows), s.variance + self.model) + 1e-12)
         centred = _centred(projected, weights, self.free_balance)
         return (weights * np.square(centred)).sum(axis=2)
 
     @property
     def degrees(self) -> np.ndarray:
         """Degrees of freedom of each surface's sum of squares, (n,)."""
-        return self.surfaces.seen.sum(axis=1) - 1.0
+        return self.surfaces.exposed.sum(axis=1) - 1.0
 
     def costs(self, thetas: np.ndarray) -> np.ndarray:
         """Cauchy's loss of each surface at angles (k,), (k, n) float64."""
@@ -524,7 +524,7 @@ def _error(scatter: _Scatter, theta: float) -> float:
 def _colours(scatter: _Scatter, theta: float) -> np.ndarray:
     """Index of each surface's bin of invariant values, (n,) int."""
     s = scatter.surfaces
-    weights = s.seen.astype(np.float64)
+    weights = s.exposed.astype(np.float64)
     values = (weights * (s.log_rgb @ _unit_rows(np.array([theta]))[0])).sum(axis=1) / weights.sum(axis=1)
     low, high = np.percentile(values, (1, 99))
     return np.clip((values - low) / max(high - low, 1e-9) * COLOURS, 0, COLOURS - 1).astype(int)
@@ -553,7 +553,7 @@ def _light_change(scatter: _Scatter, theta: float) -> tuple[float, float]:
     """Root mean square difference of the lights along d(theta), as log R/B, and its ratio to the error variance."""
     direction, s = temperature_direction(theta), scatter.surfaces
     along = s.log_rgb @ direction
-    weights = s.seen.astype(np.float64)
+    weights = s.exposed.astype(np.float64)
     centred = _centred(along, weights, scatter.free_balance)
     errors = ((s.variance + scatter.model) @ np.square(direction) * weights).sum(axis=1) / weights.sum(axis=1)
     squares = (weights * np.square(centred)).sum(axis=1) / scatter.degrees

@@ -166,12 +166,12 @@ def theta_from_sensitivities(
     nm, curves = _resampled(nm, curves)
     spectra = _series(nm, lights, kelvin)
     responses = {name: _responses(nm, curves, power) for name, power in spectra.items()}
-    seen = np.all([(r > 0).all(axis=(1, 2)) for r in responses.values()], axis=0)
-    if not seen[0]:
+    responsive = np.all([(r > 0).all(axis=(1, 2)) for r in responses.values()], axis=0)
+    if not responsive[0]:
         raise CameraError(
             "a channel does not respond to white light: its sensitivity is zero or mostly negative; check the curves"
         )
-    series = {name: np.log(r[seen]) for name, r in responses.items()}
+    series = {name: np.log(r[responsive]) for name, r in responses.items()}
     theta = _angle_of([logs[0] for logs in series.values()])
     halves = [half for logs in series.values() for surface in logs for half in _halves(surface)]
     error = root_mean_square([axis_difference(_angle_of([half]), theta) for half in halves])
@@ -182,7 +182,7 @@ def theta_from_sensitivities(
         standard_error=error,
         message=_message(alone, kelvin, error),
         light_change=float(np.sqrt(2.0) * np.std(warmth, ddof=1)),
-        n=int(seen.sum()),
+        n=int(responsive.sum()),
         planckian=alone.get("planckian", alone.get("wien")),
         daylight=alone.get("daylight"),
     )

@@ -112,13 +112,15 @@ def _by_object(data: Iterable) -> dict[str, list[_Picture]]:
     return objects
 
 
-def _training_lamp(objects: dict[str, list[_Picture]], asked: str | None) -> str:
+def _training_lamp(objects: dict[str, list[_Picture]], requested: str | None) -> str:
     """Name of the training lamp: the given one, or the only one that all objects have in common."""
     counts = Counter(lamp for pictures in objects.values() for lamp in {picture.lamp for picture in pictures})
-    if asked is not None:
-        if asked not in counts:
-            raise TrainingError(f"no image has the lamp {asked!r} in its name; there are {', '.join(sorted(counts))}")
-        return asked
+    if requested is not None:
+        if requested not in counts:
+            raise TrainingError(
+                f"no image has the lamp {requested!r} in its name; there are {', '.join(sorted(counts))}"
+            )
+        return requested
     common = [lamp for lamp, count in counts.items() if count == len(objects)]
     if len(common) != 1:
         raise TrainingError(

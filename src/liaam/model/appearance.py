@@ -89,14 +89,14 @@ class Textures:
     Attributes
     ----------
     values : (n, n_pixels, c) float32
-    seen : (n, n_pixels, c) bool
+    observed : (n, n_pixels, c) bool
         Observed entries; the others are missing.
     usable : (n, n_pixels) float32 in {0, 1}
         Usable pixels: those with an observed channel.
     """
 
     values: np.ndarray
-    seen: np.ndarray
+    observed: np.ndarray
     usable: np.ndarray
 
     @classmethod
@@ -108,7 +108,7 @@ class Textures:
 
     def of_rows(self, rows: np.ndarray) -> "Textures":
         """Return some of the textures, by index or mask."""
-        return Textures(self.values[rows], self.seen[rows], self.usable[rows])
+        return Textures(self.values[rows], self.observed[rows], self.usable[rows])
 
     @property
     def vectors(self) -> np.ndarray:
@@ -118,7 +118,7 @@ class Textures:
     @cached_property
     def _missing(self) -> np.ndarray:
         """Indices of the entries that are missing in some texture."""
-        return np.flatnonzero(~self.seen.all(axis=0))
+        return np.flatnonzero(~self.observed.all(axis=0))
 
     @cached_property
     def _partial(self) -> tuple[np.ndarray, np.ndarray]:
@@ -126,7 +126,7 @@ class Textures:
         if not len(self._missing):
             empty = np.zeros((len(self.values), 0), np.float32)
             return empty, empty > 0
-        return self.vectors[:, self._missing], self.seen.reshape(len(self.values), -1)[:, self._missing]
+        return self.vectors[:, self._missing], self.observed.reshape(len(self.values), -1)[:, self._missing]
 
     @cached_property
     def _products(self) -> np.ndarray:
@@ -148,20 +148,20 @@ class Textures:
             Their Gram matrix about the mean.
         """
         rows = np.arange(len(self.values)) if kept is None else kept
-        vectors, (partial, seen) = self.vectors, (part[rows] for part in self._partial)
+        vectors, (partial, observed) = self.vectors, (part[rows] for part in self._partial)
         products = self._products[np.ix_(rows, rows)]
-        if seen.all():
+        if observed.all():
             return vectors[rows] if kept is not None else vectors, centred(products + _gram(partial))
-        counts = seen.sum(axis=0)
-        means = np.where(seen, partial, 0).sum(axis=0, dtype=np.float64) / np.maximum(counts, 1)
+        counts = observed.sum(axis=0)
+        means = np.where(observed, partial, 0).sum(axis=0, dtype=np.float64) / np.maximum(counts, 1)
         # Entries observed in no image keep their mean value; their weight in a fit is 0.
         means = np.where(counts > 0, means, partial.mean(axis=0, dtype=np.float64))
-        filled = np.where(seen, partial, means.astype(np.float32))
+        filled = np.where(observed, partial, means.astype(np.float32))
         for _ in range(FILLING_PASSES):
             # Single precision suffices: the results are float32.
             mean = filled.mean(axis=0, dtype=np.float64).astype(np.float32)
             part = strongest(centred(products + gram_about(filled, mean)), variance)[1].astype(np.float32)
-            filled = np.where(seen, partial, mean + part @ (part.T @ (filled - mean)))
+            filled = np.where(observed, partial, mean + part @ (part.T @ (filled - mean)))
         vectors = vectors[rows] if kept is not None else vectors.copy()
         vectors[:, self._missing] = filled
         return vectors, centred(products + _gram(filled))

@@ -76,8 +76,8 @@ def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
     # A similarity without reflection is a complex factor: z_b = factor * z_a.
     za, zb = _as_complex(shape), _as_complex(target)
     if not np.isfinite(za.sum() + zb.sum()):
-        seen = np.isfinite(za) & np.isfinite(zb)
-        za, zb = za[seen], zb[seen]
+        known = np.isfinite(za) & np.isfinite(zb)
+        za, zb = za[known], zb[known]
     a_mean, b_mean = za.mean(), zb.mean()
     za = za - a_mean
     power = float(np.vdot(za, za).real)
