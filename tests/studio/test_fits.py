@@ -528,7 +528,7 @@ class TestRequests:
         made = page.fit(picture="grey.png").json()
         answer = page.ask("GET", f"/api/fits/{made['id']}/layers/flat")
         assert answer.status_code == 422
-        assert "the image is grey" in answer.json()["error"]
+        assert "the picture is grey" in answer.json()["error"]
 
     def test_without_a_model(self, folder, tmp_path):
         shutil.copy(folder / "face.png", tmp_path)

@@ -43,14 +43,11 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
         )
     used = [r for r in results if r.status is FitStatus.CONVERGED and np.isfinite(r.theta)]
     unobservable = sum(r.status is FitStatus.LIGHT_UNOBSERVABLE for r in results)
-    unused = (
-        f"{len(results) - len(used)} of {len(results)} fits give no angle ({unobservable} without a change of light)"
-    )
+    missing = len(results) - len(used)
+    unused = f"{missing} of {len(results)} fits give no angle ({unobservable} without a change of light)"
+    remedy = "fit more images, under lights other than in training"
     if len(used) < FEWEST_FITS:
-        message = (
-            f"{unused}; at least {FEWEST_FITS} fits with an angle are needed: fit more images, under lights other than "
-            "in training"
-        )
+        message = f"{unused}; at least {FEWEST_FITS} fits with an angle are needed: {remedy}"
         return AngleEstimate(nan, float("inf"), message, nan, len(used))
     angles = np.array([r.theta for r in used])
     centre = float(np.angle(np.exp(2j * angles).mean()) / 2 % np.pi)  # angles have a period of pi
@@ -61,8 +58,8 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
     error *= float(t.ppf(0.975, len(used) - 1)) / 1.96
     message = f"the angles of {len(used)} fits have a standard deviation of {spread:.2f}°; {unused}"
     if error > WIDEST_ERROR:
-        remedy = "the standard error is too large; fit more images, under lights other than in training"
-        return AngleEstimate(theta, float("inf"), f"{message}: {remedy}", nan, len(used))
+        message = f"{message}: the standard error is too large; {remedy}"
+        return AngleEstimate(theta, float("inf"), message, nan, len(used))
     return AngleEstimate(theta, error, message, nan, len(used)).with_warning()
 
 

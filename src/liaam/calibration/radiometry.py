@@ -54,8 +54,7 @@ TERMS = 3
 """Number of vignetting coefficients: r^2, r^4, r^6."""
 
 TERM_SPREAD, BALANCE_SPREAD, EXPOSURE_SPREAD = 0.5, 0.1, 5.0
-"""Prior standard deviations of a vignetting coefficient, and of the logarithms of an image's white balance and
-exposure."""
+"""Prior standard deviations of a vignetting coefficient, and of the logs of an image's white balance and exposure."""
 
 BLOCK = 8
 """Side of the blocks that are averaged, pixels; up to twice as large in large images."""
@@ -94,14 +93,15 @@ WORST_RMS, WORST_NOISE = 0.06, 0.3
 """Largest residuals in log exposure of an estimate, if noise does not explain them and if it does."""
 
 SYSTEMATIC = 1.5e-3
-"""Standard error of log light and exposure that more pixels do not reduce (mixed light in blocks, clipped noise), from
-simulations."""
+"""Standard error of log light and exposure by mixed light in blocks and clipped noise, from simulations."""
 
 MISFIT = 4.0
 """Ratio of residuals to noise above which noise does not explain them; JPEG of quality 75 gives 4 to 6."""
 
 UNEVEN = 0.05
 """Root mean square residual in log light, not explained by noise, above which an image is not a flat field."""
+
+WHITE_WALL = "use an image of an evenly lit white wall, out of focus."
 
 
 @dataclass(frozen=True)
@@ -260,11 +260,8 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
 
     measured = _observe(_checked([image], fewest=1), [np.eye(3)], least=1)
     if measured.n < FEWEST:
-        return _no_vignetting(
-            "Vignetting cannot be estimated: too few blocks of the image are uniform and well exposed; fill it with an "
-            "evenly lit white wall, out of focus.",
-            measured.n,
-        )
+        message = f"Vignetting cannot be estimated: too few blocks are uniform and well exposed; {WHITE_WALL}"
+        return _no_vignetting(message, measured.n)
     curve, radius2 = _Curve.of(response), measured.radius2[0]
     log_light = curve.log_light(measured.stored[0])
     deviation = measured.deviation[0] * curve.slope(measured.stored[0])
@@ -282,15 +279,9 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     covariance = scale**2 * np.linalg.inv(found.jac.T @ found.jac)[:TERMS, :TERMS]
     rms = float(np.sqrt(np.average(np.square(standard * deviation), weights=_robust(standard / scale))))
     if scale > MISFIT and rms > UNEVEN:
-        return _no_vignetting(
-            f"Vignetting cannot be estimated: the surface is not uniform (its light varies by {100 * rms:.0f} %); "
-            "fill the image with an evenly lit white wall, out of focus.",
-            measured.n,
-        )
-    message = (
-        f"From {measured.n} blocks of an evenly lit surface; light that falls off in all directions has the same "
-        "effect."
-    )
+        fault = f"the surface is not uniform (its light varies by {100 * rms:.0f} %)"
+        return _no_vignetting(f"Vignetting cannot be estimated: {fault}; {WHITE_WALL}", measured.n)
+    message = f"From {measured.n} blocks of an evenly lit surface; light falling off to all sides has the same effect."
     return _vignetting_estimate(found.x[:TERMS], covariance, message, rms, measured.n)
 
 
@@ -710,7 +701,7 @@ def _lens_fault(measured: _Measurements) -> str:
         return ""
     return (
         "Vignetting cannot be estimated: each surface has the same distance from the centre in all images; "
-        "turn the camera between them, or take an image of an evenly lit wall."
+        "turn the camera between them, or use an image of an evenly lit wall."
     )
 
 
@@ -853,11 +844,8 @@ def _vignetting_estimate(
     errors = np.sqrt(np.diag(covariance))
     corner_error = float(np.sqrt(covariance.sum()))
     if least_share(falloff) <= LEAST_SHARE:
-        return _no_vignetting(
-            "Vignetting cannot be estimated: less than a tenth of the light would remain in the corners; take an image "
-            "of an evenly lit wall.",
-            n,
-        )
+        fault = "less than a tenth of the light would remain in the corners"
+        return _no_vignetting(f"Vignetting cannot be estimated: {fault}; {WHITE_WALL}", n)
     return VignettingEstimate(
         coefficients=tuple(falloff.tolist()),
         standard_errors=tuple(errors.tolist()),

@@ -264,7 +264,7 @@ class Fitter:
         # A picture of one value (black, white) is not refused: its status says more.
         if self._method.needs_colour and is_grey(image) and np.ptp(stored_values(image)) > 0:
             raise ImageError(
-                f"{name}: the picture is grey (three equal channels), but method {self._method.name} "
+                f"{name}: the image is grey (three equal channels), but method {self._method.name} "
                 "compares colours; use method 'grey'"
             )
         init = self.find(image, name=name)[0] if init is None else init
