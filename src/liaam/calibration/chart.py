@@ -75,7 +75,7 @@ def chart_patches(corners: np.ndarray, rows: int = 4, columns: int = 6, share: f
     if corners.shape != (4, 2) or not np.isfinite(corners).all() or rows < 2 or columns < 2:
         raise CameraError("a chart needs the centres of its four corner patches: eight numbers x0,y0,...,x3,y3")
     if not cv2.isContourConvex(corners.reshape(-1, 1, 2)):
-        raise CameraError("the corner patches of the chart are not in order: give them clockwise from the first patch")
+        raise CameraError("the corner patches of the chart are not in order: give them around the chart from the first")
     ends = np.array([[0, 0], [columns - 1, 0], [columns - 1, rows - 1], [0, rows - 1]], dtype=np.float32)
     homography = cv2.getPerspectiveTransform(ends, corners)
     middle = np.array([(c, r) for r in range(rows) for c in range(columns)], dtype=np.float64)

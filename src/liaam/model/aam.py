@@ -33,7 +33,7 @@ class AAM:
     name : str
         Description of the training data, for display.
     n_textures : int
-        Number of training images and relit copies together; 0 without relit copies.
+        Number of training images and their copies together; 0 in files that lack it.
     """
 
     views: dict[str, View]

@@ -30,7 +30,7 @@ APPEARANCES = tuple(name for name in CHANNELS if name != "illumination")
 """Appearances that a method can compare an image with."""
 
 COPIED_APPEARANCES = ("orientation", "soft", "varied", "illumination")
-"""Appearances learnt from the training images and their relit copies. The others are learnt from the images only."""
+"""Appearances learnt from the training images and their copies. The others are learnt from the images only."""
 
 
 @dataclass(frozen=True, eq=False)

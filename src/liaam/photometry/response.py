@@ -148,7 +148,7 @@ WHITES = (1e-4, 1e4)
 """Range of linear light at stored value 1."""
 
 BLACKEST = 0.02
-"""Stored value, relative to which the overall gamma is measured up to 1."""
+"""Stored value that defines, together with 1, the overall gamma of a curve."""
 
 
 def _check_range(curve: ResponseCurve, logs: np.ndarray) -> None:
