@@ -140,7 +140,7 @@ def test_a_model_of_grey_pictures_compares_no_colours(scenes, method):
     pairs = [(scene.image.mean(axis=2), scene.landmarks) for scene in scenes[:3]]
     model = train(pairs, diagonal=40.0, camera=CameraModel(response="linear"))
     assert not model.is_colour
-    with pytest.raises(MethodError, match="trained on grey pictures; use method 'grey'"):
+    with pytest.raises(MethodError, match="trained on grey images; use method 'grey'"):
         Fitter(model, method)
 
 

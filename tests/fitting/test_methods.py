@@ -113,9 +113,7 @@ def test_suffixes_change_a_method():
 
 @pytest.mark.parametrize("name", ["li+nonsense", "li+noise+noise", "li+huber+tukey", "li+", "li+squares"])
 def test_suffixes_that_do_not_exist_are_listed(name):
-    with pytest.raises(
-        MethodError, match=r"does not exist or is one too many; a method takes \+noise and one of \+huber"
-    ):
+    with pytest.raises(MethodError, match=r"is unknown or repeated; use \+noise and at most one of \+huber"):
         get_method(name)
 
 
@@ -132,7 +130,7 @@ def test_weights_by_rows_are_for_soft_directions():
 
 @pytest.mark.parametrize("name", ["li+noise+learnt", "soft-li+learnt"])
 def test_the_models_errors_are_not_counted_twice(name):
-    with pytest.raises(MethodError, match="leave learnt out"):
+    with pytest.raises(MethodError, match="already include the model's errors; leave out 'learnt'"):
         get_method(name)
 
 

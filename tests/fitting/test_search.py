@@ -351,7 +351,7 @@ def test_a_file_is_a_picture(model, tmp_path):
 def test_bad_input_is_refused(model, finder):
     with pytest.raises(ImageError, match="too small"):
         finder.find(np.zeros((7, 30), np.uint8))
-    with pytest.raises(MethodError, match="at least one object"):
+    with pytest.raises(MethodError, match="limit 0 is too small; give 1 or more"):
         finder.find(FLAT["black"], limit=0)
     with pytest.raises(MethodError, match=r"train it again, or give a start \(--init\)"):
         find(without_orientations(model), FLAT["black"])

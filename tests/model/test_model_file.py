@@ -137,7 +137,7 @@ def test_a_file_that_does_not_know_how_far_the_model_errs_is_read(model, model_f
         ours, theirs = (Fitter(m, method).fit(lit_scene.image, start) for m in (model, loaded))
         assert np.array_equal(ours.landmarks, theirs.landmarks)
     assert Fitter(loaded, "li+noise").fit(lit_scene.image, start).lam.size  # the model's errors then count as none
-    with pytest.raises(MethodError, match=r"grey\+learnt: the model has not learnt how far it errs; train it again"):
+    with pytest.raises(MethodError, match=r"grey\+learnt: the model has no variances of its errors; train it again"):
         Fitter(loaded, "grey+learnt")
 
 

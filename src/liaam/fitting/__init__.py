@@ -1,4 +1,4 @@
-"""Fitting: the table of methods, the one objective, the one solver."""
+"""Fitting: the table of methods, the objective and the solver that all methods use."""
 
 from liaam.fitting.fitter import Fitter, fit
 from liaam.fitting.many import fit_each, fit_many

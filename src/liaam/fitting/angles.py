@@ -1,4 +1,4 @@
-"""Global start of the image angle: for fixed p, theta_2 and lambda have one closed form (DESIGN section 1)."""
+"""Initial angle of the image's camera: for fixed p, theta_2 and lambda have a joint closed-form optimum."""
 
 import numpy as np
 
@@ -6,35 +6,34 @@ from liaam.fitting.objective import Objective, State
 from liaam.fitting.problem import FitProblem
 
 SEARCH = np.deg2rad(60.0)
-"""How far from the model's angle the start may lie. Physical cameras lie in 90-135 degrees; far from the
-object the global minimum over the full circle is often an inverted image (measured on the spot protocol:
-most lost fits of ``li`` started near 250 degrees)."""
+"""Largest distance of the initial angle from the model's. Physical cameras have 90-135 degrees. Far from the
+object, the global minimum over the full circle is often an inverted image: most failed fits of ``li`` on the spot
+protocol started near 250 degrees."""
 
 
 RIDGE = 1e-6
-"""As :data:`liaam.fitting.residual.RIDGE`."""
+"""As :data:`liaam.fitting.level.RIDGE`."""
 
 
 def best_image_angle(objective: Objective, problem: FitProblem, state: State) -> float:
-    """Angle theta_2 that, with its best lambda, fits the image at the state's shape.
+    """Find the angle theta_2 that minimises the cost of eq 9 over theta_2 and lambda, at the state's shape.
 
-    With u = (cos theta_2, sin theta_2) the cost is u'Su - 2 b'u + const: S and b are Gram matrices of the
-    two log-chromaticity columns log R - log B and log G - log B with the appearance projected out. On
-    the unit circle it has at most four stationary points, found as roots of a quartic. The best angle within
-    :data:`SEARCH` of theta_1 is returned.
+    With u = (cos theta_2, sin theta_2) the cost is u'Su - 2 b'u + const. S and b hold inner products of the
+    two log-chromaticity columns log R - log B and log G - log B with the appearance projected out. On the unit circle
+    the cost has at most four stationary points, the roots of a quartic.
 
     Parameters
     ----------
     objective : Objective
-        Of a method whose metric is the invariant.
+        Its method compares the invariant.
     problem : FitProblem
     state : State
-        Gives p and theta_1.
+        Its p and theta_1 are kept fixed.
 
     Returns
     -------
     float
-        theta_2, radians; the state's own where no pixel counts.
+        Best theta_2 within :data:`SEARCH` of theta_1, radians. The state's own theta_2 if no pixel is usable.
     """
     seen, template = objective.look(problem, state), objective.template
     root = seen.root.astype(np.float64)
@@ -50,9 +49,9 @@ def best_image_angle(objective: Objective, problem: FitProblem, state: State) ->
 
 
 def _minimise_on_arc(S: np.ndarray, b: np.ndarray, centre: float, reach: float) -> float:
-    """Angle t within reach of a centre that minimises u'Su - 2b'u over u = (cos t, sin t)."""
-    # With z = exp(it) the cost is Re(second z^2) - 2 Re(first z); its stationary points are the unit roots of
-    # a quartic.
+    """Find the angle t within ``reach`` of ``centre`` that minimises u'Su - 2b'u over u = (cos t, sin t)."""
+    # With z = exp(it) the cost is Re(second z^2) - 2 Re(first z). Its stationary points are roots of a quartic on
+    # the unit circle.
     second = complex(0.5 * (S[0, 0] - S[1, 1]), -S[0, 1])
     first = complex(b[0], -b[1])
     roots = np.roots([second, -first, 0.0, np.conj(first), -np.conj(second)])

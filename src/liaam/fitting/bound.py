@@ -1,8 +1,8 @@
-"""The Cramer-Rao bound of a fit: what noise leaves to any unbiased estimator that measures an image this way.
+"""The Cramer-Rao bound of a fit: the smallest covariance of any unbiased estimator that uses the same measurements.
 
-The image is data, one noisy value per pixel and channel; the model's shape, appearance and angles are unknown.
-The Fisher information is that of the Gauss-Newton Hessian with each pixel whitened by its own noise,
-taken at the truth of a picture without noise.
+The image is the data, one noisy value per pixel and channel. Shape, appearance and angles are the unknowns. The Fisher
+information is the Gauss-Newton Hessian with each pixel whitened by its own noise, evaluated at the true parameters on
+an image without noise.
 """
 
 from dataclasses import dataclass
@@ -29,13 +29,12 @@ class Bound:
     Attributes
     ----------
     landmarks : (n, 2, 2) float64
-        Covariance of each landmark, square pixels of the image; infinite variances where too little is seen to
-        tell the shape.
+        Covariance of each landmark, square pixels of the image. Infinite if the shape cannot be estimated.
     rms : float
         Root mean square distance of the landmarks from the truth, pixels of the image.
     theta : float
-        Standard deviation of the image's angle theta_2, radians; NaN for methods without one, infinite where the
-        light does not show it.
+        Standard deviation of the image's angle theta_2, radians. NaN for methods without angles, infinite if the
+        light makes theta_2 unobservable.
     """
 
     landmarks: np.ndarray
@@ -44,7 +43,7 @@ class Bound:
 
     @property
     def mean_distance(self) -> float:
-        """Expected distance of a landmark from the truth if errors are Gaussian, mean over landmarks, pixels."""
+        """Expected distance of a landmark from the truth under Gaussian errors, mean over landmarks, pixels."""
         from scipy.special import ellipe
 
         if not np.isfinite(self.rms):
@@ -55,11 +54,11 @@ class Bound:
 
 
 UNSEEN = 1e-9
-"""Information about an angle, relative to that of the image's part before nuisances are taken out, that is
-rounding."""
+"""Information about an angle that counts as rounding error, relative to the information in the image alone, before
+the nuisance parameters are eliminated."""
 
 RIDGE = 1e-8
-"""Relative ridge on the Gram matrix of the appearance, far below any mode that can be seen."""
+"""Relative ridge on the Gram matrix of the appearance, far below any observable mode."""
 
 
 def cramer_rao_bound(
@@ -72,27 +71,27 @@ def cramer_rao_bound(
     theta: float | None = None,
     response: Response | None = None,
 ) -> Bound:
-    """Bound for one picture under white noise of its stored values.
+    """Compute the Cramer-Rao bound for one image under white noise of its stored values.
 
-    An object at least twice as large as the reference frame is averaged down first, as a fit does: the bound is then
-    that of the averaged picture. Train with a larger frame for the bound of all pixels.
+    As in a fit, an object at least twice as large as the reference frame is averaged down first. The bound then
+    applies to the averaged image. Train with a larger frame for the bound of all pixels.
 
     Parameters
     ----------
     model : AAM
-        All of whose modes are taken to be free; shape and appearance have no prior.
+        All its modes are free; shape and appearance have no prior.
     image : (h, w, 3) uint8, uint16 or float array
-        Without noise.
+        Image without noise.
     shape : (n, 2) float
         True landmarks, image pixels.
     method : str or Method
-        What is measured: its encoding, metric, free angles and extra modes count, its weights and loss do not.
+        Its encoding, metric, free angles and extra modes define the measurement. Its weights and loss are ignored.
     sigma : float
         Standard deviation of the noise, in stored values of [0, 1].
     theta : float, optional
-        True angle of the image's camera, radians; the model's own if left out.
+        True angle of the image's camera, radians; by default the model's.
     response : Response, optional
-        Of the image's camera; the training camera's if left out.
+        Response of the image's camera; by default the training camera's.
 
     Returns
     -------
@@ -101,13 +100,13 @@ def cramer_rao_bound(
     Raises
     ------
     MethodError
-        For a method on orientations of gradients: their noise depends on the gradient, and is not Gaussian.
+        For methods that compare gradient orientations: their noise depends on the gradient and is not Gaussian.
     """
     method, response = get_method(method), model.response if response is None else response
     if method.encoding in ("orientation", "soft"):
         raise MethodError(
-            f"method {method.name}: the noise of gradient orientations is not known, so no bound is; "
-            "take 'li' or another method of values or logarithms"
+            f"method {method.name}: the noise of gradient orientations is unknown, so there is no bound; "
+            "use 'li' or another method that compares values or logarithms"
         )
     objective = make_objectives(model, method, "reference")[-1].of_all_pixels
     shapes = model.views[method.view].shape_model
@@ -119,17 +118,17 @@ def cramer_rao_bound(
     covariance, n_p = _covariance(objective, problem, p, angles, density, sigma), len(p)
     modes = shapes.basis.reshape(n_p, -1, 2) @ pose.matrix.T
     if np.isfinite(covariance[:n_p, :n_p]).all():
-        # Whatever is infinite is an angle's: landmarks do not depend on it where no light shows it.
+        # An infinite variance can only be an angle's. Landmarks do not depend on an unobservable angle.
         landmarks = np.einsum("inx,ij,jny->nxy", modes, covariance[:n_p, :n_p], modes, optimize=True)
     else:
         landmarks = np.tile(np.diag([np.inf, np.inf]), (model.n_points, 1, 1))
-    # Where one angle stands for both cameras, or both are free, the last is the image's.
+    # The last parameter is theta_2, also if one angle serves both cameras.
     deviation = float(np.sqrt(covariance[-1, -1])) if len(covariance) > n_p else np.nan
     return Bound(landmarks, float(np.sqrt(np.trace(landmarks, axis1=1, axis2=2).mean())), deviation)
 
 
 def _pixels_per_sample(model: AAM, shape: np.ndarray) -> np.ndarray:
-    """Image pixels that each of the model's pixels stands for, (n_pixels,) float64."""
+    """Return the number of image pixels per model pixel, (n_pixels,) float64."""
     areas = signed_areas(shape, model.triangles) / signed_areas(model.shape_model.mean, model.triangles)
     return np.maximum(areas, 0.0)[model.frame.owners]
 
@@ -137,7 +136,7 @@ def _pixels_per_sample(model: AAM, shape: np.ndarray) -> np.ndarray:
 def _covariance(
     objective: Objective, problem: FitProblem, p: np.ndarray, angles: np.ndarray, density: np.ndarray, sigma: float
 ) -> np.ndarray:
-    """Inverse Fisher information of (p, free angles) with the appearance's coordinates marginalised."""
+    """Return the inverse Fisher information of (p, free angles) with lambda marginalised."""
     method, n, n_p = objective.method, len(density), objective.warp.n_parameters
     work, only_look = objective.work(objective.start(p)._replace(angles=angles)), SolverOptions(max_iterations=0)
     objective.solve(problem, work, only_look.controls(expected=False, reweigh=False, look=True))
@@ -154,7 +153,7 @@ def _covariance(
     J = whitened(np.concatenate([jacobian(objective.warp, p, work.steep).T, work.columns]))
     scale = np.square(J).sum(axis=1)
     if scale[n_p:].size:
-        # One angle for both cameras: its column is what the light's change shows, which may be rounding only.
+        # One angle for both cameras: its column depends on the change of light and may be rounding error only.
         by_image, none = np.empty((1, len(work.residual))), np.zeros(0)
         seen = work.values, none, work.residual
         angle_column(0.0, 1.0, work.slope, *seen, none, float(angles[0]), work.lam, by_image[0])
@@ -164,14 +163,14 @@ def _covariance(
 
 
 def _information(J: np.ndarray, A: np.ndarray) -> np.ndarray:
-    """Products of rows J (n_q, e) once they are projected on the complement of rows A (m, e)."""
+    """Return J'QJ: inner products of rows J (n_q, e) projected on the complement of rows A (m, e)."""
     A = A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), 1e-300)
     aj = A @ J.T
     return J @ J.T - aj.T @ np.linalg.solve(A @ A.T + RIDGE * np.eye(len(A)), aj)
 
 
 def _inverse(information: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Inverse of an information matrix; infinite for parameters with a share in what is not seen at all."""
+    """Invert an information matrix; parameters with a component in its null space get infinite variance."""
     root = np.sqrt(np.maximum(scale, 1e-300))
     seen, axes = np.linalg.eigh(information / np.outer(root, root))
     blind = seen < UNSEEN
@@ -183,7 +182,7 @@ def _inverse(information: np.ndarray, scale: np.ndarray) -> np.ndarray:
 
 
 def _channel_noise(values: np.ndarray, encoding: str, response: Response, sigma: float) -> np.ndarray:
-    """Standard deviation of encoded channels, (n, 3) float64, under white noise of the stored values."""
+    """Return the standard deviation of encoded channels, (n, 3) float64, under white noise of the stored values."""
     values = values.astype(np.float64)
     if encoding == "log":
         return sigma * log_slope(np.maximum(from_linear(np.exp(values), response), 1e-4), response)
@@ -194,6 +193,6 @@ def _channel_noise(values: np.ndarray, encoding: str, response: Response, sigma:
 
 
 def _whitening(deviation: np.ndarray, metric: np.ndarray) -> np.ndarray:
-    """Matrices W (n, k, k) with W P Sigma P' W' = I for channels of independent noise."""
+    """Return matrices W (n, k, k) with W P Sigma P' W' = I for channels with independent noise."""
     covariance = np.einsum("kc,nc,lc->nkl", metric, np.square(deviation), metric)
     return np.linalg.inv(np.linalg.cholesky(covariance))

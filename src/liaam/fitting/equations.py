@@ -4,10 +4,11 @@ The residual is linear in lambda and linearised in q = (p, free angles):
 
     r(q + dq, lambda + dl) = r + J dq - A dl
 
-All that a step needs are Gram matrices of [J | r] and A. QJ, with Q the projection on the complement of A, is never
-formed: J'QJ = J'J - (A'J)' (A'A)^-1 (A'J). Small systems, in which calls of LAPACK take longer than solving.
+With Q the projection on the complement of A, a step solves J'QJ dq = -J'Qr. Q and QJ are never formed, only Gram
+matrices of the columns: J'QJ = J'J - (A'J)' (A'A)^-1 (A'J). The systems are so small that calls of LAPACK would take
+longer than solving.
 
-Compiled loops write to arrays that they are given: what they would make themselves takes the compiler longer.
+Compiled loops write to arrays passed to them: allocating inside them takes longer to compile.
 """
 
 import numpy as np
@@ -19,7 +20,7 @@ from liaam.kernels.jit import jit
 
 @compiled
 def cholesky(matrix: Double2) -> bool:
-    """Turn the lower triangle of a matrix (n, n) into its Cholesky factor; False where it is not positive."""
+    """Replace the lower triangle of a matrix (n, n) by its Cholesky factor; return False if not positive definite."""
     n = len(matrix)
     for j in range(n):
         own = matrix[j]
@@ -38,13 +39,13 @@ def cholesky(matrix: Double2) -> bool:
 
 @compiled
 def solve_lower(factor: Double2, right: Double2) -> None:
-    """Replace columns R (n, b) by L^-1 R, of a lower triangle (n, n)."""
+    """Replace columns R (n, b) by L^-1 R, with L lower triangular (n, n)."""
     for i in range(len(factor)):
         row = right[i]
         for j in range(i):
-            share, other = factor[i, j], right[j]
+            scale, other = factor[i, j], right[j]
             for c in range(len(row)):
-                row[c] -= share * other[c]
+                row[c] -= scale * other[c]
         scale = 1.0 / factor[i, i]
         for c in range(len(row)):
             row[c] *= scale
@@ -66,15 +67,15 @@ def solve(factor: Double2, right: Double1) -> None:
 
 @compiled
 def multiply(left: Double2, right: Double2, out: Double2) -> None:
-    """Product of two matrices (n, n)."""
+    """Write the product of two matrices (n, n) to a third."""
     for i in range(len(left)):
         line, to = left[i], out[i]
         for j in range(len(line)):
             to[j] = 0.0
         for k in range(len(line)):
-            share, row = line[k], right[k]
+            factor, row = line[k], right[k]
             for j in range(len(line)):
-                to[j] += share * row[j]
+                to[j] += factor * row[j]
 
 
 @compiled
@@ -84,10 +85,10 @@ def eliminate(
     ar: Double1,
     hessian: Double2,
     gradient: Double1,
-    carried: Double2,
+    whitened: Double2,
     along: Double2,
 ) -> None:
-    """Turn J'J (n_q, n_q) and J'r (n_q,) into the Hessian J'QJ, made symmetric, and the gradient J'Qr, in place.
+    """Replace J'J (n_q, n_q) and J'r (n_q,) by the symmetrised Hessian J'QJ and the gradient J'Qr (eq 5), in place.
 
     Parameters
     ----------
@@ -96,22 +97,22 @@ def eliminate(
     aj, ar : (m, n_q), (m,) float64
         A'J and A'r.
     hessian, gradient : (n_q, n_q), (n_q,) float64
-    carried, along : (m, n_q), (m, 1) float64
-        Room.
+    whitened, along : (m, n_q), (m, 1) float64
+        Scratch: L^-1 A'J and L^-1 A'r.
     """
     n = len(gradient)
     for i in range(len(ar)):
         along[i, 0] = ar[i]
-    copy_matrix(aj, carried)
-    solve_lower(factor, carried)
+    copy_matrix(aj, whitened)
+    solve_lower(factor, whitened)
     solve_lower(factor, along)
     for i in range(len(ar)):
-        row = carried[i]
+        row = whitened[i]
         for a in range(n):
-            share, own = row[a], hessian[a]
-            gradient[a] -= share * along[i, 0]
+            scale, own = row[a], hessian[a]
+            gradient[a] -= scale * along[i, 0]
             for b in range(n):
-                own[b] -= share * row[b]
+                own[b] -= scale * row[b]
     for a in range(n):
         for b in range(a):
             hessian[a, b] = hessian[b, a] = 0.5 * (hessian[a, b] + hessian[b, a])
@@ -119,7 +120,7 @@ def eliminate(
 
 @compiled
 def length(numbers: Double1, n: int) -> float:
-    """Length of the first n numbers as a vector."""
+    """Return the Euclidean norm of the first n entries."""
     squares = 0.0
     for i in range(n):
         squares += numbers[i] * numbers[i]
@@ -128,7 +129,7 @@ def length(numbers: Double1, n: int) -> float:
 
 @jit
 def copy(source: np.ndarray, out: np.ndarray) -> None:
-    """Copy an array (n,), of float32 or float64; compiled for each."""
+    """Copy an array (n,) of float32 or float64."""
     for i in range(len(source)):
         out[i] = source[i]
 
@@ -143,7 +144,7 @@ def copy_matrix(source: Double2, out: Double2) -> None:
 
 @compiled
 def clear(out: Double2) -> None:
-    """Write noughts all over an array (n, m)."""
+    """Fill an array (n, m) with zeros."""
     for i in range(len(out)):
         for j in range(out.shape[1]):
             out[i, j] = 0.0

@@ -1,6 +1,6 @@
-"""What a fit does at a state: look at the picture, weigh what it sees, and differentiate it (paper eq 9, 10 and 5).
+"""Evaluation of a state: residual (paper eq 9), weights, lambda, and derivatives (eq 10) with lambda eliminated (eq 5).
 
-A method's :class:`liaam.fitting.level.Row` names those of these functions that it is made of.
+A method's :class:`liaam.fitting.level.Row` lists the functions below that it uses.
 """
 
 from liaam.fitting.equations import copy, eliminate, length, solve
@@ -48,13 +48,13 @@ from liaam.kernels.fields import Single1
 
 @compiled
 def look(template: Template, picture: Picture, row: Row, work: Work, solves: bool) -> None:
-    """The residual of a state (paper eq 9), without an appearance where that is to be solved for."""
+    """Compute the residual of a state (eq 9), with the mean appearance only if lambda is to be solved for."""
     set_metric(row.metric, work.angles[1], work.metric, work.slope)
     if len(template.parts):
         row.turn(template, work)
     sample_picture(template, picture, work)
     work.scales[SHOWN] = 1.0
-    for j in range(len(work.lam)):  # lambda from nothing: what it was before does not matter
+    for j in range(len(work.lam)):
         work.lam[j] = 0.0 if solves else work.lam[j]
     if not row.normalise:
         take_off(work.residual, work.rows, work.lam)
@@ -62,7 +62,7 @@ def look(template: Template, picture: Picture, row: Row, work: Work, solves: boo
 
 @compiled
 def sample_picture(template: Template, picture: Picture, work: Work) -> None:
-    """P(theta_2) E(I(W(x; p))), and its derivative by the place."""
+    """Sample the image term of eq 9, P(theta_2) E(I(W(x; p))), and its spatial gradient."""
     mesh = template.warp
     vertices_at(mesh.rest, mesh.basis, work.p, work.points)
     similarity, corner, between = picture.similarity, work.corner, work.between
@@ -74,7 +74,7 @@ def sample_picture(template: Template, picture: Picture, work: Work) -> None:
 
 @compiled
 def turn_model(template: Template, work: Work) -> None:
-    """Bring the model's rows to theta_1."""
+    """Project mean, modes and their slopes by P(theta_1)."""
     turn(template.parts, work.angles[0], work.rows)
     turn(template.slope_parts, work.angles[0], work.slopes)
     transpose(work.rows, work.lines)
@@ -82,7 +82,7 @@ def turn_model(template: Template, work: Work) -> None:
 
 @compiled
 def by_model(template: Template, _picture: Picture, row: Row, work: Work) -> bool:
-    """Weigh as the model says, and bring samples to its mean; says whether there are any."""
+    """Use the model's weights and, if asked, normalise the samples; return False if no pixel is usable."""
     if not any_of(work.usable):
         return False
     copy(template.own, work.weighed)
@@ -93,7 +93,7 @@ def by_model(template: Template, _picture: Picture, row: Row, work: Work) -> boo
 
 @compiled
 def by_noise(template: Template, picture: Picture, _row: Row, work: Work) -> bool:
-    """Work out weights by noise as far as they do not turn with an angle; says whether there are any."""
+    """Compute the factors of noise weights that do not depend on theta_2; return False if no pixel is usable."""
     if not any_of(work.usable):
         return False
     copy(template.own, work.weighed)
@@ -107,7 +107,7 @@ def by_noise(template: Template, picture: Picture, _row: Row, work: Work) -> boo
 
 @compiled
 def by_rows(template: Template, picture: Picture, row: Row, work: Work) -> bool:
-    """Weigh each row by noise and by what the model leaves unexplained now; says whether weights are others."""
+    """Weigh each row by noise and by the current unexplained variance; return whether the weights changed."""
     values, residual, usable, own = work.values, work.residual, work.usable, template.own
     table, span, kept, colours = picture.noise, picture.span, picture.kept, template.colours
     planes, variance, known, sums = work.planes, work.variance, work.known_now, work.row_sums
@@ -122,28 +122,28 @@ def by_rows(template: Template, picture: Picture, row: Row, work: Work) -> bool:
 
 @compiled
 def by_loss(template: Template, row: Row, work: Work) -> None:
-    """Multiply weights by those of a robust loss."""
+    """Multiply the weights by those of a robust loss."""
     residual, usable, own, errors = work.residual, work.usable, template.own, template.errors
     weigh_by_loss(row.loss, row.median, residual, usable, own, work.variance, errors, work.sizes, work.weighed)
 
 
 @compiled
 def normalise_samples(row: Row, work: Work) -> None:
-    """Samples as gain * E(I) + offset, less the appearance."""
+    """Compute the residual of the normalised samples, gain * E(I) + offset minus the appearance."""
     project(work.values, work.metric, work.scales, work.residual, work.steep)
     take_off(work.residual, work.rows, work.lam)
 
 
 @compiled
 def whiten(work: Work) -> None:
-    """Weights by noise at theta_2."""
+    """Compute noise weights at theta_2."""
     metric, slope, noise, by_errors = work.metric, work.slope, work.noise, work.by_model
     root_by_noise(work.weighed, metric, slope, noise, by_errors, work.scales[UNIT], work.own, work.growth)
 
 
 @compiled
 def settle(template: Template, row: Row, work: Work, weighed: bool, solves: bool) -> None:
-    """Sum what is seen, under the weights; or first move lambda to its best, and the residual with it."""
+    """Sum squared residuals under the weights, after solving for lambda (A'A + ridge) dl = A'r if ``solves``."""
     if row.normalise:
         row.normalise_samples(row, work)
     if row.weights == BY_NOISE:
@@ -168,7 +168,7 @@ def settle(template: Template, row: Row, work: Work, weighed: bool, solves: bool
 
 @compiled
 def expect(template: Template, work: Work) -> None:
-    """The derivative of the residual by the place as the model expects it: that of the fitted appearance."""
+    """Compute the expected spatial gradient of the residual: that of the fitted appearance (eq 4)."""
     combine(work.slopes, work.lam, work.at_rest)
     mesh = template.warp
     vertices_at(mesh.rest, mesh.basis, work.p, work.points)
@@ -177,7 +177,7 @@ def expect(template: Template, work: Work) -> None:
 
 @compiled
 def sum_products(template: Template, work: Work, steep: Single1, expected: Single1) -> None:
-    """Products of the derivatives by p: E'J, A'J and E'r, and E' with the columns of the angles."""
+    """Sum the products E'J, A'J and E'r of the derivatives by p, and those of E with the columns of the angles."""
     mesh, n_p, n_free = template.warp, len(work.p), len(work.columns)
     fours, room = work.fours, work.room
     for f in range(n_free if n_free else 1):
@@ -198,9 +198,10 @@ def sum_products(template: Template, work: Work, steep: Single1, expected: Singl
 
 @compiled
 def differentiate(template: Template, row: Row, work: Work, steep: Single1, expected: Single1) -> None:
-    """Hessian E'QJ and gradient E'Qr (paper eq 10 and 5), of J by ``steep`` and E by ``expected``, (2 n k,) float32.
+    """Compute the Hessian E'QJ and the gradient E'Qr (eq 10 and 5).
 
-    Where they differ, what is eliminated is J's on both sides: E'J - (A'J)' (A'A)^-1 A'J.
+    J follows from the spatial gradients ``steep`` and E from ``expected``, both (2 n k,) float32. If they differ, the
+    term eliminated is still that of J: E'J - (A'J)' (A'A)^-1 A'J.
     """
     if len(work.columns):
         row.add_angles(template, row, work)
@@ -210,7 +211,7 @@ def differentiate(template: Template, row: Row, work: Work, steep: Single1, expe
 
 @compiled
 def add_angles(template: Template, row: Row, work: Work) -> None:
-    """Derivatives of the residual by the free angles, and their products with A, the residual and each other."""
+    """Differentiate the residual by the free angles (eq 10), and sum the products of these columns."""
     n_p, by = len(work.p), row.directions
     for f in range(len(work.columns)):
         column, values, growth, residual = work.columns[f], work.values, work.growth, work.residual
@@ -226,5 +227,5 @@ def add_angles(template: Template, row: Row, work: Work) -> None:
 
 @compiled
 def movement(template: Template, work: Work) -> float:
-    """Root mean square movement of the landmarks by a step, model pixels."""
+    """Return the root mean square movement of the landmarks by a step, model pixels."""
     return template.warp.movement * length(work.step, len(work.p))

@@ -1,13 +1,13 @@
 """Derivatives of the residual, and their products (paper eq 10).
 
-A pixel moves with the three vertices around it only, so that of its row of derivatives by the vertices,
+A pixel moves only with the three vertices of its triangle (eq 3), so its row of derivatives by the vertices,
 
     dr(x) / d(vertex v) = beta_v(x) steep(x),
 
-all but six entries are nought: products are sums over triangles, carried on to the warp's parameters at the end.
+has six non-zero entries. Products are summed by triangle, and mapped to the warp's parameters at the end.
 
-Compiled; arrays of pixels are flat, residual e = i k + r is row r of pixel i. :mod:`liaam.fitting.reference` says what
-each function has to give.
+Compiled; arrays of pixels are flat, residual e = i k + r is row r of pixel i. :mod:`liaam.fitting.reference` defines
+the result of each function.
 """
 
 import numpy as np
@@ -19,38 +19,38 @@ from liaam.kernels.jit import F
 from liaam.kernels.vectors import SIZE, every, halves, load, store
 
 FLAT = 0.05
-"""Share of its area at rest below which a triangle counts as flat: what it shows has no gradient there."""
+"""Fraction of its rest area below which a triangle counts as degenerate; its gradient is set to 0."""
 
 PAIR = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
-"""Number of a pair of a triangle's corners."""
+"""Index of each pair of a triangle's corners."""
 
 
 @compiled
 def combine(rows: Single2, lam: Double1, out: Single1) -> None:
-    """First row plus lambda times the others, of rows (1 + m, e) float32."""
+    """Write the first row plus lambda times the others, of rows (1 + m, e) float32 (eq 4)."""
     first = rows[0]
     for e in range(len(out)):
         out[e] = first[e]
     for j in range(len(lam)):
-        row, share = rows[1 + j], F(lam[j])
+        row, scale = rows[1 + j], F(lam[j])
         for e in range(len(out)):
-            out[e] += share * row[e]
+            out[e] += scale * row[e]
 
 
 @compiled
 def pull(starts: Long1, triangles: Long2, rest: Double2, points: Double2, slopes: Single1, out: Single1) -> None:
-    """Gradient at W(x; p) of what has given slopes at x: if V(W(x; p)) = A(x), then grad V = (dW/dx)^-T grad A.
+    """Transform gradients from the reference frame to the image: if V(W(x; p)) = A(x), grad V = (dW/dx)^-T grad A.
 
     Parameters
     ----------
     starts, triangles
-        Of the mesh.
+        Fields of :class:`liaam.model.warp.Mesh`.
     rest, points : (v, 2) float64
-        Its vertices at rest, and now.
+        Vertices of the mean shape and of the current shape.
     slopes : (2 n k,) float32
-        Of each pixel, k derivatives along x and k along y.
+        For each pixel, k derivatives by x and k by y.
     out : (2 n k,) float32
-        Of each residual, along x and y, model pixels.
+        For each residual, its derivatives by x and y, model pixels.
     """
     n_pixels = starts[len(starts) - 1]
     k = len(slopes) // (2 * n_pixels) if n_pixels else 0
@@ -83,20 +83,22 @@ def angle_column(
     lam: Double1,
     out: Single1,
 ) -> None:
-    """Derivative of the weighted residual, over the root of its weight, by an angle that turns both theta_1 and
-    theta_2.
+    """Derivative of the weighted residual by a free angle, divided by the square root of the weight (eq 10).
+
+    The columns are L'(theta_2) log I and -L'(theta_1) A.
 
     Parameters
     ----------
     by_model, by_image : float
-        Derivatives of theta_1 and of theta_2.
+        Derivatives of theta_1 and theta_2 by the free angle.
     slope : (8 k,) float32
         dP/dtheta_2.
     values, growth, residual : (8 n,), (n k,) or empty, (n k,) float32
+        See :class:`liaam.fitting.level.Work`.
     parts : (3, 1 + m, n k) float32
-        Mean and modes by theta_1; empty where that is fixed.
+        See :attr:`liaam.fitting.level.Template.parts`.
     theta : float
-        theta_1.
+        theta_1, radians.
     lam : (m,) float64
     out : (n k,) float32
     """
@@ -110,17 +112,15 @@ def angle_column(
         out[e] = F(by_image) * change
     along, across = F(by_model * np.cos(theta)), F(by_model * np.sin(theta))
     for j in range(parts.shape[1]):
-        share = F(1.0) if j == 0 else F(lam[j - 1])
+        scale = F(1.0) if j == 0 else F(lam[j - 1])
         by_cos, by_sin = parts[1, j], parts[2, j]
         for e in range(len(out)):
-            out[e] -= share * (along * by_sin[e] - across * by_cos[e])
+            out[e] -= scale * (along * by_sin[e] - across * by_cos[e])
 
 
 @compiled
 def weigh_columns(steep: Single1, root: Single1, residual: Single1, columns: Single2, f: int, fours: Single1) -> None:
-    """Of each residual w^2 (steep x, steep y, residual, column f if there is one), side by side: (4 n k + 8,)
-    float32.
-    """
+    """Write w^2 (steep x, steep y, residual, angle column f or 0) for each residual, (4 n k + 8,) float32."""
     for e in range(len(root)):
         square = root[e] * root[e]
         fours[4 * e], fours[4 * e + 1] = square * steep[2 * e], square * steep[2 * e + 1]
@@ -138,9 +138,7 @@ def dots(
     gradient: Double1,
     f: int,
 ) -> None:
-    """Weighted products of column f of the angles with all of them and with the residual, to the last of E'J and
-    E'r.
-    """
+    """Write the weighted products of angle column f with all angle columns to E'J, and with the residual to E'r."""
     n_p = len(gradient) - len(columns)
     for g in range(len(columns) + 1):
         product, other = 0.0, columns[g] if g < len(columns) else residual
@@ -163,19 +161,20 @@ def add_squares(
     room: Single1,
     lines: Double2,
 ) -> None:
-    """Sum E'J and E' columns by vertices.
+    """Sum E'J, E'r and E' times an angle column by vertex.
 
     Parameters
     ----------
     beta, starts, triangles, basis
-        Of the mesh.
+        Fields of :class:`liaam.model.warp.Mesh`.
     fours : (4 n k + 8,) float32
-        Of :func:`weigh_columns`.
+        Output of :func:`weigh_columns`.
     expected : (2 n k,) float32
-        Derivatives of the residuals by the place as they are expected to be.
+        Expected spatial gradients of the residuals.
     room : (48,) float32
+        Scratch.
     lines : (2 v, n_p + 2) float64
-        Of each vertex' x and y: E'J times the warp's basis, and E' of the two columns.
+        For x and y of each vertex: E'J by the warp's parameters, E'r, and E' times the angle column.
     """
     clear(lines)
     n_p, n = basis.shape[1], starts[len(starts) - 1]
@@ -211,7 +210,7 @@ def add_squares(
                     xs, ys = basis[2 * vertex], basis[2 * vertex + 1]
                     for j in range(n_p):
                         own[j] += by_x * xs[j] + by_y * ys[j]
-                    # Barycentric weights sum to 1: over the other corner these are sums of one weight alone.
+                    # Barycentric weights sum to 1, so the sum over the other corner drops out.
                     own[n_p] += room[at + 2]
                     own[n_p + 1] += room[at + 3]
 
@@ -226,19 +225,20 @@ def add_modes(
     room: Single1,
     lines: Double2,
 ) -> None:
-    """Sum J'A by vertices.
+    """Sum J'A by vertex.
 
     Parameters
     ----------
     beta, starts, triangles
-        Of the mesh.
+        Fields of :class:`liaam.model.warp.Mesh`.
     fours : (4 n k + 8,) float32
-        Of :func:`weigh_columns`.
+        Output of :func:`weigh_columns`.
     modes : (n k w,) float32
-        Modes, residual by residual, w numbers each: a multiple of 8.
+        Transposed modes, padded to a width w that is a multiple of 8.
     room : (48,) float32
+        Scratch.
     lines : (2 v, w) float64
-        Of each vertex' x and y.
+        Sums for x and y of each vertex.
     """
     clear(lines)
     n = starts[len(starts) - 1]
@@ -272,11 +272,11 @@ def add_modes(
 
 @compiled
 def to_parameters(lines: Double2, basis: Double2, out: Double2) -> None:
-    """Carry sums by vertices (2 v, b) to the warp's parameters, (n_p, b): basis' lines."""
+    """Map sums by vertex (2 v, b) to the warp's parameters (n_p, b): basis' lines."""
     clear(out)
     for v in range(len(lines)):
         own, row = lines[v], basis[v]
         for j in range(len(out)):
-            share, to = row[j], out[j]
+            scale, to = row[j], out[j]
             for b in range(len(own)):
-                to[b] += share * own[b]
+                to[b] += scale * own[b]

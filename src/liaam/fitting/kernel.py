@@ -1,8 +1,7 @@
-"""The two kernels of the loop, under one contract.
+"""The two kernels of the loop, with the same interface.
 
-``fast`` is the compiled loop of :mod:`liaam.fitting.loop`. ``reference`` runs the same lines of the loop in the
-interpreter, with the loops over pixels replaced by the plain NumPy of :mod:`liaam.fitting.reference`; it takes any
-warp.
+``fast`` is the compiled loop of :mod:`liaam.fitting.loop`. ``reference`` runs the same code in the interpreter, with
+the loops over pixels replaced by the NumPy functions of :mod:`liaam.fitting.reference`. It accepts any warp.
 """
 
 import builtins
@@ -17,15 +16,16 @@ KERNELS = ("fast", "reference")
 
 @lru_cache(maxsize=len(KERNELS))
 def get_kernel(name: str = "fast") -> SimpleNamespace:
-    """Functions of a kernel by their names in the modules below (imported now: numba is slow to import).
+    """Return the functions of a kernel by name.
 
     Raises
     ------
     MethodError
-        If there is none of that name.
+        If no kernel has that name.
     """
     if name not in KERNELS:
         raise MethodError(f"kernel {name!r} does not exist; there are {', '.join(KERNELS)}")
+    # Imported here: numba is slow to import.
     from liaam.fitting import equations, evaluate, jacobian, loop, reference, residual, steps, weights
     from liaam.kernels.compiled import Record
 
@@ -42,5 +42,5 @@ def get_kernel(name: str = "fast") -> SimpleNamespace:
 
 
 def _over(names: dict[str, Any], function: FunctionType) -> FunctionType:
-    """The same lines, that find these names instead of those of their module."""
+    """Copy a function, with ``names`` as its globals."""
     return FunctionType(function.__code__, names, function.__name__, function.__defaults__, function.__closure__)

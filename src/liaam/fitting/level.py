@@ -1,8 +1,8 @@
-"""What the loop of a level is given and gives back: plain tuples of arrays, so that compiled code reads them
+"""Inputs and outputs of a level's loop: named tuples of arrays that compiled code reads by field name
 (:mod:`liaam.kernels.compiled`).
 
-n pixels of the model, k rows of the metric P, n_p parameters of the warp, n_q = n_p and the free angles, m modes of
-appearance (extra modes, such as gain and bias, last). A pixel of an encoded picture has 8 channels, the last its
+Sizes: n pixels of the model, k rows of the metric P, n_p parameters of the warp, n_q = n_p + the number of free angles,
+m appearance modes (extra modes, such as gain and bias, last). A pixel of an encoded image has 8 channels, the last its
 weight. Arrays of pixels are flat: residual e = i k + r is row r of pixel i.
 """
 
@@ -13,112 +13,110 @@ from liaam.kernels.fields import Bool1, Double1, Double2, Double3, Int1, Single1
 from liaam.model.warp import Mesh
 
 WIDE = 8
-"""Numbers that compiled loops take at a time (:data:`liaam.kernels.vectors.SIZE`), and channels of a picture."""
+"""Vector width of compiled loops (:data:`liaam.kernels.vectors.SIZE`), and number of channels of an encoded image."""
 
 BLOCK = 2048
-"""Residuals whose products are summed in float32 before they are added up in float64."""
+"""Number of residuals whose products are summed in float32 before they are added in float64."""
 
 PLANE = 512
-"""Pixels whose channels are laid out one after the other while their variances are worked out."""
+"""Number of pixels whose variances are computed together, channel by channel."""
 
 RIDGE = 1e-6
-"""Ridge on A'A as a share of what a mode would add to it if the metric saw all of it. Modes that it cannot see, as of
-pure shading by L(theta), stay at their mean; without, they are what rounding makes of them, and a fit's end hangs on
-the last bit."""
+"""Ridge on A'A relative to the mode's squared norm before projection by the metric. It keeps modes that the metric
+cannot observe, such as pure shading under L(theta), at the mean; otherwise rounding errors determine them."""
 
 GRADIENTS, COLOUR = 0, 1
-"""Groups of rows whose unexplained part is alike: the first two, and the others."""
+"""Groups of rows that share one unexplained variance: the first two rows, and the others."""
 
 CORRELATED = (8.0, 30.0)
-"""By how much more the model's errors in gradients, and in colour, are correlated than the blur makes noise: they are
-patches, not grains, and those of colour are the widest."""
+"""Factors on the number of correlated pixels, for the model's errors in gradients and in colour. Model errors are
+patches rather than grains, and widest in colour."""
 
 LEAST_CURVATURE = 0.5
-"""Least curvature in a step with the expected gradient, as a share of the expected one: where picture and model are
-apart, their gradients agree less, and undamped steps would run off. Measured on strangers of IMM: a third more fits end
-beyond 8 % without; 1 would be Fisher scoring, which takes twice as many steps."""
+"""Lower bound on the curvature in a step with the expected gradient, as a fraction of the expected curvature. Far from
+the solution the gradients of image and model agree less, and undamped steps would diverge. Measured on unseen persons
+of IMM: without it a third more fits end beyond 8 %; 1 is Fisher scoring, which takes twice as many steps."""
 
 
 UNIT, GAIN, OFFSET, SHOWN, SCALE, LEAST = 0, 1, 2, 3, 4, 5
-"""Places in :attr:`Work.scales`."""
+"""Indices into :attr:`Work.scales`."""
 
 
 def without(*_: Any) -> Any:
-    """Stand for a function that a method does without; compiled code has nothing in its place."""
+    """Fill the field of a function that a method does not use; compiled code stores no address for it."""
     raise NotImplementedError
 
 
 class Template(NamedTuple):
-    """What a picture is compared with: the model's side of the residual (paper eq 9)."""
+    """The model's side of the residual (paper eq 9)."""
 
     warp: Annotated[Any, Mesh]
-    """The reference kernel takes any :class:`liaam.model.warp.Warp`."""
+    """The mesh; for the reference kernel any :class:`liaam.model.warp.Warp`."""
     rows: Single2
     """(1 + m, n k) float32: P(theta_1) A0 and P(theta_1) A_i."""
     lines: Single1
-    """(n k w,) float32: the modes' transpose, with noughts up to w, a multiple of 8."""
+    """(n k w,) float32: the transposed modes, padded with zeros to w, a multiple of 8."""
     slopes: Single2
-    """(1 + m, 2 n k) float32: derivatives of mean and modes by the place at rest; of a pixel k along x, k along y."""
+    """(1 + m, 2 n k) float32: spatial gradients of mean and modes in the reference frame; per pixel k by x, k by y."""
     parts: Single3
-    """(3, 1 + m, n k) float32: rows, what is fixed and what goes with cos and sin of theta_1; none where that is
-    fixed."""
+    """(3, 1 + m, n k) float32: constant, cos(theta_1) and sin(theta_1) parts of ``rows``; empty if theta_1 is fixed."""
     slope_parts: Single3
-    """(3, 1 + m, 2 n k) float32: the same of the slopes."""
+    """(3, 1 + m, 2 n k) float32: the same for ``slopes``."""
     own: Single1
-    """(n k,) float32: root of the model's own weights."""
+    """(n k,) float32: square root of the model's weights."""
     gram: Double2
-    """(m, m) float64: A'A under these."""
+    """(m, m) float64: A'A under these weights."""
     ridge: Double1
-    """(m,) float64: what is added to its diagonal: precision of a Gaussian prior on lambda, in units of squared
-    residuals, and enough to hold what the metric cannot see."""
+    """(m,) float64: added to the diagonal of A'A: :data:`RIDGE` plus the precision of a Gaussian prior on lambda, in
+    units of squared residuals."""
     errors: Double1
-    """(n,) float64: variance of the model's errors, mean over the rows; 0 where it is not known."""
+    """(n,) float64: variance of the model's errors, mean over the rows; 0 if unknown."""
     prior: Double1
     """(n_p,) float64: precision of a Gaussian prior on p; 0 for none."""
     correlated: float
-    """Pixels that stand for one independent residual, where weights do not say so themselves."""
+    """Number of pixels per independent residual, for weights that do not account for correlation."""
     freedom: float
-    """Degrees of freedom of the prior's scale (:func:`liaam.fitting.steps.next_scale`); infinite where that is 1."""
+    """Degrees of freedom of the prior's scale (:func:`liaam.fitting.steps.next_scale`); infinite for a scale of 1."""
     colours: bool
-    """Whether the model knows colours."""
+    """Whether the model was trained on colour images."""
 
 
 class Picture(NamedTuple):
-    """An encoded picture, and how the model's pixels come to lie in it."""
+    """An encoded image, and the map from model pixels to its pixels."""
 
     pixels: Single1
     """(8 h w,) float32."""
     height: int
     width: int
     similarity: Double2
-    """(2, 3) float64: model pixels to those of the patch."""
+    """(2, 3) float64: model pixels to image pixels."""
     noise: Single1
-    """(s,) float32: deviation of a logarithm by noise, at evenly spaced logarithms."""
+    """(s,) float32: standard deviation of the logarithm due to noise, at evenly spaced logarithms."""
     span: Double1
-    """(2,) float64: the lowest and highest of these."""
+    """(2,) float64: the lowest and the highest of these logarithms."""
     kept: Double1
-    """(2,) float64: shares of that deviation which the blur leaves to values, and to slopes per model pixel."""
+    """(2,) float64: fraction of that deviation left after the blur, in values and in gradients per model pixel."""
     correlated: float
-    """Pixels looked at that stand for one independent residual, for weights that count so."""
+    """Number of sampled pixels per independent residual, for weights by rows."""
 
 
 class Row(NamedTuple):
-    """A method in numbers (:class:`liaam.fitting.Method`)."""
+    """A method (:class:`liaam.fitting.Method`) as the compiled loop needs it: arrays, numbers and functions."""
 
     metric: Single2
     """(3, 8 k) float32: P(theta) = metric[0] + cos(theta) metric[1] + sin(theta) metric[2]."""
     directions: Double2
-    """(2, n_free) float64: derivative of (theta_1, theta_2) by the free angles."""
+    """(2, n_free) float64: derivatives of (theta_1, theta_2) by the free angles."""
     weights: int
-    """0: the model's; 1: by noise; 2: by noise and by what the model leaves unexplained."""
+    """0: the model's; 1: by noise; 2: by rows, from noise and the unexplained variance."""
     loss: int
-    """Robust loss, -1 for none (:data:`liaam.fitting.losses.LOSSES`)."""
+    """Index of the robust loss in :data:`liaam.fitting.losses.LOSSES`; -1 for none."""
     median: float
-    """Median of the size of a Gaussian residual, root mean square over the rows, in standard deviations."""
+    """Median magnitude of a Gaussian residual (root mean square over the rows), in standard deviations."""
     normalise: bool
-    """Bring samples to the mean and deviation of the model's mean."""
+    """Bring samples to the mean and standard deviation of the mean appearance."""
     look: Callable[["Template", Picture, "Row", "Work", bool], None]
-    """What the loop calls (:mod:`liaam.fitting.evaluate`); :func:`without` where the method has none."""
+    """This and the functions below are those of :mod:`liaam.fitting.evaluate`; :func:`without` if not used."""
     turn: Callable[["Template", "Work"], None]
     weigh: Callable[["Template", Picture, "Row", "Work"], bool]
     weigh_by_loss: Callable[["Template", "Row", "Work"], None]
@@ -129,124 +127,124 @@ class Row(NamedTuple):
     differentiate: Callable[["Template", "Row", "Work", Single1, Single1], None]
     add_angles: Callable[["Template", "Row", "Work"], None]
     damped: Callable[["Work", float], bool]
-    """:mod:`liaam.fitting.steps`."""
+    """This and the next are of :mod:`liaam.fitting.steps`."""
     raised: Callable[["Work", float], bool]
 
 
 class Controls(NamedTuple):
-    """How to iterate: :class:`liaam.fitting.SolverOptions` as a level's loop takes them."""
+    """The options of :class:`liaam.fitting.SolverOptions` for one level's loop."""
 
     max_iterations: int
     tolerance: float
     loose: float
-    """Tolerance for the first steps: a fit that is so near after so few of them is an ordinary one."""
+    """Larger tolerance for the first ``quick`` steps: a fit that gets so near so soon is not a difficult one."""
     quick: int
-    """How many steps these are."""
     notice: float
     damping: float
     shape_prior: float
     observable: float
     joint: bool
-    """Lambda moves by its part of the joint step; else it is solved afresh at every state."""
+    """Update lambda by its part of the joint step (eq 5); else solve for it at every state."""
     expected: bool
-    """Steps with the model's gradient; else with the picture's."""
+    """Take steps with the expected gradient; else with the image's own."""
     reweigh: bool
-    """Weights are worked out anew between steps."""
+    """Update the weights between steps."""
     solve: bool
-    """Lambda is solved for at the start; else it starts as it is."""
+    """Solve for lambda at the first state; else keep it."""
     look: bool
-    """Look at the picture once more after the last step."""
+    """Evaluate the residual once more after a last step that is too short to matter."""
 
 
 class Work(NamedTuple):
-    """Where a fit stands, what it sees there, and room: all that the loop writes."""
+    """State of a fit, its residual, weights and derivatives there, and scratch arrays: all that the loop writes."""
 
     p: Double1
     """(n_p,) float64: parameters of the warp."""
     angles: Double1
-    """(2,) float64: theta_1 (model) and theta_2 (picture), radians."""
+    """(2,) float64: theta_1 (model) and theta_2 (image), radians."""
     lam: Double1
-    """(m,) float64: coordinates of the appearance, extra modes last."""
+    """(m,) float64: lambda, coordinates of the appearance, extra modes last."""
     before: Double1
-    """(n_p + 2 + m,) float64: the same before the last step."""
+    """(n_p + 2 + m,) float64: p, angles and lambda before the last step."""
     metric: Single1
     """(8 k,) float32: P(theta_2)."""
     slope: Single1
     """(8 k,) float32: dP/dtheta_2."""
     rows: Single2
-    """The template's at theta_1; its own where theta_1 is fixed."""
+    """This, ``lines`` and ``slopes``: the template's at the current theta_1 (the same arrays if theta_1 is fixed)."""
     lines: Single1
     slopes: Single2
     points: Double2
     """(v, 2) float64: vertices of the mesh, model pixels."""
     corner: Int1
-    """(n,) int32: see :func:`liaam.fitting.residual.place`."""
+    """(n,) int32: this and the next are outputs of :func:`liaam.fitting.residual.place`."""
     between: Single1
     """(3 n,) float32."""
     values: Single1
-    """(8 n,) float32: samples of the picture's channels."""
+    """(8 n,) float32: samples of the image's channels."""
     residual: Single1
     """(n k,) float32."""
     steep: Single1
-    """(2 n k,) float32: derivative of the residual by the place, model pixels."""
+    """(2 n k,) float32: spatial gradient of the residual, model pixels."""
     usable: Single1
-    """(n,) float32: the picture's weight, 0 or 1."""
+    """(n,) float32: the image's weight, 0 or 1."""
     weighed: Single1
-    """(n k,) float32: root of the weights but for those by noise, which turn with an angle."""
+    """(n k,) float32: square root of the weights without noise weights, which depend on theta_2."""
     own: Single1
-    """(n k,) float32: root of the weights, wherever the picture is usable."""
+    """(n k,) float32: square root of the weights, before unusable pixels are set to 0."""
     growth: Single1
-    """(n k,) float32: its relative derivative by theta_2; none where it does not depend on that."""
+    """(n k,) float32: relative derivative of ``own`` by theta_2; empty if it does not depend on theta_2."""
     root: Single1
-    """(n k,) float32: root of the weights, 0 where the picture says nothing."""
+    """(n k,) float32: square root of the weights, 0 at unusable pixels."""
     noise: Single1
-    """(8 n,) float32: variance of the channels by noise, of weights by noise."""
+    """(8 n,) float32: variance of the channels due to noise, for noise weights."""
     by_model: Double1
-    """(n,) float64: variance by the model's errors, of weights by noise."""
+    """(n,) float64: variance due to the model's errors, for noise weights."""
     variance: Single1
-    """(n k,) float32: of the residuals, where weights go by it."""
+    """(n k,) float32: variance of the residuals, for weights that use it."""
     known: Single1
-    """(n,) float32: 1 where colours were known when weights by rows were worked out, else 0; NaN before."""
+    """(n,) float32: 1 where colours were usable when weights by rows were last computed, else 0; NaN before."""
     known_now: Single1
+    """(n,) float32: the same at the current state."""
     unexplained: Double2
-    """(2, 2) float64: variance that the model leaves unexplained, of gradients and of colour; then and now."""
+    """(2, 2) float64: unexplained variance of gradients and colour, when weights were last computed and now."""
     scales: Double1
-    """(6,) float64: variance that weighs 1 (NaN where weights do not say); gain and offset of the samples; gain that
-    ``steep`` has; scale of the prior; and least curvature of a step (:data:`LEAST_CURVATURE`)."""
+    """(6,) float64: variance at weight 1 (NaN if the weights define none); gain and offset of the samples; gain in
+    ``steep``; scale of the prior; and lower bound on the curvature (:data:`LEAST_CURVATURE`)."""
     gram: Double2
     """(m, m) float64: A'A under ``own``."""
     factor: Double2
     """(m, m) float64: Cholesky factor of A'A under ``root``, with a ridge."""
     ar: Double1
-    """(m,) float64: A'r less what the ridge pulls back."""
+    """(m,) float64: A'r - ridge * lambda."""
     sums: Double1
     """(2,) float64: r'r and the sum of the weights."""
     expected: Single1
-    """(2 n k,) float32: derivative of the residual by the place as the model expects it."""
+    """(2 n k,) float32: expected spatial gradient of the residual, model pixels."""
     at_rest: Single1
-    """(2 n k,) float32: slopes of the fitted appearance."""
+    """(2 n k,) float32: spatial gradient of the fitted appearance, in the reference frame."""
     columns: Single2
     """(n_free, n k) float32: derivatives by the free angles."""
     aj: Double2
     """(m, n_q) float64: A'J."""
     hessian: Double2
-    """(n_q, n_q) float64: E'QJ, E the derivatives as they are expected, or J."""
+    """(n_q, n_q) float64: E'QJ, with E the expected derivatives or J."""
     gradient: Double1
     """(n_q,) float64: E'Qr."""
     base: Double2
-    """(n_q, n_q) float64: curvature that is expected, E'QE."""
+    """(n_q, n_q) float64: expected curvature, E'QE."""
     step: Double1
     """(n_q,) float64."""
     last_step: Double1
-    """(n_q,) float64: the last one that was taken; nought before."""
+    """(n_q,) float64: the last accepted step; zero before."""
     lam_step: Double1
     """(m,) float64."""
     free: Bool1
     """(n_q,) bool: entries of q that may move."""
     precision: Double1
-    """(n_p,) float64: of the prior, in units of squared residuals."""
+    """(n_p,) float64: precision of the prior on p, in units of squared residuals."""
     fours: Single1
-    """(4 n k + 8,) float32: room."""
+    """(4 n k + 8,) float32: this and the arrays below down to ``along``, but for ``damper``, are scratch."""
     room: Single1
     """(48,) float32."""
     squares: Double2
@@ -268,7 +266,7 @@ class Work(NamedTuple):
     row_sums: Double2
     """(k, 3) float64."""
     damper: Double2
-    """(n_q, n_q) float64: ``base`` with the prior, which damping is relative to."""
+    """(n_q, n_q) float64: ``base`` plus the prior; damping is relative to it."""
     small: Double3
     """(2, n_q, n_q) float64."""
     cubes: Double3
@@ -288,17 +286,17 @@ class Work(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """How a level's loop stopped; the rest is in :class:`Work`."""
+    """How a level's loop ended; the solution is in :class:`Work`."""
 
     n_taken: int
-    """Steps accepted."""
+    """Accepted steps."""
     n_tried: int
-    """Steps tried."""
+    """Accepted and refused steps."""
     moved: float
     """Root mean square movement of the landmarks by the last accepted step, model pixels."""
     settled: bool
-    """The last step was too small to matter."""
+    """The loop converged: the last step was too small to matter."""
     held: bool
-    """The angles, or one combination of them, could not be observed at the end."""
+    """An angle, or the common turn of both, was unobservable at the end and kept fixed."""
     flat: bool
-    """There was nothing to descend on."""
+    """The image has no texture to descend on."""

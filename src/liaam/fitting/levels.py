@@ -1,4 +1,4 @@
-"""From the coarsest level to the finest: what is fitted, where each level starts, and where it came to."""
+"""Coarse-to-fine fitting: each level starts from the solution of the one before."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,16 +17,16 @@ from liaam.model.shape import Similarity, align, diagonal_of
 from liaam.photometry import NoiseModel, Response
 
 SCALE_LIMITS = (1 / 3, 3.0)
-"""Change of size from the start beyond which a fit has diverged."""
+"""Limits on the change of size from the start; beyond them a fit has diverged."""
 
 COARSE, COARSE_NOTICE = 10.0, 5.0
-"""How much sooner than the finest level the coarser ones may stop: in pixels, and in standard deviations. Measured on
-starts far off: at 10 standard deviations 4 % of the fits are lost instead of 1."""
+"""Factors on ``tolerance`` and ``notice`` at all levels but the finest. With 10 for ``notice``, 4 % of the fits from
+distant starts are lost instead of 1 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One level's solution, with the similarity from model pixels to image pixels it was found in."""
+    """Solution of one level, with the similarity from model pixels to image pixels that it refers to."""
 
     objective: Objective
     problem: FitProblem
@@ -34,7 +34,7 @@ class Stage:
     solution: Solution
 
     def shape(self, state: State) -> np.ndarray:
-        """Shape of a state, (n, 2) float64, image pixels."""
+        """Return the shape of a state, (n, 2) float64, image pixels."""
         return self.pose(self.objective.warp.shape(state.p))
 
     @property
@@ -51,31 +51,31 @@ class Stage:
 
 
 class Target(NamedTuple):
-    """What is to be fitted: a picture and what is known of it, the same for all levels."""
+    """An image to fit, its start and its camera's properties, the same for all levels."""
 
     image: np.ndarray
-    """(h, w, 3) uint8, uint16 or float32, flattened."""
+    """(h, w, 3) uint8, uint16 or float32, corrected for vignetting."""
     start: np.ndarray
-    """(n, 2) float: where the warp's handles start, image pixels."""
+    """(n, 2) float: initial positions of the landmarks (of a homography, the corners), image pixels."""
     response: Response
-    """Of the image's camera."""
+    """Response of the image's camera."""
     noise: NoiseModel | float | None = None
-    """Of the image's camera."""
+    """Noise of the image's camera."""
     theta: float | None = None
-    """Angle of the image's camera where the method does not estimate it, radians; the model's if left out."""
+    """Angle of the image's camera if the method does not estimate it, radians; by default the model's."""
     margin: float = MARGIN
-    """Surroundings of the start that the fit may visit, as a share of the object's diagonal."""
+    """Margin around the start that the fit may use, as a fraction of the object's diagonal."""
     light: Light | None = None
-    """The picture, averaged around the start for all levels; each averages for itself, if left out."""
+    """The image averaged around the start for all levels; by default each level averages for itself."""
 
     def measured(self, method: Method) -> "Target":
-        """Target whose noise is measured in the image where the method weighs by it and nobody knows it."""
+        """Return a target with the noise measured in the image, if the method needs it and it is unknown."""
         if self.noise is not None or not method.weighs_noise:
             return self
         return self._replace(noise=noise_around(self.image, self.start))
 
     def averaged(self, levels: Sequence[tuple[Objective, float]]) -> "Target":
-        """Target whose picture is averaged once for all levels (objectives with their blurs)."""
+        """Return a target with the image averaged once for all levels (objectives with their blurs)."""
         objective, blurs = levels[0][0], [blur for _, blur in levels]
         pose, encoding = align(objective.warp.rest, self.start), objective.method.encoding
         light = Light.around(
@@ -85,19 +85,19 @@ class Target(NamedTuple):
 
 
 def solve_levels(levels: Sequence[tuple[Objective, float]], target: Target, options: SolverOptions) -> list[Stage]:
-    """Solve from the coarsest level to the finest, each from where the one before it stopped.
+    """Solve the levels from coarse to fine, each from the solution of the one before.
 
     Parameters
     ----------
     levels : sequence of (Objective, float)
-        What to minimise, and the blur of the image in model pixels; coarse to fine.
+        Objective and blur of the image in model pixels, coarse to fine.
     target : Target
     options : SolverOptions
 
     Returns
     -------
     list of Stage
-        Fewer than there are levels where a fit has blown up or collapsed.
+        One per level; fewer if the fit diverged.
     """
     target, stages = target.measured(levels[0][0].method).averaged(levels), []
     for objective, blur in levels:
@@ -113,10 +113,10 @@ def solve_levels(levels: Sequence[tuple[Objective, float]], target: Target, opti
 def prepare_level(
     objective: Objective, blur: float, target: Target, stages: Sequence[Stage], options: SolverOptions
 ) -> tuple[FitProblem, State, Similarity]:
-    """Fit problem, first state and pose of a level, after the stages before it (none for the first).
+    """Return the problem, the initial state and the pose of a level, given the stages before it.
 
-    Anew for each level: shape modes turn and grow with the pose, and the patch with its resolution belongs where the
-    object is now, not where the start was.
+    The pose is updated at each level because shape modes rotate and scale with it, and the patch is cut around the
+    current shape.
     """
     shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, target.margin)
     warp = objective.warp
@@ -131,7 +131,7 @@ def prepare_level(
 
 
 def spare(options: SolverOptions) -> SolverOptions:
-    """Options for a coarse level, whose solution is a start for the next."""
+    """Return looser options for a coarse level, whose solution only starts the next."""
     scoring = None if options.scoring is None else 0
     tolerance, notice = COARSE * options.tolerance, COARSE_NOTICE * options.notice
     return replace(options, tolerance=tolerance, notice=notice, scoring=scoring)
@@ -148,7 +148,7 @@ def _first_angles(
 
 
 def trace(stages: Sequence[Stage]) -> tuple[Iteration, ...]:
-    """Every accepted state of all levels, each level's start included."""
+    """Return the start and every accepted state of all levels."""
     return tuple(
         Iteration(cost, shape, theta if stage.objective.method.has_angles else np.nan, level)
         for level, stage in enumerate(stages)
@@ -157,7 +157,7 @@ def trace(stages: Sequence[Stage]) -> tuple[Iteration, ...]:
 
 
 def is_sane(shape: np.ndarray, start: np.ndarray) -> bool:
-    """Tell whether a shape is finite and of a size that can still be called that of the start."""
+    """Return whether a shape is finite and its size within :data:`SCALE_LIMITS` of the start's."""
     return (
         bool(np.isfinite(shape).all()) and SCALE_LIMITS[0] < diagonal_of(shape) / diagonal_of(start) < SCALE_LIMITS[1]
     )

@@ -1,10 +1,11 @@
-"""The loop of a level: weighted, damped steps of p and the free angles with lambda eliminated (paper section 4).
+"""The loop of a level: weighted, damped Gauss-Newton steps of p and the free angles (paper section 4).
 
-Paper eq 5, 9 and 10 give the Gauss-Newton step of the joint system (p, lambda, theta). Both eliminations take that step
-for p and theta. They differ in lambda: variable projection solves it afresh at every state, so that the cost compared
-is the reduced one; the joint form, the paper's, moves it by its own part of the step.
+Each iteration evaluates the residual (eq 9), differentiates it (eq 10) and solves the normal equations (eq 5). The
+steps of p and theta are those of the joint system (p, lambda, theta). The two eliminations differ in lambda only.
+Variable projection solves for it at every state, so it compares reduced costs. The joint form (the paper's) updates it
+by its own part of the step.
 
-A level is one call of :func:`solve_level`, compiled; kernel ``reference`` runs the same lines over plain NumPy.
+:func:`solve_level` is one compiled call; kernel ``reference`` runs the same code over NumPy.
 """
 
 import numpy as np
@@ -31,44 +32,44 @@ from liaam.kernels.compiled import compiled
 from liaam.kernels.jit import jit
 
 TRUSTED_DAMPING, DAMPING_LIMIT = 1e-2, 1e7
-"""Damping up to which the size of a step says that the fit has settled, and at which it stops."""
+"""Largest damping at which a small step means convergence, and damping at which the loop gives up."""
 
 LEAST_DAMPING, FIRST_DAMPING, FIRST_EXPECTED_DAMPING = 1e-7, 1e-3, 1.0
-"""Damping that accepted steps with the picture's gradient do not go below, and that after a first refused step; with
-the expected gradient, where it is relative to the expected curvature."""
+"""Damping with the image's gradient: lower bound after accepted steps, and value after the first refused step. The
+third is that value with the expected gradient, relative to the expected curvature."""
 
 RISE, EXPECTED_RISE = 1.0 + 1e-6, 1.25
-"""By how much more than the least cost a step may leave. With the picture's gradient: rounding. With the expected one
-its zero is not the cost's minimum, which noise dents; measured: 2 % more at a noise of 10 of 255, and a limit of 5 %
-refused good steps at 15 and 20."""
+"""Largest ratio of a step's cost to the lowest cost so far. With the image's gradient it allows for rounding. The zero
+of the expected gradient is not the cost's minimum: its cost is 2 % higher at noise of 10/255, and a limit of 5 %
+refused good steps at 15/255 and 20/255."""
 
 STILL = 0.2
-"""Step, in model pixels, after which weights by rows are kept: what they are averaged from has hardly changed."""
+"""Length of a step, in model pixels, below which weights by rows are kept: their averages hardly change."""
 
 ROUNDS = 3
-"""Times that a robust loss' weights and lambda are found in turn before the next look: outliers hold lambda, and lambda
-makes outliers. Under a patch over a fifth of a face (experiment ``baselines``) one round loses 4 of 24 fits by Tukey's
-loss; three lose none and need half the steps; five gain nothing."""
+"""Alternations between robust weights and lambda before the next residual, since outliers and lambda depend on each
+other. With a patch over a fifth of a face (experiment ``baselines``), Tukey's loss loses 4 of 24 fits with one round
+and none with three, in half the steps. Five rounds gain nothing."""
 
 LONGEST_UNSEEN = 1.0
-"""Step, in model pixels, that is not taken without another look however uncertain the object is."""
+"""Longest step, in model pixels, that may be accepted without another evaluation."""
 
 
 @compiled
 def solve_level(template: Template, picture: Picture, row: Row, controls: Controls, work: Work) -> None:
-    """Minimise a method's cost over one picture at one level, from where ``work`` stands. It ends, whatever it sees."""
+    """Minimise a method's cost over one image at one level, from the state in ``work``. Always terminates."""
     averages, rise = row.weights == BY_ROWS and row.loss < 0, EXPECTED_RISE if controls.expected else RISE
     again = ROUNDS if row.loss >= 0 else 1
-    # Weights twice where each pixel's depends on its own residual, and so on the weights before.
+    # Twice at first if each pixel's weight depends on its own residual, and so on the weights before.
     rounds = (1 if averages else max(again, 2)) if controls.reweigh else 0
     damping, least, length, moved, n_taken, n_tried = controls.damping, np.inf, 0.0, 0.0, 0, 0
     solves, fresh, tried, small, settled, held, flat = controls.solve, True, False, False, False, False, False
     while True:
         row.look(template, picture, row, work, solves)  # eq 9
-        row.settle(template, row, work, False, solves)
+        row.settle(template, row, work, False, solves)  # lambda, by variable projection
         merit = merit_of(work.sums, work.p, work.precision, work.lam, template.ridge)
         if tried and controls.damping > 0.0 and not merit <= rise * least:  # NaN is refused, too
-            go_back(work.before, work.p, work.angles, work.lam)  # look again where the step began
+            go_back(work.before, work.p, work.angles, work.lam)
             settled, damping = small or damping >= DAMPING_LIMIT, _raised(damping, controls.expected)
             tried, rounds = False, 0
             continue
@@ -76,14 +77,14 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
             n_taken, moved, damping = n_taken + 1, length, _eased(damping, controls.expected, controls.damping)
             copy(work.step, work.last_step)
             least = merit if merit < least else least
-            settled = small and damping <= TRUSTED_DAMPING  # small of itself, not by damping
+            settled = small and damping <= TRUSTED_DAMPING  # else damping may be what makes the step small
         for _ in range(rounds):
             if not row.weigh(template, picture, row, work):
                 break
             if row.loss >= 0:
                 row.weigh_by_loss(template, row, work)
             row.settle(template, row, work, True, solves)
-            least, fresh = np.inf, True  # neither the least cost nor the expected curvature holds under other weights
+            least, fresh = np.inf, True  # new weights invalidate the lowest cost and the expected curvature
         record(n_taken, work.p, work.angles, work.sums, work.costs, work.path, work.turns)
         ends = settled or n_tried >= controls.max_iterations or not np.isfinite(work.costs[n_taken])
         if ends and not controls.look:
@@ -97,7 +98,7 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
         small = unnoticed or length < controls.tolerance or (n_tried < controls.quick and length < controls.loose)
         n_tried += 1
         move(row.directions, work.step, work.lam_step, work.p, work.angles, work.lam, work.before)
-        if small and not controls.look and damping <= TRUSTED_DAMPING:  # another look would tell nothing
+        if small and not controls.look and damping <= TRUSTED_DAMPING:  # skip the last evaluation
             settled, moved, n_taken = True, length, n_taken + 1
             record(n_taken, work.p, work.angles, work.sums, work.costs, work.path, work.turns)
             break
@@ -110,16 +111,16 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
 def propose(
     template: Template, row: Row, controls: Controls, work: Work, damping: float, fresh: bool, ends: bool
 ) -> tuple[bool, bool, bool]:
-    """Write a step of q = (p, free angles), and of lambda with it; at the end the picture's own curvature only.
+    """Compute the step of q = (p, free angles) and of lambda (eq 5); at the end, only the Gauss-Newton Hessian.
 
     Returns
     -------
     found : bool
-        Whether there is any.
+        Whether there is a step.
     held : bool
-        Whether an angle is held.
+        Whether an angle is kept fixed.
     unnoticed : bool
-        Whether nobody can tell the step from none.
+        Whether the step is short compared with its standard deviation.
     """
     n_p, n_q = len(work.p), len(work.step)
     expects = controls.expected and not ends
@@ -158,14 +159,14 @@ def propose(
 
 @jit
 def _raised(damping, expected):
-    """Damping after a step was refused."""
+    """Return the damping after a refused step."""
     first = FIRST_EXPECTED_DAMPING if expected else FIRST_DAMPING
     return 10.0 * damping if 10.0 * damping > first else first
 
 
 @jit
 def _eased(damping, expected, asked):
-    """Damping after a step was taken; none where none was asked for."""
+    """Return the damping after an accepted step; 0 if undamped steps were asked for."""
     if expected:
         return 0.1 * damping if damping > TRUSTED_DAMPING else 0.0
     eased = 0.1 * damping if 0.1 * damping > LEAST_DAMPING else LEAST_DAMPING

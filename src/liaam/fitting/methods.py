@@ -1,4 +1,4 @@
-"""The table of methods (DESIGN section 1): every fitting method is one row of one objective."""
+"""The table of methods: each fitting method is one row of parameters of the common objective (eq 9, generalised)."""
 
 from dataclasses import dataclass, field, replace
 
@@ -18,11 +18,11 @@ METRICS = {
     "soft": np.eye(3, 6),
     "invariant": np.zeros((1, 3)),
 }
-"""Rows of P by name, (k, channels of the encoding); those of ``invariant`` are L(theta), and so is the last of ``soft``
-on the channels of log RGB."""
+"""Rows of P by name, (k, channels of the encoding). ``invariant``, and the last row of ``soft``, are L(theta) (eq 7) on
+the channels of log RGB."""
 
 INVARIANT_AT = {"invariant": (0, 0), "soft": (2, 2)}
-"""Metrics that depend on the angles: the row that is L(theta), and the first of its three channels."""
+"""Metrics that depend on the angles: the row that holds L(theta), and the first of its three channels."""
 
 FREE_ANGLES = {
     "none": np.zeros((2, 0)),
@@ -40,7 +40,7 @@ ENCODING_OF = {
     "orientation": "orientation",
     "soft": "soft",
 }
-"""The encoding each appearance is learnt in."""
+"""Encoding of each appearance."""
 
 BIASES = ("none", "common", "rows")
 
@@ -52,24 +52,23 @@ STEPS = ("own", "scored", "expected")
 
 @dataclass(frozen=True)
 class Method:
-    """One way to measure the difference between model and image: a row of the table.
+    """A row of the table: how the difference between model and image is measured.
 
     The residual of a pixel is ``P(theta_2) E(I(W(x; p))) - P(theta_1) (A0 + sum_i lambda_i A_i)`` minus
-    the extra modes, with ``E`` the encoding and ``P`` the metric.
+    the extra modes, with ``E`` the encoding and ``P`` the metric. With ``E = log`` and ``P = L`` this is eq 9.
 
     Attributes
     ----------
     name : str
-        What results and messages call it. Rows are compared without their names and summaries: a copy under another
-        name is the same method.
+        Name in results and messages. Two rows that differ only in name and summary are equal.
     summary : str
-        One line for people.
+        One-line description.
     encoding : {"value", "log", "orientation", "soft"}
-        What is measured in the image.
+        Encoding of the image.
     appearance : {"value", "log", "orientation", "soft", "invariant", "varied"}
-        Which of the model's appearances it is compared with.
+        Which of the model's appearances is fitted.
     metric : {"luminance", "rgb", "chromaticity", "orientation", "soft", "invariant"}
-        Rows of P; only ``invariant`` and the last row of ``soft`` depend on the angles.
+        Rows of P. Only ``invariant`` and the last row of ``soft`` depend on the angles.
     free_angles : {"none", "image", "both", "shared"}
         Which of theta_1 (model) and theta_2 (image) are estimated.
     gain : bool
@@ -79,15 +78,14 @@ class Method:
     illumination : bool
         Add the model's illumination basis (AIA, the paper's [6]).
     normalise : bool
-        Bring the image's samples to the mean and deviation of the model's mean before they are compared
+        Bring the image's samples to the mean and standard deviation of the mean appearance
         (photometric normalisation, the paper's [1]).
     weights : {"model", "noise", "rows"}
-        What pixels are weighed by: as the model says; by the inverse variance that the image's noise gives their
-        residual; or, each row by itself, by the inverse variance that noise and the model's errors give it, both
-        estimated from the picture at hand.
+        "model" uses the model's weights. "noise" uses inverse variances of the residual due to image noise. "rows" does
+        so for each row of P, with the variance of the model's errors estimated from the image.
     step : {"own", "scored", "expected"}
-        Whether steps are made with the picture's own gradient, or with the one that the model expects
-        (:mod:`liaam.fitting.steps`); or with the picture's own first, and with the expected one at the end.
+        Gradient used in steps: the image's own; the image's own first and the expected one at the end; or the one
+        that the model expects (:mod:`liaam.fitting.steps`).
     loss : str
         "squares", or a robust loss of :data:`liaam.fitting.losses.LOSSES`.
     view : {"mesh", "surroundings"}
@@ -121,10 +119,10 @@ class Method:
         if self.metric not in INVARIANT_AT and self.free_angles != "none":
             raise MethodError(f"method {self.name}: metric {self.metric} has no angle to free")
         if self.metric in ("invariant", "chromaticity") and self.bias == "common":
-            # L . 1 = 0 (and C . 1 = 0): a grey constant in log space is a null vector.
+            # L . 1 = 0 (and C . 1 = 0): a constant common to all log channels is a null vector.
             raise MethodError(f"method {self.name}: a common bias is invisible to metric {self.metric}")
         if self.gain and self.metric == "invariant":
-            raise MethodError(f"method {self.name}: a gain scales a logarithm's contrast, which no light does")
+            raise MethodError(f"method {self.name}: a gain on logarithms does not model any change of light")
         _check("loss", self.loss, ("squares", *LOSSES))
         if ENCODING_OF[self.appearance] != self.encoding:
             raise MethodError(f"method {self.name}: {self.encoding} images do not suit a {self.appearance} appearance")
@@ -135,12 +133,12 @@ class Method:
             raise MethodError(f"method {self.name}: weights by rows are for encoding soft")
         if self.weights == "noise" and self.encoding != "log":
             raise MethodError(
-                f"method {self.name}: noise weights are for methods that compare logarithms, where dark pixels are the "
-                f"noisy ones; noise of values is alike everywhere"
+                f"method {self.name}: noise weights are for methods that compare logarithms, whose noise depends on "
+                f"brightness; the noise of values is uniform"
             )
         if self.weights != "model" and self.loss == "learnt":
             raise MethodError(
-                f"method {self.name}: weights by {self.weights} hold the model's own errors already; leave learnt out"
+                f"method {self.name}: weights by {self.weights} already include the model's errors; leave out 'learnt'"
             )
         if (self.illumination or self.normalise) and self.encoding != "value":
             raise MethodError(f"method {self.name}: an illumination basis and normalisation need encoding value")
@@ -151,32 +149,32 @@ class Method:
 
     @property
     def needs_colour(self) -> bool:
-        """Whether grey pictures carry nothing for this method."""
+        """Whether the method cannot use grey images."""
         return self.metric in ("invariant", "chromaticity")
 
     @property
     def n_rows(self) -> int:
-        """Rows of P, k."""
+        """Number of rows of P, k."""
         return len(METRICS[self.metric])
 
     @property
     def reweighs(self) -> bool:
-        """Whether something is worked out anew between iterations (see :mod:`liaam.fitting.weights`)."""
+        """Whether weights are updated between iterations (see :mod:`liaam.fitting.weights`)."""
         return self.weighs_noise or self.normalise or self.loss != "squares"
 
     @property
     def weighs_noise(self) -> bool:
-        """Whether the image's noise has to be known."""
+        """Whether the weights depend on the image's noise."""
         return self.weights != "model"
 
     @property
     def solves_angle(self) -> bool:
-        """Whether theta_2 and lambda have a global closed form together (:mod:`liaam.fitting.angles`)."""
+        """Whether theta_2 and lambda have a joint closed-form optimum (:mod:`liaam.fitting.angles`)."""
         return self.metric == "invariant"
 
     @property
     def expects(self) -> bool:
-        """Whether steps with the gradient that the model expects are made, from the start or at the end."""
+        """Whether any steps use the gradient that the model expects."""
         return self.step != "own"
 
     @property
@@ -186,14 +184,14 @@ class Method:
 
     @property
     def angle_directions(self) -> np.ndarray:
-        """D (theta_1, theta_2) / d (free angles), (2, n_free)."""
+        """Derivatives of (theta_1, theta_2) by the free angles, (2, n_free)."""
         return FREE_ANGLES[self.free_angles]
 
     @property
     def metric_parts(self) -> np.ndarray:
-        """P(theta_2) = parts[0] + cos(theta_2) parts[1] + sin(theta_2) parts[2], (3, k, 8) float64.
+        """Parts of P(theta_2) = parts[0] + cos(theta_2) parts[1] + sin(theta_2) parts[2], (3, k, 8) float64.
 
-        Pictures have 8 channels: those of the encoding, and their weight as the last one.
+        Encoded images have 8 channels; the last one is the weight.
         """
         rows = METRICS[self.metric]
         parts = np.zeros((3, len(rows), 8))
@@ -207,23 +205,23 @@ class Method:
 
     @property
     def model_metric_parts(self) -> np.ndarray:
-        """The same of P(theta_1), on the channels of the appearance, (3, k, c) float64."""
+        """The same for P(theta_1), on the channels of the appearance, (3, k, c) float64."""
         if not self.projects_appearance:
             return np.stack([np.eye(self.n_rows), *np.zeros((2, self.n_rows, self.n_rows))])
         return self.metric_parts[:, :, : METRICS[self.metric].shape[1]]
 
     def model_metric(self, theta: float) -> np.ndarray:
-        """Rows of P for the model (angle theta_1), (k, channels of the appearance)."""
+        """Return P(theta_1) for the model, (k, channels of the appearance)."""
         return np.tensordot([1.0, np.cos(theta), np.sin(theta)], self.model_metric_parts, axes=1)
 
     def image_metric(self, theta: float) -> np.ndarray:
-        """Rows of P for the image (angle theta_2), (k, channels of the encoding)."""
+        """Return P(theta_2) for the image, (k, channels of the encoding)."""
         parts = self.metric_parts[:, :, : METRICS[self.metric].shape[1]]
         return np.tensordot([1.0, np.cos(theta), np.sin(theta)], parts, axes=1)
 
     @property
     def projects_appearance(self) -> bool:
-        """Whether the model's appearance is yet to be projected; these were before they were learnt."""
+        """Whether P applies to the model's appearance; the others were projected before they were learnt."""
         return self.appearance not in ("invariant", "orientation", "soft")
 
 
@@ -237,7 +235,7 @@ METHODS: dict[str, Method] = {
     for method in (
         Method(
             "soft-li",
-            "gradients of log brightness and the invariant, each as far as it can be trusted; under any light",
+            "gradients of log brightness and the invariant, weighted by estimated variance; for any light",
             "soft",
             "soft",
             "soft",
@@ -287,7 +285,7 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             "chroma",
-            "log-chromaticity: blind to intensity; one colour of light all over is assumed",
+            "log-chromaticity: invariant to intensity; assumes one colour of light for the whole object",
             "log",
             "log",
             "chromaticity",
@@ -295,11 +293,11 @@ METHODS: dict[str, Method] = {
             step="scored",
         ),
         Method(
-            "grey-plain", "luminance as it is: even a change of exposure is an error", "value", "value", "luminance"
+            "grey-plain", "unmodified luminance: even a change of exposure is an error", "value", "value", "luminance"
         ),
         Method(
             "grey-norm",
-            "luminance normalised to the model's mean and deviation (affine photometric normalisation)",
+            "luminance normalised to the model's mean and standard deviation (affine photometric normalisation)",
             "value",
             "value",
             "luminance",
@@ -307,7 +305,7 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             "varied",
-            "as grey, learnt from relit pictures, too (train with --lamps)",
+            "as grey, learnt from relit images too (train with --lamps)",
             "value",
             "varied",
             "luminance",
@@ -326,32 +324,32 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             "igo",
-            "orientation of luminance's gradient: blind to its strength",
+            "orientation of the luminance gradient: ignores its magnitude",
             "orientation",
             "orientation",
             "orientation",
         ),
     )
 }
-"""The methods by name, in the order of the table."""
+"""All methods by name, in the order of the table."""
 
 
 DEFAULT_METHOD = "soft-li"
-"""For any picture, whatever is known of its light."""
+"""Suits images under any light."""
 
 NOISE_SUFFIX = "noise"
 
 
 def get_method(method: str | Method) -> Method:
-    """Look a method up by name; a :class:`Method` of your own passes through.
+    """Return the method of a name; a :class:`Method` is returned unchanged.
 
-    A name may carry suffixes: ``+noise`` weighs pixels by the image's noise, and the name of a loss makes the
+    A name may have suffixes: ``+noise`` weighs pixels by the image's noise, and the name of a loss makes the
     method robust, as in ``li+noise``, ``grey+tukey`` or ``li+noise+huber``.
 
     Raises
     ------
     MethodError
-        If there is none of that name; the message lists those that exist.
+        If no method or suffix has that name; the message lists those that exist.
     """
     if isinstance(method, Method):
         return method
@@ -364,8 +362,8 @@ def get_method(method: str | Method) -> Method:
         key, value = ("weights", "noise") if suffix == NOISE_SUFFIX else ("loss", suffix)
         if key in changes or (key == "loss" and suffix not in LOSSES):
             raise MethodError(
-                f"method {method!r}: the suffix +{suffix} does not exist or is one too many; a method takes "
-                f"+{NOISE_SUFFIX} and one of {', '.join(f'+{name}' for name in LOSSES)}"
+                f"method {method!r}: the suffix +{suffix} is unknown or repeated; use +{NOISE_SUFFIX} and at most one "
+                f"of {', '.join(f'+{name}' for name in LOSSES)}"
             )
         changes[key] = value
     return replace(METHODS[base], name=method, **changes) if changes else METHODS[base]

@@ -1,4 +1,4 @@
-"""A model seen through a method at one level: the residual's model side, laid out for the loop (DESIGN section 1)."""
+"""The objective of a model, a method and a level: the model's side of the residual, and the calls of the loop."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,19 +36,19 @@ from liaam.model.warp import Mesh, Warp
 
 
 class State(NamedTuple):
-    """Where a fit stands."""
+    """The unknowns of a fit."""
 
     p: np.ndarray
     """(n_p,) float64: parameters of the warp."""
     angles: np.ndarray
-    """(2,) float64: theta_1 (model) and theta_2 (picture), radians."""
+    """(2,) float64: theta_1 (model) and theta_2 (image), radians."""
     lam: np.ndarray
     """(m,) float64: coordinates of the appearance, extra modes last."""
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """A model seen through a method.
+    """The cost of a method for a model at one level (eq 9, generalised).
 
     Attributes
     ----------
@@ -58,22 +58,21 @@ class Objective:
     theta_model : float
         The training camera's angle, radians.
     prior : (n_p,) float64
-        Precision of a Gaussian prior on p, 0 where there is none. The sum of squares over all pixels overstates the
-        evidence by as many pixels as are correlated; the loop makes up for it.
+        Precision of a Gaussian prior on p; 0 for none. The loop scales it to correct for correlated pixels.
     kernel : {"fast", "reference"}
     illumination : AppearanceModel, optional
         Illumination basis, for methods that add one.
     correlated : float
-        Pixels that stand for one independent residual, where the weights do not know it themselves.
+        Number of pixels per independent residual, for weights that do not account for correlation.
     density : float
-        Share of the frame's pixels that are looked at.
+        Fraction of the frame's pixels that are used.
     freedom : float
-        Degrees of freedom of the prior's scale (:func:`liaam.fitting.steps.next_scale`); infinite where it is 1.
+        Degrees of freedom of the prior's scale (:func:`liaam.fitting.steps.next_scale`); infinite for a scale of 1.
     whole : Objective, optional
-        The same over all of the frame's pixels, in the order of ``warp.kept``; this one itself if left out.
+        The same objective over all of the frame's pixels, in the order of ``warp.kept``; by default this one.
     in_frame : (AppearanceModel, AppearanceModel or None), optional
-        Appearance and illumination at all of the frame's pixels in raster order, of which slopes are taken; those of
-        the warp's own pixels if left out.
+        Appearance and illumination at all of the frame's pixels in raster order, for spatial gradients; by default
+        those at the warp's pixels.
     """
 
     method: Method
@@ -96,17 +95,17 @@ class Objective:
 
     @property
     def n_q(self) -> int:
-        """Warp parameters plus free angles."""
+        """Number of warp parameters plus free angles."""
         return self.warp.n_parameters + self.method.angle_directions.shape[1]
 
     @property
     def n_lambda(self) -> int:
-        """Appearance modes plus extra modes."""
+        """Number of appearance modes plus extra modes."""
         return len(self.template.rows) - 1
 
     @cached_property
     def row(self) -> Row:
-        """The method in numbers, and in functions."""
+        """The method as arrays, numbers and functions."""
         method, kernel = self.method, get_kernel(self.kernel)
         loss = LOSSES.index(method.loss) if method.loss in LOSSES else -1
         noisy, weigh = method.weights == "noise", {"noise": kernel.by_noise, "rows": kernel.by_rows}
@@ -133,7 +132,7 @@ class Objective:
 
     @cached_property
     def template(self) -> Template:
-        """The model's side of the residual."""
+        """The model's side of the residual, P(theta_1) A0 and P(theta_1) A_i."""
         n, k = len(self.appearance.mean), self.method.n_rows
         parts, slopes = self._rows_of(self.appearance, self.illumination).reshape(3, -1, n * k), self._slopes
         at = np.array([1.0, np.cos(self.theta_model), np.sin(self.theta_model)], np.float32)
@@ -161,21 +160,21 @@ class Objective:
         )
 
     def __getstate__(self) -> dict:
-        """Leave out compiled functions and addresses, which hold in this process only."""
+        """Leave out compiled functions and addresses, which are valid in this process only."""
         return {name: value for name, value in self.__dict__.items() if name not in ("row", "given")}
 
     @cached_property
     def given(self) -> tuple[Any, Any]:
-        """The template and the row as the kernel takes them."""
+        """The template and the row in the form that the kernel takes."""
         return get_kernel(self.kernel).by_reference(self.template), get_kernel(self.kernel).by_reference(self.row)
 
     @property
     def _turns(self) -> bool:
-        """Whether the model's side turns with a free angle."""
+        """Whether theta_1, and so the model's side, changes during a fit."""
         return bool(self.method.angle_directions[0].any())
 
     def work(self, state: State, max_iterations: int = 0) -> Work:
-        """Room for a fit, standing at a state, weighing as the model does."""
+        """Allocate the arrays of a fit, at a state and with the model's weights."""
         template, n, k = self.template, len(self.appearance.mean), self.method.n_rows
         n_p, n_free, m = self.warp.n_parameters, self.n_q - self.warp.n_parameters, self.n_lambda
         n_q, e = n_p + n_free, n * k
@@ -254,14 +253,14 @@ class Objective:
         )
 
     def _rows_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
-        """Mean and all modes in rows of P, what is fixed and what goes with cos and sin: (3, 1 + m, n, k) float32."""
+        """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
         k, parts = self.method.n_rows, []
         textures = [appearance.mean[None], appearance.modes]
         if self.method.illumination and illumination is not None:
             textures.append(illumination.modes)
         for metric in self.method.model_metric_parts.astype(np.float32):
             rows = [texture @ metric.T for texture in textures]
-            if self.method.gain:  # its mode is the mean
+            if self.method.gain:  # the gain's mode is the mean
                 rows.append(rows[0])
             parts.append(np.concatenate(rows))
         biases = {"none": np.zeros((0, 1, k)), "common": np.ones((1, 1, k)), "rows": np.eye(k)[:, None]}
@@ -276,7 +275,7 @@ class Objective:
         return make()
 
     def _ridge(self) -> np.ndarray:
-        """Ridge on the diagonal of A'A, (m,) float64: by the modes as they are before they are projected."""
+        """Return the ridge on the diagonal of A'A, (m,) float64, from the norms of the modes before projection."""
         appearance, k = self.appearance, self.method.n_rows
         modes = [appearance.modes]
         if self.method.illumination and self.illumination is not None:
@@ -290,10 +289,10 @@ class Objective:
         return ridge
 
     def _ordinary_unit(self) -> float:
-        """Variance that weighs 1 in pictures like those of training, of weights by rows; 0 for no prior on lambda.
+        """Return the variance at weight 1 in images like those of training, for weights by rows; else 0.
 
-        The prior of lambda is N(0, eigenvalues) there. Where a picture leaves more unexplained than those, its
-        appearance may be as much further from the mean: one scale for both, which cancels.
+        It converts the prior of lambda, N(0, eigenvalues), to units of squared residuals. If an image leaves more
+        unexplained than training images do, its appearance may deviate as much more: the common scale cancels.
         """
         unexplained, usable = self.appearance.unexplained, self.appearance.usable
         if self.method.weights != "rows" or unexplained is None or not usable.any():
@@ -309,7 +308,7 @@ class Objective:
 
     @cached_property
     def _slopes(self) -> np.ndarray:
-        """Slopes of the mean and all modes at rest, (3, 1 + m, 2 n k) float32; empty where no step asks for them."""
+        """Spatial gradients of mean and modes, (3, 1 + m, 2 n k) float32; empty for methods that do not use them."""
         parts = self._rows_of(*(self.in_frame or (self.appearance, self.illumination)))
         if not self.method.expects:
             return np.zeros((3, parts.shape[1], 0), np.float32)
@@ -319,7 +318,7 @@ class Objective:
         return np.ascontiguousarray(slopes.transpose(2, 3, 0, 1, 4), np.float32).reshape(n_parts, n_modes, -1)
 
     def _errors(self) -> np.ndarray:
-        """Variance of the model's errors, mean over the rows of P, (n,) float64; 0 where it is not known."""
+        """Return the variance of the model's errors, mean over the rows of P, (n,) float64; 0 if unknown."""
         unexplained = self.appearance.unexplained
         if unexplained is None:
             return np.zeros(len(self.appearance.mean))
@@ -327,17 +326,17 @@ class Objective:
         return np.einsum("kc,ncd,kd->n", metric, unexplained, metric, optimize=True) / len(metric)
 
     def picture(self, problem: FitProblem) -> Picture:
-        """A problem's picture as the loop takes it."""
-        # Pixels of a picture smaller than the model's frame are spread over several of the frame's.
+        """Return a problem's image in the form that the loop takes."""
+        # In an image smaller than the model's frame, one image pixel covers several model pixels.
         tied = max(correlated_pixels(problem.blur), 1.0 / problem.pose.scale**2)
         return problem.picture(max(1.0, self.density * tied), self.method.weighs_noise)
 
     def start(self, p: np.ndarray) -> State:
-        """State with mean appearance and the model's own angle for both cameras."""
+        """Return a state with the mean appearance and the model's angle for both cameras."""
         return State(np.array(p, np.float64), np.full(2, self.theta_model), np.zeros(self.n_lambda))
 
     def look(self, problem: FitProblem, state: State, weigh: int = 0) -> Work:
-        """Look at a picture at a state, its appearance as it is, and weigh what is seen so many times."""
+        """Evaluate the residual of a state without solving for lambda, and update the weights ``weigh`` times."""
         kernel, work = get_kernel(self.kernel), self.work(state)
         (template, row), seen = self.given, kernel.by_reference(work)
         picture = kernel.by_reference(self.picture(problem))
@@ -351,27 +350,25 @@ class Objective:
         return work
 
     def equations(self, work: Work) -> tuple[np.ndarray, np.ndarray]:
-        """Hessian J'QJ (n_q, n_q) and gradient J'Qr (n_q,) of what is seen, by the picture's own gradient (eq 5,
-        10).
-        """
+        """Return the Hessian J'QJ (n_q, n_q) and the gradient J'Qr (n_q,) of eq 5, from the image's own gradient."""
         kernel = get_kernel(self.kernel)
         kernel.differentiate(*self.given, kernel.by_reference(work), work.steep, work.steep)
         return work.hessian, work.gradient
 
     def unit(self, work: Work) -> float:
-        """Variance, correlation included, that a residual of weight 1 stands for: the weights' own, or the cost's."""
+        """Return the variance at weight 1, including correlation, from the weights or else from the cost."""
         if self.method.weights == "rows" and np.isfinite(work.scales[UNIT]):
             return float(work.scales[UNIT])
         return float(self.correlated * work.sums[0] / work.sums[1]) if work.sums[1] > 0 else 0.0
 
     def solve(self, problem: FitProblem, work: Work, controls: Controls) -> Outcome:
-        """Minimise the method's cost over one picture from where ``work`` stands: one call of the loop."""
+        """Minimise the cost over one image from the state in ``work``: one call of the loop."""
         kernel = get_kernel(self.kernel)
         expects = controls.expected or self.method.step == "expected"
         if expects > self.method.expects or controls.reweigh > self.method.reweighs:
             raise MethodError(f"method {self.method.name} has no such steps or weights")
         if expects and not controls.expected and controls.max_iterations:
-            raise MethodError(f"method {self.method.name} makes no steps with the picture's own gradient")
+            raise MethodError(f"method {self.method.name} takes no steps with the image's own gradient")
         template, row = self.given
         picture, controls, there = map(kernel.by_reference, (self.picture(problem), controls, work))
         kernel.solve_level(template, picture, row, controls, there)
@@ -380,15 +377,15 @@ class Objective:
 
 
 THINNING = 1.5
-"""Distance between the pixels that are looked at, in standard deviations of a level's blur: closer ones say the same
-again. Measured on the spot protocol with ``soft-li``: a median of 4.03 % with all pixels, 4.05 with half of the
-sharpest level's, 4.11 with a quarter, and a 90th percentile of 5.6 with each."""
+"""Distance between sampled pixels, in standard deviations of a level's blur. Closer pixels are redundant: on the spot
+protocol ``soft-li`` has a median error of 4.03 % with all pixels, 4.05 with half of the sharpest level's and 4.11 with
+a quarter, and always a 90th percentile of 5.6."""
 
 
 def make_objectives(
     model: AAM, method: Method, kernel: str = "fast", thinning: float | None = None
 ) -> tuple[Objective, ...]:
-    """Bring a model and a method together: one objective per level of the model, coarse to fine.
+    """Make the objectives of a model and a method, one per level, coarse to fine.
 
     Parameters
     ----------
@@ -396,18 +393,18 @@ def make_objectives(
     method : Method
     kernel : {"fast", "reference"}
     thinning : float, optional
-        Distance between the pixels that are looked at, in standard deviations of a level's blur; :data:`THINNING` if
-        left out, and nought (every pixel) for directions: each is normalised by itself after the blur, so that it does
-        not say what its neighbours say. Measured on strangers of IMM: ``igo`` 6.1 % with all pixels, 7.1 without.
+        Distance between sampled pixels, in standard deviations of a level's blur. By default :data:`THINNING`, and 0
+        (every pixel) for orientations: they are normalised after the blur, so neighbours are less redundant. Measured
+        with ``igo`` on unseen persons of IMM: 6.1 % with all pixels, 7.1 % otherwise.
 
     Raises
     ------
     MethodError
-        If the method needs colour and the model was trained on grey pictures.
+        If the model lacks what the method needs, such as colour.
     """
     if method.needs_colour and not model.is_colour:
         raise MethodError(
-            f"method {method.name} compares colours, but the model was trained on grey pictures; use method 'grey'"
+            f"method {method.name} compares colours, but the model was trained on grey images; use method 'grey'"
         )
     _check_holds(model, method)
     get_kernel(kernel)
@@ -417,10 +414,10 @@ def make_objectives(
 
 
 def _objective(model: AAM, method: Method, kernel: str, level: Level, thinning: float) -> Objective:
-    """One level seen through a method, at as many pixels as its blur leaves worth looking at."""
+    """Make the objective of one level, on a thinned set of pixels."""
     appearance, illumination = level.appearances[method.appearance], level.appearances.get("illumination")
     warp = model.views[method.view].warp
-    # What a picture tells of its shape has to be counted well for its scale: by weights that say so only.
+    # Estimating the prior's scale needs weights that account for correlation.
     freedom = warp.shape_model.freedom if method.weights == "rows" else np.inf
     prior = _shape_prior(warp.shape_model)
 
@@ -445,7 +442,7 @@ def _objective(model: AAM, method: Method, kernel: str, level: Level, thinning: 
 
 
 def _check_holds(model: AAM, method: Method) -> None:
-    """Complain about what a method needs and a model lacks."""
+    """Raise an error if the model lacks what the method needs."""
     if method.view not in model.views:
         raise MethodError(
             f"method {method.name}: the model has no view {method.view}; train it again, or use method "
@@ -455,15 +452,15 @@ def _check_holds(model: AAM, method: Method) -> None:
         missing = {method.appearance, *(["illumination"] if method.illumination else [])} - set(level.appearances)
         if missing & {"varied", "illumination"}:
             raise MethodError(
-                f"method {method.name} needs a model that has learnt what light does; train it with lamps "
-                "and one copy of each picture at least ('liaam train --lamps', or train(..., lamps=...))"
+                f"method {method.name} needs a model trained on relit images; train it with lamps "
+                "and at least one copy of each image ('liaam train --lamps', or train(..., lamps=...))"
             )
         if missing:
-            raise MethodError(f"method {method.name}: the model has no such appearance; train it again")
+            raise MethodError(f"method {method.name}: the model has no appearance of this kind; train it again")
         if method.loss == "learnt" and level.appearances[method.appearance].unexplained is None:
-            raise MethodError(f"method {method.name}: the model has not learnt how far it errs; train it again")
+            raise MethodError(f"method {method.name}: the model has no variances of its errors; train it again")
 
 
 def _shape_prior(shapes: ShapeModel) -> np.ndarray:
-    """Prior of the shape modes, N(0, eigenvalue); the four similarity vectors have none."""
+    """Return the precision of the shape modes' prior N(0, eigenvalue); the four similarity vectors have none."""
     return np.concatenate([1.0 / np.maximum(shapes.eigenvalues, 1e-12), np.zeros(4)])

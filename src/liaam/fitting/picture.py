@@ -1,4 +1,4 @@
-"""What a person gives as a picture: an array, or the name of a file."""
+"""Images given as arrays or as paths."""
 
 import os
 from pathlib import Path
@@ -9,7 +9,7 @@ from liaam.photometry.encoding import as_colour
 
 
 def load_picture(image, name: str) -> tuple[np.ndarray, str]:
-    """Picture of three channels, and what to call it, from an array or a path (whose own name is used)."""
+    """Return an image with three channels from an array or a path, and its name in messages (a path's file name)."""
     if not isinstance(image, (str, os.PathLike)):
         return as_colour(image, name), name
     from liaam.io import read_image

@@ -1,4 +1,4 @@
-"""What is fitted: an image's surroundings as a method sees them, the noise in them, and what they show at a state."""
+"""The fit problem: the encoded region of an image around the start, and its noise."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -12,40 +12,40 @@ from liaam.model.shape import Similarity
 from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
 
 MARGIN = 0.4
-"""Surroundings of the start that a fit may visit, as a share of the object's diagonal."""
+"""Margin around the start that a fit may use, as a fraction of the object's diagonal."""
 
 NEAR = 0.1
-"""The same for levels that start where a coarser one stopped."""
+"""The same for levels that start from a coarser level's solution."""
 
 
 LOGS = (-7.0, 0.5)
-"""Logarithms of linear light between which its noise is worked out: from black to highlights."""
+"""Range of logarithms of linear light for which noise is tabulated, from black to highlights."""
 
 LOG_STEPS = 512
-"""How many of them."""
+"""Number of entries of that table."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """One image to be fitted, as a method sees it.
+    """One image to be fitted, in a method's encoding.
 
     Attributes
     ----------
     patch : Patch
-        Encoded surroundings of the start.
+        Encoded region around the start.
     pose : Similarity
         Model pixels to patch pixels.
     response : Response
-        Of the image's camera.
+        Response of the image's camera.
     noise : float or NoiseModel
-        Standard deviation of the noise that the patch's averaging leaves, in stored values of [0, 1]; or what is known
-        of the camera's noise, in linear light.
+        Noise after the patch's averaging: its standard deviation in stored values of [0, 1], or the camera's noise
+        model in linear light.
     noise_left : float
-        Share of it that the blur of the encoded channels leaves.
+        Fraction of its standard deviation left after the blur of the encoded channels.
     slope_left : float
-        Standard deviation of a gradient per model pixel that noise of unit deviation leaves after the blur.
+        Standard deviation of a gradient per model pixel after the blur, for noise of unit standard deviation.
     blur : float
-        Model pixels.
+        Standard deviation of the blur, model pixels.
     """
 
     patch: Patch
@@ -57,7 +57,7 @@ class FitProblem:
     blur: float = 0.0
 
     def picture(self, correlated: float, noisy: bool) -> Picture:
-        """Picture as the loop takes it; ``correlated`` as there, and whether noise has to be known."""
+        """Return the image in the form that the loop takes, with a noise table if ``noisy``."""
         channels = self.patch.channels
         return Picture(
             channels.reshape(-1),
@@ -72,13 +72,13 @@ class FitProblem:
 
     @cached_property
     def relative_noise(self) -> np.ndarray:
-        """Standard deviation of the logarithm by noise, at evenly spaced logarithms over :data:`LOGS`."""
+        """Standard deviation of the logarithm due to noise, at evenly spaced logarithms over :data:`LOGS`."""
         if isinstance(self.noise, NoiseModel):
             return self.relative_noise_of(np.exp(np.linspace(*LOGS, LOG_STEPS)))
         return self.noise * _slopes_of_logs(self.response)
 
     def relative_noise_of(self, linear: np.ndarray) -> np.ndarray:
-        """Standard deviation of the logarithm of linear light (any shape) by noise."""
+        """Return the standard deviation of the logarithm of linear light (any shape) due to noise."""
         if isinstance(self.noise, NoiseModel):
             return np.sqrt(self.noise.variance(linear)) / np.maximum(linear, 1e-6)
         return self.noise * _log_slope_of(linear, self.response)
@@ -95,7 +95,7 @@ class FitProblem:
         noise: NoiseModel | float | None = None,
         margin: float | None = None,
     ) -> "FitProblem":
-        """Cut and encode an image around a shape.
+        """Crop and encode an image around a shape.
 
         Parameters
         ----------
@@ -106,13 +106,13 @@ class FitProblem:
             Model pixels to image pixels.
         method : Method
         response : Response
-            Of the image's camera.
+            Response of the image's camera.
         blur : float
-            Model pixels.
+            Standard deviation of the blur, model pixels.
         noise : NoiseModel or float, optional
-            Of the image's camera, or as measured in the image; measured here if left out.
+            Noise of the image; by default it is measured here.
         margin : float, optional
-            Surroundings that the fit may visit, as a share of the object's diagonal; :data:`MARGIN` if left out.
+            Margin that the fit may use, as a fraction of the object's diagonal; by default :data:`MARGIN`.
         """
         margin = MARGIN if margin is None else margin
         patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=margin)
@@ -126,40 +126,35 @@ class FitProblem:
 
 @lru_cache(maxsize=16)
 def _slopes_of_logs(response: Response) -> np.ndarray:
-    """Derivative of the logarithm by the stored value, at evenly spaced logarithms over :data:`LOGS`."""
+    """Return the derivative of the logarithm by the stored value, at evenly spaced logarithms over :data:`LOGS`."""
     return _log_slope_of(np.exp(np.linspace(*LOGS, LOG_STEPS)), response)
 
 
 def _log_slope_of(linear: np.ndarray, response: Response) -> np.ndarray:
-    """Derivative of the logarithm of linear light by the stored value."""
+    """Return the derivative of the logarithm of linear light by the stored value."""
     return log_slope(np.maximum(from_linear(linear, response), 1e-3), response)
 
 
 def correlated_pixels(blur: float) -> float:
-    """Pixels that a Gaussian blur makes as one independent value, 4 pi blur^2 or 1.
+    """Return the number of pixels per independent value after a Gaussian blur (pixels): max(1, 4 pi blur^2).
 
-    It is also what the blur divides white noise's variance by.
-
-    Parameters
-    ----------
-    blur : float
-        Standard deviation, pixels.
+    The blur divides the variance of white noise by this number.
     """
     return max(1.0, 4.0 * np.pi * blur**2)
 
 
 def slope_left(blur: float) -> float:
-    """Standard deviation of a central difference of white noise of unit deviation under a Gaussian blur, pixels."""
+    """Return the standard deviation of central differences of unit white noise after a Gaussian blur (pixels)."""
     return float(np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))) if blur > 0.3 else np.sqrt(0.5)
 
 
 def _noise_left(scale: float, blur: float) -> tuple[float, float]:
-    """What a blur (model pixels; ``scale`` patch pixels each) leaves of noise, and of its gradient per model pixel."""
+    """Return the factors of a blur (model pixels of ``scale`` patch pixels) on the noise and on its gradient."""
     return 1.0 / np.sqrt(correlated_pixels(scale * blur)), scale * slope_left(scale * blur)
 
 
 def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel | float | None) -> float | NoiseModel:
-    """Noise around a shape after a patch's averaging."""
+    """Return the noise around a shape after a patch's averaging."""
     reduce = 1.0 / patch.from_image.scale
     if isinstance(known, NoiseModel):
         return NoiseModel(known.slope / reduce**2, known.offset / reduce**2)
@@ -167,7 +162,7 @@ def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel
 
 
 def noise_around(image: np.ndarray, shape: np.ndarray) -> float:
-    """Standard deviation of the noise around a shape, in stored values of [0, 1]."""
+    """Measure the standard deviation of the noise around a shape, in stored values of [0, 1]."""
     low = np.maximum(shape.min(axis=0).astype(int), 0)
     high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
     return noise_deviation(image[low[1] : high[1], low[0] : high[0]])

@@ -1,8 +1,8 @@
-"""What the compiled loops over pixels have to give, in plain NumPy, as one would write it on a blackboard.
+"""Reference implementation of the compiled loops over pixels, in plain NumPy.
 
-The contract of the functions of the same names in :mod:`liaam.fitting.residual`, ``jacobian``, ``weights``,
-``equations`` and ``evaluate``, whose docstrings say what goes in and out. Jacobians are formed in full, in double
-precision, and any warp will do: :attr:`liaam.fitting.level.Template.warp` is the :class:`liaam.model.warp.Warp` itself.
+These functions define the results of those of the same names in :mod:`liaam.fitting.residual`, ``jacobian``,
+``weights``, ``equations`` and ``evaluate``, whose docstrings describe the parameters. Jacobians are formed in full, in
+double precision. :attr:`liaam.fitting.level.Template.warp` may be any :class:`liaam.model.warp.Warp`.
 """
 
 import numpy as np
@@ -15,40 +15,40 @@ from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
 
 def by_reference(fields):
-    """The tuple itself."""
+    """Return the tuple itself."""
     return fields
 
 
 def copy(given: np.ndarray, out: np.ndarray) -> None:
-    """Write an array to another."""
+    """Copy an array."""
     out[:] = given
 
 
 def sample_picture(template: Template, picture: Picture, work: Work) -> None:
-    """P(theta_2) E(I(W(x; p))), and its derivative by the place."""
+    """Sample the image term of eq 9, P(theta_2) E(I(W(x; p))), and its spatial gradient."""
     matrix, metric = picture.similarity[:, :2], work.metric.reshape(-1, 8).astype(np.float64)
     points = template.warp.points(work.p) @ matrix.T + picture.similarity[:, 2]
     values, gradients, work.usable[:] = sample(picture.pixels.reshape(picture.height, picture.width, 8), points)
-    by_x, by_y = gradients[:, 0] @ metric.T, gradients[:, 1] @ metric.T  # of the patch
+    by_x, by_y = gradients[:, 0] @ metric.T, gradients[:, 1] @ metric.T  # per image pixel
     work.values[:], work.residual[:] = values.ravel(), (values @ metric.T).ravel()
     work.steep[0::2] = (by_x * matrix[0, 0] + by_y * matrix[1, 0]).ravel()
     work.steep[1::2] = (by_x * matrix[0, 1] + by_y * matrix[1, 1]).ravel()
 
 
 def turn(parts: np.ndarray, theta: float, rows: np.ndarray) -> None:
-    """Rows at an angle theta_1."""
+    """Combine the parts of rows at an angle theta_1."""
     rows[:] = parts[0] + np.cos(theta) * parts[1] + np.sin(theta) * parts[2]
 
 
 def transpose(rows: np.ndarray, lines: np.ndarray) -> None:
-    """Modes, residual by residual."""
+    """Transpose the modes."""
     lines.reshape(rows.shape[1], -1)[:, : len(rows) - 1] = rows[1:].T
 
 
 def project(
     values: np.ndarray, metric: np.ndarray, scales: np.ndarray, projected: np.ndarray, steep: np.ndarray
 ) -> None:
-    """Samples anew as gain * E(I) + offset."""
+    """Project gain * E(I) + offset."""
     metric = metric.reshape(-1, 8)[:, :7].astype(np.float64)
     shown = values.reshape(-1, 8)[:, :7] @ metric.T
     projected[:] = (scales[1] * shown + scales[2] * metric.sum(axis=1)).ravel()
@@ -57,30 +57,30 @@ def project(
 
 
 def take_off(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray) -> None:
-    """Take the appearance off samples."""
+    """Subtract the appearance (eq 4) from samples."""
     residual -= np.concatenate([[1.0], lam]) @ rows.astype(np.float64)
 
 
 def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
-    """Root of the weights where the picture says something."""
+    """Set the weights of unusable pixels to 0, and count these."""
     root[:] = (own.reshape(len(usable), -1) * usable[:, None]).ravel()
     return int((usable == 0).sum())
 
 
 def with_modes(rows: np.ndarray, root: np.ndarray, column: np.ndarray, line: np.ndarray, out: np.ndarray) -> None:
-    """Weighted products of a column with the modes."""
+    """Compute weighted products of a column with the modes, A'c."""
     out[: len(rows) - 1] = rows[1:].astype(np.float64) @ (np.square(root.astype(np.float64)) * column)
 
 
 def subtract(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray, root: np.ndarray, sums: np.ndarray) -> None:
-    """Take modes off the residual."""
+    """Subtract modes from the residual, and sum its weighted squares."""
     residual -= lam @ rows[1:].astype(np.float64)
     weights = np.square(root.astype(np.float64))
     sums[:] = weights @ np.square(residual.astype(np.float64)), weights.sum()
 
 
 def weighted_gram(rows: np.ndarray, root: np.ndarray, block: np.ndarray, gram: np.ndarray) -> None:
-    """A'A under weights."""
+    """Compute A'A under weights."""
     weighted = rows[1:].astype(np.float64) * root
     gram[:] = weighted @ weighted.T
 
@@ -94,27 +94,27 @@ def factorise(
     unseen: int,
     factor: np.ndarray,
 ) -> None:
-    """Cholesky factor of A'A under the weights, without what the picture does not say, with a ridge."""
+    """Compute the Cholesky factor of A'A + ridge over the usable pixels."""
     blind = own * np.repeat(usable == 0, len(own) // len(usable))
     unseen_modes = (lines.reshape(len(own), -1)[:, : len(gram)] * blind[:, None]).astype(np.float64)
     factor[:] = np.linalg.cholesky(gram - unseen_modes.T @ unseen_modes + np.diag(ridge))
 
 
 def expect(template: Template, work: Work) -> None:
-    """Derivative of the fitted appearance by the place, where the picture shows it."""
+    """Compute the spatial gradient of the fitted appearance, transformed to the image."""
     at_rest = np.concatenate([[1.0], work.lam]) @ work.slopes
     work.expected[:] = template.warp.pulled(at_rest.reshape(len(work.usable), 2, -1), work.p).ravel()
 
 
 def jacobian(warp: Warp, p: np.ndarray, steep: np.ndarray) -> np.ndarray:
-    """dr/dp = dr/d(place) dW/dp, (n k, n_p) float64, of derivatives by the place (2 n k,)."""
+    """Return dr/dp = dr/dW dW/dp (eq 10), (n k, n_p) float64, from spatial gradients dr/dW (2 n k,)."""
     by_warp = warp.jacobian(p)
     by_x, by_y = np.moveaxis(steep.reshape(len(by_warp), -1, 2, 1).astype(np.float64), 2, 0)
     return (by_x * by_warp[:, None, 0] + by_y * by_warp[:, None, 1]).reshape(-1, by_warp.shape[2])
 
 
 def sum_products(template: Template, work: Work, steep: np.ndarray, expected: np.ndarray) -> None:
-    """E'J, A'J and E'r, and E' with the columns of the angles."""
+    """Compute E'J, A'J and E'r, and E' times the columns of the angles."""
     n_p, root = len(work.p), work.root[:, None].astype(np.float64)
     J = root * jacobian(template.warp, work.p, steep)
     E = J if expected is steep else root * jacobian(template.warp, work.p, expected)
@@ -135,7 +135,7 @@ def dots(
     gradient: np.ndarray,
     f: int,
 ) -> None:
-    """Weighted products of a column of the angles with all of them and with the residual."""
+    """Compute weighted products of an angle column with all angle columns and with the residual."""
     weighted, n_p = np.square(root.astype(np.float64)) * column, len(gradient) - len(columns)
     hessian[n_p + f, n_p:], gradient[n_p + f] = columns @ weighted, residual @ weighted
 
@@ -152,7 +152,7 @@ def angle_column(
     lam: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Derivative of the weighted residual, over the root of its weight, by an angle."""
+    """Differentiate the weighted residual by an angle, divided by the square root of the weight."""
     change = (values.reshape(-1, 8)[:, :7] @ slope.reshape(-1, 8)[:, :7].T).ravel()
     out[:] = by_image * (change + (growth * residual if len(growth) else 0.0))
     if len(parts):
@@ -160,12 +160,12 @@ def angle_column(
 
 
 def movement(template: Template, work: Work) -> float:
-    """Root mean square movement of the landmarks by a step."""
+    """Return the root mean square movement of the landmarks by a step."""
     return template.warp.movement(work.step[: len(work.p)])
 
 
 def cholesky(matrix: np.ndarray) -> bool:
-    """Cholesky factor in the lower triangle."""
+    """Write the Cholesky factor to the lower triangle."""
     if not np.isfinite(np.tril(matrix)).all():
         return False
     try:
@@ -176,12 +176,12 @@ def cholesky(matrix: np.ndarray) -> bool:
 
 
 def solve_lower(factor: np.ndarray, right: np.ndarray) -> None:
-    """L^-1 R."""
+    """Replace R by L^-1 R."""
     right[:] = np.linalg.solve(np.tril(factor), right)
 
 
 def solve(factor: np.ndarray, right: np.ndarray) -> None:
-    """(L L')^-1 r."""
+    """Replace r by (L L')^-1 r."""
     lower = np.tril(factor)
     right[:] = np.linalg.solve(lower.T, np.linalg.solve(lower, right))
 
@@ -192,10 +192,10 @@ def eliminate(
     ar: np.ndarray,
     hessian: np.ndarray,
     gradient: np.ndarray,
-    carried: np.ndarray,
+    whitened: np.ndarray,
     along: np.ndarray,
 ) -> None:
-    """J'QJ, made symmetric, and J'Qr."""
+    """Compute the symmetrised J'QJ, and J'Qr (eq 5)."""
     inverse = np.linalg.inv(np.tril(factor) @ np.tril(factor).T) if len(ar) else np.zeros((0, 0))
     hessian -= aj.T @ inverse @ aj
     hessian[:] = 0.5 * (hessian + hessian.T)
@@ -203,7 +203,7 @@ def eliminate(
 
 
 def log_noise(logs: np.ndarray, table: np.ndarray, span: np.ndarray) -> np.ndarray:
-    """Standard deviation of logarithms by noise; beyond the table the nearest counts."""
+    """Interpolate standard deviations of logarithms in a table, constant beyond its ends."""
     return np.interp(np.nan_to_num(logs, nan=span[0]), np.linspace(span[0], span[1], len(table)), table)
 
 
@@ -222,7 +222,7 @@ def row_variances(
     known: np.ndarray,
     sums: np.ndarray,
 ) -> None:
-    """Variance of the rows of ``soft`` by noise, where colours are known, and sums of squares."""
+    """Compute variances of the rows of ``soft`` due to noise, usable colours, and sums of squares."""
     n, values = len(usable), values.reshape(-1, 8).astype(np.float64)
     direction, logs = values[:, :2], values[:, 2:5]
     known[:] = (values[:, 5] >= 0.99) & colours
@@ -249,7 +249,7 @@ def weigh_by_rows(
     usable: np.ndarray,
     out: np.ndarray,
 ) -> float:
-    """Roots of weights by variances, of mean weight 1."""
+    """Compute square roots of inverse variances, scaled to mean weight 1."""
     rows = variance.reshape(len(usable), -1)
     groups = np.where(np.arange(rows.shape[1]) >= 2, COLOUR, GRADIENTS)
     by_model = np.array(CORRELATED)[groups] * unexplained[1, groups]
@@ -274,7 +274,7 @@ def weigh_by_noise(
     by_model: np.ndarray,
     variance: np.ndarray,
 ) -> float:
-    """Variance of the channels by noise, and by the model's errors."""
+    """Compute variances due to noise and due to the model's errors."""
     n = len(usable)
     deviation = log_noise(values.reshape(n, 8)[:, :3], table, span)
     channels = noise.reshape(n, 8)
@@ -299,7 +299,7 @@ def root_by_noise(
     own: np.ndarray,
     growth: np.ndarray,
 ) -> None:
-    """Root of weights by noise at an angle, and its relative derivative."""
+    """Compute the square root of noise weights at an angle, and its relative derivative."""
     steep, by_angle = (part.reshape(-1, 8).astype(np.float64) for part in (metric, slope))
     channels = noise.reshape(len(by_model), 8).astype(np.float64)
     variance = channels @ np.square(steep).T + by_model[:, None]
@@ -309,7 +309,7 @@ def root_by_noise(
 
 
 def loss_weights(loss: int, u: np.ndarray) -> np.ndarray:
-    """Weights of a robust loss for residuals in standard deviations, in the order of the losses' names."""
+    """Return weights of a robust loss for residuals in standard deviations."""
     of_each = (
         lambda: 1.345 / np.maximum(u, 1.345),
         lambda: 0.1 / np.maximum(u, 0.1),
@@ -332,7 +332,7 @@ def weigh_by_loss(
     sizes: np.ndarray,
     weighed: np.ndarray,
 ) -> None:
-    """Multiply weights by those of a robust loss."""
+    """Multiply the weights by those of a robust loss."""
     n, learnt = len(usable), loss == LEARNT
     squares = np.square(residual.reshape(n, -1).astype(np.float64))
     by = errors[:, None] + 1e-12 if learnt else variance.reshape(n, -1) if len(variance) else 1.0
@@ -352,7 +352,7 @@ def weigh_by_loss(
 def normalisation(
     rows: np.ndarray, values: np.ndarray, metric: np.ndarray, usable: np.ndarray, own: np.ndarray, scales: np.ndarray
 ) -> None:
-    """Gain and offset to the mean and deviation of the model's mean."""
+    """Compute the gain and offset that match the mean and standard deviation of the mean appearance."""
     n = len(usable)
     counts = usable * own.reshape(n, -1)[:, 0] > 0
     model = rows[0].reshape(n, -1)[counts].astype(np.float64)

@@ -1,9 +1,8 @@
-"""How far a fit can be trusted: its quality, calibrated on pictures left out of training.
+"""Calibration of the quality and the covariances of fits, on images left out of training.
 
-A fit that settles need not be right. What tells is how much of the picture it explains, and how strange a shape it
-takes to do so; where the line runs between right and wrong depends on the object and on how well the model knows it.
-So models are fitted, at training, to pictures that they have not seen, from starts near and far, and at the places
-where a search would look next: a search takes the best of many wrong places, and that is what has to be told apart.
+A fit that converges need not be correct. Correct fits explain more of the image, with a less unusual shape. The
+threshold depends on the object and the model. Training therefore fits models to left-out images from near and distant
+starts, and at the best other places that a search finds, which are the wrong places that a search would return.
 """
 
 from collections.abc import Iterable
@@ -20,34 +19,35 @@ from liaam.model import AAM, Reliability
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
 
 RIGHT, WRONG = 0.03, 0.06
-"""Mean distance from the landmarks, as a share of the shape's diagonal, up to which a fit counts as right and beyond
-which as wrong; what lies between teaches nothing."""
+"""Mean distance from the landmarks, as a fraction of the shape's diagonal: a fit is right up to the first and wrong
+beyond the second. Fits in between are not used."""
 
 OPTIONS = SolverOptions(max_iterations=20)
-"""Right fits settle sooner, and wrong ones need not settle."""
+"""Right fits converge sooner; wrong ones need not converge."""
 
 PLACES = 3
-"""Places of a search that are fitted in a picture, besides those that fill the frame; the worst of them counts."""
+"""Places of the search that are fitted in an image, besides those that fill the frame."""
 
 SHRINK = 5.0
-"""Left-out pictures that the average over all landmarks counts as, where each landmark's own spread is estimated."""
+"""Weight, in left-out images, of the average over all landmarks in the estimate of one landmark's covariance."""
 
 TAIL, STEADY = 12.0, 10.0
-"""How much few left-out pictures m widen the spread: by 1 + TAIL / (m + STEADY). What is to come lies further out than
-a moment of few errors says; on generated scenes, 20 left out, the ellipses hold 93 % so, and 91 % with half of it."""
+"""Covariances estimated from m left-out images are multiplied by 1 + TAIL / (m + STEADY), because few errors
+underestimate the tails. On generated scenes with 20 images left out, the 95 % ellipses hold 93 %, and 91 % with half of
+TAIL."""
 
 RARE = 0.05
-"""Share of right fits whose quality is called out of the ordinary."""
+"""Fraction of right fits whose quality is below :attr:`liaam.model.Reliability.ordinary`."""
 
 MOST_UNDERSTATED = 10.0
-"""Largest factor on a fit's own variances: pictures without noise may ask for any, and noisy ones would bear it."""
+"""Largest factor on a fit's own variances. Images without noise may suggest any factor, too large for noisy ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """A picture, its landmarks, and a model that has not seen it (on the frame of the model that has).
+    """An image, its landmarks, and a model trained without it, on the reference frame of the full model.
 
-    ``relit`` if the picture is shown in another light than it was taken in; its background says nothing then.
+    ``relit`` marks images whose light was changed; their background is then not valid.
     """
 
     model: AAM
@@ -57,18 +57,18 @@ class LeftOut:
 
 
 def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
-    """Learn what right and wrong fits look like, and how far right ones err.
+    """Learn the quality of fits and the errors of right fits from left-out images.
 
     Parameters
     ----------
     model : AAM
-        Of all pictures.
+        Model trained on all images.
     pictures : iterable of LeftOut
 
     Returns
     -------
     Reliability or None
-        None where there is nothing to learn from: too few right fits.
+        None if there are too few right fits to learn from.
     """
     seen, right, errors, spreads, surprises, fitter = [], [], [], [], [], None
     finder = Finder(model)
@@ -79,11 +79,11 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
         for near, start in ((True, _near(picture, rng)), (False, _far(picture, rng))):
             result = fitter.fit(picture.image, start)
             if result.status.lost:
-                continue  # its status says it all
+                continue
             error = point_error(result.landmarks, picture.points) / diagonal_of(picture.points)
             if not np.isfinite(error) or not np.isfinite(result.evidence).all():
                 continue
-            if near and error <= WRONG:  # all that are not lost: those in doubt err, too
+            if near and error <= WRONG:
                 unposed, shapes = result.pose.inverse(), fitter.shapes
                 errors.append((picture.points - result.landmarks) @ unposed.matrix.T)
                 spreads.append(fitted_covariances(shapes, result.covariance))
@@ -98,7 +98,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     if sum(right) < 3 or not errors:
         return None
     weights = _weights(np.array(seen), np.array(right))
-    if not weights[1] > 0:  # what is explained has to speak for a fit
+    if not weights[1] > 0:  # quality must increase with the explained contrast
         return None
     understated = _understated(np.array(surprises))
     landmarks = _landmarks(np.array(errors), understated * np.array(spreads))
@@ -113,7 +113,7 @@ def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
 
 
 def _far(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
-    """A start so far away that no fit should find back, shifted into the picture as far as it can be."""
+    """Return a start too far away for a fit to recover, shifted into the image if possible."""
     start = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
     return shifted_into(start, (picture.image.shape[1], picture.image.shape[0]))
 
@@ -126,7 +126,7 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
 
 
 def _elsewhere(picture: LeftOut, fitter: Fitter, finder: Finder) -> np.ndarray | None:
-    """Evidence of the fit that explains most of a picture at the places that a search finds, but for its object's."""
+    """Return the evidence of the wrong fit that explains most, among the places that a search finds."""
     found = []
     if not is_searchable(finder.model):
         return None
@@ -139,9 +139,9 @@ def _elsewhere(picture: LeftOut, fitter: Fitter, finder: Finder) -> np.ndarray |
 
 
 def _surprise(error: np.ndarray, spread: np.ndarray) -> float:
-    """Mean square of p's error (n_p,) in units of what a fit states of it, the covariance (n_q, n_q): 1 if it is so.
+    """Return the squared Mahalanobis distance of p's error (n_p,) divided by n_p: 1 if the covariance is right.
 
-    NaN of a covariance that has no inverse.
+    NaN for a singular covariance (n_q, n_q).
     """
     n_p = len(error)
     try:
@@ -151,40 +151,40 @@ def _surprise(error: np.ndarray, spread: np.ndarray) -> float:
 
 
 def _understated(surprises: np.ndarray) -> float:
-    """Factor on stated variances that the surprises of left-out pictures (m,) ask for on the whole; few are doubted."""
+    """Return the factor on a fit's own variances: a geometric mean of surprises (m,), shrunk to 1 if there are few."""
     logs = np.log(np.maximum(surprises[np.isfinite(surprises)], 1e-6))
     return float(np.clip(np.exp(logs.sum() / (len(logs) + SHRINK)), 1.0, MOST_UNDERSTATED))
 
 
 def _landmarks(errors: np.ndarray, spreads: np.ndarray) -> np.ndarray:
-    """Covariance (n, 2, 2) that explains the errors (m, n, 2) beyond what fits state, the spreads (m, n, 2, 2)."""
+    """Return the covariance (n, 2, 2) of the errors (m, n, 2) beyond the fits' own covariances (m, n, 2, 2)."""
     beyond = np.einsum("mna,mnb->nab", errors, errors) / len(errors) - spreads.mean(axis=0)
     values, vectors = np.linalg.eigh(beyond)
     return _widened(np.einsum("nai,ni,nbi->nab", vectors, np.maximum(values, 0.0), vectors), len(errors))
 
 
 def _widened(moments: np.ndarray, m: int) -> np.ndarray:
-    """Second moments (n, 2, 2) of m errors, drawn towards those of all landmarks and widened for what is to come."""
+    """Shrink second moments (n, 2, 2) of m errors towards the mean of all landmarks, and inflate them."""
     pooled = 0.5 * float(np.trace(moments, axis1=1, axis2=2).mean()) * np.eye(2)
     return (m * moments + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / (m + STEADY))
 
 
 def _by_shape(model: AAM) -> np.ndarray:
-    """Covariance (n, 2, 2) that shapes left out tell; of pictures whose fits are lost, fits themselves tell nothing."""
+    """Return the covariance (n, 2, 2) of left-out shapes: a lower bound, because lost fits are not among the errors."""
     unexplained = model.views[METHODS[DEFAULT_METHOD].view].shape_model.unexplained
     nothing = np.zeros((model.n_points, 2, 2))
     return nothing if unexplained is None else _widened(unexplained, model.n_images)
 
 
 def _larger(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The one of two covariances (n, 2, 2) with the larger trace, landmark by landmark."""
+    """Return, for each landmark, the one of two covariances (n, 2, 2) with the larger trace."""
     traces = [np.trace(each, axis1=1, axis2=2) for each in (a, b)]
     return np.where((traces[0] >= traces[1])[:, None, None], a, b)
 
 
 def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Log odds (3,) by the evidence (m, 2); a strange shape may not speak for a fit, which chance can have it do."""
-    # A fit that explains nothing is wrong, whether or not one was seen.
+    """Return weights (3,) of the log odds by the evidence (m, 2), with a weight of at most 0 for unusual shapes."""
+    # Add a fit that explains nothing as an example of a wrong one.
     evidence = np.concatenate([evidence, [[0.0, float(np.median(evidence[:, 1]))]]])
     right = np.append(right, False)
     weights = _logistic(evidence, right)
@@ -192,16 +192,15 @@ def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _logistic(features: np.ndarray, right: np.ndarray, ridge: float = 0.5, steps: int = 50) -> np.ndarray:
-    """Weights (1 + k,) of a logistic regression on (1, features (m, k)), both answers counted alike, with a ridge."""
+    """Return weights (1 + k,) of a ridge logistic regression on features (m, k), with both classes balanced."""
     middle, scale = features.mean(axis=0), features.std(axis=0) + 1e-6
     x = np.column_stack([np.ones(len(right)), (features - middle) / scale])
-    # As if of as many wrong as right ones.
-    share = np.where(right, 0.5 / max(right.sum(), 1), 0.5 / max((~right).sum(), 1)) * len(right)
+    balance = np.where(right, 0.5 / max(right.sum(), 1), 0.5 / max((~right).sum(), 1)) * len(right)
     w = np.zeros(x.shape[1])
     penalty = ridge * np.diag([1e-3] + [1.0] * features.shape[1])
     for _ in range(steps):
         p = 1.0 / (1.0 + np.exp(-np.clip(x @ w, -30, 30)))
-        hessian = (x * (share * p * (1 - p) + 1e-9)[:, None]).T @ x + penalty
-        w = w - np.linalg.solve(hessian, x.T @ (share * (p - right)) + penalty @ w)
+        hessian = (x * (balance * p * (1 - p) + 1e-9)[:, None]).T @ x + penalty
+        w = w - np.linalg.solve(hessian, x.T @ (balance * (p - right)) + penalty @ w)
     slopes = w[1:] / scale
     return np.concatenate([[w[0] - slopes @ middle], slopes])

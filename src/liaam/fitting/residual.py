@@ -1,9 +1,9 @@
-"""The residual of a state, and the appearance that fits best there (paper eq 3, 4 and 9).
+"""The residual of a state, and the normal equations of lambda (paper eq 3, 4 and 9).
 
     r(x) = P(theta_2) E(I(W(x; p))) - P(theta_1) A0(x) - sum_i lambda_i P(theta_1) A_i(x)
 
-Compiled; arrays of pixels are flat, residual e = i k + r is row r of pixel i. :mod:`liaam.fitting.reference` says what
-each function has to give.
+Compiled; arrays of pixels are flat, residual e = i k + r is row r of pixel i. :mod:`liaam.fitting.reference` defines
+the result of each function.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from liaam.kernels.vectors import SIZE, lane, load, store, total
 
 @compiled
 def set_metric(parts: Single2, theta: float, metric: Single1, slope: Single1) -> None:
-    """P(theta) on the picture's channels, and its derivative, both (8 k,) float32, by its parts (3, 8 k)."""
+    """Compute P(theta) on the image's channels and its derivative, both (8 k,) float32, from its parts (3, 8 k)."""
     along, across = F(np.cos(theta)), F(np.sin(theta))
     for c in range(len(metric)):
         metric[c] = parts[0, c] + along * parts[1, c] + across * parts[2, c]
@@ -27,7 +27,7 @@ def set_metric(parts: Single2, theta: float, metric: Single1, slope: Single1) ->
 
 @compiled
 def turn(parts: Single3, theta: float, rows: Single2) -> None:
-    """Rows (b, e) float32 at an angle theta_1, by their parts (3, b, e): fixed, by its cos and by its sin."""
+    """Compute rows (b, e) float32 at an angle theta_1 from their constant, cos and sin parts (3, b, e)."""
     along, across = F(np.cos(theta)), F(np.sin(theta))
     for i in range(len(rows)):
         own, fixed, by_cos, by_sin = rows[i], parts[0, i], parts[1, i], parts[2, i]
@@ -37,7 +37,7 @@ def turn(parts: Single3, theta: float, rows: Single2) -> None:
 
 @compiled
 def transpose(rows: Single2, lines: Single1) -> None:
-    """Write rows but the first, (1 + m, e), to lines (e w,) with w at least m."""
+    """Transpose all rows but the first, (1 + m, e), to lines (e w,) with w at least m."""
     wide = len(lines) // rows.shape[1]
     for e in range(rows.shape[1]):
         for j in range(len(rows) - 1):
@@ -46,7 +46,7 @@ def transpose(rows: Single2, lines: Single1) -> None:
 
 @compiled
 def vertices_at(rest: Double2, basis: Double2, p: Double1, points: Double2) -> None:
-    """Vertices of the mesh, (v, 2) float64 model pixels, by those at rest and their derivatives (2 v, n_p)."""
+    """Compute the vertices (v, 2) float64, model pixels, from those at rest and the shape basis (2 v, n_p) (eq 1)."""
     for v in range(len(points)):
         xs, ys, x, y = basis[2 * v], basis[2 * v + 1], rest[v, 0], rest[v, 1]
         for j in range(len(p)):
@@ -67,22 +67,22 @@ def place(
     corner: Int1,
     between: Single1,
 ) -> None:
-    """Where the model's pixels come to lie in the picture.
+    """Map the model's pixels to the image by the piecewise affine warp (eq 3).
 
     Parameters
     ----------
     beta, starts, triangles
-        Of the mesh (:class:`liaam.model.warp.Mesh`).
+        Fields of :class:`liaam.model.warp.Mesh`.
     points : (v, 2) float64
-        Its vertices, model pixels.
+        Vertices of the mesh, model pixels.
     similarity : (2, 3) float64
-        Model pixels to the picture's.
+        Model pixels to image pixels.
     height, width : int
-        Of the picture.
+        Size of the image.
     corner : (n,) int32
-        Number of the first of the four pixels around each point.
+        Output: index of the upper left of the four pixels around each point.
     between : (3 n,) float32
-        Where it lies between them, and 1 if it is inside the picture.
+        Output: offset (x, y) from that pixel, and 1 if the point is inside the image, else 0.
     """
     a00, a01, a02 = similarity[0, 0], similarity[0, 1], similarity[0, 2]
     a10, a11, a12 = similarity[1, 0], similarity[1, 1], similarity[1, 2]
@@ -122,19 +122,19 @@ def sample(
     steep: Single1,
     usable: Single1,
 ) -> None:
-    """Sample a picture where :func:`place` says, project the samples, and differentiate them by the place.
+    """Sample an image bilinearly at the points of :func:`place`, and project samples and gradients by P(theta_2).
 
     Parameters
     ----------
     pixels : (8 h w,) float32
-        Channels of an encoded picture.
+        Channels of an encoded image.
     width, corner, between, similarity
-        As of :func:`place`.
+        See :func:`place`.
     metric : (8 k,) float32
     values : (8 n,) float32
     projected : (n k,) float32
     steep : (2 n k,) float32
-        Derivative of ``projected`` by x and y, model pixels.
+        Derivatives of ``projected`` by x and y, model pixels.
     usable : (n,) float32
     """
     k, below = len(metric) // SIZE, SIZE * width
@@ -160,9 +160,9 @@ def sample(
 
 @compiled
 def project(values: Single1, metric: Single1, scales: Double1, projected: Single1, steep: Single1) -> None:
-    """Project samples (8 n,) anew, as gain * E(I) + offset, and bring their derivatives to the gain.
+    """Project samples (8 n,) as gain * E(I) + offset, and scale their derivatives by the gain.
 
-    ``scales`` is :attr:`liaam.fitting.level.Work.scales`: the gain, the offset, and the gain of the derivatives so far.
+    Gain, offset and the current gain of the derivatives are in ``scales`` (:attr:`liaam.fitting.level.Work.scales`).
     """
     k, gain, more = len(metric) // SIZE, F(scales[1]), F(scales[1] / scales[3])
     for e in range(len(projected)):
@@ -178,17 +178,17 @@ def project(values: Single1, metric: Single1, scales: Double1, projected: Single
 
 @compiled
 def take_off(residual: Single1, rows: Single2, lam: Double1) -> None:
-    """Take the mean, and the modes as far as lambda is not nought, off samples (e,), in place; rows (1 + m, e)."""
+    """Subtract the appearance (eq 4), the first of rows (1 + m, e) plus lambda times the others, in place."""
     for j in range(len(lam) + 1):
-        share, row = F(1.0) if j == 0 else F(lam[j - 1]), rows[j]
-        if share != F(0.0):
+        scale, row = F(1.0) if j == 0 else F(lam[j - 1]), rows[j]
+        if scale != F(0.0):
             for e in range(len(residual)):
-                residual[e] -= share * row[e]
+                residual[e] -= scale * row[e]
 
 
 @compiled
 def mask(own: Single1, usable: Single1, root: Single1) -> int:
-    """Write the root of the weights where the picture says something, else 0; gives how many pixels say nothing."""
+    """Copy the square root of the weights, with 0 at unusable pixels, and return the number of these."""
     k, unseen = len(own) // len(usable), 0
     for i in range(len(usable)):
         unseen += 1 if usable[i] == F(0.0) else 0
@@ -200,7 +200,7 @@ def mask(own: Single1, usable: Single1, root: Single1) -> int:
 
 @compiled
 def with_modes(rows: Single2, root: Single1, column: Single1, line: Single1, out: Double1) -> None:
-    """Weighted products of a column (e,) with the modes (rows but the first), float64; ``line``: (2048,) float32."""
+    """Compute A'c: weighted products of a column (e,) with the modes (all rows but the first)."""
     for j in range(len(rows) - 1):
         out[j] = 0.0
     for begin in range(0, len(root), BLOCK):
@@ -217,17 +217,15 @@ def with_modes(rows: Single2, root: Single1, column: Single1, line: Single1, out
 
 @compiled
 def subtract(residual: Single1, rows: Single2, lam: Double1, root: Single1, sums: Double1) -> None:
-    """Take modes (rows but the first) off the residual, in place; r'r and the sum of the weights go to ``sums``
-    (2,).
-    """
+    """Subtract modes (all rows but the first) from the residual, in place; write r'r and the sum of the weights."""
     sums[0] = sums[1] = 0.0
     for begin in range(0, len(residual), BLOCK):
         size = BLOCK if begin + BLOCK < len(residual) else len(residual) - begin
         out, own = residual[begin : begin + size], root[begin : begin + size]
         for j in range(len(lam)):
-            mode, share = rows[1 + j][begin : begin + size], F(lam[j])
+            mode, scale = rows[1 + j][begin : begin + size], F(lam[j])
             for e in range(size):
-                out[e] -= share * mode[e]
+                out[e] -= scale * mode[e]
         squares = weight = F(0.0)
         for e in range(size):
             square = own[e] * own[e]
@@ -239,7 +237,7 @@ def subtract(residual: Single1, rows: Single2, lam: Double1, root: Single1, sums
 
 @compiled
 def weighted_gram(rows: Single2, root: Single1, block: Single2, gram: Double2) -> None:
-    """A'A of modes (rows but the first) under a root of weights (e,), (m, m) float64; ``block``: (m, 2048) float32."""
+    """Compute A'A (m, m) of the modes (all rows but the first) under weights with square root ``root`` (e,)."""
     m = len(gram)
     clear(gram)
     for begin in range(0, len(root), BLOCK):
@@ -249,7 +247,7 @@ def weighted_gram(rows: Single2, root: Single1, block: Single2, gram: Double2) -
             mode, weighted = rows[1 + j][begin : begin + size], block[j]
             for e in range(size):
                 weighted[e] = mode[e] * own[e]
-        for i in range(0, m, 2):  # two by two: each number that is fetched is used twice
+        for i in range(0, m, 2):  # in blocks of 2 by 2: each number loaded is used twice
             after = i + 1 if i + 1 < m else i
             a, b = block[i][:size], block[after][:size]
             for j in range(0, i + 1, 2):
@@ -283,9 +281,9 @@ def factorise(
     unseen: int,
     factor: Double2,
 ) -> None:
-    """Cholesky factor (m, m) of A'A without the pixels that say nothing, with a ridge (m,) on its diagonal.
+    """Compute the Cholesky factor (m, m) of A'A over the usable pixels, with a ridge (m,) on its diagonal.
 
-    ``own`` are the roots of all pixels' weights, ``unseen`` how many pixels say nothing.
+    ``gram`` is A'A over all pixels, ``own`` the square root of their weights, ``unseen`` the number of unusable pixels.
     """
     m, k = len(gram), len(own) // len(usable)
     wide = len(lines) // len(own)
@@ -299,13 +297,13 @@ def factorise(
             for e in range(i * k, i * k + k):
                 line, square = lines[e * wide : e * wide + m], np.float64(own[e]) * own[e]
                 for a in range(m):
-                    share, row = square * line[a], factor[a]
+                    scale, row = square * line[a], factor[a]
                     for b in range(a + 1):
-                        row[b] -= share * line[b]
+                        row[b] -= scale * line[b]
     for a in range(m):
         factor[a, a] += ridge[a]
     if cholesky(factor):
         return
-    clear(factor)  # rounding has made it no Gram matrix: lambda then moves mode by mode, and little
+    clear(factor)  # not positive definite, by rounding: use the diagonal, for small steps of lambda
     for a in range(m):
         factor[a, a] = np.sqrt((gram[a, a] if gram[a, a] > 0.0 else 0.0) + ridge[a])

@@ -1,7 +1,7 @@
-"""Where else a fit may begin that came to little: the shape bent and moved, fitted coarsely (multi-start).
+"""Multi-start: other starts for a fit of low quality, from deformed and shifted mean shapes fitted coarsely.
 
-A coarse fit reaches a few pixels and a part of a mode's deviation. A head turned by forty degrees lies beyond: starts
-from the mean shape stop half-way, where the outline's far side hangs in the background.
+A coarse fit converges only from nearby. From the mean shape it does not reach a head turned by forty degrees: it stops
+half-way, with the far side of the outline in the background.
 """
 
 from collections.abc import Sequence
@@ -14,43 +14,43 @@ from liaam.fitting.solver import SolverOptions, solve
 from liaam.model.shape import diagonal_of
 
 BENT = 2.5
-"""Standard deviations by which the mean shape is bent along its strongest mode, either way."""
+"""Deformation of the mean shape along its strongest mode, in standard deviations, in both directions."""
 
 SHIFT = 0.06
-"""Way that it is moved right, left, down and up, as a share of its diagonal."""
+"""Shift of the mean shape to the right, left, bottom and top, as a fraction of its diagonal."""
 
 BENT_ON, MODES = 2.0, 3
-"""Standard deviations by which the best of these are bent on, either way, along so many of the strongest modes.
-Strongly turned heads lie far out along several: without, 9 of 34 fits that can be saved are lost, and 4 with it."""
+"""Further deformation of the best of these, in standard deviations, and number of modes it is applied to. Strongly
+turned heads deviate along several modes: of 34 fits that restarts can save, 4 are lost with it and 9 without."""
 
 BEST = 3
-"""How many of them."""
+"""Number of shapes deformed further."""
 
 KEPT = 2
-"""How many places to fit from in the end; a third saves no more."""
+"""Number of starts returned; a third saves no more fits."""
 
 APART = 0.02
-"""Root mean square distance, as a share of the diagonal, below which two shapes count as the same."""
+"""Root mean square distance, as a fraction of the diagonal, below which two shapes count as the same."""
 
 
 def other_starts(
     objective: Objective, blur: float, target: Target, options: SolverOptions, kept: int = KEPT
 ) -> list[np.ndarray]:
-    """Find other shapes to begin a fit from.
+    """Find other shapes to start a fit from.
 
-    The mean shape, in the pose of the start, is bent and moved, and the best of what the coarsest level makes of these
-    is bent on; given are those that fit the picture best there.
+    The mean shape in the pose of the start is deformed and shifted, and fitted at the coarsest level. The best of these
+    are deformed further and fitted again. The shapes of least cost are returned.
 
     Parameters
     ----------
     objective : Objective
-        Of the coarsest level.
+        Objective of the coarsest level.
     blur : float
-        Its blur, model pixels.
+        Blur of that level, model pixels.
     target : Target
     options : SolverOptions
     kept : int
-        How many at most.
+        Largest number of starts.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def other_starts(
     """
     options = spare(options)
     problem, state, pose = prepare_level(objective, blur, target.measured(objective.method), (), options)
-    warp, n_modes = objective.warp, objective.warp.n_parameters - 4  # the similarities stand last
+    warp, n_modes = objective.warp, objective.warp.n_parameters - 4  # the similarity vectors come last
     deviations = objective.prior[:n_modes] ** -0.5
 
     def bent(p: np.ndarray, mode: int, by: float) -> np.ndarray:
@@ -84,7 +84,7 @@ def other_starts(
 
 
 def _best(stages: Sequence[Stage], count: int, start: np.ndarray) -> list[Stage]:
-    """Stages of least cost that lie apart from each other, best first."""
+    """Return the stages of least cost whose shapes differ, best first."""
     best: list[Stage] = []
     apart = APART * diagonal_of(start)
     for stage in sorted(stages, key=lambda stage: stage.solution.costs[-1]):
@@ -95,5 +95,5 @@ def _best(stages: Sequence[Stage], count: int, start: np.ndarray) -> list[Stage]
 
 
 def _distance(shape: np.ndarray, other: np.ndarray) -> float:
-    """Root mean square distance of the landmarks."""
+    """Return the root mean square distance of the landmarks."""
     return float(np.sqrt(np.square(shape - other).sum(axis=1).mean()))

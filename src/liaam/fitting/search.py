@@ -1,10 +1,10 @@
-"""Where a fit starts when nobody says: the object is searched for with the model's own light-invariant template.
+"""Detection of the object, for fits without a given start.
 
-The model is made small, and the directions of luminance's gradient that it expects are correlated with those of
-the picture, at many sizes, a few rotations, and with the shape's strongest mode bent both ways. The best
-places are fitted with the small model by method ``igo``; how well that explains the directions there says which of
-them is the object. Directions are nearly blind to the light, and every model holds them, that of a grey set too.
-Where one object is wanted, small ones are looked for only if no large one is surely it.
+Templates of gradient orientations are made from a reduced model, in several rotations and with the strongest shape mode
+at both ends. They are correlated with the orientations in the image at many sizes. The best places are fitted with the
+reduced model by method ``igo``, and scored by how well it explains the orientations there. Orientations hardly depend
+on the light, and every model has them, also one of grey images. If one object is wanted, small ones are searched for
+only if no large one is certain.
 """
 
 from dataclasses import dataclass, replace
@@ -30,137 +30,135 @@ from liaam.photometry.encoding import soft_direction, value_luminance
 from liaam.workers import in_threads
 
 TEMPLATE = 40.0
-"""Diagonal of the small model, pixels. Measured on ``imm``: 48 finds no more and takes half as long again, 32 loses
-turned faces."""
+"""Diagonal of the reduced model, pixels. Measured on ``imm``: 48 finds no more faces and takes 1.5 times as long, 32
+misses turned faces."""
 
 SMALLEST, LARGEST = 0.15, 1.25
-"""Diagonals of the objects searched for, as shares of the image's shorter side."""
+"""Range of the diagonals searched, as fractions of the image's shorter side."""
 
 STEP = 1.2
-"""Ratio of neighbouring sizes."""
+"""Ratio of consecutive sizes."""
 
 LEAST_PIXELS = 20.0
-"""Diagonal below which an object is not searched for, pixels of the image."""
+"""Smallest diagonal searched, pixels of the image."""
 
 TURNS: dict[str, tuple[float, ...]] = {
     "upright": (-20.0, -10.0, 0.0, 10.0, 20.0),
     "all": tuple(np.arange(-180.0, 180.0, 15.0).tolist()),
 }
-"""Rotations of the mean shape, degrees, where objects lie about as in training, and where they lie in any way."""
+"""Rotations of the mean shape, degrees: for objects about as in training, and for any rotation."""
 
 BENT_TURNS: dict[str, tuple[float, ...]] = {
     "upright": (-10.0, 0.0, 10.0),
     "all": tuple(np.arange(-180.0, 180.0, 30.0).tolist()),
 }
-"""Rotations of the bent shapes, degrees."""
+"""Rotations of the deformed shapes, degrees."""
 
 FILLING_TURNS: dict[str, tuple[float, ...]] = {"upright": (0.0,), "all": (-180.0, -90.0, 0.0, 90.0)}
-"""Rotations of objects that fill the frame, degrees: some of those of the mean shape."""
+"""Rotations of objects that fill the frame, degrees: a subset of those of the mean shape."""
 
 BEND = 1.5
-"""How far the strongest shape mode is bent, standard deviations. In sets of faces it is the turn of the head;
-measured on ``imm``: without it, one face in sixty is not found, a turned one."""
+"""Deformation along the strongest shape mode, standard deviations. In sets of faces this mode is the turn of the head;
+without it, one face in sixty of ``imm`` is missed, a turned one."""
 
 BEND_WORTH = 0.4
-"""Root mean square movement of the landmarks by a bend that is worth templates of its own, small pixels."""
+"""Root mean square movement of the landmarks, pixels of the reduced model, that needs deformed templates."""
 
 SOFTNESS = 0.02
-"""Gradient of luminance per small pixel, as a share of the picture's contrast, about which its direction counts. Noise
-in flat regions has no direction, and smooth shading follows any smooth model. Measured, with models of three sets of
-faces: so the scores of the faces and those of other objects hardly overlap; with plain directions they do."""
+"""Luminance gradient per pixel of the reduced model, as a fraction of the image's contrast, at which orientations get
+0.7 of their full length. It suppresses noise in flat regions and smooth shading. With models of three sets of faces,
+the scores of faces and of other objects hardly overlap with it; with unweighted orientations they do."""
 
 SAMPLES = 20_000
-"""Pixels, about, that tell a picture's contrast."""
+"""Approximate number of pixels from which an image's contrast is measured."""
 
 CONTRASTS = (0.3, 1.0)
-"""Contrasts of a picture that count as such: a flatter one is not stretched further."""
+"""Limits on the measured contrast, so that flat images are not amplified further."""
 
 LARGE = 0.3
-"""Diagonal of a large object, as a share of the image's shorter side. Where one object is wanted, small ones are looked
-for only if no large one is :data:`SURE`: their fields have three quarters of all pixels. On the pictures named there,
-the answers are those of a search at all sizes."""
+"""Diagonal of a large object, as a fraction of the image's shorter side. If one object is wanted, small ones are
+searched for only if no large one is :data:`SURE`. The search at small sizes takes three quarters of all pixels. On the
+images named there, the results equal those of a search at all sizes."""
 
 LARGE_PLACES = 2
-"""Places that are fitted at most before small objects are looked for."""
+"""Largest number of places that are fitted before small objects are searched for."""
 
 PADDING = 0.25
-"""How far an object may stick out of the image, as a share of its diagonal."""
+"""Largest distance that an object may extend beyond the image, as a fraction of its diagonal."""
 
 MODES = 15
-"""Appearance modes of the small model: with more, it explains what is no object too."""
+"""Number of appearance modes of the reduced model; with more, it also explains other objects."""
 
 SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)
-"""Of the fits that judge places."""
+"""Solver options for the fits of places."""
 
-STRANGENESS = 0.05
-"""What a shape costs, in units of the score, whose modes lie one standard deviation from the mean on average."""
+SHAPE_PENALTY = 0.05
+"""Penalty on the score per unit of the mean squared shape mode, in standard deviations."""
 
 DOUBTFUL = 0.52
-"""Score below which it is doubtful that the picture shows the object. Measured with generic models of three sets of
-faces: no face of 252 scores less, nor do generated ones under hard light from the side (0.55). Of pictures of cats,
-owls, rocks and balls, one in four scores more, nearly all under the model that has learnt heads turned far."""
+"""Score below which a detection is uncertain. With generic models of three sets of faces, each of 252 faces scores
+more, and so do generated ones under hard light from the side (0.55). Of images of cats, owls, rocks and balls one in
+four scores more, nearly all under the model trained on strongly turned heads."""
 
 SURE = 1.25
-"""Score and response together at which no other place is looked at where one object is wanted. Measured with generic
-models of three sets of faces on 861 pictures (as they are; under simulated hard light, shadows and dapples; small, in
-pictures of an owl, a cat and a rock): right places have more in seven of ten, and of all other places none has more
-than 1.18. Of scores alone, 0.67 may be a wrong place's."""
+"""Sum of score and response at which the search for one object stops. Measured with generic models of three sets of
+faces on 861 images (original; under simulated hard light, shadows and dapples; small, within images of an owl, a cat
+and a rock): seven of ten correct places have more, and no wrong place has more than 1.18. Scores alone reach 0.67 at
+wrong places."""
 
 WORTH = 0.75
-"""Response, as a share of the strongest, below which a place is not fitted where one object is wanted. The right
-place has 0.84 at least on 609 of the photographs of :data:`SURE`, and 0.77 on a generated head in side light."""
+"""Smallest response, as a fraction of the strongest, at which a place is fitted if one object is wanted. The correct
+place has at least 0.84 on 609 of the photographs of :data:`SURE`, and 0.77 on a generated head in side light."""
 
 MOST = 20
-"""Objects in a picture at most."""
+"""Largest number of objects in an image."""
 
 OTHERS = 6
-"""Places to try in the end where the one that was found is not the object."""
+"""Number of other places to fit if the first is not the object."""
 
 LOOKED = 10
-"""Places that are looked at for each of these. Measured on photographs of 38 strangers: with 5 one more is lost, with
-15 one less, in half as much time again."""
+"""Number of places scored for each of these. On photographs of 38 unseen persons, 5 loses one more, and 15 one less in
+1.5 times the time."""
 
 SIZE_WORTH = 0.05
-"""What a place e times as large is worth, in units of the score: the smaller objects are, the more places there are to
-be wrong at. 0.1 finds the same."""
+"""Bonus on the score per unit of log size: there are more wrong places of small sizes. 0.1 gives the same results."""
 
 APART = 0.1
-"""Mean distance of two shapes' landmarks, as a share of their size, beyond which they show different places."""
+"""Mean distance of two shapes' landmarks, as a fraction of their size, beyond which they are different places."""
 
 FILLING = (0.95, 1.1)
-"""Diagonals of objects that fill the frame, as shares of its shorter side."""
+"""Diagonals of objects that fill the frame, as fractions of its shorter side."""
 
 SPECTRA_KEPT = 600_000
-"""Pixels of the fields whose templates' spectra are kept, some 90 bytes each: those of pictures of one size and more,
-unless they are panoramas."""
+"""Number of field pixels for which spectra are cached, about 90 bytes each: enough for one size, except panoramas."""
 
 VISITED = 0.25
-"""Surroundings of a place that its fit may visit, as a share of the object's diagonal."""
+"""Margin around a place that its fit may use, as a fraction of the object's diagonal."""
 
 SURROUNDINGS = 2
-"""Pixels on every side among which a place has to be the best."""
+"""Radius in pixels within which a place has to be the maximum."""
 
 LEAST_RESPONSE = 1e-3
-"""Of a place."""
+"""Smallest response of a place."""
 
 GROWTH = (0.5, 2.0)
-"""Change of size beyond which the fit of a place has lost it."""
+"""Limits on the change of size in the fit of a place; beyond them it has diverged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A place where the object may be.
+    """A possible place of the object.
 
     Attributes
     ----------
     landmarks : (n, 2) float64
         Landmarks of a coarse fit, image pixels.
     score : float
-        How well the model explains the directions of the gradient there, 0 to 1; see :attr:`doubtful`.
+        How well the model explains the gradient orientations there, 0 to 1; see :attr:`doubtful`.
     rotation : float
-        Of the mean shape, radians, clockwise in the image.
+        Rotation of the mean shape, radians, clockwise in the image.
     scale : float
-        Pixels of the image for one of the model's reference frame.
+        Image pixels per pixel of the model's reference frame.
     """
 
     landmarks: np.ndarray
@@ -170,24 +168,24 @@ class Candidate:
 
     @property
     def doubtful(self) -> bool:
-        """Whether this is as likely something else."""
+        """Whether the detection is uncertain: the score is below :data:`DOUBTFUL`."""
         return self.score < DOUBTFUL
 
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """Directions of the gradient that the small model expects.
+    """Gradient orientations that the reduced model expects.
 
     Attributes
     ----------
     field : (h, w) complex64
-        Cosine and sine as real and imaginary part, shorter than 1 where the direction varies; 0 outside the mesh.
+        Cosine and sine as real and imaginary part, shorter than 1 where the orientation varies; 0 outside the mesh.
     origin : (2,) float64
-        Position of its first pixel from the shape's centre, pixels.
+        Position of the first pixel relative to the shape's centre, pixels.
     turn : float
         Rotation, radians.
     p : (m + 4,) float64
-        Shape parameters of the small model.
+        Shape parameters of the reduced model.
     """
 
     field: np.ndarray
@@ -198,7 +196,7 @@ class Template:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """Directions of a picture's gradient, at a resolution.
+    """Gradient orientations of an image at one resolution.
 
     Attributes
     ----------
@@ -213,15 +211,15 @@ class Field:
 
     @property
     def scale(self) -> float:
-        """Image pixels for one of the field."""
+        """Image pixels per pixel of the field."""
         return float(np.sqrt(self.length.prod()))
 
     def to_image(self, points: np.ndarray) -> np.ndarray:
-        """Image pixels of pixels of the field, (k, 2) float64."""
+        """Convert pixels of the field to image pixels, (k, 2) float64."""
         return (points + 0.5) * self.length - 0.5
 
     def strength(self, points: np.ndarray) -> np.ndarray:
-        """How far the direction at image points (k, 2) counts, (k,) float32; 0 outside."""
+        """Return the weight of the orientation at image points (k, 2), (k,) float32; 0 outside."""
         import cv2  # heavy: imported when first needed
 
         x, y = ((points + 0.5) / self.length - 0.5).astype(np.float32).T[:, :, None]
@@ -230,14 +228,14 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Grey:
-    """Luminance of a picture, of which fields are made.
+    """Reduced luminance of an image, from which fields are made.
 
     Attributes
     ----------
     values : (h, w) float32
         From 0 to 1.
     reduce : int
-        Image pixels that one of them stands for, in either direction.
+        Image pixels per pixel, along each axis.
     """
 
     values: np.ndarray
@@ -245,11 +243,11 @@ class Grey:
 
     @staticmethod
     def of(image: np.ndarray, response: Response, factor: float) -> "Grey":
-        """Grey of a picture (h, w, 3), reduced by about a factor and at least eight pixels across."""
+        """Make the luminance of an image (h, w, 3), reduced by about ``factor`` but at least eight pixels across."""
         from liaam.photometry.averaging import area_means  # numba: imported when first needed
 
         reduce = max(1, min(int(factor), min(image.shape[:2]) // 8))
-        # Sixteen samples of a block are as good as all; large pictures need not be decoded in full.
+        # Sixteen samples of a block suffice, so large images need not be decoded in full.
         stride = max(1, reduce // 4)
         reduce //= stride
         sparse = image[stride // 2 :: stride, stride // 2 :: stride]
@@ -263,13 +261,13 @@ class Grey:
         return Grey(grey, reduce * stride)
 
     def field(self, size: float, small: AAM) -> Field:
-        """Directions in which objects of a size in image pixels are as large as the small model."""
+        """Compute the orientations at the resolution where objects of ``size`` image pixels match the reduced model."""
         import cv2  # heavy: imported when first needed
 
         from liaam.photometry.averaging import area_means  # numba: imported when first needed
 
         grey = self.values
-        covered = np.array(grey.shape[::-1]) * self.reduce  # a rest at the border was dropped
+        covered = np.array(grey.shape[::-1]) * self.reduce  # an incomplete block at the border was dropped
         width, height = np.maximum(np.rint(covered * (small.diagonal / size)), 8).astype(int)
         if width <= grey.shape[1] and height <= grey.shape[0]:
             resized = area_means(grey, (int(height), int(width)))
@@ -280,19 +278,20 @@ class Grey:
 
 @dataclass(frozen=True, eq=False)
 class _Peaks:
-    """Places where a template responds.
+    """Local maxima of the templates' responses.
 
     Attributes
     ----------
     centres : (k, 2) float64
-        Of the shape, image pixels.
+        Centre of the shape, image pixels.
     scales : (k,) float64
-        Image pixels for one of the small model.
+        Image pixels per pixel of the reduced model.
     fields : (k,) int
-        Which field of the picture it is.
+        Index of the image's field.
     templates : (k,) int
+        Index of the template.
     responses : (k,) float64
-        Mean cosine between expected and found direction, weighted by the template's reliability.
+        Mean cosine between expected and measured orientation, weighted by the length of both.
     """
 
     centres: np.ndarray
@@ -309,7 +308,7 @@ class _Peaks:
         return _Peaks(*(column[which] for column in self.columns))
 
     def places(self) -> list["_Place"]:
-        """One by one."""
+        """Return the places without their responses."""
         columns = (self.centres.tolist(), self.scales.tolist(), self.fields.tolist(), self.templates.tolist())
         return [_Place(tuple(centre), *rest) for centre, *rest in zip(*columns, strict=True)]
 
@@ -329,13 +328,13 @@ class _Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Finder:
-    """A model ready to be found in many pictures.
+    """A detector for a model, to be used on many images.
 
     Attributes
     ----------
     model : AAM
     rotations : {"upright", "all"}
-        How objects may lie in the pictures: turned by some 25 degrees at most, or in any way, at four times the time.
+        Rotations searched: up to about 25 degrees, or all, at four times the time.
 
     Examples
     --------
@@ -347,18 +346,18 @@ class Finder:
     rotations: str = "upright"
 
     def __post_init__(self) -> None:
-        """Refuse what is no way to lie."""
+        """Raise an error for unknown rotations."""
         if self.rotations not in TURNS:
-            raise MethodError(f"rotations {self.rotations!r}: there are {', '.join(TURNS)}")
+            raise MethodError(f"rotations {self.rotations!r} does not exist; there are {', '.join(TURNS)}")
 
     @cached_property
     def small(self) -> AAM:
-        """The model's coarsest level, made small."""
+        """The reduced model: the coarsest level on a smaller frame."""
         return shrink(self.model)
 
     @cached_property
     def templates(self) -> tuple[Template, ...]:
-        """All templates of the small model."""
+        """All templates of the reduced model."""
         return make_templates(self.small, self.rotations)
 
     @cached_property
@@ -367,8 +366,8 @@ class Finder:
 
     @cached_property
     def objective(self) -> Objective:
-        """What the fits that judge places minimise."""
-        # Scores are compared with limits that were set so; all pixels find no more, and take longer.
+        """The objective of the fits of places."""
+        # The limits on scores were set with this thinning. All pixels find no more, and take longer.
         return make_objectives(self.small, get_method("igo"), thinning=THINNING)[0]
 
     def find(
@@ -380,9 +379,9 @@ class Finder:
         response: Response | None = None,
         name: str = "image",
     ) -> list[Candidate]:
-        """Find the object in a picture; see :func:`find`."""
+        """Find the object in an image; see :func:`find`."""
         if limit is not None and limit < 1:
-            raise MethodError(f"limit {limit}: look for at least one object, or give None for all of them")
+            raise MethodError(f"limit {limit} is too small; give 1 or more, or None for all objects")
         image = load_picture(image, name)[0]
         response = self.model.response if response is None else response
         most = MOST if limit is None else min(limit, MOST)
@@ -393,21 +392,21 @@ class Finder:
         return [candidate for candidate in chosen if candidate.score >= least]
 
     def others(self, image: np.ndarray, response: Response | None = None, most: int = OTHERS) -> list[Candidate]:
-        """Places to try where the one that was found is not the object: the next best, and such that fill the frame.
+        """Find other places to fit if the first is not the object: the next best, and some that fill the frame.
 
         Parameters
         ----------
         image : (h, w, 3) uint8, uint16 or float32
         response : Response, optional
-            Of the image's camera; the training camera's if left out.
+            Response of the image's camera; by default the training camera's.
         most : int
-            Places of the search's own, at most.
+            Largest number of places, besides those that fill the frame.
 
         Returns
         -------
         list of Candidate
-            The search's own come first, the best of them first. Their shapes are the mean shape as it lies there: how
-            the small model bends leads fits astray.
+            The best first, then those that fill the frame. Their shapes are the aligned mean shape, because
+            deformations of the reduced model are a bad start.
         """
         search = _Search(self, image, self.model.response if response is None else response, LOOKED * most)
         best = sorted(search.for_all(), key=lambda place: -(place.score + SIZE_WORTH * np.log(place.scale)))
@@ -415,9 +414,9 @@ class Finder:
         return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in _different(places)]
 
     def _responses(self, field: Field, which: int, count: int, worth: float) -> _Peaks:
-        """Local maxima of every template's correlation with a field (number ``which``), the best few of each template.
+        """Return the strongest local maxima of each template's correlation with a field (of index ``which``).
 
-        Those that respond with less than a share ``worth`` of the strongest need not be among them.
+        Maxima below the fraction ``worth`` of the strongest may be left out.
         """
         import cv2  # heavy: imported when first needed
 
@@ -430,7 +429,7 @@ class Finder:
         spectra, product, correlated = _spectra(field.values, fast, pad), *np.empty((2, *fast), np.float32)
         places, responses, floor = [], [], LEAST_RESPONSE
         for (shape, origin), own in zip(sizes, self._spectra_of(fast), strict=True):
-            # The cosine between two directions times their lengths.
+            # The cosine between both orientations times their lengths.
             cosine = cv2.idft(kernel.correlate(spectra, own, product), correlated)
             inside = cosine[: size[0] - shape[0] + 1, : size[1] - shape[1] + 1]
             best, values = kernel.best_peaks(inside, count, floor, SURROUNDINGS)
@@ -442,13 +441,13 @@ class Finder:
         return _Peaks(field.to_image(np.concatenate(places) - pad), scales, same, numbers, np.concatenate(responses))
 
     def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
-        """Spectra of all templates for fields of a size; those of the last few sizes are kept."""
+        """Return the spectra of all templates for fields of a size; those of the last sizes are cached."""
         known = self._spectra.get(size)
         if known is not None:
             return known
-        pixels = size[0] * size[1]  # by which an inverse transform is to be divided
+        pixels = size[0] * size[1]  # OpenCV's inverse transform is not normalised
         made = [_spectra(t.field, size) / (pixels * max(float(np.abs(t.field).sum()), 1e-9)) for t in self.templates]
-        kept = [*self._spectra, size]  # a copy: others may search at the same time
+        kept = [*self._spectra, size]  # a copy: other threads may search at the same time
         while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
             self._spectra.pop(kept.pop(0), None)
         if kept:
@@ -456,11 +455,11 @@ class Finder:
         return made
 
     def __getstate__(self) -> dict:
-        """Leave out the spectra, which are large and soon made again."""
+        """Leave out the spectra, which are large and quick to compute."""
         return {name: value for name, value in self.__dict__.items() if name != "_spectra"}
 
     def _fitted(self, image: np.ndarray, response: Response, place: _Place, field: Field) -> Candidate:
-        """Fit the small model at a place that was found in a field, and judge what came out."""
+        """Fit the reduced model at a place of a field, and score the result."""
         template, warp = self.templates[place.template], self.objective.warp
         pose = Similarity(rotation(template.turn) * place.scale, np.array(place.centre))
         start, blur = pose(warp.shape(template.p)), self.small.levels[0].blur
@@ -474,16 +473,16 @@ class Finder:
         return self._candidate(shape, self._score(solution, strength))
 
     def _score(self, solution: Solution, strength: np.ndarray) -> float:
-        """Cosine between picture and fitted appearance over all of the model's pixels, less for a strange shape."""
+        """Return the mean cosine between image and fitted appearance, minus a penalty for an unusual shape."""
         weights, work = self.objective.appearance.usable[:, None].astype(np.float64), solution.work
         seen = work.values.reshape(len(weights), -1)[:, :2]
         expected = seen - work.residual.reshape(-1, 2)
-        # What lies outside the image counts as not explained: else half an object on the border is as good as one.
+        # Pixels outside the image count as unexplained: otherwise half an object at the border scores as a whole one.
         product = float((weights * (work.usable * strength)[:, None] * seen * expected).sum())
         power = float((weights * np.square(expected)).sum() * weights.sum())
         variance = np.maximum(self.small.shape_model.eigenvalues, 1e-12)
-        strange = float((np.square(solution.state.p[:-4]) / variance).mean()) if len(variance) else 0.0
-        score = product / np.sqrt(power) - STRANGENESS * strange if power > 0 else 0.0
+        unusual = float((np.square(solution.state.p[:-4]) / variance).mean()) if len(variance) else 0.0
+        score = product / np.sqrt(power) - SHAPE_PENALTY * unusual if power > 0 else 0.0
         return float(np.clip(score, 0.0, 1.0)) if np.isfinite(score) else 0.0
 
     def _candidate(self, shape: np.ndarray, score: float) -> Candidate:
@@ -491,14 +490,14 @@ class Finder:
         return Candidate(shape, score, float(np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0])), pose.scale)
 
     def _in_the_middle(self, image: np.ndarray) -> Candidate:
-        """Give the answer for a picture that shows nothing: the mean shape in the middle, with score 0."""
+        """Return the mean shape in the middle of the image with score 0, for images without any detection."""
         size = np.array(image.shape[1::-1])
         mean = self.model.shape_model.mean
         return self._candidate(mean * (0.8 * size.min() / diagonal_of(mean)) + 0.5 * (size - 1), 0.0)
 
 
 class _Search:
-    """Search of one picture: what was found out about it so far.
+    """The search of one image, with its fields, maxima and fits so far.
 
     Parameters
     ----------
@@ -506,7 +505,7 @@ class _Search:
     image : (h, w, 3) uint8, uint16 or float32
     response : Response
     count : int
-        Places to look at, at most.
+        Largest number of places to fit.
     """
 
     def __init__(self, finder: Finder, image: np.ndarray, response: Response, count: int) -> None:
@@ -517,16 +516,16 @@ class _Search:
         self.fields: list[Field] = []
         self.found: list[_Peaks] = []
         self.fits: dict[_Place, Candidate] = {}
-        finder.templates  # noqa: B018 (made once, not by several threads at the same time)
+        finder.templates  # noqa: B018 (compute them before several threads need them)
 
     def for_one(self, least: float) -> list[Candidate]:
-        """Fit the best places until one is surely the object and scores enough, those of large objects first."""
-        large = self.sizes >= LARGE * min(self.image.shape[:2])  # some are: sizes reach beyond the picture's
+        """Fit the best places until one is certain and scores at least ``least``, large objects first."""
+        large = self.sizes >= LARGE * min(self.image.shape[:2])  # never empty: the largest size exceeds the image
         most = None if large.all() else LARGE_PLACES
         seen, sure = self._in_turn(self._peaks(self.sizes[large], WORTH), least, most)
         if not sure and not large.all():
             seen, _ = self._in_turn(self._peaks(self.sizes[~large], WORTH), least)
-        if not seen and self.fits:  # all of the best lie outside the picture; weaker places were left out
+        if not seen and self.fits:  # the best places all lie outside the image, and weaker ones were left out
             return self.for_all()
         return seen
 
@@ -537,26 +536,26 @@ class _Search:
         return [candidate for candidate in seen if _is_inside(candidate.landmarks, self.image)]
 
     def filling(self) -> list[Candidate]:
-        """Fit an object in the middle of the frame, about as large: pictures cut out around objects have no border.
+        """Fit objects in the middle that fill the frame, as in images cropped around an object.
 
-        What lies outside a picture responds to no template, so such places respond little.
+        Templates respond little there, because they extend beyond the image.
         """
         size, small, rotations = np.array(self.image.shape[1::-1]), self.finder.small, self.finder.rotations
-        scales = [share * size.min() / small.diagonal for share in FILLING]
+        scales = [fraction * size.min() / small.diagonal for fraction in FILLING]
         nearest = [int(np.argmin([abs(np.log(field.scale / scale)) for field in self.fields])) for scale in scales]
         centre, turns = tuple(0.5 * (size - 1.0)), [TURNS[rotations].index(turn) for turn in FILLING_TURNS[rotations]]
         places = [_Place(centre, *at, turn) for turn in turns for at in zip(scales, nearest, strict=True)]
         return [self._fitted(place) for place in places]
 
     def _peaks(self, sizes: np.ndarray, worth: float = 0.0) -> _Peaks:
-        """Best places by correlation alone, of objects of these sizes and of those looked for before."""
+        """Return the places of the strongest responses, for these sizes and those searched before."""
         small, first = self.finder.small, len(self.fields)
 
         def look(i: int) -> tuple[Field, _Peaks]:
             field = self.grey.field(sizes[i], small)
             return field, self.finder._responses(field, first + i, self.count, worth)
 
-        # The largest field comes first: no thread is left with one that takes long at the end.
+        # The largest field comes first, so that no thread starts a long task at the end.
         for field, peaks in in_threads(look, range(len(sizes))):
             self.fields.append(field)
             self.found.append(peaks)
@@ -564,7 +563,7 @@ class _Search:
         return found.take(_strongest(found, 0.2 * small.diagonal, self.count))
 
     def _in_turn(self, peaks: _Peaks, least: float, most: int | None = None) -> tuple[list[Candidate], bool]:
-        """Fit places, the strongest first, until they respond too little or one is sure; and whether one is."""
+        """Fit places, the strongest first, until one is certain or responses are low; return whether one is certain."""
         seen: list[Candidate] = []
         for place, strength in zip(peaks.places()[:most], peaks.responses, strict=False):
             if strength < WORTH * peaks.responses[0]:
@@ -587,29 +586,30 @@ class _Search:
 def find(
     model: AAM, image, *, limit: int | None = 1, least: float = 0.0, response: Response | None = None
 ) -> list[Candidate]:
-    """Find the model's object in a picture; for many pictures make a :class:`Finder` once.
+    """Find the model's object in an image. For many images make a :class:`Finder` once.
 
     Parameters
     ----------
     model : AAM
     image : (h, w, 3) or (h, w) uint8, uint16 or float array, or path
     limit : int or None
-        How many objects to look for; None for as many as there are, up to :data:`MOST`.
+        Largest number of objects; None for all, up to :data:`MOST`.
     least : float
-        Score that an object must have; :data:`DOUBTFUL` is a sensible one.
+        Minimum score; :data:`DOUBTFUL` is a sensible one.
     response : Response, optional
-        Of the image's camera; the training camera's if left out.
+        Response of the image's camera; by default the training camera's.
 
     Returns
     -------
     list of Candidate
-        The best first, without overlap; of a single one, the first place, large ones first, that leaves no doubt. Never
-        empty unless ``least`` is above 0: a picture without anything gives the mean shape in its middle with score 0.
+        Candidates without overlap, the best first. With ``limit=1``, the search stops at the first certain place, large
+        ones first. Empty only if ``least`` is above 0: without any detection, the result is the mean shape in the
+        middle of the image with score 0.
 
     Raises
     ------
     ImageError
-        For an array or a file that is no image.
+        For an array or a file that is not an image.
     MethodError
         For a model of an early version, without orientations.
     """
@@ -617,7 +617,7 @@ def find(
 
 
 def _spectra(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarray:
-    """Fourier transforms of a field's cosine and sine, padded to a size, (2, h, w) float32 as OpenCV packs them."""
+    """Return the Fourier transforms of a field's cosine and sine, padded to a size, (2, h, w) float32, packed."""
     import cv2  # heavy: imported when first needed
 
     padded = np.zeros((2, *size), np.float32)
@@ -627,36 +627,35 @@ def _spectra(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarr
 
 
 def is_searchable(model: AAM) -> bool:
-    """Tell whether a model has learnt what the search needs: orientations of gradients."""
+    """Return whether a model has the gradient orientations that the search needs."""
     return "orientation" in model.levels[0].appearances
 
 
 def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
-    """Coarsest orientations of a model on a smaller reference frame.
+    """Reduce a model to the orientations of its coarsest level, on a smaller reference frame.
 
     Parameters
     ----------
     model : AAM
     diagonal : float
-        Of the mean shape's box, pixels; a model that is smaller keeps its size.
+        Diagonal of the mean shape's bounding box, pixels; a smaller model keeps its size.
     n_modes : int
-        Appearance modes to keep at most.
+        Largest number of appearance modes.
 
     Returns
     -------
     AAM
-        With one level, which holds ``orientation`` only.
+        Model with one level and one appearance, ``orientation``.
 
     Raises
     ------
     MethodError
-        If the model has not learnt orientations.
+        If the model has no orientations.
     """
     level = model.levels[0]
     if not is_searchable(model):
         raise MethodError(
-            "the model has not learnt orientations of gradients, which the search needs; train it again, or give a "
-            "start (--init)"
+            "the model has no gradient orientations, which the search needs; train it again, or give a start (--init)"
         )
     own, shapes = level.appearances["orientation"], model.shape_model
     factor = min(1.0, diagonal / model.diagonal)
@@ -682,10 +681,10 @@ def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
 
 
 def _read(frame: ReferenceFrame, values: np.ndarray, at: np.ndarray, width: float) -> np.ndarray:
-    """Per-pixel values (n_pixels, c) read off at points (m, 2) of the shape, averaged over some pixels, (m, c)."""
+    """Interpolate per-pixel values (n_pixels, c) at points (m, 2), averaged over ``width`` pixels, (m, c)."""
     import cv2  # heavy: imported when first needed
 
-    # A channel of ones tells what share of an average lies inside the mesh.
+    # The channel of ones measures which fraction of an average lies inside the mesh.
     picture = frame.picture(np.column_stack([values, np.ones(len(values))]))
     if width > 1.0:
         picture = cv2.GaussianBlur(picture, (0, 0), 0.5 * width, borderType=cv2.BORDER_CONSTANT)
@@ -697,7 +696,7 @@ def _read(frame: ReferenceFrame, values: np.ndarray, at: np.ndarray, width: floa
 
 
 def make_templates(small: AAM, rotations: str = "upright") -> tuple[Template, ...]:
-    """Templates of a small model: its mean in some rotations, and its strongest shape mode bent both ways."""
+    """Make the templates of a reduced model: mean and deformed shapes in several rotations."""
     shapes = small.shape_model
     straight = np.zeros(len(shapes.basis))
     templates = [_template(small, np.deg2rad(turn), straight) for turn in TURNS[rotations]]
@@ -721,7 +720,7 @@ def _template(small: AAM, turn: float, p: np.ndarray) -> Template:
 
 
 def search_sizes(shorter_side: int) -> np.ndarray:
-    """Diagonals of objects to search for in an image, pixels, growing by :data:`STEP`."""
+    """Return the diagonals of objects to search for in an image, pixels, in ratios of :data:`STEP`."""
     low, high = max(SMALLEST * shorter_side, LEAST_PIXELS), LARGEST * shorter_side
     if low >= high:
         return np.array([high])
@@ -729,13 +728,13 @@ def search_sizes(shorter_side: int) -> np.ndarray:
 
 
 def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
-    """Direction of the gradient of a picture, fading where it is weak: g / sqrt(|g|^2 + softness^2).
+    """Compute softly normalised gradients of an image, g / sqrt(|g|^2 + softness^2).
 
     Parameters
     ----------
     grey : (h, w) float32
     blur : float
-        Standard deviation of a blur before, pixels.
+        Standard deviation of a blur applied first, pixels.
 
     Returns
     -------
@@ -749,7 +748,7 @@ def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
 
 
 def _strongest(peaks: _Peaks, apart: float, count: int) -> np.ndarray:
-    """Indices of the strongest peaks, none near a stronger one of about its size."""
+    """Return indices of the strongest peaks, without those near a stronger one of similar size."""
     left, chosen = peaks.responses.copy(), []
     logs = np.log(peaks.scales)
     while len(chosen) < count and left.size and left.max() > 0:
@@ -764,13 +763,13 @@ def _strongest(peaks: _Peaks, apart: float, count: int) -> np.ndarray:
 
 
 def _is_inside(shape: np.ndarray, image: np.ndarray) -> bool:
-    """Tell whether at least half of the landmarks lie in the image."""
+    """Return whether at least half of the landmarks lie in the image."""
     inside = ((shape >= 0) & (shape <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
     return bool(inside.mean() >= 0.5)
 
 
 def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
-    """First candidates whose boxes do not overlap those before them."""
+    """Return the first candidates whose boxes do not overlap those before them."""
     chosen: list[Candidate] = []
     for candidate in candidates:
         if len(chosen) < most and all(_overlap(candidate.landmarks, other.landmarks) < 0.3 for other in chosen):
@@ -779,12 +778,12 @@ def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
 
 
 def are_apart(shape: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two shapes (n, 2) show different places."""
+    """Return whether two shapes (n, 2) are different places."""
     return point_error(other, shape) > APART * diagonal_of(shape)
 
 
 def _different(candidates: list[Candidate]) -> list[Candidate]:
-    """Candidates that lie apart from those before them."""
+    """Return the candidates that differ from those before them."""
     chosen: list[Candidate] = []
     for candidate in candidates:
         if all(are_apart(candidate.landmarks, other.landmarks) for other in chosen):
@@ -793,7 +792,7 @@ def _different(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Share of the smaller of two shapes' boxes that lies in the other."""
+    """Return the fraction of the smaller of two shapes' boxes that lies in the other."""
     sides = np.minimum(a.max(axis=0), b.max(axis=0)) - np.maximum(a.min(axis=0), b.min(axis=0))
     smaller = min(float(np.prod(np.ptp(a, axis=0))), float(np.prod(np.ptp(b, axis=0))))
     return float(np.prod(np.maximum(sides, 0.0))) / max(smaller, 1e-9)

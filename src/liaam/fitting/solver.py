@@ -1,4 +1,4 @@
-"""Options of the solver, and a level's solution: the loop itself is :mod:`liaam.fitting.loop`."""
+"""Options of the solver, and the solution of one level. The loop itself is :mod:`liaam.fitting.loop`."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -15,48 +15,46 @@ ANGLE_STARTS = ("best", "model")
 
 
 HURRY = {"expected": (0.25, 3), "own": (0.1, 10)}
-"""Share of a level's blur that is near enough in the first steps, and how many steps these are, by the kind of step.
-Measured with ``soft-li`` on IMM: 7 steps instead of 9 on the spot protocol (4.11 % either way), on strangers 4.82 /
-4.23 / 4.89 % instead of 4.84 / 4.21 / 4.88, and as many lost; twice the share in all steps loses twice as many
-strangers."""
+"""Tolerance of the first steps as a fraction of a level's blur, and the number of these steps, by the kind of step.
+Measured with ``soft-li`` on IMM: 7 steps instead of 9 on the spot protocol with the same error (4.11 %), and the same
+errors on unseen persons within 0.02 %. Twice the fraction in all steps loses twice as many unseen persons."""
 
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """How to iterate.
+    """Options of the iteration.
 
     Attributes
     ----------
     max_iterations : int
-        Steps to try at most.
+        Maximum number of steps per level, refused ones included.
     tolerance : float
         Stop when a step moves the landmarks by less than this root mean square, model pixels.
     hurry : float, optional
-        Stop sooner in the first steps of a level: when one moves the landmarks by less than this share of the level's
-        blur; 0 for never, and :data:`HURRY` by the method's steps if left out. Most fits are so near after two or three
-        steps. Those that are not are the difficult ones, and go on until ``tolerance``.
+        Tolerance in the first steps of a level, as a fraction of its blur; 0 disables it. By default :data:`HURRY`,
+        which depends on the kind of step. Most fits get so near after two or three steps. The others are difficult, and
+        continue until ``tolerance``.
     notice : float
-        Stop too when a step is shorter than this share of its own standard deviation, root mean square over the
-        parameters, where the method knows it (``soft-li``): what nobody can tell is not worth an iteration, and such a
-        step is taken without another look. Measured on IMM: at 0.03 a third fewer iterations and the same errors; at
-        0.1 fits from far off stop on the way.
+        Stop also when a step is shorter than this fraction of its own standard deviation, root mean square over the
+        parameters. Applies to ``soft-li``, which knows that deviation. Measured on IMM: 0.03 saves a third of the
+        iterations at the same errors; with 0.1, fits from distant starts stop too early.
     elimination : {"varpro", "joint"}
-        How lambda is treated.
+        Solve for lambda at every state (variable projection), or update it by the joint step (the paper, eq 5).
     damping : float
-        Initial Levenberg damping, relative to the Hessian's diagonal (with the model's own gradient: to the expected
-        Hessian); 0 for pure Gauss-Newton as in the paper (every step is taken).
+        Initial Levenberg damping, relative to the Hessian's diagonal (with the expected gradient: to the expected
+        Hessian). 0 is pure Gauss-Newton as in the paper, which accepts every step.
     shape_prior : float
         Strength of the Gaussian prior on the shape modes: 1 as learnt, 0 none (the paper).
     observable : float
-        A turn of both angles together is estimated only where its curvature exceeds this multiple of what
-        noise alone would give. Measured: 1-16 without a change of light (the model's own errors are not
-        quite noise), 100 and more under a lateral light in scenes.
+        Estimate a common turn of both angles only if its curvature exceeds this multiple of the curvature due to noise.
+        Measured: 1-16 without a change of light, since the model's errors are not pure noise; 100 and more under a
+        lateral light in generated scenes.
     angle_start : {"best", "model"}
-        Where theta_2 starts: at its closed-form optimum for the start's shape, or at the model's angle.
+        Start theta_2 at its closed-form optimum for the initial shape, or at the model's angle.
     scoring : int, optional
-        Steps with the gradient that the model expects to end the finest level with, at most, weights worked out anew.
-        If left out, methods that compare logarithms end each level with up to :data:`SCORING_STEPS` of them, under the
-        weights that they have come to, and others with none. ``soft-li`` takes no others.
+        Maximum number of steps with the expected gradient at the end of the finest level, with weights updated. By
+        default, methods that compare logarithms end each level with up to :data:`SCORING_STEPS` such steps, with fixed
+        weights, and other methods with none. All steps of ``soft-li`` use the expected gradient.
     """
 
     max_iterations: int = 50
@@ -72,7 +70,7 @@ class SolverOptions:
 
     @classmethod
     def of(cls, **options) -> "SolverOptions":
-        """Options by name; a name that does not exist is refused with those that do."""
+        """Make options from keyword arguments; an unknown name raises a MethodError that lists the options."""
         known = [field.name for field in fields(cls)]
         for name in options:
             if name not in known:
@@ -80,7 +78,7 @@ class SolverOptions:
         return cls(**options)
 
     def __post_init__(self) -> None:
-        """Refuse options that make no sense."""
+        """Raise an error for invalid options."""
         if self.elimination not in ELIMINATIONS:
             raise MethodError(f"elimination {self.elimination!r} does not exist; there are {', '.join(ELIMINATIONS)}")
         if self.angle_start not in ANGLE_STARTS:
@@ -98,7 +96,7 @@ class SolverOptions:
     def controls(
         self, expected: bool, reweigh: bool, look: bool, blur: float = 0.0, max_iterations: int | None = None
     ) -> Controls:
-        """Give the options as the loop takes them; see :class:`liaam.fitting.level.Controls`."""
+        """Return the options of one level's loop; see :class:`liaam.fitting.level.Controls`."""
         hurry, first = HURRY["expected" if expected else "own"]
         return Controls(
             max_iterations=int(self.max_iterations if max_iterations is None else max_iterations),
@@ -118,23 +116,23 @@ class SolverOptions:
 
 
 SCORING_STEPS = 10
-"""Steps with the expected gradient that methods that compare logarithms end each level with, at most. Measured with
-``li`` on IMM: 4.48 instead of 4.62 % on the spot protocol, 19 instead of 48 % of strangers lost under the spot light,
-and ends hang on the picture's last bit a fifth as often. From the start, as ``soft-li`` takes them, they lose
-more strangers; and pictures that ``grey`` and ``rgb`` compare in another light end 0.3 to 0.8 % worse with them."""
+"""Maximum number of steps with the expected gradient at the end of each level, for methods that compare logarithms.
+Measured with ``li`` on IMM: 4.48 instead of 4.62 % on the spot protocol, and 19 instead of 48 % of unseen persons lost
+under the spot light. ``li`` loses more persons if all its steps use it; ``grey`` and ``rgb`` end 0.3 to 0.8 % worse
+with it under another light."""
 
 EXPECTED_RISE = 1.25
-"""By how much more than the cost before such steps may leave in all."""
+"""Largest ratio of the cost after these steps to the cost before them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a level's loop stopped.
+    """Solution of one level.
 
     Attributes
     ----------
     work : Work
-        What is seen there: at the last state, or one short step before it.
+        Residual, weights and derivatives at the last state, or one short step before it.
     costs : (i + 1,) float64
         Mean squared residual at the start and after every accepted step.
     path : (i + 1, n_p) float64
@@ -142,15 +140,15 @@ class Solution:
     angles : (i + 1, 2) float64
         theta_1 and theta_2 there.
     n_iterations : int
-        Steps tried.
+        Number of steps, refused ones included.
     moved : float
         Root mean square movement of the landmarks by the last accepted step, model pixels.
     settled : bool
-        The last step was too small to matter.
+        The loop converged: the last step was too small to matter.
     held : bool
-        The angles, or one combination of them, could not be observed at the end.
+        An angle, or the common turn of both, was unobservable at the end and kept fixed.
     flat : bool
-        There was nothing to descend on: no texture under the model.
+        The image has no texture under the model.
     """
 
     work: Work
@@ -170,21 +168,21 @@ class Solution:
 
     @property
     def scale(self) -> float:
-        """Scale of the shape prior's variances, in this picture."""
+        """Scale of the shape prior's variances, estimated for this image."""
         return float(self.work.scales[SCALE])
 
 
 def scored(method: Method, options: SolverOptions) -> Method:
-    """A method whose steps are those that options ask for."""
+    """Return a method with the kind of steps that the options ask for."""
     return replace(method, step="scored") if options.scoring and method.step == "own" else method
 
 
 def solve(
     objective: Objective, problem: FitProblem, start: State, options: SolverOptions, look: bool = True
 ) -> Solution:
-    """Minimise an objective over one image from a start.
+    """Minimise an objective over one image.
 
-    Never raises for a fit that goes wrong and never loops beyond ``max_iterations``, and ``scoring`` more.
+    A fit that fails is returned, not raised. Takes at most ``max_iterations`` plus ``scoring`` steps.
 
     Parameters
     ----------
@@ -193,18 +191,18 @@ def solve(
     start : State
     options : SolverOptions
     look : bool
-        Look at the picture once more where the last step was too short to be noticed.
+        Evaluate the residual once more after a last step that is too short to matter.
     """
     method = objective.method
     expected = method.step == "expected"
-    # Steps with the picture's own gradient creep: where no others follow they are to reach the minimum.
+    # Steps with the image's own gradient converge slowly: if no others follow, they need the full tolerance.
     most = min(_scoring_steps(method, options), options.max_iterations)
     hurries = expected or not look or most > 0
     controls = options.controls(expected, method.reweighs, look, problem.blur if hurries else 0.0)
     solution = _run(objective, problem, objective.work(start, controls.max_iterations), controls)
     if not most or solution.flat:
         return solution
-    # Under the weights that they have come to, unless more is asked for than usual.
+    # With fixed weights, unless ``scoring`` was set.
     reweighs = method.reweighs and options.scoring is not None
     controls = options.controls(True, reweighs, look, max_iterations=most)._replace(damping=0.0)
     work = solution.work._replace(
@@ -212,7 +210,7 @@ def solve(
     )
     ended = _run(objective, problem, work, controls)
     if not ended.costs[-1] <= EXPECTED_RISE * solution.costs[-1]:
-        # What is seen was written over: look once more where the steps before had come to.
+        # The steps raised the cost: restore the solution before them, whose residual was overwritten.
         controls = options.controls(False, False, True, max_iterations=0)
         objective.solve(problem, solution.work._replace(**_trace(0, start)), controls)
         return solution
@@ -228,7 +226,7 @@ def solve(
 
 
 def _scoring_steps(method: Method, options: SolverOptions) -> int:
-    """How many steps with the expected gradient a level ends with at most."""
+    """Return the maximum number of steps with the expected gradient at the end of a level."""
     if method.step != "scored":
         return 0
     return SCORING_STEPS if options.scoring is None else options.scoring
@@ -248,16 +246,16 @@ _KEPT = (
     "unexplained",
     "last_step",
 )
-"""What the loop goes on from; all else it writes anew."""
+"""Fields of :class:`Work` that the loop continues from; it overwrites the others."""
 
 
 def _trace(n: int, start: State) -> dict[str, np.ndarray]:
-    """Room for costs, parameters and angles after n steps."""
+    """Allocate arrays for costs, parameters and angles of n steps."""
     return {"costs": np.empty(n + 1), "path": np.empty((n + 1, len(start.p))), "turns": np.empty((n + 1, 2))}
 
 
 def _run(objective: Objective, problem: FitProblem, work: Work, controls: Controls) -> Solution:
-    """Call the loop."""
+    """Run the loop and collect its solution."""
     outcome = objective.solve(problem, work, controls)
     n = outcome.n_taken + 1
     seen = work.costs[:n], work.path[:n], work.turns[:n]
@@ -265,6 +263,6 @@ def _run(objective: Objective, problem: FitProblem, work: Work, controls: Contro
 
 
 def settle_lambda(objective: Objective, problem: FitProblem, state: State, options: SolverOptions) -> Solution:
-    """Give a state its best appearance, under the weights that go with it, and look there."""
+    """Solve for lambda at fixed p and angles, under updated weights, and evaluate the residual there."""
     controls = options.controls(False, objective.method.reweighs, True, max_iterations=0)
     return _run(objective, problem, objective.work(state), controls)

@@ -1,4 +1,4 @@
-"""Where a fit starts: a shape, a box, or a point and a size."""
+"""The start of a fit: a shape, a box, or a point and a size."""
 
 import numpy as np
 
@@ -7,23 +7,23 @@ from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 
 WIDEST = 10.0
-"""Size of a start at most, in larger sides of the picture: an object that is cut off on all sides is no larger."""
+"""Largest size of a start, relative to the larger side of the image."""
 
 
 def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "image") -> np.ndarray:
-    """Turn what a person gives into a start shape.
+    """Convert a start given by the user to a shape.
 
     Parameters
     ----------
     model : AAM
     init : (n, 2) shape, (x0, y0, x1, y1) box, or (x, y, size)
-        A shape in image pixels (landmarks may be NaN as long as 3 are not: the mean shape is aligned to
-        the rest); the box around the landmarks, whose centre and diagonal the mean shape takes; or the
-        centre of the mean shape's bounding box and its diagonal.
+        A shape in image pixels, in which up to n - 3 landmarks may be NaN: they are filled in from the mean shape
+        aligned to the others. Or a box: the mean shape takes its centre and diagonal. Or the centre of the mean shape's
+        bounding box, and its diagonal.
     image_size : (int, int)
         Width and height.
     name : str
-        What to call the image in an error.
+        Name of the image in errors.
 
     Returns
     -------
@@ -32,12 +32,12 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
     Raises
     ------
     StartError
-        If the start has another number of points than the model, is no number, or lies outside the image.
+        If the start has the wrong number of points, is not numeric, or lies outside the image.
     """
     try:
         given = np.asarray(getattr(init, "points", init), dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise StartError(f"{name}: the start {init!r} is no shape, box, or point and size ({error})") from error
+        raise StartError(f"{name}: the start {init!r} is not a shape, box, or point and size ({error})") from error
     shape = _shape(model, given, name)
     width, height = image_size
     centre = 0.5 * (shape.min(axis=0) + shape.max(axis=0))
@@ -50,13 +50,13 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
     extent = np.ptp(shape / max(width, height), axis=0).max()
     if not extent <= WIDEST:
         raise StartError(
-            f"{name}: the start is {extent:.3g} times as large as the image ({width}×{height} pixels), and may be "
-            f"{WIDEST:g} times as large; give a start in pixels of this image"
+            f"{name}: the start is {extent:.3g} times as large as the image ({width}×{height} pixels), but at most "
+            f"{WIDEST:g} times is allowed; give a start in pixels of this image"
         )
-    # Of the mean shape once aligned: points on one spot leave no size.
+    # Size of the aligned mean shape: it is 0 if all points coincide.
     size = diagonal_of(model.shape_model.mean) * align(model.shape_model.mean, shape).scale
     if not size >= 4.0:
-        raise StartError(f"{name}: the start is only {size:.1f} pixels large; give one of the object's size")
+        raise StartError(f"{name}: the start is only {size:.1f} pixels large; give a start as large as the object")
     return shape
 
 
@@ -80,7 +80,7 @@ def _from_shape(model: AAM, shape: np.ndarray, name: str) -> np.ndarray:
     if seen.all():
         return shape
     if seen.sum() < 3:
-        raise StartError(f"{name}: only {seen.sum()} of the start's landmarks are numbers; at least 3 are needed")
+        raise StartError(f"{name}: only {seen.sum()} of the start's landmarks are finite; give at least 3")
     whole = align(model.shape_model.mean, shape)(model.shape_model.mean)
     return np.where(seen[:, None], shape, whole)
 
@@ -101,7 +101,7 @@ def _from_point(model: AAM, given: np.ndarray, name: str) -> np.ndarray:
 
 
 def _place(model: AAM, centre: np.ndarray, diagonal: float) -> np.ndarray:
-    """Mean shape with its bounding box's centre and diagonal as asked."""
+    """Return the mean shape with its bounding box at a centre and of a diagonal."""
     mean = model.shape_model.mean
     middle = 0.5 * (mean.min(axis=0) + mean.max(axis=0))
     return (mean - middle) * (diagonal / diagonal_of(mean)) + centre

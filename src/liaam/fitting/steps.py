@@ -1,10 +1,10 @@
-"""Steps of the warp's parameters and the free angles (paper eq 5), the prior's scale, and what angles can be told.
+"""Steps of the warp's parameters and the free angles (paper eq 5), the prior's scale, and the angles' observability.
 
-Two kinds of step share the loop. With the picture's own gradient a step is Gauss-Newton's, damped (Levenberg). A noisy
-picture's own gradient makes such steps short, and the minimum they creep to is one of a cost with small dents. With the
-gradient that the model expects, E, the estimate is as good as the noise allows (Fisher scoring). The derivative of E'r
-is E'J with the picture's J: unlike E'E it knows how steep the picture is, and unlike J'J it has no noise on average, so
-that steps converge fast. Its symmetric part is used, and where it falls short of E'E it is raised to a share of that.
+Two kinds of step share the loop. With the image's own gradient, J, a step is a damped Gauss-Newton step (Levenberg).
+Noise in the gradient makes these steps short, and gives the cost spurious local minima. With the gradient that the
+model expects, E, the estimate is as accurate as the noise allows (Fisher scoring). The derivative of E'r is E'J. Unlike
+E'E it contains the image's actual gradient, and unlike J'J it has no noise bias, so steps converge fast. The step uses
+its symmetric part, raised to a fraction of E'E in directions in which it is smaller.
 """
 
 import numpy as np
@@ -15,40 +15,40 @@ from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Bool1, Double1, Double2, Double3, Single1
 
 DAMPING_FLOOR = 1e-9
-"""Least share of the largest curvature that damping is relative to."""
+"""Lower bound on the curvature that damping is relative to, as a fraction of the largest curvature."""
 
 TEXTURE = 1e-10
-"""Curvature, for each unit of weight, below which there is nothing to descend on."""
+"""Curvature per unit of weight below which an image has no texture."""
 
 ROUNDING = 1e-7
-"""Least curvature as a share of the largest: below it single precision says nothing."""
+"""Ridge on the expected curvature, as a fraction of the largest: the error of single precision."""
 
 OBSERVABLE_APART = 2.0
-"""As ``SolverOptions.observable``, for the image's angle against the model's: the object's own colours show it."""
+"""As ``SolverOptions.observable``, for the image's angle relative to the model's. The object's colours determine it
+even without a change of light."""
 
 SIGN_STEPS = 12
-"""Steps of Newton and Schulz: 1.5 to the power of these is how small a number may be beside the largest, to be told
-from nought."""
+"""Iterations of Newton and Schulz. They resolve the sign of eigenvalues down to 1.5 ** -SIGN_STEPS of the largest."""
 
 LEAST_PRECISION = 1e-9
-"""Least precision of a parameter, as a share of the largest one."""
+"""Lower bound on the precision of a parameter, as a fraction of the largest precision."""
 
 
 @compiled
 def damped_step(
     hessian: Double2, gradient: Double1, free: Bool1, damping: float, matrix: Double2, step: Double1
 ) -> bool:
-    """Levenberg's step, (H + damping diag H) step = -gradient, of the entries that are free; False if there is none.
+    """Compute the Levenberg step, (H + damping diag H) step = -gradient, over free entries; False if there is none.
 
     Parameters
     ----------
     hessian, gradient : (n, n), (n,) float64
-        Prior included.
+        Including the prior.
     free : (n,) bool
-        Steps of the others are 0.
+        Entries that may move; the step of the others is 0.
     damping : float
     matrix, step : (n, n), (n,) float64
-        Room, and the step.
+        Scratch, and the step.
     """
     n, most = len(free), 0.0
     for i in range(n):
@@ -80,29 +80,25 @@ def raised_step(
     room: Double3,
     step: Double1,
 ) -> bool:
-    """Newton step by a symmetric matrix that is nowhere flatter than a share of another one, and damped by that.
+    """Compute the Newton step of a symmetric matrix H whose curvature is raised to a fraction of that of B.
 
-    With H v = rho B v, rho becomes max(rho, least) + damping.
+    Each generalised eigenvalue rho of H v = rho B v is replaced by max(rho, least) + damping. False if there is none.
 
     Parameters
     ----------
     base, hessian, gradient : (n, n), (n, n), (n,) float64
-        B, H and the gradient, prior included.
+        B, H and the gradient, including the prior.
     free : (n,) bool
+        Entries that may move; the step of the others is 0.
     least, damping : float
-        See :data:`liaam.fitting.level.LEAST_CURVATURE`.
+        Lower bound (:data:`liaam.fitting.level.LEAST_CURVATURE`) and damping, as fractions of B.
     factor, matrix, room, step : (n, n), (n, n), (3, n, n), (n,) float64
-        Room, and the step.
-
-    Returns
-    -------
-    bool
-        False if there is none.
+        Scratch, and the step.
     """
     n, largest = len(free), 0.0
     for i in range(n):
         largest = base[i, i] if free[i] and base[i, i] > largest else largest
-    _take_free(base, free, ROUNDING * largest, factor)  # sums of float32 products need not be quite positive
+    _take_free(base, free, ROUNDING * largest, factor)  # rounding may have made B indefinite
     _take_free(hessian, free, 0.0, matrix)
     for i in range(n):
         step[i] = -gradient[i] if free[i] else 0.0
@@ -110,7 +106,7 @@ def raised_step(
             matrix[i, j] -= least * factor[i, j]
     if not largest > 0.0:
         return False
-    if cholesky(matrix):  # steep enough all over, as near the end
+    if cholesky(matrix):  # H >= least B already, as it is near the solution
         _take_free(hessian, free, 0.0, matrix)
         for i in range(n):
             for j in range(n):
@@ -125,7 +121,7 @@ def raised_step(
 
 @compiled
 def _take_free(source: Double2, free: Bool1, more: float, out: Double2) -> None:
-    """Copy the entries that are free, with something added to the diagonal; the others become those of the identity."""
+    """Copy the free entries, with ``more`` added to the diagonal; the others become those of the identity."""
     for i in range(len(free)):
         for j in range(len(free)):
             out[i, j] = source[i, j] if free[i] and free[j] else 0.0
@@ -134,11 +130,11 @@ def _take_free(source: Double2, free: Bool1, more: float, out: Double2) -> None:
 
 @compiled
 def _lifted_step(factor: Double2, matrix: Double2, least: float, damping: float, room: Double3, step: Double1) -> bool:
-    """The step by H + (|H - least B| - (H - least B)) / 2, where B = L L' is the identity.
+    """Compute the step with H + (|H - least B| - (H - least B)) / 2, in coordinates in which B = L L' is the identity.
 
-    |M| = M sign(M), and the sign is what Newton and Schulz' iteration ends at: it takes what eigenvectors would, and
-    hangs on no library. Pivots of a Cholesky factorisation raised instead (Gill and Murray) take two steps more; all
-    of H shifted, strangers of IMM end 0.1 % worse.
+    |M| = M sign(M), with the sign from the Newton-Schulz iteration, which needs no eigenvalue solver. Raising the
+    pivots of a Cholesky factorisation instead (Gill and Murray) takes two steps more. Shifting all of H makes fits of
+    unseen persons of IMM 0.1 % worse.
     """
     n, most, sign, square, cube = len(step), 0.0, room[0], room[1], room[2]
     solve_lower(factor, matrix)
@@ -193,33 +189,32 @@ def next_scale(
     matrix: Double2,
     inverse: Double2,
 ) -> float:
-    """One step towards the scale of the prior under which a picture is most likely.
+    """Update the scale of the shape prior by one step of the evidence's fixed point (MacKay, Neural Comput. 4, 1992).
 
-    A Student distribution is a normal one whose variance is drawn for each shape: p ~ N(0, scale Lambda) with
-    ``freedom`` degrees of freedom for the scale. Few degrees say that shapes come near and far; a picture's own scale
-    is then estimated with its shape (MacKay, Neural Comput. 4 (1992) 415), so that a shape that lies near the mean is
-    held there, and one that lies far off may go.
+    The prior is a Student distribution: p ~ N(0, scale Lambda), where the scale is drawn for each shape with
+    ``freedom`` degrees of freedom. Estimating the scale keeps a shape near the mean close to it, and leaves a distant
+    one free to move.
 
     Parameters
     ----------
     hessian : (n_q, n_q) float64
-        Of the residual's squares, p first, with the appearance eliminated.
+        Hessian of the squared residuals, p first, with the appearance eliminated.
     p, prior : (n_p,) float64
-        Precision of p at a scale of 1; 0 for what has none.
+        Parameters, and their precision at a scale of 1; 0 for none.
     strength : float
-        Of the prior.
+        Strength of the prior.
     unit : float
-        Variance that a residual stands for.
+        Variance of a residual of weight 1.
     freedom, scale : float
-        The last scale.
+        Degrees of freedom, and the last scale.
     matrix, inverse : (n_q, n_q) float64
-        Room.
+        Scratch.
 
     Returns
     -------
     float
-        (freedom + squares of p) / (freedom + number of parameters that the picture tells); the last scale where the
-        picture tells nothing.
+        (freedom + p' Lambda^-1 p) / (freedom + gamma), where gamma is the number of parameters that the image
+        determines; the last scale if this is not finite.
     """
     if not (unit > 0.0 and unit < np.inf):
         return scale
@@ -236,15 +231,15 @@ def next_scale(
     if not cholesky(matrix):
         return scale
     solve_lower(matrix, inverse)
-    told, squares = 0.0, 0.0
+    gamma, squares = 0.0, 0.0
     for i in range(n):
         if prior[i] > 0.0:
             variance = 0.0
             for j in range(n):
                 variance += inverse[j, i] * inverse[j, i]
-            told += 1.0 - strength * prior[i] / scale * variance
+            gamma += 1.0 - strength * prior[i] / scale * variance
             squares += strength * prior[i] * p[i] * p[i]
-    new = (freedom + squares) / (freedom + told)
+    new = (freedom + squares) / (freedom + gamma)
     return new if new < np.inf else scale
 
 
@@ -258,12 +253,11 @@ def free_entries(
     observable: float,
     free: Bool1,
 ) -> bool:
-    """Which entries of q may move, (n_q,) bool: all of p, and the angles that the picture can tell; says whether all
-    may.
+    """Mark the entries of q that may move, (n_q,) bool: p and the observable angles; return whether all may.
 
-    Where the light has not changed, turning both angles together changes nothing but noise: the energy of dr/dtheta is
-    that of the residual itself, scaled by |L'|^2 / |L|^2. With less than ``observable`` times that they are not turned
-    together, so that noise cannot make them drift; with both free theta_1 is then kept and theta_2 alone moves.
+    Without a change of light, a common turn of both angles changes only noise: |dr/dtheta|^2 is then
+    |r|^2 |L'|^2 / |L|^2. The common turn is fixed if its curvature is less than ``observable`` times that, so that
+    noise cannot make the angles drift. If both angles are free, theta_1 is then kept and theta_2 alone moves.
     """
     for i in range(len(free)):
         free[i] = True
@@ -274,12 +268,12 @@ def free_entries(
     for c in range(len(metric)):
         steep, size = steep + slope[c] * slope[c], size + metric[c] * metric[c]
     noise = sums[0] * steep / size + 1e-12 * sums[1]
-    limit = OBSERVABLE_APART if observable > OBSERVABLE_APART else observable  # 0 holds nothing, as in the paper
+    limit = OBSERVABLE_APART if observable > OBSERVABLE_APART else observable  # 0 keeps all free, as in the paper
     own = hessian[n_p, n_p]
     if n_free == 1:
         free[n_p] = own > (observable if directions[0, 0] != 0.0 else limit) * noise
         return bool(free[n_p])
-    # In coordinates (theta_1 = theta_2 turned together, theta_2 alone), with the second eliminated from the first.
+    # In coordinates (common turn, theta_2 alone), with the second eliminated from the first.
     cross, apart = hessian[n_p, n_p + 1], hessian[n_p + 1, n_p + 1]
     together, mixed = own + 2.0 * cross + apart, cross + apart
     free[n_p + 1] = apart > limit * noise
@@ -290,10 +284,9 @@ def free_entries(
 
 @compiled
 def has_texture(own: Double2, base: Double2, sums: Double1, n_p: int) -> bool:
-    """Whether there is anything to descend on: neither a prior nor an angle makes up for a picture that is flat.
+    """Return whether image and model both have texture (prior and angles excluded), and all sums are finite.
 
-    Such a picture has no gradient of its own, whatever is expected; nor is there a step where none is expected, as
-    where the model lies folded to nothing.
+    The image's own curvature is 0 for a flat image, the expected curvature for a mesh folded to zero area.
     """
     curved, expected, finite = 0.0, 0.0, np.isfinite(sums[0])
     for i in range(len(own)):
@@ -306,13 +299,13 @@ def has_texture(own: Double2, base: Double2, sums: Double1, n_p: int) -> bool:
 
 
 TO_AND_FRO = 0.5
-"""Share of the step before it that a step back may have. A longer one says that steps go to and fro about a kink of
-bilinear samples, which noise makes sharp, and doubles the least curvature."""
+"""Largest fraction of the last step that a step may undo. If more is undone, steps oscillate about a kink of the
+bilinear interpolant, which noise sharpens; the lower bound on the curvature is then doubled."""
 
 
 @compiled
 def goes_back(step: Double1, last: Double1, metric: Double2) -> bool:
-    """Whether a step (n,) goes back where the last one came from, by more than a share of it, in a metric (n, n)."""
+    """Return whether a step (n,) undoes more than :data:`TO_AND_FRO` of the last one, in a metric (n, n)."""
     along, squares = 0.0, 0.0
     for i in range(len(step)):
         for j in range(len(step)):
@@ -323,7 +316,7 @@ def goes_back(step: Double1, last: Double1, metric: Double2) -> bool:
 
 @compiled
 def squared_length(step: Double1, metric: Double2) -> float:
-    """Squared length of a step (n,) in a metric (n, n)."""
+    """Return the squared length of a step (n,) in a metric (n, n)."""
     squares = 0.0
     for i in range(len(step)):
         for j in range(len(step)):
@@ -343,20 +336,21 @@ def add_prior(
     hessian: Double2,
     gradient: Double1,
 ) -> None:
-    """Add a prior's squares on p to a system, in units of squared residuals.
+    """Add the prior on p to the normal equations, in units of squared residuals.
 
     Parameters
     ----------
     prior : (n_p,) float64
+        Precision of p.
     strength, variance : float
-        By which it is multiplied.
+        Factors on the precision.
     p : (n_p,) float64
     precision : (n_p,) float64
-        Becomes their product.
+        Output: the product of the precision and both factors.
     base, metric : (n_q, n_q) float64
-        A Hessian, and room for it with the prior.
+        Expected Hessian, and output: the same plus the prior.
     hessian, gradient : (n_q, n_q), (n_q,) float64
-        Become those with the prior.
+        The prior is added in place.
     """
     for a in range(len(base)):
         for b in range(len(base)):
@@ -370,7 +364,7 @@ def add_prior(
 
 @compiled
 def along_with(factor: Double2, ar: Double1, aj: Double2, step: Double1, out: Double1) -> None:
-    """Change of lambda that goes with a step of q in the joint system, (m,) float64."""
+    """Compute the step of lambda (m,) in the joint system (eq 5), (A'A)^-1 (A'r + A'J dq)."""
     for j in range(len(ar)):
         out[j] = ar[j]
         for i in range(len(step)):
@@ -380,7 +374,7 @@ def along_with(factor: Double2, ar: Double1, aj: Double2, step: Double1, out: Do
 
 @compiled
 def merit_of(sums: Double1, p: Double1, precision: Double1, lam: Double1, ridge: Double1) -> float:
-    """What an accepted step must not raise: mean squared residual plus the shares of the priors."""
+    """Return the cost that an accepted step must not raise: mean squared residual plus the priors on p and lambda."""
     squares = sums[0]
     for i in range(len(p)):
         squares += precision[i] * p[i] * p[i]
@@ -399,7 +393,7 @@ def move(
     lam: Double1,
     before: Double1,
 ) -> None:
-    """Take a step (forward-additive), in place, and keep where it began in ``before`` (n_p + 2 + m,)."""
+    """Take a step (forward-additive), in place, and keep the last state in ``before`` (n_p + 2 + m,)."""
     n = len(p)
     for i in range(n):
         before[i], p[i] = p[i], p[i] + step[i]
@@ -433,7 +427,7 @@ def record(
     path: Double2,
     turns: Double2,
 ) -> None:
-    """Note cost, parameters and angles after n steps."""
+    """Record cost, parameters and angles after n steps."""
     costs[n] = sums[0] / sums[1] if sums[1] > 0.0 else np.inf
     for i in range(len(p)):
         path[n, i] = p[i]
@@ -442,13 +436,13 @@ def record(
 
 @compiled
 def damped(work: Work, damping: float) -> bool:
-    """Damped step of the entries of q that are free, to ``work.step``; False if there is none."""
+    """Write the damped Gauss-Newton step to ``work.step``; return False if there is none."""
     return damped_step(work.hessian, work.gradient, work.free, damping, work.small[0], work.step)
 
 
 @compiled
 def raised(work: Work, damping: float) -> bool:
-    """Step by a curvature that is raised to a share of the expected one, to ``work.step``; False if there is none."""
+    """Write the step with the expected gradient to ``work.step``; return False if there is none."""
     expected, least, step = work.damper, work.scales[LEAST], work.step
     hessian, gradient, free, factor, matrix = work.hessian, work.gradient, work.free, work.small[0], work.small[1]
     return raised_step(expected, hessian, gradient, free, least, damping, factor, matrix, work.cubes, step)
