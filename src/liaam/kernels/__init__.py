@@ -1,1 +1,1 @@
-"""Loops over pixels of pictures: compiled (``fast``), and in plain NumPy (``reference``), under one contract."""
+"""Loops over pixels of images: compiled (``fast``) and in plain NumPy (``reference``), with the same interface."""

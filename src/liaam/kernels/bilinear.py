@@ -1,4 +1,4 @@
-"""Bilinear samples alone, compiled: what training takes of many pictures."""
+"""Compiled bilinear sampling without gradients, for training."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ def _sample(channels, points, values, usable):
     height, width, n_channels = channels.shape
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
-        if not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):  # NaN, too
+        if not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):  # also NaN
             values[i] = 0.0
             usable[i] = 0.0
             continue
@@ -28,12 +28,12 @@ def _sample(channels, points, values, usable):
 
 
 def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values (n, c) and weights (n,), float32, as :func:`liaam.kernels.reference.sample` gives them.
+    """Sample an image bilinearly: values (n, c) and weights (n,), float32; see :func:`liaam.kernels.reference.sample`.
 
     Parameters
     ----------
     channels : (h, w, c + 1) float32
-        At least 2 by 2.
+        At least 2 by 2; the last channel is the weight.
     points : (n, 2) float64
     """
     values = np.empty((len(points), channels.shape[2] - 1), np.float32)

@@ -1,12 +1,11 @@
-"""Functions compiled once, which call each other by name, and named tuples of arrays, numbers and functions.
+"""Functions that are compiled once and call each other by symbol, and named tuples of arrays, numbers and functions.
 
-Numba's own functions are linked into those that call them and compiled again there, and each has a wrapper for the
-interpreter: a whole fit's loop took more than twice as long to compile. A :class:`Compiled` function says by its
-annotations what it takes, and so do the named tuples that it is given, by the address of a table: arrays as
-``Annotated[np.ndarray, dtype, ndim]`` (:mod:`liaam.kernels.fields`), ``int``, ``float``, ``bool``, other such tuples,
-and functions as a ``Callable`` of such arguments. Compiled code reads a tuple's fields by their names and
-calls its functions, as the interpreter does: the reference kernel runs the same lines. A function in a field is
-compiled when its tuple's table is made; those that a method does without never are.
+Numba links a function into each caller, compiles it again there, and makes a wrapper for the interpreter. The loop of a
+fit took more than twice as long to compile that way. A :class:`Compiled` function takes the types that its annotations
+declare: arrays as ``Annotated[np.ndarray, dtype, ndim]`` (:mod:`liaam.kernels.fields`), ``int``, ``float``, ``bool``,
+``Callable``, and named tuples of these, passed as the address of a table. Compiled code reads fields by name and
+calls functions in fields, as the interpreter does, so the reference kernel runs the same code. A function in a field is
+compiled when its tuple's table is made; functions that a method does not use are never compiled.
 """
 
 import ctypes
@@ -46,7 +45,7 @@ _IN_C = {
 }
 
 _FINE = (0, -2)
-"""What numba's functions return where nothing went wrong: a value, or None."""
+"""Return codes of numba's functions without an error: a value, or None."""
 
 
 class RecordType(types.Type):
@@ -79,7 +78,7 @@ class FieldType(_FunctionType):
 
 
 class NamedType(_FunctionType):
-    """Numba's type of a function that is called by its symbol, which the linker knows."""
+    """Numba's type of a function that is called by its linker symbol."""
 
 
 for _kind in (RecordType, FieldType):
@@ -94,7 +93,7 @@ register_model(NamedType)(models.OpaqueModel)
 
 
 def type_of(annotation: Any) -> Any:
-    """Numba's type of what a field or an argument is annotated with."""
+    """Return numba's type for the annotation of a field or an argument."""
     if get_origin(annotation) is Annotated:
         _, *what = get_args(annotation)
         return RecordType(*what) if len(what) == 1 else SpanType(*what)
@@ -109,7 +108,7 @@ def type_of(annotation: Any) -> Any:
 
 @lru_cache
 def _layout(fields: type) -> dict[str, tuple[Any, int]]:
-    """Types of a class of named tuples' fields, and their first words in the table."""
+    """Return the type and the first table word of each field of a named tuple class."""
     hints, found, size = get_type_hints(fields, include_extras=True), {}, 0
     for name in fields._fields:
         found[name] = type_of(hints[name]), size
@@ -118,17 +117,17 @@ def _layout(fields: type) -> dict[str, tuple[Any, int]]:
 
 
 def _words(name: str, kind: SpanType, given: np.ndarray) -> tuple[int, ...]:
-    """Address and sizes of an array, which has to be what was announced; nothing says which arrays are written to."""
+    """Return address and sizes of an array, and check that it has the declared type."""
     if given.dtype != kind.numpy or given.ndim != kind.ndim or not given.flags.c_contiguous:
-        raise TypeError(f"{name} is no C-contiguous {kind}: {given.dtype}, {given.shape}")
-    try:  # a quarter of the other way's time
+        raise TypeError(f"{name} is not a C-contiguous {kind}: {given.dtype}, {given.shape}")
+    try:  # four times as fast as the other way
         return ctypes.addressof(ctypes.c_char.from_buffer(given)), *given.shape  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError):  # read-only, or empty
         return given.ctypes.data, *given.shape
 
 
 class Record:
-    """Table of a named tuple: its numbers, and addresses of its arrays. A new array needs a new record."""
+    """Table of a named tuple: its numbers and the addresses of its arrays. A new array needs a new record."""
 
     __slots__ = ("address", "kept")
 
@@ -142,7 +141,7 @@ class Record:
                 self.kept.append(Record(value))
                 words.append(self.kept[-1].address)
             elif isinstance(kind, FieldType):
-                words.append(value.address if isinstance(value, Compiled) else 0)  # what the method does without
+                words.append(value.address if isinstance(value, Compiled) else 0)  # 0 if the method does not use it
             else:
                 words += unpack("q", pack("d", value)) if kind == types.float64 else (int(value),)
         table = array("q", words)
@@ -153,7 +152,7 @@ class Record:
 class Compiled:
     """A function that is compiled once and called by its address, by compiled code and by the interpreter.
 
-    Keyword arguments take the place of its annotations.
+    Keyword arguments override its annotations.
     """
 
     def __init__(self, function: Callable, **kinds: Any) -> None:
@@ -165,14 +164,14 @@ class Compiled:
 
     @cached_property
     def kind(self) -> NamedType:
-        """Its numba type: arguments and result."""
+        """Numba type of the function: arguments and result."""
         hints = get_type_hints(self.py_func, include_extras=True) | self.kinds
         result = type_of(hints.pop("return"))
         return NamedType(self.symbol, result, tuple(map(type_of, hints.values())))
 
     @property
     def address(self) -> int:
-        """Where its code lies: compiled now, or read from the cache, with all that it calls by name."""
+        """Address of the code; the first access compiles it or loads it from the cache, with all functions it calls."""
         if self._address is None:
             with global_compiler_lock:
                 self._address = self._address or self._compile()
@@ -180,13 +179,13 @@ class Compiled:
 
     def _compile(self) -> int:
         for called in _called_by(self.py_func):
-            called.address  # noqa: B018 (so that the linker knows it)
+            called.address  # noqa: B018 (registers its symbol with the linker)
         self._function = jit(self.py_func, no_cpython_wrapper=True)
         self._function.compile(signature(self.kind.result, *self.kind.args))
         made = self._function.overloads[self.kind.args]
         address = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
         if not address:
-            raise RuntimeError(f"{self.symbol}: its compiled code is not found")
+            raise RuntimeError(f"{self.symbol}: the compiled code was not found")
         binding.add_symbol(self.symbol, address)
         return address
 
@@ -201,7 +200,7 @@ class Compiled:
         return ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(self.address)
 
     def __call__(self, *args: Any) -> Any:
-        """Call it from the interpreter, with records, arrays and numbers; without the interpreter's lock."""
+        """Call the function from the interpreter with records, arrays and numbers; releases the GIL."""
         words: list = []
         for arg, kind in zip(args, self.kind.args, strict=True):
             if isinstance(kind, SpanType):
@@ -222,7 +221,7 @@ class Compiled:
 
 
 def _called_by(function: Any) -> Iterator[Compiled]:
-    """Functions that a function calls by name, also through those that are linked into it."""
+    """Yield the compiled functions that a function calls, also through functions linked into it."""
     for line in get_instructions(function):
         called = function.__globals__.get(line.argval) if line.opname == "LOAD_GLOBAL" else None
         if isinstance(called, Compiled):
@@ -234,7 +233,7 @@ def _called_by(function: Any) -> Iterator[Compiled]:
 
 
 def compiled(function: Callable) -> Any:
-    """Compile a function once, when its address is first asked for."""
+    """Decorate a function to be compiled once, on first access to its address."""
     return Compiled(function)
 
 

@@ -1,4 +1,4 @@
-"""Fast loops over pixels of pictures (contract: ``reference``)."""
+"""Compiled loops over pixels of images; ``reference`` defines their results."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from liaam.kernels.jit import jit as _jit
 
 @_jit
 def _add_line(a, b, total):
-    """Add a conj(b) to a total; lines of 1 real number, pairs of real and imaginary part, and 1 real if even."""
+    """Add a conj(b) to ``total``, all packed as 1 real number, pairs of real and imaginary part, and 1 real if even."""
     n = len(a)
     total[0] += a[0] * b[0]
     for i in range(1, n - 1, 2):
@@ -22,7 +22,7 @@ def _add_line(a, b, total):
 def _correlate(left, right, total):
     height, width = total.shape
     for y in range(height):
-        # Slices rather than indices in the inner loop: only then does the compiler see that they never wrap around.
+        # Slices instead of indices let the compiler see that the inner loop's indices are never negative.
         a, b, c, d, out = left[0, y, 1:], right[0, y, 1:], left[1, y, 1:], right[1, y, 1:], total[y, 1:]
         for i in range((width - 1) // 2):
             re, im = 2 * i, 2 * i + 1
@@ -71,7 +71,7 @@ def _best_peaks(picture, least, reach, places, values):
 @_jit
 def _is_peak(picture, y, x, reach):
     value, (height, width) = picture[y, x], picture.shape
-    # The direct neighbours tell most that are none.
+    # Two direct neighbours rule out most pixels.
     if picture[y, min(x + 1, width - 1)] > value or picture[min(y + 1, height - 1), x] > value:
         return False
     for i in range(max(y - reach, 0), min(y + reach + 1, height)):

@@ -1,4 +1,4 @@
-"""Arrays as fields of named tuples that compiled code reads: of numbers of a kind, with so many axes."""
+"""Annotations for arrays in compiled code: type of numbers, and number of axes."""
 
 from typing import Annotated
 

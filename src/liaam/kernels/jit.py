@@ -1,4 +1,4 @@
-"""How loops over pixels are compiled."""
+"""Numba options and cache of the compiled loops."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,16 +14,15 @@ F = np.float32
 _njit: Any = numba.njit
 
 _OPTIONS: dict[str, Any] = {
-    # Others draw and write videos meanwhile, or fit other pictures.
     "nogil": True,
-    # Without "no NaNs": images are finite by contract, but points of a diverging fit need not be.
+    # Without "nnan": points of a diverging fit may be NaN.
     "fastmath": {"contract", "reassoc", "nsz", "arcp"},
     "error_model": "numpy",
 }
 
 
 def _state_of_sources() -> tuple[tuple[str, int, int], ...]:
-    """Names, sizes and times of the package's modules that hold compiled code."""
+    """Return names, sizes and modification times of the modules with compiled code."""
     package = Path(__file__).parents[1]
     files = [
         path
@@ -37,16 +36,16 @@ _SOURCES = _state_of_sources()
 
 
 class _Cache(FunctionCache):
-    """Numba's cache on disk, which forgets what was compiled of other sources: functions hold what they call."""
+    """Numba's cache on disk, invalidated by a change of any module: compiled functions include what they call."""
 
     def __init__(self, function: Callable) -> None:
         super().__init__(function)
-        # The version is unpickled first: the rest may name classes that are gone.
+        # The version is unpickled first: the rest may refer to classes that no longer exist.
         self._cache_file._version += str((_SOURCES, getattr(config, "BOUNDSCHECK", None)))
 
 
 def jit(function: Callable, **options: Any) -> Any:
-    """Compile a function when it is first called, once for a machine."""
+    """Decorate a function to be compiled when it is first called, and cached on disk."""
     made = _njit(no_cfunc_wrapper=True, **_OPTIONS, **options)(function)
     made._cache = _Cache(made.py_func)
     return made

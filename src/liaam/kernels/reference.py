@@ -1,13 +1,13 @@
-"""Reference loops over pixels of pictures in plain NumPy: slow, short, and the definition of right."""
+"""Reference loops over pixels of images in plain NumPy: slow and short, they define the results of the fast ones."""
 
 import numpy as np
 
 
 def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Bilinear samples of an encoded picture with their exact gradient.
+    """Sample an encoded image bilinearly, with the exact gradient of the interpolant.
 
-    The gradient is that of the bilinear interpolant, so that the Jacobian is the derivative of the very cost that is
-    minimised. It jumps at pixel lines; on a line it is the derivative from the right (from below).
+    The Jacobian is thus the derivative of the cost that is minimised. The gradient is discontinuous at pixel lines; on
+    a line it is the derivative from the right (from below).
 
     Parameters
     ----------
@@ -17,13 +17,14 @@ def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
     Returns
     -------
     values : (n, 8) float64
-        0 outside the picture.
+        0 outside the image.
     gradients : (n, 2, 8) float64
+        Derivatives by x and y; 0 outside the image.
     usable : (n,) float64
-        1 where all four pixels around the point are inside the picture and usable, else 0.
+        1 where all four pixels around the point are inside the image and usable, else 0.
     """
     height, width = channels.shape[:2]
-    with np.errstate(invalid="ignore"):  # points of a diverging fit need not be numbers
+    with np.errstate(invalid="ignore"):  # points of a diverging fit may be NaN
         inside = np.asarray(((points >= 0) & (points <= [width - 1, height - 1])).all(axis=1))
     safe = np.where(inside[:, None], points, 0.0)
     x, y = np.minimum(np.floor(safe), [width - 2, height - 2]).astype(int).T
@@ -39,26 +40,27 @@ def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 ON_EDGE = 1e-9
-"""Barycentric weight below nought at which a pixel still lies on an edge."""
+"""Tolerance on negative barycentric weights of pixels on an edge."""
 
 
 def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tell in which triangle of a mesh each pixel of a picture lies, and where in it.
+    """Rasterise a mesh: find the triangle of each pixel, and the pixel's barycentric weights (paper eq 3).
 
     Parameters
     ----------
     points : (n, 2) float64
-        Vertices, all within the picture.
+        Vertices, all within the image.
     triangles : (t, 3) int
-        A pixel on the edge of several belongs to the first.
+        A pixel on a common edge belongs to the first triangle.
     width, height : int
+        Size of the image.
 
     Returns
     -------
     owner : (height, width) int32
-        Number of the triangle; -1 outside the mesh.
+        Index of the triangle; -1 outside the mesh.
     weights : (height, width, 3) float64
-        Barycentric; 0 outside.
+        Barycentric weights; 0 outside the mesh.
     """
     owner, weights = np.full((height, width), -1, dtype=np.int32), np.zeros((height, width, 3))
     for t, (a, b, c) in enumerate(points[triangles]):
@@ -77,20 +79,20 @@ def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -
 
 
 def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Spectrum of the correlation of two pictures, summed over their two channels: left conj(right).
+    """Compute the spectrum of the correlation of two images, left conj(right), summed over their two channels.
 
     Parameters
     ----------
     left, right : (2, h, w) float32
-        Fourier transforms of real channels as OpenCV's ``dft`` packs them: in each row a real number, pairs of real and
-        imaginary part, and a real one more where w is even; the columns of those real ones are packed alike.
+        Fourier transforms of real channels as packed by OpenCV's ``dft``: in each row a real number, pairs of real and
+        imaginary part, and another real number if w is even. The columns of real numbers are packed in the same way.
     out : (h, w) float32
-        Written to, so that large arrays are made once.
+        Output, so that large arrays can be reused.
 
     Returns
     -------
     (h, w) float32
-        ``out``, packed alike.
+        ``out``, packed in the same way.
     """
     height, width = left.shape[1:]
     a, b = (_unpacked(channels.astype(np.float64)) for channels in (left, right))
@@ -106,7 +108,7 @@ def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarra
 
 
 def _unpacked(packed: np.ndarray) -> np.ndarray:
-    """First half of the columns of the Fourier transforms (c, h, w // 2 + 1) that are packed in (c, h, w)."""
+    """Unpack the first half of the columns, (c, h, w // 2 + 1) complex, of packed Fourier transforms (c, h, w)."""
     height, width = packed.shape[1:]
     spectrum = np.zeros((len(packed), height, width // 2 + 1), complex)
     n = (width - 1) // 2
@@ -121,18 +123,18 @@ def _unpacked(packed: np.ndarray) -> np.ndarray:
 
 
 def best_peaks(picture: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Largest local maxima of a picture, the first of equals first.
+    """Find the largest local maxima of an image, in descending order; ties keep raster order.
 
     Parameters
     ----------
     picture : (h, w) float32
-        Finite.
+        Finite values.
     count : int
-        How many at most.
+        Largest number of maxima.
     least : float
-        Value that a maximum has to exceed.
+        Value that a maximum must exceed.
     reach : int
-        No pixel so many rows and columns away, or nearer, may be larger.
+        Half the size of the square neighbourhood in which no pixel may be larger.
 
     Returns
     -------

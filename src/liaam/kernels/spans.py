@@ -1,10 +1,9 @@
-"""Arrays as compiled loops take them: where their numbers begin, and how many there are along each axis.
+"""Spans: the array type of compiled loops, a pointer and a size per axis.
 
-Numba's own arrays carry strides, owners and counts of references, which cost a quarter of the time that it takes to
-compile a loop. A span is C-contiguous and owns nothing: whoever makes one keeps its array alive. Loops read and write
-it as they do an array: ``span[i]``, ``span[i, j]``, a row ``span[i]`` of more axes, ``span[a:b]`` of one axis, ``len``
-and ``shape``. Indices do not count from the end, and are checked with ``NUMBA_BOUNDSCHECK=1`` only; ends of slices
-never.
+The strides, owners and reference counts of numba's arrays take a quarter of the compile time of a loop. A span is
+C-contiguous and owns nothing: its caller must keep the array alive. Loops use it like an array: ``span[i]``,
+``span[i, j]``, a row ``span[i]`` of several axes, ``span[a:b]`` of one axis, ``len`` and ``shape``. Negative indices
+are not supported. Indices are checked only with ``NUMBA_BOUNDSCHECK=1``; ends of slices never.
 """
 
 import operator
@@ -41,7 +40,7 @@ class _SpanModel(models.StructModel):
 
 
 def make_span(context: Any, builder: Any, kind: SpanType, data: Any, sizes: Sequence[Any]) -> Any:
-    """Write the code that makes a span of a pointer and sizes."""
+    """Emit code that makes a span from a pointer and sizes."""
     made = ir.Constant(context.get_value_type(kind), ir.Undefined)
     for place, value in enumerate([data, *sizes]):
         made = builder.insert_value(made, value, place)
@@ -49,12 +48,12 @@ def make_span(context: Any, builder: Any, kind: SpanType, data: Any, sizes: Sequ
 
 
 def sizes_of(builder: Any, kind: SpanType, span: Any) -> list:
-    """Write the code that reads a span's sizes."""
+    """Emit code that reads a span's sizes."""
     return [builder.extract_value(span, 1 + axis) for axis in range(kind.ndim)]
 
 
 def pointer_to(context: Any, builder: Any, kind: SpanType, span: Any, indices: Sequence[Any]) -> Any:
-    """Write the code that points to an element of a span, or to a row of it."""
+    """Emit code that computes the address of an element or a row of a span."""
     sizes, place = sizes_of(builder, kind, span), None
     for axis, size in enumerate(sizes):
         if axis < len(indices) and context.enable_boundscheck:
@@ -66,7 +65,7 @@ def pointer_to(context: Any, builder: Any, kind: SpanType, span: Any, indices: S
 
 
 def _index(at: Any) -> tuple[Any, int]:
-    """Type of an index as numbers, and how many axes it takes; (None, 0) of anything else."""
+    """Return the type of an integer index and its number of axes; (None, 0) for any other index."""
     if isinstance(at, types.Integer):
         return types.intp, 1
     within = list(getattr(at, "types", ()))

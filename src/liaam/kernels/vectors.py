@@ -1,8 +1,8 @@
 """Vectors of eight float32 as values in compiled loops: ``total = total + a * load(span, at)``.
 
-The loops over pixels here are short (a triangle's few dozen pixels, a pixel's eight channels), and a compiler's own
-vector code spends its time on their ends. Measured at 10,000 pixels, 20 modes and three rows: samples take 0.12 ms with
-these vectors and 0.37 without, products 0.17 and 0.36. Bounds are checked with ``NUMBA_BOUNDSCHECK=1`` only.
+The loops over pixels are short (a few dozen pixels per triangle, eight channels per pixel), and automatic vectorisation
+is slow for short loops. Measured with 10,000 pixels, 20 modes and three rows: sampling takes 0.12 ms with these vectors
+and 0.37 without, products 0.17 and 0.36. Bounds are checked only with ``NUMBA_BOUNDSCHECK=1``.
 """
 
 import operator
@@ -58,7 +58,7 @@ def _every(builder: Any, number: Any) -> Any:
 
 @intrinsic
 def load(_context, span, at):
-    """Eight numbers of a float32 span from a place on."""
+    """Load eight numbers of a float32 span, from index ``at``."""
 
     def codegen(context, builder, sig, args):
         loaded = builder.load(_place(context, builder, sig.args[0], *args))
@@ -70,7 +70,7 @@ def load(_context, span, at):
 
 @intrinsic
 def store(_context, span, at, numbers):
-    """Write eight numbers to a float32 span from a place on."""
+    """Store eight numbers to a float32 span, from index ``at``."""
 
     def codegen(context, builder, sig, args):
         builder.store(args[2], _place(context, builder, sig.args[0], *args[:2])).align = 4
@@ -81,7 +81,7 @@ def store(_context, span, at, numbers):
 
 @intrinsic
 def every(_context, number):
-    """One float32 in all lanes."""
+    """Make a vector with one float32 in all lanes."""
 
     def codegen(_context, builder, _signature, args):
         return _every(builder, args[0])
@@ -91,7 +91,7 @@ def every(_context, number):
 
 @intrinsic(prefer_literal=True)
 def lane(_context, numbers, which):
-    """One of the eight numbers; which one is a constant."""
+    """Return one of the eight numbers; its index must be a constant."""
     if not isinstance(which, types.IntegerLiteral):
         return None
     number = which.literal_value
@@ -104,7 +104,7 @@ def lane(_context, numbers, which):
 
 @intrinsic
 def total(_context, numbers):
-    """Sum of the eight numbers."""
+    """Return the sum of the eight numbers."""
 
     def codegen(_context, builder, _signature, args):
         rest = args[0]
@@ -118,7 +118,7 @@ def total(_context, numbers):
 
 @intrinsic
 def halves(_context, low, high):
-    """First four numbers of one vector, and of another."""
+    """Concatenate the first four numbers of two vectors."""
 
     def codegen(_context, builder, _signature, args):
         return _mixed(builder, args[0], args[1], [0, 1, 2, 3, 8, 9, 10, 11])
@@ -127,7 +127,7 @@ def halves(_context, low, high):
 
 
 def _define(operation: Any, instruction: str) -> None:
-    """Let vectors, or a float32 and a vector, be added, subtracted or multiplied."""
+    """Define an operator for two vectors, and for a float32 and a vector."""
 
     @infer_global(operation)
     class _Template(AbstractTemplate):
