@@ -1,7 +1,7 @@
-"""Direct light-invariant registration of two pictures by a homography (the paper's reference [10]).
+"""Direct light-invariant registration of two images by a homography (the paper's reference [10]).
 
-The objective and the solver are those of a fit: the first picture's pixels are the model (an appearance without
-modes), a homography is the warp, and any method of :data:`liaam.fitting.METHODS` says what is compared.
+Objective and solver are those of a fit (eq 9 and 10). The model is the first image, an appearance without modes, the
+warp is a homography, and the method is any of :data:`liaam.fitting.METHODS`.
 """
 
 from dataclasses import dataclass, replace
@@ -25,54 +25,54 @@ from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
 
 METHOD = "igo+tukey"
-"""Gradient orientations are blind to the light's strength; what is left of cast shadows, their edges, is for the
-robust loss. Measured on posters and real objects: nearer to the truth than ``li``, ``chroma`` and ``grey``."""
+"""Gradient orientations do not depend on the light's intensity, and the robust loss rejects the edges of cast shadows.
+Measured on posters and real objects: more accurate than ``li``, ``chroma`` and ``grey``."""
 
 LEVELS = ((8.0, 4), (4.0, 2), (2.0, 1), (1.0, 1), (0.5, 1))
-"""Blur, and distance between the pixels that count, of each level, coarse to fine, pixels of the reduced picture."""
+"""Blur and sampling distance of each level, coarse to fine, in pixels of the reduced image."""
 
 SHARP = 1.0
-"""Blur below which a level is left out unless the picture is clear."""
+"""Blur below which a level is used for clear images only."""
 
 CLEAR = 10.0
-"""Median of the significant gradients, in standard deviations of their noise, above which a picture is clear. Measured:
-fine texture makes real objects half as far off as a last blur of 1; where noise is stronger the sharpest level adds a
-half to the error of planes."""
+"""Signal-to-noise ratio of a clear image: median of the significant gradients, in standard deviations of their noise.
+The sharpest level halves the errors on real objects with fine texture; with stronger noise it raises the errors on
+planes by a half."""
 
 MOST_PIXELS = 180_000
-"""Pixels that a picture is reduced to at most."""
+"""Number of pixels to which larger images are reduced."""
 
 SIGNIFICANT = 3.0
-"""Gradient, in standard deviations of its noise, below which its direction says nothing."""
+"""Gradient, in standard deviations of its noise, below which its orientation is not used."""
 
 LARGEST_BLUR = 1 / 12
-"""Blur of a level, as a share of the picture's lesser side, beyond which the level is left out."""
+"""Largest blur of a level, as a fraction of the image's shorter side."""
 
 LEAST_PIXELS = 200
-"""Pixels that a level needs to be of use."""
+"""Smallest number of pixels of a level."""
 
 LEAST_OVERLAP = 0.25
-"""Share of the first picture's pixels that must lie inside the second."""
+"""Fraction of the first image's pixels that must lie inside the second."""
 
 LEAST_CORRELATION = 0.2
-"""Correlation of what is compared below which the pictures do not show the same thing. Right registrations have 0.4
-and more (cast shadows, twelve directions of light), pictures of different things 0.1 and less."""
+"""Correlation below which the images do not show the same thing. Correct registrations have at least 0.4 (cast shadows,
+twelve directions of light), images of different things at most 0.1."""
 
 OPTIONS = SolverOptions(max_iterations=60, scoring=20)
-"""Scoring: samples between pixels are smoother, so that plain minima lie off by up to 0.4 pixels towards the middle
-between pixels where the residual is mostly noise or texture of one picture only (measured on real objects)."""
+"""Scoring corrects an interpolation bias: samples between pixels are smoother, so minima of the cost lie up to 0.4
+pixels too near the middle between pixels if noise or one image's texture dominates (measured on real objects)."""
 
 MESSAGES = {
-    FitStatus.CONVERGED: "The registration settled.",
-    FitStatus.LIGHT_UNOBSERVABLE: "The registration settled; the pictures do not tell the angle, so it was held.",
-    FitStatus.MAX_ITERATIONS: "The registration was still moving when its iterations ran out; start nearer to it.",
-    FitStatus.DIVERGED: "What was found does not look alike in both pictures: they show different things, or lie too "
-    "far apart; bring them nearer to each other, or give pictures that differ less.",
-    FitStatus.LEFT_IMAGE: "The pictures hardly overlap; give pictures that share more than a quarter.",
-    FitStatus.TOO_DARK: "Too few pixels are well exposed in both pictures; use brighter ones.",
-    FitStatus.NO_TEXTURE: "There is nothing to register by: the pictures are flat.",
+    FitStatus.CONVERGED: "The registration converged.",
+    FitStatus.LIGHT_UNOBSERVABLE: "The registration converged. The angle is not observable here and was kept fixed.",
+    FitStatus.MAX_ITERATIONS: "The registration did not converge within its iterations; start nearer to the solution.",
+    FitStatus.DIVERGED: "The registered images do not match: they show different things, or lie too far apart; give "
+    "a nearer start, or images that differ less.",
+    FitStatus.LEFT_IMAGE: "The images hardly overlap; give images that share more than a quarter.",
+    FitStatus.TOO_DARK: "Too few pixels are well exposed in both images; use brighter ones.",
+    FitStatus.NO_TEXTURE: "The images have no texture to register; check the files.",
 }
-"""What happened, and what to do about it."""
+"""Message of each status: what happened, and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,23 +82,24 @@ class Registration:
     Attributes
     ----------
     homography : (3, 3) float64
-        From pixels of the first picture to those of the second, its last entry 1.
+        Maps pixels of the first image to those of the second; its last entry is 1.
     status : FitStatus
-        How it ended; ``status.ok`` says whether to use it.
+        How the registration ended; use the result if ``status.ok``.
     correlation : float
-        Of what was compared, between the pictures where they overlap.
+        Correlation of the compared quantities where the images overlap.
     theta : float
-        Angle of the second picture's camera, radians; NaN for methods without angles.
+        Angle of the second image's camera, radians; NaN for methods without angles.
     cost : float
-        Mean squared residual, in the method's own units.
+        Mean squared residual, in the method's units.
     n_iterations : int
-        Steps tried.
+        Number of steps, refused ones included.
     corner_deviation : (4,) float64
-        Standard error of where the first picture's corners come to lie, pixels of the second (root of the sum of both
-        axes' variances): by the Gauss-Newton covariance of independent residuals, which knows noise only.
+        Standard errors of the mapped corners of the first image, pixels of the second (square root of the sum of both
+        axes' variances). The Gauss-Newton covariance behind them accounts for noise only.
     size : (int, int)
-        Height and width of the first picture.
+        Height and width of the first image.
     method : str
+        Name of the method.
     """
 
     homography: np.ndarray
@@ -113,7 +114,7 @@ class Registration:
 
     @property
     def message(self) -> str:
-        """What happened, and what to do about it."""
+        """What happened, and what to do."""
         return MESSAGES[self.status]
 
     def to_dict(self) -> dict:
@@ -132,7 +133,7 @@ class Registration:
         }
 
     def warp(self, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bring the second picture into the frame of the first.
+        """Warp the second image to the frame of the first.
 
         Parameters
         ----------
@@ -141,9 +142,9 @@ class Registration:
         Returns
         -------
         picture : (h', w', c) of the same type
-            0 beyond the second picture's border.
+            0 beyond the second image's border.
         mask : (h', w') bool
-            Where it shows anything.
+            True inside the second image.
         """
         import cv2  # heavy: imported when first needed
 
@@ -167,65 +168,66 @@ def register(
     mask: np.ndarray | None = None,
     options: SolverOptions = OPTIONS,
 ) -> Registration:
-    """Align two pictures of a plane, or of anything seen from one place, whatever the light in each.
+    """Register two images of a plane, or of a scene from one viewpoint, under any light.
 
     Parameters
     ----------
     a, b : (h, w, 3) uint8, uint16 or float array, or path
-        Their sizes may differ.
+        Images; their sizes may differ.
     method : str or Method
         What is compared; see :data:`liaam.fitting.METHODS`.
     group : {"homography", "affine", "similarity", "translation"}
-        What may differ between the pictures.
+        Group of transformations.
     response : Response
-        Of the camera.
+        Response of the camera.
     theta : float
-        Angle of the first picture's camera, radians, for the methods with angles.
+        Angle of the first image's camera, radians, for methods with angles.
     init : (3, 3) float, optional
-        Homography to start from, pixels of ``a`` to pixels of ``b``; the whole of one on the whole of the other if
-        left out, the identity for pictures of one size. From there a tenth of the picture's size can be made up for.
+        Initial homography, pixels of ``a`` to pixels of ``b``. By default ``a`` is scaled to the size of ``b``. A start
+        may be wrong by about a tenth of the image's size.
     mask : (h, w) bool, optional
-        Pixels of ``a`` that count.
+        Pixels of ``a`` to use; by default all.
     options : SolverOptions
 
     Returns
     -------
     Registration
-        Also for one that fails: see its ``status``.
+        Also if the registration fails: see its ``status``.
 
     Raises
     ------
     ImageError
-        For a picture that is none, or is grey where colours are compared.
+        For an invalid image, mask or start, and for a grey image if the method compares colours.
     MethodError
-        For a method or group that does not exist.
+        For an unknown method or group.
     """
-    a, name_a = load_picture(a, "first picture")
-    b, name_b = load_picture(b, "second picture")
+    a, name_a = load_picture(a, "first image")
+    b, name_b = load_picture(b, "second image")
     method = scored(_with_constants(get_method(method)), options)
     if group not in GENERATORS:
         raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GENERATORS)}")
     for picture, name in ((a, name_a), (b, name_b)):
         if method.needs_colour:
-            refuse_grey(picture, name, f"method {method.name} compares colours: use igo or grey")
+            refuse_grey(picture, name, f"method {method.name} compares colours; use igo or grey")
     if mask is not None and mask.shape != a.shape[:2]:
-        raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels, {name_a} {a.shape[1]}×{a.shape[0]}")
+        size = f"{a.shape[1]}×{a.shape[0]}"
+        raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels; give one of {name_a}'s size, {size}")
     levels, to_a = _levels(a, method, group, response, theta, mask)
     size = a.shape[:2]
     if not levels:
         return _nothing(size, method, FitStatus.NO_TEXTURE if method.encoding != "log" else FitStatus.TOO_DARK)
     homography = _whole_on_whole(size, b.shape[:2]) if init is None else np.asarray(init, dtype=np.float64)
     if homography.shape != (3, 3) or not np.isfinite(homography).all():
-        raise ImageError("the start of a registration is a homography: 3 by 3 numbers, from the first picture's pixels")
+        raise ImageError("the start is not a homography; give a finite 3 by 3 matrix from pixels of the first image")
     handles = apply_homography(homography, to_a(levels[0][0].warp.rest))
     if not np.isfinite(handles).all():
-        raise ImageError("the start carries a corner of the first picture behind the second; give another one")
+        raise ImageError("the start maps a corner of the first image behind the image plane; give another start")
     stages = solve_levels(levels, Target(b, handles, response), options)
     return _judged(stages, handles, to_a, size, b.shape[:2])
 
 
 def _whole_on_whole(size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
-    """Homography that scales one picture to the other's size (height, width), centre on centre."""
+    """Return the homography that scales one image to the other's size (height, width)."""
     scale = np.array(other[::-1], dtype=np.float64) / size[::-1]
     matrix = np.diag([*scale, 1.0])
     matrix[:2, 2] = (scale - 1.0) / 2.0
@@ -233,9 +235,9 @@ def _whole_on_whole(size: tuple[int, int], other: tuple[int, int]) -> np.ndarray
 
 
 def _with_constants(method: Method) -> Method:
-    """Let a method of logarithms add a constant per row: each picture may have a white balance of its own.
+    """Add a constant per row to a method that compares logarithms, for different white balances.
 
-    Gains of (1.3, 1, 0.8) make ``li`` six times as far off without it.
+    Without it, gains of (1.3, 1, 0.8) multiply the errors of ``li`` by six.
     """
     return replace(method, bias="rows") if method.encoding == "log" and method.bias == "none" else method
 
@@ -243,7 +245,7 @@ def _with_constants(method: Method) -> Method:
 def _levels(
     a: np.ndarray, method: Method, group: str, response: Response, theta: float, mask: np.ndarray | None
 ) -> tuple[list[tuple[Objective, float]], Similarity]:
-    """Objectives with their blurs, coarse to fine, and the similarity from their pixels to those of ``a``."""
+    """Return objectives with their blurs, coarse to fine, and the similarity from their pixels to those of ``a``."""
     height, width = a.shape[:2]
     reduce = max(1, int(np.ceil(np.sqrt(height * width / MOST_PIXELS))))
     scaling = Similarity(np.eye(2) * reduce, np.full(2, (reduce - 1) / 2.0))
@@ -252,7 +254,7 @@ def _levels(
         make_patch(a, corners, scaling, encoding=method.encoding, response=response, blur=blur, margin=0.0)
         for blur, _ in LEVELS
     ]
-    # Levels differ in their blur only: size and place of their pixels are the same.
+    # All levels have the same pixels; they differ in blur only.
     from_a, size = patches[0].from_image, patches[0].channels.shape[:2]
     wanted = np.ones(size, dtype=bool) if mask is None else _reduced(mask.astype(np.float32), size) > 0.999
     luminance, noise = _luminance_and_noise(a, size)
@@ -287,14 +289,14 @@ def _reduced(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _luminance_and_noise(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, float]:
-    """Luminance of stored values, reduced to a size (h, w), and the standard deviation of its noise."""
+    """Return the luminance of stored values, reduced to a size (h, w), and the standard deviation of its noise."""
     luminance = _reduced(np.ascontiguousarray(stored_values(image) @ LUMINANCE[0].astype(np.float32)), size)
     averaged = np.sqrt(np.prod(size) / np.prod(image.shape[:2]))
     return luminance, float(noise_deviation(image) * np.linalg.norm(LUMINANCE) * averaged)
 
 
 def _significance(luminance: np.ndarray, noise: float, blur: float) -> np.ndarray:
-    """Gradient of the blurred luminance, in standard deviations that noise gives it, (h, w)."""
+    """Return the gradient magnitude of the blurred luminance, in standard deviations of its noise, (h, w)."""
     import cv2  # heavy: imported when first needed
 
     down, right = np.gradient(cv2.GaussianBlur(luminance, (0, 0), blur))
@@ -304,7 +306,7 @@ def _significance(luminance: np.ndarray, noise: float, blur: float) -> np.ndarra
 def _judged(
     stages: list[Stage], start: np.ndarray, to_a: Similarity, size: tuple[int, int], other: tuple[int, int]
 ) -> Registration:
-    """Homography in pictures' pixels, and whether it can be believed."""
+    """Return the result in image pixels, with its status."""
     stage = stages[-1]
     objective, solution = stage.objective, stage.solution
     state, has_angle, warp = solution.state, objective.method.has_angles, objective.warp
@@ -344,7 +346,7 @@ def _status(stage: Stage, start: np.ndarray, inside: np.ndarray, correlation: fl
 
 
 def _correlation(stage: Stage) -> float:
-    """Correlation of what is compared, over all pixels that count in both pictures; 0 where there are none."""
+    """Return the correlation of the compared quantities over the pixels usable in both images; 0 if there are none."""
     objective, work = stage.objective, stage.solution.work
     metric = objective.method.image_metric(work.angles[1]).T
     seen = work.usable > 0

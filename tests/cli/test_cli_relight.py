@@ -86,7 +86,7 @@ def test_a_start_for_each_picture(relight, tmp_path):
         (("--like", "other.png", "-o", "other.png"), "other.png is one of the pictures"),
         (("-o", "lit.txt"), "name of a picture, such as lit.png"),
         (("-o", "nowhere/a.png"), "nowhere does not exist"),
-        (("-m", "grey"), "method grey does not fit the appearance of log-RGB"),
+        (("-m", "grey"), "method grey does not fit a log-RGB appearance"),
         (("--like", "gone.png"), "gone.png"),
     ],
 )

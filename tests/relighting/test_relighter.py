@@ -168,7 +168,7 @@ def test_grey_is_refused(head, taken_apart):
     model, pair = head
     fitter = Fitter(model)
     result = fitter.fit(pair.lit.image, taken_apart.shape)
-    with pytest.raises(MethodError, match=r"grey.*colour picture"):
+    with pytest.raises(MethodError, match=r"grey.*colour image"):
         Relighter.of(fitter, np.full_like(pair.lit.image, 90), result)
 
 

@@ -123,7 +123,7 @@ def test_no_deviation_is_lost_to_rounding(subject):
 def test_methods_without_the_log_appearance_are_refused(model, lit_scene, method):
     fitter = Fitter(model, method)
     result = fitter.fit(lit_scene.image, lit_scene.landmarks)
-    with pytest.raises(MethodError, match=f"{method} does not fit the appearance of log-RGB.*'li', 'li-pc'"):
+    with pytest.raises(MethodError, match=f"{method} does not fit a log-RGB appearance.*'li', 'li-pc'"):
         shadow_free(fitter, lit_scene.image, result)
 
 
@@ -281,7 +281,7 @@ def test_black_and_pixels_that_are_no_numbers_get_a_finite_shading(own_model, re
 def test_another_fitter_than_the_fits_is_refused(own_model, subject):
     image, shape = subject.images[0], subject.shapes[0]
     result = Fitter(own_model, "grey").fit(image, shape)
-    with pytest.raises(MethodError, match="made with method grey, not li; give its own fitter"):
+    with pytest.raises(MethodError, match="made with method grey, but the fitter has li; use the fit's fitter"):
         shadow_free(Fitter(own_model, "li"), image, result)
 
 

@@ -1,10 +1,9 @@
-"""Relighting: the fitted object under the light of training (paper eq 11), or under a light of one's choice.
+"""Relighting: the fitted object under the light of training (paper eq 11), or under any other light.
 
-``appearance`` rebuilds what the object looks like under the training light, ``together`` does so with the shading told
-at the same time; ``painting`` lays values of the reference frame over a picture, and ``beyond`` goes
-on outside of the mesh, without a seam (by ``carrying``);
-``shading`` parts a picture into shading and what is under it; ``relief`` makes a surface up for lights that no picture
-has; ``relighter`` does all of it for one fitted picture.
+``appearance`` computes the appearance under the training light, and ``together`` does so jointly with the shading.
+``painting`` warps values from the reference frame to an image. ``beyond`` and ``carrying`` extrapolate them outside the
+mesh. ``shading`` separates an image into shading and appearance. ``relief`` makes a surface for new lights.
+``relighter`` combines them for one fitted image.
 """
 
 from liaam.relighting.appearance import ShadowFree, shadow_free

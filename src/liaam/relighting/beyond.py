@@ -1,9 +1,8 @@
-"""What is known of an object, carried on beyond its mesh's border, where no model says anything.
+"""Extrapolation beyond the mesh, where the model has no values.
 
-Values are carried along what looks alike (:func:`around`). A change of light is told better by the picture itself
-(:func:`continued`): inside the mesh it is known how light and paint colour the object's pixels, and nearby they do so
-outside. Along a brow, the shadow of its ridge and its hair are both dark, and lie both on the border; the nearest
-values would give the hair the shadow's light, and the lit skin above it too.
+:func:`around` diffuses values between pixels of similar colour. :func:`continued` predicts a change of light from the
+image's colours, by a relation learnt inside the mesh. Along a brow, for example, shadow and hair are both dark and both
+on the border. The nearest values would relight the hair, and the lit skin above it, like the shadow.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,39 +11,39 @@ from functools import partial
 import numpy as np
 
 FARTHEST, FARTHEST_SOFT = 4.0, 2.5
-"""How far a change of light goes beyond the mesh, in reaches; and where one Gaussian carries it."""
+"""Distance beyond the mesh to which a change of light extends, in reaches; the second is for soft weights."""
 
 LEAST_SHARE = 1e-3
-"""Share of a change of light below which none is left."""
+"""Weight of a change of light below which it is set to 0."""
 
 BLUR_OWN = 1.0
-"""Deviation of the Gaussian that takes the noise from what is compared with the object next to it, pixels."""
+"""Standard deviation of the Gaussian that denoises the image before colours are compared, pixels."""
 
 NEAREST, FINEST = 1.0, 0.1
-"""Finest scale at which values are carried over the mesh's border: at least so many pixels, and reaches."""
+"""Finest scale of the diffusion across the mesh's border: at least this many pixels, and reaches."""
 
 ENOUGH, PLENTY = 4.0, 16.0
-"""Deviation of a Gaussian, pixels, from which a wider one is made on fewer pixels; and of one that keeps to edges."""
+"""Standard deviation, pixels, from which smoothing is done at a lower resolution: Gaussian, and edge-preserving."""
 
 FURTHER, STEPS, EDGE = 2.0, 5.0, 0.8
-"""Scales at which values are carried over the mesh's border along what looks alike: the coarsest, in reaches; how many
-times finer the next is; and the change of log light, summed over channels, that is as far as a scale."""
+"""Scales of the diffusion: the coarsest, in reaches; the ratio of consecutive scales; and the change of log light,
+summed over channels, that counts as a distance of one scale."""
 
 ANOTHER_LIGHT, ANOTHER_COLOUR = 0.6, 0.25
-"""How much brighter or darker, and how differently coloured, in logarithms, another thing than the object is."""
+"""Difference in brightness and in colour, in logarithms, at which a pixel counts as not part of the object."""
 
 DARKER = 1.5
-"""How much darker where light is added: a little on dark hair does less harm than a halo on a bright wall."""
+"""The same for darker pixels if light is added: some light on dark hair is less visible than a halo on a wall."""
 
 CUT_OFF = 0.05
-"""Share of what would come from the mesh, were there no edges, below which a place is cut off from it by them."""
+"""Ratio of the weight that reaches a pixel with and without edges, below which edges separate it from the mesh."""
 
 WINDOWS, SMOOTH = (2.0, 0.7, 0.25), 1.2
-"""Deviations of the Gaussian windows within which colours tell light, in reaches; and of one, pixels, that is wide
-enough for functions that are put between pixels again."""
+"""Standard deviations of the Gaussian windows of :func:`continued`, in reaches; and in pixels at the resolution at
+which the windows are computed."""
 
-UNTOLD = 0.1
-"""Change of log light within a window that is too small to tell light from."""
+LEAST_CONTRAST = 0.1
+"""Change of log light within a window below which the relation between colour and light is not learnt."""
 
 
 def around(
@@ -55,72 +54,72 @@ def around(
     soft: bool = False,
     lightened: np.ndarray | bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Carry values on beyond where they have weight, and say how much of them to take there.
+    """Extrapolate values beyond their mask, and weigh the result.
 
     Parameters
     ----------
     values : (h, w, c) float32
     weights : (h, w, 1) float32
-        1 where the values are known, 0 where nothing is known of them.
+        1 where the values are known, 0 where they are not.
     own : (h, w, 3) float32
-        Logarithms of the picture's light. What looks unlike the object next to it, or is cut off from it by edges, is
-        another thing (the wall behind a cheek), and what happens to the object is none of its business.
+        Logarithms of the image's light. Pixels that differ from the object in colour, or are separated from it by
+        edges, belong to something else, such as the wall behind a cheek; their weight is low.
     reach : float
-        How far they are carried: deviation of a Gaussian, pixels.
+        Standard deviation of the Gaussian, pixels.
     soft : bool
-        Weights go down to 0 softly: one blur will do, where else values are carried along what looks alike, so that
-        those of a shadow stay in the shadow, the nearest next to where they are known.
+        Set if the weights fall to 0 gradually: one blur then suffices. Otherwise values diffuse between pixels of
+        similar colour, so that those of a shadow stay within it.
     lightened : (h, w, 1) bool
         Where the change adds light.
 
     Returns
     -------
     values : (h, w, c) float32
-        Weighted means of the values nearby.
+        Weighted means of nearby values.
     share : (h, w, 1) float32
-        1 next to where values are known, less and less further out, 0 beyond :data:`FARTHEST` times the reach.
+        Weight of the result: 1 next to known values, falling to 0 at :data:`FARTHEST` times the reach.
     """
     import cv2
 
     c, seen = values.shape[2], cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
     layers = np.concatenate([weights * values, weights * own, weights], axis=2)
-    means = _means(_blurred(layers, reach)) if soft else _carried(layers, seen, reach)
+    means = _means(_blurred(layers, reach)) if soft else _diffused(layers, seen, reach)
     away = cv2.distanceTransform((weights <= 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[..., None]
     share = _smoothstep(1.0 - (away - 1.0) / ((FARTHEST_SOFT if soft else FARTHEST) * reach))
     if not soft:
-        share *= _smoothstep(_let_through(weights, seen, max(FURTHER * reach, NEAREST)) / CUT_OFF)
-    unlike = seen - means[..., c:]
-    brighter = unlike.mean(axis=2, keepdims=True)
-    tint = np.square(unlike - brighter).sum(axis=2, keepdims=True)
+        share *= _smoothstep(_transmitted(weights, seen, max(FURTHER * reach, NEAREST)) / CUT_OFF)
+    difference = seen - means[..., c:]
+    brighter = difference.mean(axis=2, keepdims=True)
+    colour = np.square(difference - brighter).sum(axis=2, keepdims=True)
     limit = np.where((brighter < 0) & lightened, DARKER, ANOTHER_LIGHT)
-    apart = np.square(brighter / limit) + tint / ANOTHER_COLOUR**2
+    apart = np.square(brighter / limit) + colour / ANOTHER_COLOUR**2
     share *= np.exp(-0.5 * np.maximum(apart - 1.0, 0.0))
     return means[..., :c], np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32)
 
 
 def continued(change: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
-    """Continue a change of light beyond the mesh by the picture's own colours.
+    """Extrapolate a change of light beyond the mesh from the image's colours.
 
-    Within a window, the change is an affine function of the picture's log light: its slope follows the light where a
-    shadow's edge is seen, and is flat across paint that the light leaves alone. It is learnt inside the mesh and
-    holds for the window's pixels outside (He, Sun and Tang, "Guided image filtering", IEEE TPAMI 2013, with weights;
-    on fewer pixels as in He and Sun, "Fast guided filter", 2015). Narrow windows take over from wide ones where there
-    are enough pixels to learn from.
+    Within a window, the change is modelled as an affine function of the image's log light. Its slope is large across a
+    shadow's edge, and small across paint. It is learnt inside the mesh and applied to the window's pixels outside: a
+    weighted guided filter (He, Sun and Tang, "Guided image filtering", IEEE TPAMI 2013) at a lower resolution (He and
+    Sun, "Fast guided filter", 2015). Narrow windows replace wide ones where they hold enough pixels.
 
     Parameters
     ----------
     change : (h, w, 3) float32
-        Logarithm of light under the picture's light over that under another, right inside the mesh.
+        Log ratio of the image's light to another light; valid inside the mesh.
     inside : (h, w) bool
+        Inside the mesh.
     own : (h, w, 3) float32
-        Logarithms of the picture's light.
+        Logarithms of the image's light.
     reach : float
         See :func:`around`.
 
     Returns
     -------
     (h, w, 3) float32
-        Within the range that the change has inside.
+        Change of light, clipped to its range inside the mesh.
     """
     import cv2
 
@@ -128,21 +127,21 @@ def continued(change: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: fl
         return np.zeros_like(change)
     (height, width), seen = inside.shape, cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
     step = max(1, int(WINDOWS[-1] * reach / SMOOTH))
-    # Sums of products, so that the picture can be made smaller after they are multiplied.
+    # Products at full resolution, summed at a lower one.
     parts = [seen, change, *(seen[..., i:] * seen[..., i : i + 1] for i in range(3))]
     parts += [change * seen[..., i : i + 1] for i in range(3)] + [np.ones_like(seen[..., :1])]
     sums = _resized(np.concatenate(parts, axis=2) * inside[..., None], _fewer(inside, step))
     found = np.zeros(1, np.float32)
     for i, window in enumerate(WINDOWS):
-        told, known = _told_by_colours(sums, max(window * reach, NEAREST) / step)
-        found = told if i == 0 else found + _smoothstep(2.0 * known) * (told - found)
+        affine, known = _affine_in_windows(sums, max(window * reach, NEAREST) / step)
+        found = affine if i == 0 else found + _smoothstep(2.0 * known) * (affine - found)
     layers = _resized(found, (width, height))
-    told = layers[..., :3] + sum(seen[..., i : i + 1] * layers[..., 3 * i + 3 : 3 * i + 6] for i in range(3))
-    return np.clip(told, change[inside].min(axis=0), change[inside].max(axis=0))
+    predicted = layers[..., :3] + sum(seen[..., i : i + 1] * layers[..., 3 * i + 3 : 3 * i + 6] for i in range(3))
+    return np.clip(predicted, change[inside].min(axis=0), change[inside].max(axis=0))
 
 
-def _told_by_colours(sums: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Affine functions (h, w, 12) that fit windows of sums of products, and the share (h, w, 1) known of them."""
+def _affine_in_windows(sums: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Fit affine functions (h, w, 12) to windows of sums of products; also return the known fraction (h, w, 1)."""
     height, width = sums.shape[:2]
     step = max(1, int(scale / SMOOTH))
     small = _blurred(_resized(sums, _fewer(sums, step)), scale / step)
@@ -151,18 +150,19 @@ def _told_by_colours(sums: np.ndarray, scale: float) -> tuple[np.ndarray, np.nda
 
 
 def _fewer(picture: np.ndarray, step: int) -> tuple[int, int]:
-    """Width and height of a picture (h, w, ...) with a pixel for every so many rows and columns."""
+    """Return width and height of an image (h, w, ...) reduced by a step."""
     return -(-picture.shape[1] // step), -(-picture.shape[0] // step)
 
 
 def _affine(means: np.ndarray) -> np.ndarray:
-    """Offset, and slope by each channel, (h, w, 12), of affine functions that fit windows with these mean products."""
+    """Compute offset and slopes (h, w, 12) of the affine functions that fit windows, from their mean products."""
     colour, change = means[..., :3], means[..., 3:6]
     upper = means[..., 6:12]
     products = upper[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*colour.shape, 3)
-    covariance = products - colour[..., :, None] * colour[..., None, :] + UNTOLD**2 * np.eye(3, dtype=np.float32)
+    covariance = products - colour[..., :, None] * colour[..., None, :]
+    covariance += LEAST_CONTRAST**2 * np.eye(3, dtype=np.float32)
     mixed = means[..., 12:21].reshape(*colour.shape, 3) - colour[..., :, None] * change[..., None, :]
-    # The inverse by Cramer's rule: of very many small matrices it is quicker than a solver.
+    # Cramer's rule is faster than a solver for many small matrices.
     a, b, c = np.moveaxis(covariance, 2, 0)
     adjugate = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
     slopes = adjugate @ mixed / np.einsum("hwi,hwi->hw", a, adjugate[..., 0, :])[..., None, None]
@@ -171,15 +171,15 @@ def _affine(means: np.ndarray) -> np.ndarray:
 
 
 def _means(sums: np.ndarray) -> np.ndarray:
-    """Weighted means of sums (h, w, c + 1) whose last layer is the weights'."""
+    """Divide sums (h, w, c + 1) by the weights in their last layer."""
     return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
 
 
-def _carried(layers: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
-    """Means (h, w, c) of layers (h, w, c + 1) along what looks alike, of the nearest where there are any.
+def _diffused(layers: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
+    """Compute edge-preserving means (h, w, c) of layers (h, w, c + 1), at the finest scale with enough weight.
 
-    The averages are those of the domain transform (Gastal and Oliveira, "Domain transform for edge-aware image and
-    video processing", ACM TOG 2011), in which a change of light counts as a distance.
+    Uses the domain transform (Gastal and Oliveira, "Domain transform for edge-aware image and video processing", ACM
+    TOG 2011), in which a change of light counts as a distance.
     """
     scale, finest = max(FURTHER * reach, NEAREST), max(FINEST * reach, NEAREST)
     means = _means(_averaged(layers, seen, scale))
@@ -190,21 +190,21 @@ def _carried(layers: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
     return means
 
 
-def _let_through(weights: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
-    """Share (h, w, 1) of weights nearby that edges do not hold off."""
+def _transmitted(weights: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
+    """Return the fraction (h, w, 1) of nearby weights that edges do not block."""
     with_edges, without = (_averaged(weights, picture, scale, ENOUGH) for picture in (seen, np.zeros_like(seen)))
     return with_edges / np.maximum(without, 1e-6)
 
 
 def _averaged(layers: np.ndarray, seen: np.ndarray, scale: float, enough: float = PLENTY) -> np.ndarray:
-    """Averages along what looks alike."""
+    """Average layers with preserved edges."""
     from liaam.relighting.carrying import averaged  # numba: imported when first needed
 
     return _on_fewer_pixels(partial(averaged, edge=EDGE), (layers, seen), scale, enough)
 
 
 def _blurred(layers: np.ndarray, scale: float) -> np.ndarray:
-    """Gaussian blur of (h, w, c) float32."""
+    """Blur (h, w, c) float32 by a Gaussian."""
     import cv2
 
     return _on_fewer_pixels(lambda picture, sigma: cv2.GaussianBlur(picture, (0, 0), sigma), (layers,), scale, ENOUGH)
@@ -213,7 +213,7 @@ def _blurred(layers: np.ndarray, scale: float) -> np.ndarray:
 def _on_fewer_pixels(
     smooth: Callable[..., np.ndarray], pictures: Sequence[np.ndarray], scale: float, enough: float
 ) -> np.ndarray:
-    """Smooth pictures (h, w, c) at a scale in pixels, a wide one on fewer: as good, and quicker by the step squared."""
+    """Smooth images (h, w, c) at a scale in pixels; for large scales at a lower resolution."""
     step = int(scale / enough)
     if step < 2:
         return smooth(*pictures, scale)
@@ -223,7 +223,7 @@ def _on_fewer_pixels(
 
 
 def _resized(layers: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Layers (h, w, c) at another (width, height): means where smaller; OpenCV resizes four at a time."""
+    """Resize layers (h, w, c) to (width, height), four at a time as OpenCV requires; by area means if smaller."""
     import cv2
 
     if size == (layers.shape[1], layers.shape[0]):

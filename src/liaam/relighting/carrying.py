@@ -1,24 +1,24 @@
-"""Averages that do not cross edges, by the domain transform (Gastal and Oliveira, ACM TOG 2011)."""
+"""Edge-preserving averages by the domain transform (Gastal and Oliveira, ACM TOG 2011)."""
 
 import numba
 import numpy as np
 
 ROUNDS = 3
-"""Passes over rows and columns, ever finer; after three, no lines are seen."""
+"""Number of passes over rows and columns; three leave no visible stripes."""
 
 
 def averaged(layers: np.ndarray, seen: np.ndarray, scale: float, edge: float) -> np.ndarray:
-    """Average a picture's layers over what is near and looks alike.
+    """Average layers over nearby pixels of similar colour.
 
     Parameters
     ----------
     layers : (h, w, c) float
     seen : (h, w, 3) float
-        What the picture looks like.
+        Image that defines the edges.
     scale : float
-        Deviation, pixels, where the picture is of one colour.
+        Standard deviation in regions of constant colour, pixels.
     edge : float
-        Change of ``seen``, summed over channels, that is as far as ``scale``.
+        Change of ``seen``, summed over channels, that counts as a distance of ``scale``.
 
     Returns
     -------
@@ -26,17 +26,17 @@ def averaged(layers: np.ndarray, seen: np.ndarray, scale: float, edge: float) ->
     """
     found = np.array(layers, np.float32, order="C")
     across, down = (1.0 + scale / edge * np.abs(np.diff(seen, axis=axis)).sum(axis=2) for axis in (1, 0))
-    for i in range(ROUNDS):  # deviations halve, and their squares sum up to the scale's (the source's equation 14)
+    for i in range(ROUNDS):  # standard deviations halve, and their squares sum to scale ** 2 (their equation 14)
         deviation = scale * np.sqrt(3.0) * 2.0 ** (ROUNDS - i - 1) / np.sqrt(4.0**ROUNDS - 1.0)
-        share = np.exp(-np.sqrt(2.0) / deviation)
-        _along_rows(found, np.power(share, across, dtype=np.float32))
-        _along_columns(found, np.power(share, down, dtype=np.float32))
+        feedback = np.exp(-np.sqrt(2.0) / deviation)
+        _along_rows(found, np.power(feedback, across, dtype=np.float32))
+        _along_columns(found, np.power(feedback, down, dtype=np.float32))
     return found
 
 
 @numba.njit(cache=True)
 def _along_rows(layers, kept):
-    """Recursive filter of (h, w, c) along each row, there and back; ``kept`` (h, w - 1) goes on from pixel to pixel."""
+    """Filter (h, w, c) recursively along each row, forward and backward, with feedback ``kept`` (h, w - 1)."""
     height, width, depth = layers.shape
     for y in range(height):
         for x in range(1, width):
@@ -49,7 +49,7 @@ def _along_rows(layers, kept):
 
 @numba.njit(cache=True)
 def _along_columns(layers, kept):
-    """The same along each column; ``kept`` is (h - 1, w)."""
+    """Filter along each column; ``kept`` is (h - 1, w)."""
     height, width, depth = layers.shape
     for y in range(1, height):
         for x in range(width):

@@ -1,4 +1,4 @@
-"""From the model's reference frame onto a picture, and over its border without a seam."""
+"""Warping from the model's reference frame to an image, and blending at the mesh's border."""
 
 import numpy as np
 
@@ -10,22 +10,22 @@ from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.beyond import around
 
 LARGEST = 10
-"""Size of a shape, in sizes of the image, beyond which it is not painted."""
+"""Size of a shape, relative to the image, beyond which it is not painted."""
 
 SOFT_EDGE = 0.05
-"""Width of the border in which the appearance goes over into the picture, as a share of the model's diagonal."""
+"""Width of the border in which appearance and image are blended, as a fraction of the model's diagonal."""
 
 REACH = 0.04
-"""How far beyond the mesh shading is taken off: deviation of a Gaussian, as a share of the shape's diagonal."""
+"""Standard deviation of the Gaussian by which shading is removed beyond the mesh, as a fraction of the diagonal."""
 
 
 def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Carry values of the reference frame to where a shape lies in an image.
+    """Warp values of the reference frame to a shape in an image (the inverse of paper eq 3).
 
     Parameters
     ----------
     image : (h, w, ...) array
-        Gives the size.
+        Only its size is used.
     shape : (n, 2) float
         Landmarks, image pixels.
     model : AAM
@@ -34,9 +34,10 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     Returns
     -------
     picture : (h, w, c) float32
-        Zero outside the mesh; triangles that are turned over stay empty, and so does all of a shape that is
-        not finite, or many times as large as the image.
+        Zero outside the mesh and in flipped triangles, and everywhere for a shape that is not finite or many times as
+        large as the image.
     inside : (h, w) bool
+        Where ``picture`` has values.
     """
     from scipy.ndimage import map_coordinates
 
@@ -54,18 +55,18 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     own = (own - model.frame.origin)[:, ::-1].T
     known = np.ones((len(values), 1), np.float32)
     layers = np.moveaxis(model.frame.picture(np.concatenate([values, known], axis=1)), 2, 0)
-    *carried, share = (map_coordinates(layer, own, order=1, mode="nearest") for layer in layers)
-    # At the mesh's border the pixels outside it do not count.
-    kept = share > 1e-3
-    picture[y[seen][kept], x[seen][kept]] = np.stack([layer[kept] / share[kept] for layer in carried], axis=1)
+    *warped, weight = (map_coordinates(layer, own, order=1, mode="nearest") for layer in layers)
+    # At the mesh's border, pixels outside it have no weight.
+    kept = weight > 1e-3
+    picture[y[seen][kept], x[seen][kept]] = np.stack([layer[kept] / weight[kept] for layer in warped], axis=1)
     inside[y[seen][kept], x[seen][kept]] = True
     return picture, inside
 
 
 def seen_triangles(image: np.ndarray, shape: np.ndarray, model: AAM) -> np.ndarray:
-    """Triangles of a shape's mesh that are not turned over, (t, 3); none of a shape that an image cannot show."""
+    """Return the triangles of a shape's mesh that are not flipped, (t, 3); none if the shape is outside the image."""
     height, width = image.shape[:2]
-    # A fit that has blown up may be of any size.
+    # A diverged fit may have any size.
     sane = np.isfinite(shape).all() and np.ptp(shape, axis=0).max() < LARGEST * max(height, width)
     if not sane or (shape.max(axis=0) < 0).any() or (shape.min(axis=0) > (width - 1, height - 1)).any():
         return model.triangles[:0]
@@ -75,7 +76,7 @@ def seen_triangles(image: np.ndarray, shape: np.ndarray, model: AAM) -> np.ndarr
 def without_shading(
     image: np.ndarray, shape: np.ndarray, model: AAM, appearance: ShadowFree, response: Response = "srgb"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Picture with the object under the training light, and the shading that was taken off.
+    """Return the image with the object under the training light (paper eq 11), and the shading that was removed.
 
     Parameters
     ----------
@@ -86,12 +87,12 @@ def without_shading(
     model : AAM
     appearance : ShadowFree
     response : Response
-        Of the image's camera.
+        Response of the image's camera.
 
     Returns
     -------
     picture : (h, w, 3) float32
-        Stored values in [0, 1]; as the image outside the mesh.
+        Stored values in [0, 1]; equal to the image outside the mesh.
     shading : (h, w, 3) float32
         Logarithm of image / appearance, 0 outside the mesh.
     """
@@ -108,28 +109,28 @@ def without_shading(
 
 
 def log_light(image: np.ndarray, response: Response) -> np.ndarray:
-    """Logarithm of linear light of a picture's stored values, (h, w, 3) float32; black counts as half a step."""
+    """Return the logarithm of linear light, (h, w, 3) float32, of stored values; black counts as half a step."""
     floor = 0.5 * float(to_linear(np.array(1 / 255), response))
     return np.log(np.maximum(to_linear(stored_values(image), response), floor)).astype(np.float32)
 
 
 def eight_bits(log_rgb: np.ndarray, response: Response) -> np.ndarray:
-    """Stored values (h, w, 3) uint8 of logarithms of light; what is brighter than white is white."""
+    """Convert logarithms of light to stored values (h, w, 3) uint8, clipped at white."""
     return np.rint(255 * np.clip(from_linear(np.exp(log_rgb), response), 0.0, 1.0)).astype(np.uint8)
 
 
 def soft_edge(model: AAM) -> np.ndarray:
-    """Weights of the model's pixels, (n_pixels,) float32: 0 at the mesh's border, 1 well inside."""
+    """Return weights of the model's pixels, (n_pixels,) float32: 0 at the mesh's border, 1 well inside."""
     from scipy.ndimage import distance_transform_edt
 
     inside = model.frame.picture(np.ones(model.n_pixels, np.float32), 0.0) > 0
     depth = np.asarray(distance_transform_edt(np.pad(inside, 1)))[1:-1, 1:-1]
-    share = np.clip((depth - 1.0) / (SOFT_EDGE * model.diagonal), 0.0, 1.0)
-    return (share * share * (3.0 - 2.0 * share))[inside].astype(np.float32)
+    ramp = np.clip((depth - 1.0) / (SOFT_EDGE * model.diagonal), 0.0, 1.0)
+    return (ramp * ramp * (3.0 - 2.0 * ramp))[inside].astype(np.float32)
 
 
 def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: float) -> np.ndarray:
-    """Lay an appearance over a picture, and take the shading next to it off.
+    """Blend an appearance into an image, and remove the shading next to it.
 
     Parameters
     ----------
@@ -137,9 +138,9 @@ def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: f
     painted : (h, w, 4) float32
         Logarithms of light, and their weights.
     response : Response
-        Of the image's camera.
+        Response of the image's camera.
     reach : float
-        How far shading is taken off beyond the weights, pixels.
+        Distance beyond the weights to which shading is removed, pixels.
 
     Returns
     -------
@@ -160,7 +161,7 @@ def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: f
 
 
 def box_around(inside: np.ndarray, margin: float) -> tuple[slice, slice]:
-    """Rows and columns of a mask (h, w) and so much around it; none of an empty one."""
+    """Return the rows and columns of a mask's bounding box plus a margin; empty slices for an empty mask."""
     slices = []
     for axis in (1, 0):
         (seen,) = np.nonzero(inside.any(axis=axis))

@@ -1,4 +1,4 @@
-"""A surface for the mesh of any object: a model knows no depth, so its outline is blown up like a balloon."""
+"""A surface for the mesh of any object. Models have no depth, so the outline is inflated."""
 
 from functools import lru_cache
 
@@ -8,19 +8,19 @@ from liaam.model.mesh import ReferenceFrame
 from liaam.relighting.shading import neighbours
 
 STEEPEST = np.tan(np.deg2rad(65.0))
-"""Slope that the surface tends to at the mesh's border."""
+"""Limit of the surface's slope, at the mesh's border."""
 
 ROUNDING = 0.03
-"""Width over which the surface's normals are smoothed, as a share of the frame's diagonal: the corners of an outline
-leave no ridges."""
+"""Standard deviation of the smoothing of normals, as a fraction of the frame's diagonal. It removes ridges at the
+outline's corners."""
 
 
 @lru_cache(maxsize=4)
 def normals_of(frame: ReferenceFrame) -> np.ndarray:
-    """Unit normals of an inflated surface over a mesh, (n_pixels, 3) float32: x to the right, y down, z to the viewer.
+    """Compute unit normals of an inflated surface, (n_pixels, 3) float32: x to the right, y down, z to the viewer.
 
-    A bulge u solves Poisson's equation, laplacian(u) = -1 inside and 0 on the border; twice its root, the height,
-    is half a ball over a disc, and round over any outline.
+    u solves Poisson's equation, laplacian(u) = -1 with 0 on the border. The height 2 sqrt(u) is a hemisphere over a
+    disc, and smooth over other outlines.
     """
     from scipy.ndimage import gaussian_filter
     from scipy.sparse import coo_array, diags_array
@@ -40,6 +40,6 @@ def normals_of(frame: ReferenceFrame) -> np.ndarray:
     ]
     slope = np.stack([axis[inside] for axis in slopes], axis=1)
     steep = np.linalg.norm(slope, axis=1, keepdims=True)
-    slope = slope / np.sqrt(1.0 + np.square(steep / STEEPEST))  # never steeper, and no kink
+    slope = slope / np.sqrt(1.0 + np.square(steep / STEEPEST))  # smooth saturation
     normals = np.column_stack([-slope, np.ones(n)])
     return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)

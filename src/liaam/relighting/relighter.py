@@ -1,4 +1,4 @@
-"""One fitted picture, ready for any number of lights."""
+"""Relighting of one fitted image under any number of lights."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,20 +21,20 @@ from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
 from liaam.relighting.together import appearance_in_light
 
 AMBIENT = 0.25
-"""Share of light that comes from everywhere, unless told otherwise."""
+"""Default fraction of ambient light."""
 
 LONGEST = 1.5
-"""How many times as strong as in front a lamp may be: one from behind leaves the object dark."""
+"""Largest exposure relative to frontal light; a lamp from behind leaves the object dark."""
 
 DARKEST = 0.02
-"""Least share of light: without ambient light, what is turned away would be black, and black has no logarithm."""
+"""Lower bound on the light at a pixel, because black has no logarithm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relighter:
-    """A fitted picture in parts: what the object looks like under the training light, and what it takes to relight it.
+    """A fitted image, separated into appearance under the training light and shading, for relighting.
 
-    Make one with :meth:`of`; everything that a light does not change is worked out there.
+    Make one with :meth:`of`, which computes everything that does not depend on the new light.
 
     Attributes
     ----------
@@ -42,25 +42,25 @@ class Relighter:
     shape : (n, 2) float64
         Fitted landmarks, image pixels.
     response : Response
-        Of the image's camera.
+        Response of the image's camera.
     picture : (h, w, 3) uint8
-        The picture as it was.
+        The original image.
     appearance : ShadowFree
-        Of the model, under the training light.
+        The model's appearance under the training light.
     frame_shading : Shading
-        The picture's shading on the model's reference frame.
+        The image's shading on the model's reference frame.
     box : (rows, columns)
-        The part of the picture that may change; the arrays below are of it.
+        The part of the image that may change; the arrays below cover it.
     log_flat : (bh, bw, 3) float32
-        Logarithm of light with the object under the training light; around the mesh on the way to the picture.
+        Logarithm of light with the object under the training light, blended into the image around the mesh.
     log_shading : (bh, bw, 3) float32
-        What was taken off.
+        Logarithm of the shading that was removed.
     inside : (bh, bw) bool
         Inside the mesh.
     share : (bh, bw, 1) float32
-        How much a new light counts: 1 inside the mesh, less and less around it.
+        Weight of a new light: 1 inside the mesh, falling to 0 around it.
     normals : (bh, bw, 3) float32
-        Of the made-up surface (:func:`liaam.relighting.relief.normals_of`), turned like the object.
+        Normals of the inflated surface (:func:`liaam.relighting.relief.normals_of`), rotated with the object.
     """
 
     model: AAM
@@ -80,65 +80,65 @@ class Relighter:
     def of(
         cls, fitter: Fitter, image: np.ndarray, result: FitResult, prior: float = 1.0, name: str = "image"
     ) -> "Relighter":
-        """Take a fitted picture apart.
+        """Separate a fitted image into appearance and shading.
 
         Parameters
         ----------
         fitter : Fitter
-            The one that made the fit; its method is ``soft-li`` or compares logarithms with the ``log`` appearance.
+            The fitter of ``result``. Its method is ``soft-li``, or compares logarithms with the ``log`` appearance.
         image : (h, w, 3) uint8, uint16 or float array
-            The picture fitted.
+            The fitted image.
         result : FitResult
-            Of a fit that went wrong, the picture stays as it is where nothing can be said.
+            If its shape lies outside the image or has diverged, the image is left unchanged.
         prior : float
             See :func:`shadow_free`.
         name : str
-            What to call the image in errors.
+            Name of the image in errors.
 
         Raises
         ------
         MethodError
-            For a method without the log appearance, another fitter than the fit's, and a grey picture.
+            For a method without the log appearance, for the fitter of another method, and for a grey image.
         """
         check_method(fitter, result)
         image, model = as_colour(image, name), fitter.model
-        refuse_grey(image, name, "shading is told by colours; give a colour picture", MethodError)
+        refuse_grey(image, name, "relighting needs colours; give a colour image", MethodError)
         response = (fitter.camera or model.camera).response
         if not len(seen_triangles(image, result.landmarks, model)):
-            return _as_it_is(model, image, result.landmarks, response)
+            return _unchanged(model, image, result.landmarks, response)
         seen = Seen.of(model, image, result.landmarks, response)
         appearance, log_rgb = appearance_in_light(model, seen, shadow_free(fitter, image, result, prior), prior)
         shading = find_shading(model, seen, log_rgb)
-        return _taken_apart(model, image, result.landmarks, response, appearance, log_rgb, shading)
+        return _separated(model, image, result.landmarks, response, appearance, log_rgb, shading)
 
     def flat(self) -> np.ndarray:
-        """Picture with the object under the training light, (h, w, 3) uint8."""
+        """Return the image with the object under the training light, (h, w, 3) uint8."""
         return self._with(self.log_flat)
 
     def shading(self) -> np.ndarray:
-        """What was taken off, (h, w, 3) float32: natural logarithm of picture over flat picture, 0 outside the mesh."""
+        """Return the removed shading, (h, w, 3) float32: log(image / flat image), 0 outside the mesh."""
         whole = np.zeros(self.picture.shape, np.float32)
         whole[self.box] = np.where(self.inside[..., None], self.log_shading, 0.0)
         return whole
 
     def under(self, direction: Sequence[float], ambient: float = AMBIENT) -> np.ndarray:
-        """Picture with the object under a far lamp, (h, w, 3) uint8.
+        """Return the image with the object under a distant lamp, (h, w, 3) uint8.
 
-        Lambert's law on the made-up surface, relative to a lamp in front: under (0, 0, 1) the object is as in
-        :meth:`flat`. Of what a lamp from aside lights less on the whole, half is made up for (in logarithms), up
-        to :data:`LONGEST` times, as a photographer would: so neither side is lost.
+        Uses Lambert's law on the inflated surface, relative to a frontal lamp: under (0, 0, 1) the object is as in
+        :meth:`flat`. A lamp from the side gives less light on average. Half of this loss (in logarithms) is
+        compensated by the exposure, up to a factor :data:`LONGEST`.
 
         Parameters
         ----------
         direction : (3,) float
-            Towards the lamp: x to the right, y down, z to the viewer; of any length but 0.
+            Direction to the lamp: x to the right, y down, z to the viewer; its length does not matter.
         ambient : float
-            Share of light that comes from everywhere, 0 to 1.
+            Fraction of ambient light, 0 to 1.
 
         Raises
         ------
         LiaamError
-            For a direction of three zeros or of no numbers, and an ambient light out of range.
+            For a zero or non-finite direction, and for ambient light out of range.
         """
         lamp = unit_direction(direction)
         check_ambient(ambient)
@@ -149,15 +149,15 @@ class Relighter:
         return self._with(self.log_flat + self.share * np.log(exposure * shade / frontal)[..., None])
 
     def like(self, other: "Relighter") -> np.ndarray:
-        """Picture with the object under the light of another picture of the same model, (h, w, 3) uint8.
+        """Return the image with the object under the light of another fitted image, (h, w, 3) uint8.
 
         Raises
         ------
         LiaamError
-            If the other picture was fitted with another model.
+            If the other image was fitted with another model.
         """
         if other.model is not self.model:
-            raise LiaamError("the two pictures were fitted with different models; fit both with one")
+            raise LiaamError("the two images were fitted with different models; fit both with the same model")
         values, inside = paint(self.picture, self.shape, self.model, other.frame_shading.log)
         weights = inside[self.box][..., None].astype(np.float32)
         if not weights.size:
@@ -171,7 +171,7 @@ class Relighter:
         return reach_of(self.shape)
 
     def _with(self, log_rgb: np.ndarray) -> np.ndarray:
-        """The picture with other light in the box, where it may change."""
+        """Return the image with new logarithms of light in the box."""
         picture = self.picture.copy()
         changed = self.share[..., 0] > 0
         picture[self.box][changed] = eight_bits(log_rgb[changed], self.response)
@@ -179,12 +179,12 @@ class Relighter:
 
 
 def unit_direction(direction: Sequence[float]) -> np.ndarray:
-    """Direction of unit length, (3,) float32.
+    """Normalise a direction to unit length, (3,) float32.
 
     Raises
     ------
     LiaamError
-        If it is not three finite numbers, or all of them are 0.
+        If it is not three finite numbers, or all are 0.
     """
     try:
         light = np.asarray(direction, dtype=np.float64)
@@ -193,29 +193,29 @@ def unit_direction(direction: Sequence[float]) -> np.ndarray:
     if light.shape != (3,) or not np.isfinite(light).all() or not light.any():
         shown = ",".join(f"{value:g}" for value in light.ravel()) or repr(direction)
         raise LiaamError(
-            f"light from {shown}: give three numbers x,y,z, not all 0: to the right, down, and to the viewer"
+            f"light direction {shown} is not valid; give three numbers x,y,z, not all 0 (right, down, to the viewer)"
         )
     light = light / np.abs(light).max()
     return (light / np.linalg.norm(light)).astype(np.float32)
 
 
 def check_ambient(ambient: float) -> None:
-    """Complain about a share of ambient light that is none."""
+    """Raise an error for ambient light out of range."""
     if not 0.0 <= ambient <= 1.0:
-        raise LiaamError(f"ambient light {ambient:g}: give a share from 0 (only the lamp) to 1 (no lamp)")
+        raise LiaamError(f"ambient light {ambient:g}: give a fraction from 0 (only the lamp) to 1 (no lamp)")
 
 
 def lambert(facing: np.ndarray, ambient: float) -> np.ndarray:
-    """Light on a surface by the cosine between its normal and the lamp, and the share of ambient light."""
+    """Return the light on a surface, from the cosine between normal and lamp, and the fraction of ambient light."""
     return np.maximum(ambient + (1.0 - ambient) * np.maximum(facing, 0.0), DARKEST)
 
 
 def reach_of(shape: np.ndarray) -> float:
-    """How far a new light fades into what is around the mesh, pixels."""
+    """Return the distance over which a new light fades out around the mesh, pixels."""
     return max(1.0, REACH * diagonal_of(shape))
 
 
-def _taken_apart(
+def _separated(
     model: AAM,
     image: np.ndarray,
     shape: np.ndarray,
@@ -224,27 +224,27 @@ def _taken_apart(
     log_rgb: np.ndarray,
     shading: Shading,
 ) -> Relighter:
-    """Carry what is known on the reference frame to the picture, and over the mesh's border."""
+    """Warp the results on the reference frame to the image, and extrapolate them beyond the mesh."""
     layers = (log_rgb, shading.log, shading.model_variance, shading.variance, normals_of(model.frame))
     painted, inside = paint(image, shape, model, np.column_stack(layers).astype(np.float32))
     if not inside.any():
-        return _as_it_is(model, image, shape, response)
+        return _unchanged(model, image, shape, response)
     box = box_around(inside, 4 * reach_of(shape))
     painted, inside = painted[box], inside[box]
     log_model, log_smooth, normals = painted[..., :3], painted[..., 3:6], painted[..., 8:]
     own = log_light(image[box], response)
-    # The picture's own detail, as far as it says more than the model does.
-    doubt = noise_variance(own, response, noise_deviation(image)) + painted[..., 7:8]
-    detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + doubt, 1e-12)
+    # The image's own detail, shrunk by the variances of model and image.
+    variance = noise_variance(own, response, noise_deviation(image)) + painted[..., 7:8]
+    detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + variance, 1e-12)
     detail = of_dark_channels(detail, stored_values(image[box]) <= DARK)
     weights = inside[..., None].astype(np.float32)
     beyond = continued(log_smooth, inside, own, reach_of(shape))
     lightened = beyond.mean(axis=2, keepdims=True) < 0
     nearby, share = around(normals, weights, own, reach_of(shape), lightened=lightened)
     taken = np.where(inside[..., None], own - log_model - detail, share * beyond)
-    turned = align(model.shape_model.mean, shape)
+    pose = align(model.shape_model.mean, shape)
     normals = np.where(inside[..., None], normals, nearby)
-    normals[..., :2] = normals[..., :2] @ (turned.matrix / turned.scale).T.astype(np.float32)
+    normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6)
     return Relighter(
         model=model,
@@ -263,17 +263,17 @@ def _taken_apart(
 
 
 def of_dark_channels(detail: np.ndarray, dark: np.ndarray) -> np.ndarray:
-    """Detail (h, w, 3) with that of the other channels, or of all, where one is too dark (h, w, 3) to have its own.
+    """Replace detail (h, w, 3) of dark channels by the mean of the other channels, or of all if all are dark.
 
-    Of a nostril often red alone is left, and detail of red alone would make it cyan.
+    In a nostril often only red is bright enough, and detail in red alone would turn it cyan.
     """
     known = np.where(dark.all(axis=2, keepdims=True), True, ~dark)
     counts = known.sum(axis=2, keepdims=True, dtype=np.float32)
     return np.where(dark, (detail * known).sum(axis=2, keepdims=True) / counts, detail)
 
 
-def _as_it_is(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> Relighter:
-    """A picture of which nothing can be relit: its fit lies outside of it, or has blown up."""
+def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> Relighter:
+    """Return a relighter that leaves the image unchanged, for fits outside it or diverged."""
     known = model.levels[-1].appearances["log"]
     appearance = ShadowFree(known.mean, np.zeros(known.n_modes), np.sqrt(known.eigenvalues))
     zeros, none = np.zeros(model.n_pixels, np.float32), np.zeros((0, 0, 3), np.float32)
@@ -295,5 +295,5 @@ def _as_it_is(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respon
 
 
 def eight_bit(image: np.ndarray) -> np.ndarray:
-    """A picture as (h, w, 3) uint8."""
+    """Convert an image to (h, w, 3) uint8."""
     return np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)

@@ -1,11 +1,10 @@
-"""What of a picture is shading: piecewise smooth, with the edges of cast shadows, and as far as the model is right.
+"""Estimation of the shading of a fitted image: piecewise smooth, with the edges of cast shadows.
 
-A fitted picture is, in logarithms, the object's appearance under the training light plus shading. The model knows that
-appearance but for fine detail, and but for what landmarks that lie a pixel off do to eyes and lips. So the difference
-of picture and model is shading plus such errors, of which it is known where they are large. The shading is the
-piecewise smooth part of it: weighted least squares with a coupling of neighbours that gives way where the shading
-jumps (total variation, by reweighting; Farbman, Fattal, Lischinski and Szeliski, "Edge-preserving decompositions", ACM
-TOG 2008, weigh likewise).
+In logarithms, a fitted image is the object's appearance under the training light plus shading. The model's appearance
+lacks fine detail, and misplaced landmarks cause errors at eyes and lips. The difference of image and model is thus
+shading plus errors of known variance. The shading is its piecewise smooth part: weighted least squares with a coupling
+of neighbours that decreases at jumps (total variation by reweighting; similar weights in Farbman, Fattal, Lischinski
+and Szeliski, "Edge-preserving decompositions", ACM TOG 2008).
 """
 
 from dataclasses import dataclass
@@ -23,24 +22,24 @@ from liaam.relighting.painting import soft_edge
 from liaam.training.textures import sample_appearance
 
 MISPLACED = 0.4
-"""Deviation from the truth of landmarks that were put right, pixels of the reference frame."""
+"""Standard deviation of the corrected landmarks, pixels of the reference frame."""
 
 FINE = 0.03
-"""Deviation of what is finer than the model's appearance, in logarithms."""
+"""Standard deviation of detail finer than the model's appearance, in logarithms."""
 
 UNKNOWN = 0.05
-"""Deviation of the model's errors where training has not left pictures out to measure it."""
+"""Standard deviation of the model's errors if training has not measured it on left-out images."""
 
 AT_THE_BORDER = 0.5
-"""Deviation of the model's errors at the mesh's border, where a landmark that lies a pixel off puts something else:
-there the picture's own detail is believed."""
+"""Standard deviation of the model's errors at the mesh's border, where a landmark one pixel off samples the background.
+There the image's own detail is kept."""
 
 COUPLING, CORNER, PASSES = 0.03, 0.02, 2
-"""Weight of a jump of shading between neighbours; jumps below CORNER are smoothed by their square; and how often the
-system is weighed anew."""
+"""Weight of a jump of shading between neighbours; jump below which the penalty is quadratic; and number of
+reweightings."""
 
 UNIT = 0.1
-"""Deviation of a pixel's log light that weighs one."""
+"""Standard deviation of a pixel's log light that gives a weight of 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +49,11 @@ class Shading:
     Attributes
     ----------
     log : (n_pixels, 3) float32
-        Logarithm of picture over appearance, its piecewise smooth part.
+        Piecewise smooth part of log(image / appearance).
     variance : (n_pixels,) float32
-        How wrong it may be: large at the edges of cast shadows.
+        Variance of the shading; large at the edges of cast shadows.
     model_variance : (n_pixels,) float32
-        How far the model's appearance may be wrong.
+        Variance of the model's appearance.
     """
 
     log: np.ndarray
@@ -64,7 +63,7 @@ class Shading:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A fitted picture on the pixels of the reference frame, as sharp as the model's sharpest level.
+    """A fitted image sampled on the reference frame, at the blur of the model's sharpest level.
 
     Attributes
     ----------
@@ -72,7 +71,7 @@ class Seen:
         Logarithm of linear light.
     usable : (n_pixels,) float32 in {0, 1}
     noise : (n_pixels, 3) float32
-        Variance of its noise.
+        Variance of the noise of ``log``.
     """
 
     log: np.ndarray
@@ -81,21 +80,21 @@ class Seen:
 
     @classmethod
     def of(cls, model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> "Seen":
-        """Carry a picture (h, w, 3) to the reference frame by its fitted landmarks (n, 2)."""
+        """Warp an image (h, w, 3) to the reference frame by its fitted landmarks (n, 2)."""
         log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
         pixel = max(1.0, align(model.shape_model.mean, shape).scale)
         return cls(log, usable, noise_variance(log, response, noise_deviation(image) / pixel))
 
 
 def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray) -> Shading:
-    """Part a fitted picture into shading and what is under it.
+    """Estimate the shading of a fitted image.
 
     Parameters
     ----------
     model : AAM
     seen : Seen
     log_rgb : (n_pixels, 3) float32
-        Appearance under the training light, where it lies in the picture
+        Appearance under the training light, with corrected landmarks
         (:func:`liaam.relighting.together.appearance_in_light`).
 
     Returns
@@ -111,7 +110,7 @@ def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray) -> Shading:
 
 
 def errors_of_the_model(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
-    """Variance of what a model's appearance leaves unexplained in a fitted picture, (n_pixels,) float32."""
+    """Return the variance of the errors of a model's appearance in a fitted image, (n_pixels,) float32."""
     unexplained = model.levels[-1].appearances["log"].unexplained
     known = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
     slopes = np.square(model.frame.gradient(log_rgb)).sum(axis=1).mean(axis=1)
@@ -119,32 +118,32 @@ def errors_of_the_model(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
 
 
 def noise_variance(log_rgb: np.ndarray, response: Response, deviation: float) -> np.ndarray:
-    """Variance of logarithms of light (any shape) whose stored values have noise of some deviation."""
+    """Return the variance of logarithms of light (any shape), given the noise deviation of the stored values."""
     stored = np.maximum(from_linear(np.exp(log_rgb), response), 0.5 / 255)
     return np.square(deviation * log_slope(stored, response)).astype(np.float32)
 
 
 def piecewise_smooth(frame: ReferenceFrame, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Part of values of the reference frame that is smooth but for jumps, (n_pixels, c) float32.
+    """Compute the piecewise smooth part of values on the reference frame, (n_pixels, c) float32.
 
     Parameters
     ----------
     frame : ReferenceFrame
     values : (n_pixels, c) float
     weights : (n_pixels,) float
-        Of each pixel's values; those without weight are filled in from their neighbours.
+        Pixels of weight 0 are interpolated from their neighbours.
     """
     pairs, weights = neighbours(frame), np.asarray(weights, np.float64)
     right = values * weights[:, None]
     jump, found = np.full(len(pairs[0]), 1.0), right
-    for _ in range(PASSES + 1):  # the first, with all neighbours alike, only starts the others
+    for _ in range(PASSES + 1):  # the first pass has uniform coupling
         found = factorised(pairs, COUPLING / (jump + CORNER), weights).solve(right)
         jump = np.linalg.norm(found[pairs[0]] - found[pairs[1]], axis=1)
     return found.astype(np.float32)
 
 
 def factorised(pairs: tuple[np.ndarray, np.ndarray], coupling: np.ndarray, weights: np.ndarray):
-    """System of least squares of pixels (n,) with weights, and with couplings (k,) of pairs: its sparse LU factors."""
+    """Return the sparse LU factors of the least-squares system of pixel weights (n,) and couplings (k,) of pairs."""
     from scipy.sparse import coo_array, diags_array
     from scipy.sparse.linalg import splu
 
@@ -156,13 +155,13 @@ def factorised(pairs: tuple[np.ndarray, np.ndarray], coupling: np.ndarray, weigh
 
 
 def neighbours(frame: ReferenceFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of pixels of a frame that lie side by side or one above the other, by their numbers."""
+    """Return the indices of horizontally and vertically adjacent pixels of a frame."""
     return every_few(frame, 1)[1]
 
 
 @lru_cache(maxsize=8)
 def every_few(frame: ReferenceFrame, step: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Pixels of every so many rows and columns of a frame, and pairs of neighbours by their numbers among these."""
+    """Return the pixels at every ``step``-th row and column of a frame, and pairs of neighbours among these."""
     kept = np.flatnonzero((frame.pixels % step == 0).all(axis=1))
     width, height = frame.size
     number = np.full((-(-height // step), -(-width // step)), -1)
