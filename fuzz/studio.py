@@ -30,7 +30,7 @@ _PROPOSAL = {
     "quality": 0.9,
     "status": "converged",
     "ok": True,
-    "message": "The fit settled.",
+    "message": "The fit converged.",
     "found": True,
     "doubtful": False,
     "uncertainty": 0.01,

@@ -163,7 +163,7 @@ def test_fit_says_when_a_search_is_in_doubt(run, model_file, tmp_path, rng):
     assert json.loads((tmp_path / "o" / "noise.json").read_text())["search_doubtful"] is True
     code, _, err = run("fit", model_file, tmp_path / "noise.png", "--all", "-o", tmp_path / "o")
     assert code == 1
-    assert "error: noise.png: the search finds no object (the best score is 0." in err
+    assert "error: noise.png: no object was found (the best score is 0." in err
 
 
 def test_fit_goes_on_after_a_bad_image_and_says_so(run, portraits, model_file, tmp_path):
@@ -196,7 +196,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
     code, out, err = run("fit", model_file, tmp_path / "black.png", "--init", portraits[2], "-o", tmp_path, "-m", "rgb")
     assert code == 1
     assert "no texture" in out
-    assert "nothing to fit to" in err
+    assert "has no texture where the fit started; check the start" in err
 
 
 @pytest.mark.parametrize(

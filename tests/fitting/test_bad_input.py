@@ -97,7 +97,7 @@ def test_noise_is_no_object_whatever_the_method(model, method, grain, rng):
 def test_a_method_without_a_quality_says_so(model, same_light_scene, method):
     result = Fitter(model, method).fit(same_light_scene.image, disturb(same_light_scene.landmarks))
     assert result.status.ok and np.isnan(result.quality)
-    assert result.message.startswith("The fit settled.") and "Whether it is right is not known" in result.message
+    assert result.message.startswith("The fit converged.") and "Its quality is unknown" in result.message
 
 
 def test_a_start_half_outside_gives_a_status(model, lit_scene):

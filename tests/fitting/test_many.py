@@ -125,12 +125,12 @@ def test_one_start_is_told_from_several(given, one):
 @pytest.mark.parametrize(
     ("n_images", "init", "message"),
     [
-        (2, [(9, 9, 99, 99)], "there are 2 images but 1 starts: give one start for all images, or one for each"),
+        (2, [(9, 9, 99, 99)], "there are 2 images but 1 starts; give one start for all images, or one for each"),
         (0, [(9, 9, 99, 99)], "there are 0 images but 1 starts"),
         (2, [], "there are 2 images but 0 starts"),
         (2, iter([(90, 90, 99)]), "there are more than 1 images but 1 starts"),
         (2, iter([(90, 90, 99)] * 3), "there are 2 images but more starts"),
-        (2, 7, "init 7: give one start"),
+        (2, 7, "init 7 is not valid; give one start"),
     ],
 )
 def test_numbers_that_differ_are_refused(model, lit_scene, n_images, init, message):
@@ -140,14 +140,14 @@ def test_numbers_that_differ_are_refused(model, lit_scene, n_images, init, messa
 
 @pytest.mark.parametrize("single", ["a.png", Path("a.png"), np.zeros((20, 20, 3)), np.zeros((20, 20)), 3])
 def test_a_single_image_is_refused(model, single):
-    with pytest.raises(ImageError, match=r"images: give a list .* also for a single one: \[image\]"):
+    with pytest.raises(ImageError, match=r"images is not a list; give a list .* also for a single one: \[image\]"):
         fit_many(model, single, **FEW)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"workers": 0}, "workers 0: give 1 or more"),
+        ({"workers": 0}, "workers 0 is too small; give 1 or more"),
         ({"errors": "ignore"}, "errors 'ignore' does not exist; there are raise, return"),
         ({"iterations": 3}, "option 'iterations' does not exist"),
         ({"method": "magic"}, "there are soft-li, grey"),

@@ -26,7 +26,7 @@ def put(project, name, points, revision=None, invisible=()):
     return project.save_marks(name, {"points": points, "invisible": list(invisible), "revision": revision})
 
 
-def proposal(uncertainty=0.01, *, points=POINTS, ok=True, found=True, message="The fit settled."):
+def proposal(uncertainty=0.01, *, points=POINTS, ok=True, found=True, message="The fit converged."):
     return {
         "points": points, "covariances": [[[1, 0], [0, 1]]] * 3, "quality": 0.9, "status": "converged", "ok": ok,
         "message": message, "found": found, "doubtful": not (ok and found), "uncertainty": uncertainty,

@@ -1,4 +1,4 @@
-"""Fitting an image: prepare, start, solve, judge."""
+"""Fitting a model to an image: preparation, start, solution, and status."""
 
 import os
 from collections.abc import Sequence
@@ -28,49 +28,48 @@ from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.encoding import stored_values
 
 FOLD_LIMIT = 0.3
-"""Share of the mesh turned over beyond which a fit has diverged."""
+"""Fraction of the mesh's area flipped beyond which a fit has diverged."""
 
 SHAPE_LIMIT = 5.0
-"""Standard deviations of a shape mode beyond which a fit has diverged; half a model pixel is granted on top,
-since a few training images understate the variance."""
+"""Standard deviations of a shape mode beyond which a fit has diverged, plus half a model pixel, since a few training
+images underestimate the variance."""
 
 AROUND_BOX, LEAST_REGION = 0.3, 16
-"""What is searched around a box that is given as a start, as a share of its sides, and pixels across at least. A
-detector's box tells about where and how large an object is; a shape is where to start."""
+"""Margin searched around a box given as a start, as a fraction of its sides, and the smallest width in pixels. A box,
+as of a detector, is approximate; a shape given as a start is not searched for."""
 
 SLOW = 25
-"""Steps beyond which a fit of little quality is begun again, though it is not doubtful. Right fits may have little
-quality in a light that is harder than that of training, but settle in some 15 steps; of 11 strangers of IMM that ended
-in a wrong place the soonest took 27."""
+"""Number of steps beyond which a fit of low quality is restarted, even if its status is not doubtful. Correct fits may
+have low quality in harder light than that of training, but converge in about 15 steps. The fastest of 11 wrong fits of
+unseen persons of IMM took 27."""
 
 USABLE_LIMIT = 0.25
-"""Share of the object's pixels that must be usable."""
+"""Fraction of the object's pixels that must be usable."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fitter:
-    """A model and a method, ready for many images: what can be worked out once is worked out once.
+    """A model and a method, prepared for fitting many images.
 
     Attributes
     ----------
     model : AAM
     method : str or Method
-        A name of :data:`liaam.fitting.METHODS`, or a row of your own.
+        A name of :data:`liaam.fitting.METHODS`, or a custom row.
     options : SolverOptions
     kernel : {"fast", "reference"}
     camera : CameraModel, optional
-        Camera of the images to be fitted, which gives response, vignetting, noise, and the angle where the
-        method does not estimate it; the training camera if left out.
+        Camera of the images to be fitted: response, vignetting, noise, and the angle if the method does not estimate
+        it. By default the training camera.
     margin : float
-        Surroundings of a start that fits may visit, as a share of the object's diagonal: less where starts are near.
+        Margin around a start that fits may use, as a fraction of the object's diagonal; less for accurate starts.
     restarts : bool
-        Whether fits from a start that are doubtful, or slow and of little quality
-        (:attr:`liaam.model.Reliability.little`), are begun again from elsewhere
-        (:func:`liaam.fitting.restarts.other_starts`), of which the one of most quality is kept: more heads that are
-        turned away are found, at some ten times the time of a fit. For methods and models that know no quality, and for
-        fits of so few iterations that they say nothing, it makes no difference.
+        Restart fits that are doubtful, or slow and of low quality (:attr:`liaam.model.Reliability.little`), from other
+        shapes (:func:`liaam.fitting.restarts.other_starts`), and keep the fit of highest quality. This finds more
+        turned heads, at about ten times the time of a fit. It has no effect for methods and models without a quality,
+        or if ``max_iterations`` is at most 25.
     rotations : {"upright", "all"}
-        How objects that are searched for may lie: about as in the pictures of training, or turned in any way.
+        Rotations to search for: about as in the training images, or any.
 
     Examples
     --------
@@ -104,17 +103,17 @@ class Fitter:
         return cls(model, method, SolverOptions.of(**options), kernel, camera, margin, restarts, rotations)
 
     def __post_init__(self) -> None:
-        self.objectives  # noqa: B018 (complain now, not at the first image)
+        self.objectives  # noqa: B018 (raise errors now, not at the first image)
         self.finder  # noqa: B018
 
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:
-        """The model seen through the method, one objective per level, coarse to fine."""
+        """The objectives of model and method, one per level, coarse to fine."""
         return make_objectives(self.model, scored(get_method(self.method), self.options), self.kernel)
 
     @cached_property
     def finder(self) -> Finder:
-        """The model's search (see :mod:`liaam.fitting.search`)."""
+        """The model's detector (see :mod:`liaam.fitting.search`)."""
         return Finder(self.model, self.rotations)
 
     @property
@@ -122,39 +121,40 @@ class Fitter:
         return self.objectives[0].method
 
     def find(self, image, *, limit: int | None = 1, least: float = 0.0, name: str = "image") -> list[Candidate]:
-        """Find the object in a picture (see :func:`liaam.fitting.search.find`); a candidate is a start for :meth:`fit`.
+        """Find the object in an image (see :func:`liaam.fitting.search.find`).
 
         Parameters
         ----------
         image : (h, w, 3) uint8, uint16 or float array, or path
         limit : int or None
-            How many objects to look for; None for all.
+            Largest number of objects; None for all.
         least : float
-            Score that an object must have.
+            Minimum score.
         name : str
-            What to call the image in errors; a path's own name is used for paths.
+            Name of the image in errors; for a path its file name is used.
 
         Returns
         -------
         list of Candidate
+            Starts for :meth:`fit`, the best first.
         """
         image, camera = load_picture(image, name)[0], self._camera
         return self.finder.find(camera.flatten(image), limit=limit, least=least, response=camera.response)
 
     def find_all(self, image, name: str = "image") -> list[Candidate]:
-        """Find all objects of a picture, those in doubt left out.
+        """Find all objects in an image whose detection is certain.
 
         Raises
         ------
         StartError
-            If there is none, with the best score that there was.
+            If there are none; the message has the best score.
         """
         found = self.find(image, limit=None, name=name)
         sure = [candidate for candidate in found if not candidate.doubtful]
         if not sure:
             raise StartError(
-                f"{name}: the search finds no object (the best score is {found[0].score:.2f}, {DOUBTFUL:g} is needed); "
-                "say where to start (--init), or fit the best place all the same (without --all)"
+                f"{name}: no object was found (the best score is {found[0].score:.2f}, {DOUBTFUL:g} is needed); "
+                "give a start (--init), or fit the best place anyway (without --all)"
             )
         return sure
 
@@ -165,43 +165,43 @@ class Fitter:
         ----------
         image : (h, w, 3) uint8, uint16 or float array, or path
         init : (n, 2) shape, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
-            Where to start, image pixels (see :func:`liaam.fitting.start.start_shape`); if left out, the object is
-            searched for, and ``result.found`` says how sure that is. A shape is a start; a box, as of a detector, is
-            a hint: where the fit from it comes to little, the object is searched for around it.
+            Start, image pixels (see :func:`liaam.fitting.start.start_shape`). By default the object is searched for,
+            and ``result.found`` has the score. A box may be approximate: if the fit from it has low quality, the object
+            is searched for around it.
         name : str
-            What to call the image in errors; a path's own name is used for paths.
+            Name of the image in errors; for a path its file name is used.
 
         Returns
         -------
         FitResult
-            Also for a fit that fails: see its ``status``.
+            Also if the fit fails: see its ``status``.
 
         Raises
         ------
         ImageError, StartError
-            For input that makes no sense.
+            For invalid input.
         """
         target, found = self.target(image, init, name)
         result, prior = self._fit_from(target), 1.0
         region = self._region(init, target.image)
-        if region is not None and self._says_much(result):
+        if region is not None and self._has_quality(result):
             result, prior, target, found = self._likeliest(target, result, found, region)
-        if self.restarts and self._falls_short(_believed(result, prior)):
+        if self.restarts and self._falls_short(_with_prior(result, prior)):
             result = self._fit_again(target, result)
         path = Path(image) if isinstance(image, (str, os.PathLike)) else None
-        return replace(_believed(result, prior), found=found, contours=self.model.contours, image=path)
+        return replace(_with_prior(result, prior), found=found, contours=self.model.contours, image=path)
 
     def _fit_from(self, target: Target) -> FitResult:
         levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
         return self.judged(target.image, solve_levels(levels, target, self.options))
 
     def _falls_short(self, result: FitResult) -> bool:
-        """Whether a fit may be wrong for want of a better start; cut short, it says nothing about its start."""
+        """Return whether a fit has low quality, so that another start may be better."""
         least = max(LEAST_QUALITY, self._little) if result.n_iterations > SLOW else LEAST_QUALITY
-        return self._says_much(result) and result.quality < least
+        return self._has_quality(result) and result.quality < least
 
-    def _says_much(self, result: FitResult) -> bool:
-        """Whether its quality tells whether a fit is right: it is known, and the fit was not cut short."""
+    def _has_quality(self, result: FitResult) -> bool:
+        """Return whether the quality is meaningful: it is known, and the fit was not limited to few iterations."""
         short = self.options.max_iterations <= SLOW
         return self.reliability is not None and not result.status.unusable and not short
 
@@ -210,7 +210,7 @@ class Fitter:
         return 0.0 if self.reliability is None else self.reliability.little
 
     def _region(self, init, image: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Corners of where else the object may be: anywhere without a start, about a box, and not about a shape."""
+        """Return the corners of the region to search: all without a start, around a box, None for a shape."""
         limits = np.array(image.shape[1::-1])
         if init is None:
             return np.zeros(2, int), limits
@@ -224,11 +224,11 @@ class Fitter:
     def _likeliest(
         self, target: Target, first: FitResult, found: Candidate | None, region: tuple[np.ndarray, np.ndarray]
     ) -> tuple[FitResult, float, Target, Candidate | None]:
-        """Likeliest place of a fit in a region, and what its odds are to be multiplied by; with its start.
+        """Return the most likely fit in a region, the factor on its odds, and its start.
 
-        There are the more places of a size, the smaller they are, so the less likely is each to begin with. Where the
-        first fit comes to little, other places that a search finds are fitted, of which at most one is the object's:
-        where several look right, each is the less likely to be.
+        The prior of a place is proportional to its area, because there are more small places than large ones. If the
+        first fit has low quality, other detections are fitted too. At most one is the object, so each other likely one
+        lowers the odds.
         """
         tried, (low, high) = [(first, target, found)], region
         large = LARGE * float((high - low).min())
@@ -236,7 +236,7 @@ class Fitter:
         def prior(result: FitResult) -> float:
             return (diagonal_of(result.landmarks) / large) ** 2 if result.quality > 0 else 0.0
 
-        if not _believed(first, min(prior(first), 1.0)).quality >= self._little:
+        if not _with_prior(first, min(prior(first), 1.0)).quality >= self._little:
             for other in self.finder.others(target.image[low[1] : high[1], low[0] : high[0]], target.response):
                 there = target._replace(start=other.landmarks + low)
                 tried.append((self._fit_from(there), there, None if found is None else other))
@@ -248,7 +248,7 @@ class Fitter:
         return replace(best, n_starts=len(tried)), min(own, 1.0) * shared, its_target, its_start
 
     def _fit_again(self, target: Target, first: FitResult) -> FitResult:
-        """Best of a fit and of those from other starts, by their quality; the first ordinary one ends the search."""
+        """Return the best fit by quality, of the first and those from other starts; stop at an ordinary quality."""
         known, best, n_starts = self.reliability, first, first.n_starts
         for start in other_starts(self.objectives[0], self._levels[0].blur, target, self.options):
             other, n_starts = self._fit_from(target._replace(start=start)), n_starts + 1
@@ -259,9 +259,9 @@ class Fitter:
         return replace(best, n_starts=n_starts)
 
     def target(self, image, init=None, name: str = "image") -> tuple[Target, Candidate | None]:
-        """Picture and start, checked, with what is known of the camera, and what a search found; as :meth:`fit`."""
+        """Check image and start (see :meth:`fit`); return them as a target, and the detection if there was a search."""
         image, name = load_picture(image, name)
-        # A picture of one value (black, white) is not refused: its status says more.
+        # An image of one value (black, white) is not refused: the status of its fit is more specific.
         if self._method.needs_colour and is_grey(image) and np.ptp(stored_values(image)) > 0:
             raise ImageError(
                 f"{name}: the image is grey (three equal channels), but method {self._method.name} "
@@ -276,20 +276,20 @@ class Fitter:
         return Target(picture, start, camera.response, camera.noise, camera.theta, self.margin), found
 
     def settled_at(self, image, result: FitResult) -> tuple[Objective, Solution]:
-        """Look at a result with all pixels of the sharpest level, and the appearance that fits best there.
+        """Evaluate a result at all pixels of the sharpest level, with the best lambda there.
 
         Parameters
         ----------
         image : (h, w, 3) array or path
-            The picture that was fitted.
+            The fitted image.
         result : FitResult
-            Of this or another method.
+            Result of this or another method.
 
         Returns
         -------
         objective : Objective
         solution : Solution
-            Its state has the appearance's coordinates.
+            Its state has the shape and angles of ``result``, and the new lambda.
         """
         objective, problem, state = self._end_of(result, image)
         if self._method.free_angles == "image" and not np.isfinite(result.theta):
@@ -297,27 +297,27 @@ class Fitter:
         return objective, settle_lambda(objective, problem, state, self.options)
 
     def residual(self, image, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
-        """Image minus model, in the method's own terms, at all pixels of the sharpest level (paper eq 9).
+        """Compute the residual (paper eq 9) in the method's encoding, at all pixels of the sharpest level.
 
         Parameters
         ----------
         image : (h, w, 3) array or path
-            The picture that was fitted.
+            The fitted image.
         result : FitResult
-            Of this fitter.
+            Result of this fitter.
 
         Returns
         -------
         residual : (n_pixels, k) float32
-            In the raster order of the frame of :attr:`view`; 0 where the image says nothing.
+            Image minus model, in the raster order of the frame of :attr:`view`; 0 at unusable pixels.
         usable : (n_pixels,) float32
-            1 where it does, else 0.
+            1 at usable pixels, else 0.
         """
         kept, k = self.view.warp.every(0.0), self._method.n_rows
         residual, usable = np.zeros((len(kept), k), np.float32), np.zeros(len(kept), np.float32)
         if np.isfinite(result.landmarks).all():
             objective, problem, state = self._end_of(result, image)
-            if len(result.lam) == objective.n_lambda:  # else the fit did not come to the sharpest level
+            if len(result.lam) == objective.n_lambda:  # else the fit did not reach the sharpest level
                 state = state._replace(lam=result.lam)
             work = objective.look(problem, state, weigh=int(self._method.normalise))
             usable[kept] = work.usable
@@ -325,12 +325,12 @@ class Fitter:
         return residual, usable
 
     def _end_of(self, result: FitResult, image) -> tuple[Objective, FitProblem, State]:
-        """All pixels of the sharpest level where a fit ended, with the mean appearance."""
+        """Return the objective over all pixels of the sharpest level, its problem, and a result's state (lambda 0)."""
         image, camera = load_picture(image, "image")[0], self._camera
         objective, blur = self.objectives[-1].of_all_pixels, self._levels[-1].blur
         picture = camera.flatten(image), result.landmarks, result.pose
         problem = FitProblem.at(*picture, self._method, camera.response, blur, camera.noise)
-        # By the shape: p belongs to the shapes of the method that was fitted, which need not be this one's.
+        # From the shape, because p refers to the shape model of the fit's method, which may be another one.
         state = objective.start(self.shapes.parameters(result.pose.inverse()(result.landmarks)))
         if self._method.has_angles and np.isfinite(result.theta):
             state = state._replace(angles=np.array([result.theta_model, result.theta]))
@@ -347,12 +347,12 @@ class Fitter:
 
     @property
     def shapes(self) -> ShapeModel:
-        """Shapes that the method fits with."""
+        """The shape model that the method fits with."""
         return self.view.shape_model
 
     @property
     def reliability(self) -> Reliability | None:
-        """What tells right fits from wrong ones; it is known of the method that training fits with, by any name."""
+        """Calibration of quality and covariances; None unless the method is the one that training calibrates."""
         return self.view.reliability if self._method == METHODS[DEFAULT_METHOD] else None
 
     @property
@@ -360,7 +360,7 @@ class Fitter:
         return self.model.camera if self.camera is None else self.camera
 
     def judged(self, image: np.ndarray, stages: Sequence[Stage]) -> FitResult:
-        """Result of the stages of a fit to an image (flattened), its status and its covariances."""
+        """Return the result of the stages of a fit to a flattened image, with status, quality and covariances."""
         stage, has_angle = stages[-1], self._method.has_angles
         solution, history = stage.solution, trace(stages)
         known = self.reliability
@@ -369,7 +369,7 @@ class Fitter:
         seen = evidence(stage)
         status = self._status(image, history, stage)
         quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
-        # Without calibration, too, what explains nothing is no fit.
+        # A fit that explains nothing is doubtful, also without calibration.
         explains = seen[0] > 0.0 if known is not None else explains_more_than_noise(stage)
         if status.ok and (quality < LEAST_QUALITY or not explains):
             status = FitStatus.DOUBTFUL
@@ -396,7 +396,7 @@ class Fitter:
         if not is_sane(shape, history[0].landmarks):
             return FitStatus.DIVERGED
         usable = solution.work.usable
-        if not usable.all():  # some pixel is outside, or says nothing
+        if not usable.all():  # some pixels are outside the image, dark or saturated
             points = stage.pose(objective.warp.points(solution.state.p))
             inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
             if inside.mean() < 0.5:
@@ -412,29 +412,29 @@ class Fitter:
         return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
 
     def _largest_mode(self, shape: np.ndarray) -> float:
-        """Largest shape mode in standard deviations, under the similarity that suits the shape best."""
+        """Return the largest shape mode in standard deviations, after alignment to the mean shape."""
         shape_model = self.shapes
         upright = align(shape, shape_model.mean)(shape)
-        # A mode is an orthonormal vector over all landmarks: half a pixel each makes sqrt(n) / 2.
+        # Modes are orthonormal over all landmarks: half a pixel at each is sqrt(n) / 2.
         allowed = np.sqrt(shape_model.eigenvalues) + 0.5 * np.sqrt(shape_model.n_points) / SHAPE_LIMIT
         return float((np.abs(shape_model.parameters(upright)[:-4]) / allowed).max(initial=0.0))
 
     def _why_unusable(self, image: np.ndarray, points: np.ndarray) -> FitStatus:
-        """Tell a dark object from an overexposed one."""
+        """Return whether most unusable pixels are dark or saturated."""
         x, y = np.rint(points).astype(int).T
         dark, clipped = exposure_faults(image[y, x])
         return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED
 
 
 def covariance(stage: Stage, strength: float = 1.0) -> np.ndarray:
-    """Covariance of q by the picture and a prior of some strength; infinite where neither says anything.
+    """Compute the covariance of q = (p, free angles): the inverse of the Hessian of eq 5 plus the prior.
 
-    The evidence of the pixels is counted as what they are worth together: a blur makes neighbours alike, and so do the
-    errors of the model (:meth:`Objective.unit`).
+    :meth:`Objective.unit` scales the Hessian, since the blur and the model's errors correlate neighbouring pixels.
+    Unobservable directions have a variance of 1e12.
     """
     objective, solution = stage.objective, stage.solution
     unit = max(objective.unit(solution.work), 1e-12)
-    # Of a fit that has run off it need not be a number, and then says nothing.
+    # It may be NaN for a diverged fit.
     precision = np.nan_to_num(solution.work.base / unit, posinf=0.0, neginf=0.0)
     n_p = objective.warp.n_parameters
     precision[np.arange(n_p), np.arange(n_p)] += strength * objective.prior
@@ -447,8 +447,8 @@ def _odds(probability: float) -> float:
     return probability / max(1.0 - probability, 1e-9)
 
 
-def _believed(result: FitResult, prior: float) -> FitResult:
-    """Result whose odds of being right are multiplied by what else is known of its place, at most 1."""
+def _with_prior(result: FitResult, prior: float) -> FitResult:
+    """Return a result whose odds of being right are multiplied by the prior odds of its place, at most 1."""
     if prior == 1.0:
         return result
     odds = prior * _odds(result.quality)
@@ -458,14 +458,14 @@ def _believed(result: FitResult, prior: float) -> FitResult:
 
 
 BY_CHANCE, MOST_BY_CHANCE = 4.0, 0.25
-"""How many times what a fit's freedom explains of white noise it has to explain of a picture, and the share of this
-that is enough at any rate. Set by IMM without calibration, 15 methods, 15 pictures of 5 strangers, some spot-lit:
-fits to a box in noise of grains of 1 to 8 pixels explain 3.5 times as much at most, right fits 14 times or more. Models
-of few pixels explain more of coarse noise than the share, and are not told."""
+"""Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
+noise, and the upper limit of that fraction. Set on IMM without calibration (15 methods, 15 images of 5 unseen persons,
+some spot-lit): fits to noise with grains of 1 to 8 pixels explain at most 3.5 times that, correct fits at least 14
+times. For models of few pixels, fits to coarse noise exceed the limit and are not detected."""
 
 
 def explains_more_than_noise(stage: Stage) -> bool:
-    """Whether a fit explains more of its picture than so many free parameters do of noise, by the fit's own weights."""
+    """Return whether a fit explains more of its image, under its own weights, than it would of noise."""
     objective, solution = stage.objective, stage.solution
     samples, residual = _shown(stage)
     weights = np.square(
@@ -480,9 +480,7 @@ def explains_more_than_noise(stage: Stage) -> bool:
 
 
 def _shown(stage: Stage) -> tuple[np.ndarray, np.ndarray]:
-    """What the picture shows where a fit ended, and what the fit leaves of it, (n, rows) each; of gradients and colour
-    the gradients, which every picture has.
-    """
+    """Return samples and residual of a fit, (n, rows) each; for ``soft-li`` of the gradients only."""
     seen, method = stage.solution.work, stage.objective.method
     rows = slice(0, 2) if method.weights == "rows" else slice(None)
     metric = method.image_metric(stage.solution.state.angles[1])[rows].astype(np.float32)
@@ -491,11 +489,11 @@ def _shown(stage: Stage) -> tuple[np.ndarray, np.ndarray]:
 
 
 def evidence(stage: Stage) -> np.ndarray:
-    """What tells a right fit from a wrong one, (2,) float64.
+    """Compute the features that separate right fits from wrong ones, (2,) float64.
 
-    How much of the picture the fit explains: the share of its contrast under the model, less what an unlikely
-    appearance costs, times the root of this contrast, so that it says little to explain what is blurred or half outside
-    the picture. Then how far its shape is from the mean: log(1 + mean squared mode in standard deviations).
+    The first is the explained fraction of the image's contrast, minus a penalty for an unlikely appearance, times the
+    square root of the contrast: explaining a blurred or partly visible object counts little. The second is the distance
+    of the shape from the mean, log(1 + mean squared mode in standard deviations).
     """
     objective, solution = stage.objective, stage.solution
     seen, method = solution.work, objective.method
@@ -508,7 +506,7 @@ def evidence(stage: Stage) -> np.ndarray:
     if not np.isfinite(left):
         return np.array([-1.0, 14.0])
     unlikely = float(objective.template.ridge @ np.square(solution.state.lam))
-    # The mean is over all of the model's pixels: those that are not seen are not explained.
+    # The mean over all of the model's pixels: unusable pixels count as unexplained.
     strength = np.sqrt(contrast / max(float(objective.appearance.usable.sum()), 1e-9))
     explained = (1.0 - (left + unlikely) / contrast) * strength if contrast > 0 else -1.0
     modes = np.square(solution.state.p) * objective.prior
@@ -517,17 +515,17 @@ def evidence(stage: Stage) -> np.ndarray:
 
 
 def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
-    """Covariance of each landmark by that of p (first in ``spread``), (n, 2, 2) float64, model pixels squared."""
+    """Propagate the covariance of p (first in ``spread``) to the landmarks, (n, 2, 2) float64, model pixels squared."""
     n_p = len(shapes.basis)
     basis = shapes.basis.reshape(n_p, -1, 2)
-    carried = (spread[:n_p, :n_p] @ shapes.basis).reshape(n_p, -1, 2)
-    return np.einsum("ina,inb->nab", basis, carried)
+    weighted = (spread[:n_p, :n_p] @ shapes.basis).reshape(n_p, -1, 2)
+    return np.einsum("ina,inb->nab", basis, weighted)
 
 
 def landmark_covariances(
     shapes: ShapeModel, pose: Similarity, spread: np.ndarray, reliability: Reliability | None = None
 ) -> np.ndarray:
-    """Covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit, and of what no fit can reach.
+    """Return the covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit plus left-out errors.
 
     Parameters
     ----------
@@ -535,9 +533,9 @@ def landmark_covariances(
     pose : Similarity
         Model pixels to image pixels.
     spread : (n_q, n_q) float64
-        Covariance of p, and of what follows it, as results hold it.
+        Covariance of (p, free angles).
     reliability : Reliability, optional
-        How far fits to pictures left out erred; what the shape model left of such pictures' landmarks if left out.
+        Source of the fits' errors on left-out images; by default the shape model's errors on left-out shapes.
     """
     fitted = fitted_covariances(shapes, spread)
     unexplained = shapes.unexplained if reliability is None else reliability.landmarks
@@ -565,7 +563,7 @@ def fit(
     model : AAM
     image : (h, w, 3) uint8, uint16 or float array, or path
     init : (n, 2) shape, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
-        Where to start, image pixels. If None, the object is searched for.
+        Start, image pixels. If None, the object is searched for.
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
     camera, rotations, restarts, margin, kernel

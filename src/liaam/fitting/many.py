@@ -1,4 +1,4 @@
-"""Fitting many images with one model: on threads, in order, each as it is fitted alone."""
+"""Fitting many images with one model on several threads."""
 
 import os
 from collections.abc import Generator, Iterable, Iterator
@@ -19,7 +19,7 @@ from liaam.progress import progress_bar
 from liaam.workers import all_cores, in_order, one_thread
 
 ERRORS = ("raise", "return")
-"""What may be done about a picture that cannot be fitted."""
+"""What to do about an image that cannot be fitted."""
 
 
 @overload
@@ -63,29 +63,27 @@ def fit_many(
 ) -> list:
     """Fit a model to many images, on all cores.
 
-    Each fit gives what :func:`liaam.fitting.fit` gives, whatever the number of workers: bit for bit, if BLAS has one
-    thread there too. Here BLAS and OpenCV are held to one thread each, in the whole process, until all is done. A
-    Ctrl-C ends it after the fits under way.
+    Results do not depend on the number of workers. They equal those of :func:`liaam.fitting.fit` bit for bit if BLAS
+    uses one thread there. During the call, BLAS and OpenCV use one thread each in the whole process. Ctrl-C stops after
+    the running fits.
 
     Parameters
     ----------
     model : AAM
     images : iterable of (h, w, 3) uint8, uint16 or float arrays, or of paths
-        Taken one by one as there is room, so that a generator never has more than a few pictures in memory.
+        Read as needed, so that a generator never has more than a few images in memory.
     init : start, or iterable of starts, optional
-        Where to start: nothing (each object is searched for), one start for all images, or one for each, as
-        :meth:`liaam.fitting.Fitter.fit` takes them; None among the latter is searched for.
+        One start for all images, or one per image, as for :meth:`liaam.fitting.Fitter.fit`. Objects without a start
+        (None) are searched for.
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
     workers : int, optional
-        Threads; as many as this process may use cores if left out.
+        Number of threads; by default one per core available to the process.
     progress : bool, optional
-        Whether to show a progress bar on standard error; if left out, on a terminal, once it takes more than two
-        seconds.
+        Whether to show a progress bar on standard error; by default on a terminal, after two seconds.
     errors : {"raise", "return"}
-        What happens if a picture cannot be fitted (a file that is damaged, a grey picture for a method that compares
-        colours): the error of the first such picture is raised, as a single fit would; or each error takes the place
-        of its result. Fits that fail are results with a status, in either case.
+        If an image cannot be fitted (a damaged file, or a grey image for a method that compares colours), raise the
+        first error, or return the error in place of the result. Fits that fail are results with a status in both cases.
     **settings
         Other keyword arguments of :func:`liaam.fitting.fit`: ``camera``, ``rotations``, ``restarts``, ``margin``,
         ``kernel``, and fields of :class:`liaam.fitting.SolverOptions`.
@@ -93,13 +91,13 @@ def fit_many(
     Returns
     -------
     list of FitResult
-        In the order of the images; with ``errors="return"``, LiaamError where there is none.
+        In the order of the images; with ``errors="return"``, LiaamError for images that cannot be fitted.
 
     Raises
     ------
     LiaamError
-        Of the first picture that cannot be fitted, which it names: by its file's name, or as ``images[3]``; and for
-        ``images`` and ``init`` that do not go together.
+        For the first image that cannot be fitted, named by its file or as ``images[3]``; and if the numbers of images
+        and starts differ.
 
     Examples
     --------
@@ -119,9 +117,9 @@ def fit_each(
     progress: bool | None = None,
     errors: str = "raise",
 ) -> Generator[Any, None, None]:
-    """Fit many images as :func:`fit_many` does, but give each result when it is there: none is kept.
+    """Fit many images as :func:`fit_many` does, but yield each result when it is ready.
 
-    Threads are held, and fits go on, until the last result is taken or the generator is closed.
+    Threads run until the last result is taken or the generator is closed.
 
     Parameters
     ----------
@@ -135,7 +133,7 @@ def fit_each(
     """
     workers = all_cores() if workers is None else workers
     if workers < 1:
-        raise MethodError(f"workers {workers}: give 1 or more, or leave it out for one on each core")
+        raise MethodError(f"workers {workers} is too small; give 1 or more, or leave it out for one per core")
     if errors not in ERRORS:
         raise MethodError(f"errors {errors!r} does not exist; there are {', '.join(ERRORS)}")
     n_images = _count(images)
@@ -179,7 +177,7 @@ def _fit(fitter: Fitter, errors: str, task: _Task) -> FitResult | LiaamError:
 
 
 def _without_frames(error: LiaamError) -> LiaamError:
-    """Error without its tracebacks, which hold on to the picture."""
+    """Remove an error's tracebacks, which keep the image in memory."""
     fault: BaseException | None = error
     while fault is not None:
         fault.__traceback__ = None
@@ -188,10 +186,10 @@ def _without_frames(error: LiaamError) -> LiaamError:
 
 
 def _count(images: Iterable) -> int | None:
-    """Number of images, None if it is not known; a single image is refused."""
+    """Return the number of images, or None if unknown; raise an error for a single image."""
     single = _is_path(images) or (isinstance(images, np.ndarray) and images.ndim in (2, 3))
     if single or not isinstance(images, Iterable):
-        raise ImageError("images: give a list of pictures or paths, also for a single one: [image]")
+        raise ImageError("images is not a list; give a list of images or paths, also for a single one: [image]")
     return _length(images)
 
 
@@ -204,14 +202,14 @@ def _is_path(image) -> bool:
 
 
 def _starts(init, n_images: int | None) -> Iterable:
-    """Starts of the images, one by one."""
+    """Return an iterable over the starts of the images."""
     if init is None or _is_one_start(init):
         return repeat(init)
     if not isinstance(init, Iterable):
-        raise StartError(f"init {init!r}: {_ONE_OR_EACH}")
+        raise StartError(f"init {init!r} is not valid; {_ONE_OR_EACH}")
     n_starts = _length(init)
     if n_images is not None and n_starts is not None and n_starts != n_images:
-        raise StartError(f"there are {n_images} images but {n_starts} starts: {_ONE_OR_EACH}")
+        raise StartError(f"there are {n_images} images but {n_starts} starts; {_ONE_OR_EACH}")
     return init
 
 
@@ -219,14 +217,14 @@ _ONE_OR_EACH = "give one start for all images, or one for each"
 
 
 def _is_one_start(init) -> bool:
-    """Whether this is one start (a shape, a box, a point and a size) rather than several."""
+    """Return whether ``init`` is one start (a shape, a box, a point and a size), not several."""
     if isinstance(init, Candidate) or hasattr(init, "points"):
         return True
     if isinstance(init, (list, tuple)) and any(start is None for start in init):
         return False  # NumPy would convert None to NaN
     try:
         given = np.asarray(init, dtype=np.float64)
-    except (TypeError, ValueError):  # of several lengths, or not numbers
+    except (TypeError, ValueError):  # of different lengths, or not numeric
         return False
     return (given.ndim == 1 and given.size > 0) or (given.ndim == 2 and given.shape[1] == 2)
 
@@ -237,10 +235,10 @@ def _tasks(images: Iterable, starts: Iterable) -> Iterator[_Task]:
         try:
             start = next(rest)
         except StopIteration:
-            raise StartError(f"there are more than {number} images but {number} starts: {_ONE_OR_EACH}") from None
+            raise StartError(f"there are more than {number} images but {number} starts; {_ONE_OR_EACH}") from None
         yield _Task(number, image, start)
     if not isinstance(starts, repeat) and next(rest, _END) is not _END:
-        raise StartError(f"there are {number + 1} images but more starts: {_ONE_OR_EACH}")
+        raise StartError(f"there are {number + 1} images but more starts; {_ONE_OR_EACH}")
 
 
 _END = object()

@@ -1,4 +1,4 @@
-"""What a fit gives back. Failure is a value with a sentence a person can act on."""
+"""The result of a fit. A fit that fails is a result too, with a status and a message."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class FitStatus(StrEnum):
-    """How a fit ended. Defined once, with what a person can do about it."""
+    """How a fit ended, with a message that says what to do."""
 
     CONVERGED = "converged"
     LIGHT_UNOBSERVABLE = "light unobservable"
@@ -43,50 +43,48 @@ class FitStatus(StrEnum):
 
     @property
     def unusable(self) -> bool:
-        """Whether the picture says too little where the fit ended: other starts near by see no more."""
+        """Whether the image lacks usable pixels at the object, so that other starts nearby fail as well."""
         return self in (FitStatus.TOO_DARK, FitStatus.SATURATED, FitStatus.NO_TEXTURE)
 
     @property
     def message(self) -> str:
-        """What happened, and what to do about it."""
+        """What happened, and what to do."""
         return _MESSAGES[self]
 
 
 _MESSAGES = {
-    FitStatus.CONVERGED: "The fit settled.",
+    FitStatus.CONVERGED: "The fit converged.",
     FitStatus.LIGHT_UNOBSERVABLE: (
-        "The fit settled. The light's colour differs too little from training, for what the model leaves "
-        "unexplained, to tell the cameras' angle, so it was held."
+        "The fit converged. The light's colour is too close to that of training to estimate the camera's angle, which "
+        "was kept fixed."
     ),
     FitStatus.DOUBTFUL: (
-        "The fit settled, but explains the picture no better than wrong fits do; look at it, and start nearer to the "
+        "The fit converged, but explains the image no better than wrong fits do; check it, and start nearer to the "
         "object if it is wrong."
     ),
     FitStatus.MAX_ITERATIONS: (
-        "The fit was still moving when its iterations ran out; start nearer to the object or allow more iterations."
+        "The fit did not converge within its iterations; start nearer to the object or allow more iterations."
     ),
     FitStatus.DIVERGED: (
-        "The fit lost the object (its shape collapsed, folded, blew up, or is unlike any in training); start nearer to "
-        "it, or use a method that suits the light."
+        "The fit diverged (its shape collapsed, folded, grew too large, or is unlike any in training); start nearer to "
+        "the object, or use a method that suits the light."
     ),
     FitStatus.LEFT_IMAGE: (
-        "More than half of the object lies outside the picture; start inside it, or use a wider picture."
+        "More than half of the object lies outside the image; start inside it, or use a wider image."
     ),
     FitStatus.TOO_DARK: (
-        "Most of the object is too dark for its colour to be measured; use a brighter picture, or method 'grey'."
+        "Most of the object is too dark for its colour to be measured; use a brighter image, or method 'grey'."
     ),
     FitStatus.SATURATED: (
-        "Most of the object is overexposed, so its colour cannot be measured; use a darker picture, or method 'grey'."
+        "Most of the object is overexposed, so its colour cannot be measured; use a darker image, or method 'grey'."
     ),
-    FitStatus.NO_TEXTURE: (
-        "The picture is flat where the fit started: there is nothing to fit to; check the start and the file."
-    ),
+    FitStatus.NO_TEXTURE: ("The image has no texture where the fit started; check the start and the file."),
 }
 
 
 _NO_QUALITY = (
-    "Whether it is right is not known: only method 'soft-li' with a model trained by leaving pictures out tells that; "
-    "look at it."
+    "Its quality is unknown: only method 'soft-li' with a model trained by leaving images out estimates it; check the "
+    "landmarks."
 )
 
 
@@ -103,7 +101,7 @@ class Iteration:
     theta : float
         Image angle theta_2, radians; NaN for methods without angles.
     level : int
-        Level of the model, 0 the coarsest; costs compare within a level only.
+        Level of the model, 0 the coarsest; costs of different levels are not comparable.
     """
 
     cost: float
@@ -113,7 +111,7 @@ class Iteration:
 
 
 LEAST_QUALITY = 0.5
-"""Quality below which a fit that has settled is doubtful."""
+"""Quality below which a converged fit is doubtful."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,45 +123,43 @@ class FitResult:
     landmarks : (n, 2) float64
         Fitted landmarks (x, y), image pixels.
     status : FitStatus
-        How the fit ended; ``status.ok`` says whether to use it, ``message`` what to do.
+        How the fit ended. Use the landmarks if ``status.ok``; ``message`` says what to do.
     theta : float
-        Angle of this image's camera (theta_2), radians: as estimated, or for ``soft-li`` the camera's as it was given;
-        NaN for methods without angles.
+        Angle of this image's camera (theta_2), radians: the estimate, or for ``soft-li`` the given camera's; NaN for
+        methods without angles.
     theta_model : float
         Angle of the training camera (theta_1), radians; NaN for methods without angles.
     p : (m + 4,) float64
-        Shape parameters in the model's pixels, the similarity vectors last; ``pose`` maps s(p) to the image.
+        Shape parameters in model pixels (eq 1), the similarity vectors last; ``pose`` maps s(p) to the image.
     pose : Similarity
         Model pixels to image pixels.
     lam : (m,) float64
-        Appearance coordinates, extra modes (gain, bias) last.
+        Appearance coordinates lambda (eq 4), extra modes (gain, bias) last.
     cost : float
-        Mean squared residual in the method's own units.
+        Mean squared residual, in the method's units.
     n_iterations : int
-        Steps tried.
+        Number of steps, refused ones included.
     history : tuple of Iteration
-        Each level's start and every accepted step; the last is the result. A last step too short to be noticed has the
-        cost of the state before it.
+        Each level's start and every accepted step; the last is the result. If the last step was too short to matter, it
+        has the cost of the state before it.
     covariance : (n_q, n_q) float64
-        Covariance of (p, free angles), by the picture and the prior. What blur and (for ``soft-li``) the model's errors
-        tie together is counted once, and where left-out pictures have told by how much such variances fall short, they
-        are that much larger.
+        Covariance of (p, free angles), given the image and the prior. It accounts for correlation by the blur and (for
+        ``soft-li``) by the model's errors, and is scaled up if left-out images showed larger errors.
     landmark_covariances : (n, 2, 2) float64
-        Covariance of each landmark, image pixels squared: that of p carried to the landmarks, and what fits leave of
-        landmarks placed by hand, as learnt by leaving training pictures out.
+        Covariance of each landmark, image pixels squared: that of p propagated to the landmarks, plus the errors
+        measured on left-out training images.
     evidence : (2,) float64
-        How much of the picture the fit explains, and strangeness of its shape (:func:`liaam.fitting.fitter.evidence`).
+        Explained contrast, and the shape's distance from the mean (:func:`liaam.fitting.fitter.evidence`).
     quality : float
-        Probability, 0 to 1, that the fit is right, calibrated on pictures left out of training; 0 where the status says
-        that the object is lost. NaN for other methods than ``soft-li`` and for models trained without leaving out.
+        Probability, 0 to 1, that the fit is right, calibrated on left-out training images; 0 if the status says that
+        the object is lost. NaN for methods other than ``soft-li`` and for models trained without leaving out.
     method : Method
-        The row that was fitted.
+        The fitted method.
     found : Candidate, optional
-        What the search gave the fit to start from; None where the start was given.
+        The detection that the fit started from; None if the start was given.
     n_starts : int
-        From how many starts the object was fitted: more than 1 where the first fit came to little and others were
-        found (:attr:`liaam.fitting.Fitter.restarts`). All else is of the fit that was kept: ``history`` and ``start``
-        need not begin where the first one did.
+        Number of starts, more than 1 after restarts (:attr:`liaam.fitting.Fitter.restarts`). All other attributes,
+        also ``history`` and ``start``, are of the fit that was kept.
     contours : tuple of (indices, closed)
         Lines between landmarks, for drawing.
     image : array or Path, optional
@@ -197,19 +193,19 @@ class FitResult:
 
     @property
     def message(self) -> str:
-        """What happened, and what to do about it."""
+        """What happened, and what to do."""
         if self.status.ok and np.isnan(self.quality):
             return f"{self.status.message} {_NO_QUALITY}"
         return self.status.message
 
     @property
     def deviations(self) -> np.ndarray:
-        """Standard deviation of each landmark, image pixels: root of the mean variance of x and y, (n,) float64."""
+        """Standard deviation of each landmark, (n,) float64, image pixels: from the mean variance of x and y."""
         return np.sqrt(0.5 * np.trace(self.landmark_covariances, axis1=1, axis2=2))
 
     @property
     def place_doubtful(self) -> bool:
-        """Whether a search found the place and is not sure of it, and no quality says that the fit is right."""
+        """Whether the detection is uncertain, and the quality does not show that the fit is right."""
         return self.found is not None and self.found.doubtful and not self.quality >= LEAST_QUALITY
 
     @property
