@@ -59,8 +59,8 @@ LEAST_CORRELATION = 0.2
 twelve directions of light), images of different things at most 0.1."""
 
 OPTIONS = SolverOptions(max_iterations=60, scoring=20)
-"""Scoring corrects an interpolation bias: samples between pixels are smoother, so minima of the cost lie up to 0.4
-pixels too near the middle between pixels if noise or one image's texture dominates (measured on real objects)."""
+"""Scoring corrects an interpolation bias. Samples between pixels are smoother, which moves minima of the cost towards
+the middle between pixels, by up to 0.4 pixels if noise or one image's texture dominates (measured on real objects)."""
 
 MESSAGES = {
     FitStatus.CONVERGED: "The registration converged.",

@@ -460,7 +460,7 @@ def _with_prior(result: FitResult, prior: float) -> FitResult:
 BY_CHANCE, MOST_BY_CHANCE = 4.0, 0.25
 """Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
 noise, and the upper limit of that fraction. Set on IMM without calibration (15 methods, 15 images of 5 unseen persons,
-some spot-lit): fits to noise with grains of 1 to 8 pixels explain at most 3.5 times that, correct fits at least 14
+some spot-lit). Fits to noise with grains of 1 to 8 pixels explain at most 3.5 times that, correct fits at least 14
 times. For models of few pixels, fits to coarse noise exceed the limit and are not detected."""
 
 
@@ -491,9 +491,9 @@ def _shown(stage: Stage) -> tuple[np.ndarray, np.ndarray]:
 def evidence(stage: Stage) -> np.ndarray:
     """Compute the features that separate right fits from wrong ones, (2,) float64.
 
-    The first is the explained fraction of the image's contrast, minus a penalty for an unlikely appearance, times the
-    square root of the contrast: explaining a blurred or partly visible object counts little. The second is the distance
-    of the shape from the mean, log(1 + mean squared mode in standard deviations).
+    The first is the explained fraction of the image's contrast, minus a penalty for an unlikely appearance. It is
+    multiplied by the square root of the contrast, so that a blurred or partly visible object counts little. The second
+    is the distance of the shape from the mean, log(1 + mean squared mode in standard deviations).
     """
     objective, solution = stage.objective, stage.solution
     seen, method = solution.work, objective.method

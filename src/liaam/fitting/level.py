@@ -108,7 +108,7 @@ class Row(NamedTuple):
     directions: Double2
     """(2, n_free) float64: derivatives of (theta_1, theta_2) by the free angles."""
     weights: int
-    """0: the model's; 1: by noise; 2: by rows, from noise and the unexplained variance."""
+    """0 for the model's, 1 for noise, 2 for weights by rows (noise and unexplained variance)."""
     loss: int
     """Index of the robust loss in :data:`liaam.fitting.losses.LOSSES`; -1 for none."""
     median: float
@@ -209,8 +209,8 @@ class Work(NamedTuple):
     unexplained: Double2
     """(2, 2) float64: unexplained variance of gradients and colour, when weights were last computed and now."""
     scales: Double1
-    """(6,) float64: variance at weight 1 (NaN if the weights define none); gain and offset of the samples; gain in
-    ``steep``; scale of the prior; and lower bound on the curvature (:data:`LEAST_CURVATURE`)."""
+    """(6,) float64: variance at weight 1 (NaN if the weights define none), gain and offset of the samples, gain in
+    ``steep``, scale of the prior, and lower bound on the curvature (:data:`LEAST_CURVATURE`)."""
     gram: Double2
     """(m, m) float64: A'A under ``own``."""
     factor: Double2

@@ -40,7 +40,7 @@ third is that value with the expected gradient, relative to the expected curvatu
 
 RISE, EXPECTED_RISE = 1.0 + 1e-6, 1.25
 """Largest ratio of a step's cost to the lowest cost so far. With the image's gradient it allows for rounding. The zero
-of the expected gradient is not the cost's minimum: its cost is 2 % higher at noise of 10/255, and a limit of 5 %
+of the expected gradient is not the cost's minimum. Its cost is 2 % higher at noise of 10/255, and a limit of 5 %
 refused good steps at 15/255 and 20/255."""
 
 STILL = 0.2
@@ -66,7 +66,7 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
     solves, fresh, tried, small, settled, held, flat = controls.solve, True, False, False, False, False, False
     while True:
         row.look(template, picture, row, work, solves)  # eq 9
-        row.settle(template, row, work, False, solves)  # lambda, by variable projection
+        row.settle(template, row, work, False, solves)  # lambda, where it is solved for at every state
         merit = merit_of(work.sums, work.p, work.precision, work.lam, template.ridge)
         if tried and controls.damping > 0.0 and not merit <= rise * least:  # NaN is refused, too
             go_back(work.before, work.p, work.angles, work.lam)

@@ -84,8 +84,8 @@ class Method:
         "model" uses the model's weights. "noise" uses inverse variances of the residual due to image noise. "rows" does
         so for each row of P, with the variance of the model's errors estimated from the image.
     step : {"own", "scored", "expected"}
-        Gradient used in steps: the image's own; the image's own first and the expected one at the end; or the one
-        that the model expects (:mod:`liaam.fitting.steps`).
+        Gradient used in steps (:mod:`liaam.fitting.steps`). "own" is the image's, "expected" the one that the model
+        expects, and "scored" the image's first and the expected one at the end.
     loss : str
         "squares", or a robust loss of :data:`liaam.fitting.losses.LOSSES`.
     view : {"mesh", "surroundings"}

@@ -2,7 +2,7 @@
 
 A fit that converges need not be correct. Correct fits explain more of the image, with a less unusual shape. The
 threshold depends on the object and the model. Training therefore fits models to left-out images from near and distant
-starts, and at the best other places that a search finds, which are the wrong places that a search would return.
+starts, and at the best wrong places that a search finds.
 """
 
 from collections.abc import Iterable

@@ -101,10 +101,10 @@ more, and so do generated ones under hard light from the side (0.55). Of images 
 four scores more, nearly all under the model trained on strongly turned heads."""
 
 SURE = 1.25
-"""Sum of score and response at which the search for one object stops. Measured with generic models of three sets of
-faces on 861 images (original; under simulated hard light, shadows and dapples; small, within images of an owl, a cat
-and a rock): seven of ten correct places have more, and no wrong place has more than 1.18. Scores alone reach 0.67 at
-wrong places."""
+"""Sum of score and response at which the search for one object stops. Seven of ten correct places have more, and no
+wrong place has more than 1.18. Scores alone reach 0.67 at wrong places. Measured with generic models of three sets of
+faces on 861 images: original, under simulated hard light, shadows and dapples, and small within images of an owl, a cat
+and a rock."""
 
 WORTH = 0.75
 """Smallest response, as a fraction of the strongest, at which a place is fitted if one object is wanted. The correct

@@ -213,8 +213,8 @@ def next_scale(
     Returns
     -------
     float
-        (freedom + p' Lambda^-1 p) / (freedom + gamma), where gamma is the number of parameters that the image
-        determines; the last scale if this is not finite.
+        (freedom + p' Lambda^-1 p) / (freedom + gamma), with gamma the number of parameters that the image determines.
+        The last scale if this is not finite.
     """
     if not (unit > 0.0 and unit < np.inf):
         return scale

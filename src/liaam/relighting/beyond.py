@@ -101,9 +101,9 @@ def continued(change: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: fl
     """Extrapolate a change of light beyond the mesh from the image's colours.
 
     Within a window, the change is modelled as an affine function of the image's log light. Its slope is large across a
-    shadow's edge, and small across paint. It is learnt inside the mesh and applied to the window's pixels outside: a
-    weighted guided filter (He, Sun and Tang, "Guided image filtering", IEEE TPAMI 2013) at a lower resolution (He and
-    Sun, "Fast guided filter", 2015). Narrow windows replace wide ones where they hold enough pixels.
+    shadow's edge, and small across paint. It is learnt inside the mesh and applied to the window's pixels outside. This
+    is a weighted guided filter (He, Sun and Tang, "Guided image filtering", IEEE TPAMI 2013) at a lower resolution (He
+    and Sun, "Fast guided filter", 2015). Narrow windows replace wide ones where they hold enough pixels.
 
     Parameters
     ----------

@@ -2,9 +2,9 @@
 
 In logarithms, a fitted image is the object's appearance under the training light plus shading. The model's appearance
 lacks fine detail, and misplaced landmarks cause errors at eyes and lips. The difference of image and model is thus
-shading plus errors of known variance. The shading is its piecewise smooth part: weighted least squares with a coupling
-of neighbours that decreases at jumps (total variation by reweighting; similar weights in Farbman, Fattal, Lischinski
-and Szeliski, "Edge-preserving decompositions", ACM TOG 2008).
+shading plus errors of known variance. The shading is its piecewise smooth part, by weighted least squares in which the
+coupling of neighbours decreases at jumps (total variation by reweighting). Farbman, Fattal, Lischinski and Szeliski,
+"Edge-preserving decompositions", ACM TOG 2008, use similar weights.
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ AT_THE_BORDER = 0.5
 There the image's own detail is kept."""
 
 COUPLING, CORNER, PASSES = 0.03, 0.02, 2
-"""Weight of a jump of shading between neighbours; jump below which the penalty is quadratic; and number of
+"""Weight of a jump of shading between neighbours, jump below which the penalty is quadratic, and number of
 reweightings."""
 
 UNIT = 0.1
