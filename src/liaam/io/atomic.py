@@ -1,16 +1,37 @@
-"""Write files so that they are either complete or not there: temp file, fsync, rename over the target."""
+"""Write files so that they are either complete or not there: temporary file, fsync, rename over the target.
+
+A temporary file is locked while it is written, and the system takes the lock off when the process ends, however it
+ends. So a temporary file without a lock was left by a process that was killed; :func:`sweep` removes it.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
+import re
 import secrets
 import shutil
+import socket
+import stat
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from liaam.errors import LiaamError
+
+try:
+    import fcntl
+except ImportError:  # Windows, where temporary files are neither locked nor swept
+    fcntl = None
+
+_HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
+_TEMPORARY = re.compile(r"\.liaam-([0-9a-f]{8})[0-9a-f]{8,16}(\..*)?", re.DOTALL)
+_DAY = 86400.0
+
+_swept: set[Path] = set()
+"""Folders that this process has swept."""
 
 
 @contextmanager
@@ -42,17 +63,16 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
         raise error(f"{path} cannot be written: it is a folder. Give the name of a file.")
     if not target.parent.is_dir():
         raise error(f"{path} cannot be written: the folder {target.parent} does not exist. Make it first.")
-    temp = target.parent / f".liaam-{secrets.token_hex(8)}{target.suffix}"
+    if target.parent not in _swept:
+        _swept.add(target.parent)
+        sweep(target.parent)
     try:
-        os.close(os.open(temp, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        yield temp
-        _publish(temp, target)
+        with _temporary_file(target) as temp:
+            yield temp
+            _publish(temp, target)
     except OSError as fault:
         reason = fault.strerror or fault
         raise error(f"{path} cannot be written ({reason}): check the rights and the free space.") from fault
-    finally:
-        with contextlib.suppress(OSError):  # after a success there is nothing left to remove
-            temp.unlink()
 
 
 def write_bytes_atomically(path: str | os.PathLike[str], data: bytes, error: type[LiaamError] = LiaamError) -> None:
@@ -68,6 +88,78 @@ def write_text_atomically(path: str | os.PathLike[str], text: str, error: type[L
     except UnicodeEncodeError as fault:
         raise error(f"{path} cannot be written ({fault}): rename what has that character in its name.") from fault
     write_bytes_atomically(path, data, error)
+
+
+def sweep(folder: Path) -> None:
+    """Remove the temporary files that killed processes left in a folder.
+
+    The first :func:`atomic_path` of a process in a folder does this. Files of other machines are kept for a day, as
+    some network disks do not show locks across machines.
+    """
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            name = _TEMPORARY.fullmatch(entry.name)
+            if name is not None:
+                _remove_unlocked(Path(entry.path), 0.0 if name[1] == _HOST else _DAY)
+
+
+def lock(descriptor: int, *, wait: bool = False) -> bool:
+    """Lock an open file until it is closed; False if the system or the disk has no locks.
+
+    Raises
+    ------
+    BlockingIOError
+        If another process has it, and this one does not wait.
+    """
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        raise
+    except OSError:
+        return False
+    return True
+
+
+def _remove_unlocked(path: Path, age: float) -> None:
+    """Remove a file that nobody writes to and that is at least so old, in seconds."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+        try:
+            facts = os.fstat(descriptor)
+            is_old = not age or time.time() - facts.st_mtime > age
+            if stat.S_ISREG(facts.st_mode) and is_old and lock(descriptor):
+                path.unlink()
+        finally:
+            os.close(descriptor)
+
+
+@contextmanager
+def _temporary_file(target: Path) -> Iterator[Path]:
+    """Make an empty file beside another, locked, and remove it in the end if it is still there."""
+    temp = target.parent / f".liaam-{_HOST}{secrets.token_hex(8)}{target.suffix}"
+    descriptor = -1
+    try:  # from before it is there, or a Ctrl-C might leave it
+        descriptor = _made(temp)
+        if fcntl is None:  # Windows renames no file that is open
+            os.close(descriptor)
+        yield temp
+    finally:
+        with contextlib.suppress(OSError):  # after a success there is nothing left to remove
+            temp.unlink()
+        if fcntl is not None and descriptor >= 0:
+            os.close(descriptor)
+
+
+def _made(temp: Path) -> int:
+    """Make a file and lock it."""
+    while True:
+        descriptor = os.open(temp, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
+        lock(descriptor, wait=True)
+        if temp.exists():
+            return descriptor
+        os.close(descriptor)  # another process has swept it before it was locked
 
 
 def _publish(temp: Path, target: Path) -> None:

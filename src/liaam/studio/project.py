@@ -117,7 +117,7 @@ class Project:
             )
 
     def prepare(self) -> None:
-        """Give the folder its id, and remove what a killed process left half written; no other may write now."""
+        """Give the folder its id, and remove what a killed process left half written."""
         with self._lock, suppress(LiaamError, OSError):
             _ = self.id
             self.state.sweep()

@@ -8,7 +8,6 @@ They are ``template.json``, ``change.json`` (:mod:`liaam.studio.template_change`
 from __future__ import annotations
 
 import json
-import re
 import secrets
 import threading
 from collections.abc import Callable
@@ -17,12 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from liaam.errors import LiaamError
-from liaam.io.atomic import write_bytes_atomically
+from liaam.io.atomic import sweep, write_bytes_atomically
 from liaam.studio.folder import STATE, Folder, remove, revision_of
 from liaam.studio.safety import Refusal
-
-_TEMPORARY = re.compile(r"\.liaam-[0-9a-f]{16}(\..*)?")
-"""What :mod:`liaam.io.atomic` leaves behind where it is killed."""
 
 
 class StateFiles:
@@ -123,12 +119,10 @@ class StateFiles:
                 self.faults[key] = self.folder.plain(fault)
 
     def sweep(self) -> None:
-        """Remove what a killed process left half written; no other may write now."""
-        with self._lock, suppress(LiaamError, OSError):
-            for folder in (self._folder(), self._folder() / "kept"):
-                for path in list(folder.iterdir()):
-                    if _TEMPORARY.fullmatch(path.name) and path.is_file() and not path.is_symlink():
-                        path.unlink()
+        """Remove what a killed process left half written, here and beside the pictures."""
+        with self._lock, suppress(LiaamError):
+            for folder in (self.folder.root, self._folder(), self._folder() / "kept"):
+                sweep(folder)
 
     def _folder(self) -> Path:
         folder = self.folder.root / STATE

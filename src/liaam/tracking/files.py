@@ -10,6 +10,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.io import atomic_path
+from liaam.io.atomic import lock
 from liaam.tracking.tracker import TrackedFrame
 
 TRACK_SUFFIXES = (".csv", ".npz")
@@ -125,8 +126,13 @@ class _Table:
 @contextmanager
 def _table(path: Path, n_points: int) -> Iterator[_Table]:
     with atomic_path(path) as temporary:
-        part = path.with_name(f"{path.stem}.part{path.suffix}")
-        with part.open("w", encoding="utf-8", newline="") as file:
+        part = temporary.with_name(f"{path.stem}.part{path.suffix}")  # on the disk that a link leads to
+        with part.open("a", encoding="utf-8", newline="") as file:
+            try:
+                lock(file.fileno())
+            except BlockingIOError:
+                raise LiaamError(f"{path} is being written by another process; wait, or give another name") from None
+            file.truncate(0)
             table = _Table(file, n_points)
             try:
                 yield table
