@@ -1,12 +1,19 @@
 """Work in processes: bounded, and honest about workers that die."""
 
 import os
+import signal
+import sys
+import threading
+import time
 from concurrent.futures import Future
+from functools import partial
 from itertools import count, islice
+from pathlib import Path
 
 import pytest
 
-from liaam.workers import WorkerDied, flow, in_workers
+from liaam.errors import LiaamError
+from liaam.workers import WorkerDied, deaf_to_interrupts, flow, in_workers
 
 
 def square_or_die(number):
@@ -42,3 +49,81 @@ def test_a_worker_that_dies_gives_back_what_was_under_way():
     left = [*death.value.items, *rest]
     assert sorted(left)[-1] == 9
     assert len(left) >= 7
+
+
+def die_in_the_middle_of_a_result(number):
+    if number:
+        return number
+    main = threading.main_thread().ident
+
+    def watch():
+        while not any(frame.f_code.co_name == "_send" for frame in frames_of(main)):
+            time.sleep(0.001)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    threading.Thread(target=watch, daemon=True).start()
+    return bytes(200_000_000)
+
+
+def frames_of(thread):
+    frame = sys._current_frames().get(thread)
+    while frame is not None:
+        yield frame
+        frame = frame.f_back
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL")
+def test_a_worker_that_dies_in_the_middle_of_a_result_is_noticed():
+    done = []
+    with pytest.raises(WorkerDied) as death:
+        done.extend(in_workers(die_in_the_middle_of_a_result, range(4), 2))
+    assert death.value.items == [0]
+    assert {item for item, _ in done} <= {1, 2, 3}
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="finds its children in /proc")
+def test_a_worker_that_dies_before_it_has_read_its_job_is_noticed():
+    """Parents that give a large job while the process starts wait for ever."""
+    mine = set(children())
+
+    def kill():
+        while not (workers := [pid for pid in set(children()) - mine if b"spawn_main" in command_of(pid)]):
+            time.sleep(0.001)
+        os.kill(workers[0], signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with pytest.raises(WorkerDied):
+        list(in_workers(square_or_die, [1], 1, prepare=partial(len, bytes(10_000_000))))
+    killer.join()
+
+
+def children():
+    return [int(pid) for tasks in Path("/proc/self/task").glob("*/children") for pid in tasks.read_text().split()]
+
+
+def command_of(pid):
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def refuse(number):
+    raise LiaamError(f"{number} is refused")
+
+
+def test_what_a_worker_raises_is_raised_with_where_it_was():
+    with pytest.raises(LiaamError, match="is refused") as caught:
+        list(in_workers(refuse, [1, 2], 2))
+    assert "in refuse" in caught.value.__notes__[0]
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals of POSIX")
+def test_a_ctrl_c_while_processes_start_is_not_lost():
+    with pytest.raises(KeyboardInterrupt):
+        with deaf_to_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            reached = True
+        time.sleep(1)
+    assert reached

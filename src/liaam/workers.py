@@ -4,14 +4,16 @@ import multiprocessing
 import os
 import signal
 import threading
+import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import islice
-from typing import Generic, TypeVar
+from multiprocessing import connection
+from multiprocessing.connection import Connection
+from typing import Generic, TypeVar, cast
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -50,12 +52,12 @@ def in_workers(
     items: Iterable[Item],
     jobs: int,
     *,
-    prepare: Callable[[], object] | None = None,
-    ahead: int = AHEAD,
+    prepare: Callable[..., object] | None = None,
+    inherited: tuple = (),
 ) -> Generator[tuple[Item, Result], None, None]:
     """Do items in worker processes; they come in the order in which they finish.
 
-    However many items there are, only ``jobs * ahead`` of them are taken at a time.
+    However many items there are, each worker has one at a time.
 
     Parameters
     ----------
@@ -67,39 +69,105 @@ def in_workers(
         Worker processes.
     prepare : callable, optional
         What each worker does once, before its first item.
-    ahead : int
-        Items under way for each worker.
+    inherited : tuple
+        Arguments of ``prepare`` that can only be given to a process as it starts, such as shared memory; small.
 
     Raises
     ------
     WorkerDied
         Once all that was finished has been given.
     """
-    others = set(multiprocessing.active_children())
-    # A fresh interpreter per worker, on every system: a fork copies threads' locks in whatever state they are.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, context, initializer=_start, initargs=(prepare,))
+    rest = iter(items)
+    first = list(islice(rest, jobs))
+    workers: list[_Worker[Item]] = []
+    busy: dict[Connection, _Worker[Item]] = {}
+    lost: list[Item] = []
+
+    def give(worker: _Worker[Item], item: Item, *before: object) -> None:
+        worker.item = item
+        try:
+            for message in (*before, (item,)):
+                worker.pipe.send(message)
+            busy[worker.pipe] = worker
+        except OSError:  # a broken pipe: it is dead already
+            lost.append(item)
+
     try:
-        yield from _results(partial(pool.submit, perform), items, jobs * ahead)
+        with deaf_to_interrupts():
+            workers += (_Worker(inherited) for _ in first)
+        for worker, item in zip(workers, first, strict=True):
+            give(worker, item, (perform, prepare))
+        while busy:
+            for pipe in cast(list[Connection], connection.wait(list(busy))):
+                worker = busy.pop(pipe)
+                done = worker.item
+                try:
+                    ok, result = pipe.recv()
+                except (EOFError, OSError):
+                    lost.append(done)
+                    continue
+                for item in islice(rest, 0 if lost else 1):  # before the result is looked at: the worker goes on
+                    give(worker, item)
+                if not ok:
+                    raise result
+                yield done, result
+        if lost:
+            raise WorkerDied(lost)
     except BaseException:  # also a Ctrl-C: nobody waits for what the workers have in hand
-        for worker in set(multiprocessing.active_children()) - others:
-            worker.terminate()
+        for worker in workers:
+            worker.process.kill()
         raise
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        for worker in workers:
+            worker.end()
 
 
-def _results(
-    submit: Callable[[Item], "Future[Result]"], items: Iterable[Item], room: int
-) -> Generator[tuple[Item, Result], None, None]:
-    lost = []
-    for item, future in flow(submit, items, lambda: 0 if lost else room):
-        if isinstance(future.exception(), BrokenProcessPool):
-            lost.append(item)
-        else:
-            yield item, future.result()
-    if lost:
-        raise WorkerDied(lost)
+class _Worker(Generic[Item]):
+    """A worker process, the pipe to it, and the item that it does.
+
+    Nobody else holds the pipe's other end, so that a worker that dies shows at once, even in the middle of a result.
+    (A ``ProcessPoolExecutor`` waits for ever for the rest of the result: its workers share one pipe.) All that may be
+    large comes by the pipe, too: ``Process.start`` waits for ever for a process that dies before it has read it.
+    """
+
+    item: Item
+
+    def __init__(self, inherited: tuple) -> None:
+        # A fresh interpreter per worker, on every system: a fork copies threads' locks in whatever state they are.
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_work, args=(theirs, inherited), daemon=True)
+        self.process.start()
+        theirs.close()
+
+    def end(self) -> None:
+        """Let the process end, and wait for it."""
+        with suppress(OSError):  # it is dead
+            self.pipe.send(())
+        self.pipe.close()
+        self.process.join()
+
+
+def _work(pipe: Connection, inherited: tuple) -> None:
+    """Do items in a worker process until there is none in a message."""
+    _start()
+    try:
+        perform, prepare = pipe.recv()
+        if prepare is not None:
+            prepare(*inherited)
+        while message := pipe.recv():
+            pipe.send(_answer(perform, *message))
+    except (EOFError, OSError):  # nobody waits for it any more
+        return
+
+
+def _answer(perform: Callable[[Item], Result], item: Item) -> tuple[bool, Result | Exception]:
+    """Whether an item could be done, and its result, or why not."""
+    try:
+        return True, perform(item)
+    except Exception as fault:
+        fault.add_note(f"In a worker process:\n{traceback.format_exc()}")
+        return False, fault
 
 
 def flow(
@@ -119,14 +187,7 @@ def flow(
     rest, under_way = iter(items), {}
 
     def fill() -> None:
-        for item in islice(rest, max(0, room() - len(under_way))):
-            try:
-                under_way[submit(item)] = item
-            except BrokenProcessPool as death:
-                failed: Future = Future()
-                failed.set_exception(death)
-                under_way[failed] = item
-                return
+        under_way.update((submit(item), item) for item in islice(rest, max(0, room() - len(under_way))))
 
     with deaf_to_interrupts():
         fill()
@@ -141,28 +202,26 @@ def flow(
 
 @contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
-    """Ignore Ctrl-C for a moment, so that processes started meanwhile ignore it for good.
+    """Hold a Ctrl-C back for a moment, so that processes started meanwhile do not hear it, then or later.
 
     It reaches all processes of a terminal, but is for the one that can say something about it.
     """
-    if threading.current_thread() is not threading.main_thread():  # where Python lets nobody set this
+    if not hasattr(signal, "pthread_sigmask"):  # Windows, where workers are deaf once they have started
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start(prepare: Callable[[], object] | None) -> None:
+def _start() -> None:
     """Make this worker deaf to Ctrl-C, and end when its parent is killed; it would wait for more work for ever."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
-    if prepare is not None:
-        prepare()
 
 
 def in_threads(perform: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:

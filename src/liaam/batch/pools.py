@@ -45,7 +45,7 @@ def _one_by_one(job: Job, paths: list[str]) -> Finished:
     while True:
         chunks: Iterator[Chunk] = chain([()], ((path,) for path in rest))
         try:
-            for chunk, rows in in_workers(fit_chunk, chunks, 1, prepare=partial(prepare, job), ahead=1):
+            for chunk, rows in in_workers(fit_chunk, chunks, 1, prepare=partial(prepare, job)):
                 if chunk:
                     yield chunk, rows
             return

@@ -257,7 +257,8 @@ def _each(job: TrackJob, stretches: list[Stretch], jobs: int, shared: "_Shared")
         for stretch in stretches:
             yield stretch, track_stretch(job, stretch, seen=partial(shared.seen, stretch))
         return
-    yield from in_workers(_track, stretches, min(jobs, len(stretches)), prepare=partial(_prepare, job, shared), ahead=1)
+    workers = min(jobs, len(stretches))
+    yield from in_workers(_track, stretches, workers, prepare=partial(_prepare, job), inherited=(shared,))
 
 
 def _in_order(each: Found) -> Found:
