@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from liaam.cli.terminal import console, make_app, run_app, say, stoppable_progress, table_of
+from liaam.cli.terminal import console, make_app, progress_bar, run_app, say, table_of
 from liaam.errors import MethodError
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def execute(experiment: "Experiment", out: Path, jobs: int | None) -> dict[str, 
     """Run an experiment behind a progress bar."""
     from experiments.runner import run_experiment
 
-    with stoppable_progress() as tell:
+    with progress_bar() as tell:
         return run_experiment(experiment, out, jobs, tell)
 
 
@@ -485,7 +485,7 @@ def reproduce(
     """
     from experiments.reproduce import reproduce as run
 
-    with stoppable_progress() as tell:
+    with progress_bar() as tell:
         verdicts = run(out, person, persons, "quick" if quick else "full", seed, jobs, tell)
     print_verdicts(verdicts)
     say(f"written to {out / 'report.html'}")

@@ -1,5 +1,33 @@
-"""``python -m liaam`` is the command ``liaam``."""
+"""The command ``liaam``, which is ``python -m liaam`` too."""
 
-from liaam.cli.main import main
+import _thread
+import signal
+import sys
+import threading
+from typing import Any
 
-main()
+
+def main() -> None:
+    """Run the command line; a Ctrl-C at any time ends it without a traceback."""
+    sys.unraisablehook = _on_unraisable
+    try:
+        from liaam.cli.main import main as run  # takes a moment
+
+        run()
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        sys.exit(130)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to be said while Python ends
+
+
+def _on_unraisable(what: Any) -> None:
+    """Repeat a Ctrl-C that came where Python lets nothing be raised, such as in a callback of an import."""
+    if issubclass(what.exc_type, KeyboardInterrupt):
+        threading.Timer(0.01, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(what)
+
+
+if __name__ == "__main__":
+    main()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, read_folder
-from liaam.cli.terminal import cell, complain, console, progress_bar, say, stoppable_progress, table_of
+from liaam.cli.terminal import cell, complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError
 from liaam.progress import Progress
 
@@ -39,7 +39,7 @@ def check(
     whole = without_missing(data)
     if len(whole) < len(data):
         complain(f"not looked at, since landmarks are missing: {len(data) - len(whole)} of {len(data)}")
-    with stoppable_progress() as tell:
+    with progress_bar() as tell:
         faults = faults_by_sample(whole, tell)
     if not faults:
         say("no faults found, of those that single pictures have")

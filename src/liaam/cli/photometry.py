@@ -21,7 +21,7 @@ from liaam.cli.inputs import (
     starting_camera,
     unique_stems,
 )
-from liaam.cli.terminal import complain, console, say, stoppable_progress, table_of
+from liaam.cli.terminal import complain, console, progress_bar, say, table_of
 from liaam.errors import CameraError, LiaamError
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def angle_of_scene(
     if align:
         from liaam.calibration import STILL, align_pictures
 
-        with stoppable_progress() as tell:
+        with progress_bar() as tell:
             aligned = align_pictures(pictures, camera, names=[p.name for p in paths], progress=tell)
         pictures, masks = list(aligned.pictures), aligned.masks
         moved = max(aligned.moved)
@@ -246,7 +246,7 @@ def faces(
     # One camera for all is the model's; another one is not known to have its vignetting or noise.
     camera = camera_for(images, start, None, model.camera if method.startswith("li-pcs") else None)
     fitter, results = Fitter(model, method, camera=camera), []
-    with stoppable_progress() as tell:
+    with progress_bar() as tell:
         for i, path in enumerate(images):
             tell(i, len(images), path.name)
             pixels = read_image(path)
@@ -279,7 +279,7 @@ def response_command(
     if align:
         from liaam.calibration import homographies_between
 
-        with stoppable_progress() as tell:
+        with progress_bar() as tell:
             homographies = homographies_between(pictures, camera, names=[p.name for p in images], progress=tell)
     found = calibrate_response(pictures, exposures=ratios, homographies=homographies, vignetting=vignetting)
     say(found.message)
@@ -439,7 +439,7 @@ def invariant(
     seen_by_all = average_pictures(pictures, images, camera, block, dark / 255.0, mask) if compare else None
     make_folder(output)
     stems = unique_stems(images)
-    with stoppable_progress() as tell:
+    with progress_bar() as tell:
         for i, (path, stem, pixels) in enumerate(zip(images, stems, pictures, strict=True)):
             tell(i, len(images), path.name)
             values = invariant_image(pixels, camera, name=path.name)

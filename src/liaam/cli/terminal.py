@@ -20,6 +20,9 @@ from liaam.progress import Progress
 console = Console()
 complaints = Console(stderr=True)
 
+INTERRUPTED = 130
+"""Exit status after a Ctrl-C, as of a shell: 128 and the signal's number."""
+
 TURNING = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
 """Classes of the characters that turn the direction of writing (Unicode Standard Annex 9)."""
 
@@ -44,7 +47,10 @@ def cell(text: str) -> str:
 
 
 class _Commands(TyperGroup):
-    """Commands; what a person typed is repeated in complaints without what a terminal obeys."""
+    """Commands; what a person typed is repeated in complaints without what a terminal obeys.
+
+    A Ctrl-C becomes one line and exit status 130.
+    """
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
         """Read the arguments of the program."""
@@ -53,8 +59,12 @@ class _Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Read the arguments of a command, and run it."""
-        with _plain_complaints():
-            return super().invoke(ctx)
+        try:
+            with _plain_complaints():
+                return super().invoke(ctx)
+        except KeyboardInterrupt as stop:
+            complain(str(stop) or "stopped")
+            raise typer.Exit(INTERRUPTED) from None
 
 
 @contextmanager
@@ -140,14 +150,3 @@ def progress_bar(counted: bool = True) -> Iterator[Progress]:
             bar.update(task, completed=done, total=total, description=plain(what))
 
         yield tell
-
-
-@contextmanager
-def stoppable_progress(counted: bool = True) -> Iterator[Progress]:
-    """Show a progress bar; a Ctrl-C becomes one line and exit status 130."""
-    try:
-        with progress_bar(counted) as tell:
-            yield tell
-    except KeyboardInterrupt as stop:
-        complain(str(stop) or "stopped")
-        raise typer.Exit(130) from None

@@ -11,7 +11,7 @@ from liaam.cli.check import warn_of_faults
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, camera_for, check_output, read_folder
 from liaam.cli.lamps import TrainingLampOption, read_lamps
 from liaam.cli.models import count_modes
-from liaam.cli.terminal import complain, say, stoppable_progress
+from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 
 
@@ -98,7 +98,7 @@ def train(
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
     light = None if lamps is None else read_lamps(lamps, training_lamp, recursive, camera.response)
     warn_of_faults(data, folder)
-    with stoppable_progress(counted=False) as tell:
+    with progress_bar(counted=False) as tell:
         model = train_model(
             data,
             camera=camera,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from liaam.cli.inputs import camera_for, check_output, read_init
-from liaam.cli.terminal import complain, console, progress_bar, say, table_of
+from liaam.cli.terminal import INTERRUPTED, complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.progress import Progress
 
@@ -108,7 +108,7 @@ def track(
     report(counts, [path for path in (output, annotated, shading_free) if path is not None])
     if stopped():
         complain(f"stopped after {counts.n} frames; they are written")
-        raise typer.Exit(130)
+        raise typer.Exit(INTERRUPTED)
     faults = [fault for fault in (task.fault, counts.all_grey and all_grey(shading_free, reader.name)) if fault]
     for fault in faults:
         complain(f"error: {fault}")
