@@ -1,6 +1,7 @@
 """Batches: one row per picture, the same rows whoever does them and however often they are stopped."""
 
 import csv
+import glob
 import io
 import json
 import multiprocessing
@@ -601,18 +602,47 @@ def locked(world, tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("pattern", ["", "**", "**/*.png", "*/1.png"])
-def test_a_folder_that_may_not_be_read_is_a_row(locked, pattern):
-    found = {os.path.relpath(path, locked) for path in find_pictures(f"{locked}/{pattern}")}
+@pytest.mark.parametrize("pattern", ["", "**", "**/*.png", "*/1.png", "**/**/[1].p?g"])
+def test_a_folder_that_may_not_be_read_is_passed_over_and_named(locked, pattern):
+    closed = []
+    found = list(find_pictures(f"{locked}/{pattern}", on_closed=closed.append))
+    assert [os.path.relpath(path, locked) for path in found] == ["open/1.png"]
     deep = set() if pattern == "*/1.png" else {"open/deep/closed"}
-    assert found - {"closed/1.png"} == {"open/1.png", "closed", *deep}
+    assert {os.path.relpath(path, locked) for path in closed} == {"closed", *deep}
+    with pytest.warns(UserWarning, match=r"closed cannot be read, so it is passed over"):
+        assert list(find_pictures(f"{locked}/{pattern}")) == found
 
 
-def test_the_row_of_a_folder_that_may_not_be_read_says_so(locked, world, tmp_path):
-    batch_of(world, tmp_path / "out.jsonl", locked / "closed")
-    row = next(row for row in rows_of(tmp_path / "out.jsonl") if row["path"].endswith("closed"))
-    assert row["status"] == "error"
-    assert "closed cannot be read (Permission denied): check the name and the rights" in row["message"]
+def test_a_source_that_may_not_be_read_is_an_error(locked, world, tmp_path):
+    with pytest.raises(LiaamError, match=r"closed cannot be read \(Permission denied\): check the rights"):
+        batch_of(world, tmp_path / "out.jsonl", locked / "closed")
+
+
+def test_the_command_names_folders_that_may_not_be_read(run, locked, world, tmp_path):
+    options = ["-m", "grey", "--init", world.settings.init, "--jobs", 1, "-o", tmp_path / "out.jsonl"]
+    _, out, err = run("batch", world.model, locked, *options)
+    assert "1 row: 1" in out
+    assert err.count("cannot be read, so it is passed over") == 2
+    assert [Path(row["path"]).name for row in rows_of(tmp_path / "out.jsonl")] == ["1.png"]
+
+
+@pytest.mark.parametrize("pattern", ["**", "*/**/*.png", "**/more/*.png", "*/face?.png", "images/*.png"])
+def test_a_pattern_lists_each_folder_once_and_finds_what_glob_does(world, monkeypatch, pattern):
+    known = glob.glob(f"{world.folder}/{pattern}", recursive=True)  # noqa: PTH207
+    listed, scandir = [], os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: listed.append(os.path.realpath(path)) or scandir(path))
+    found = list(find_pictures(f"{world.folder}/{pattern}"))
+    assert sorted(found) == sorted(path for path in known if path.endswith((".png", ".jpg")))
+    assert len(listed) == len(set(listed))
+
+
+def test_a_pattern_does_not_go_round_in_circles(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "1.png").touch()
+    (tmp_path / "in" / "loop").symlink_to("../in")
+    (tmp_path / "link").symlink_to("in")
+    found = {os.path.relpath(path, tmp_path) for path in find_pictures(f"{tmp_path}/**")}
+    assert found == {"in/1.png", "link/1.png"}
 
 
 def damage(world, output, change):

@@ -24,7 +24,7 @@ PAGE = 1000
 _TABLES = """
 CREATE TABLE IF NOT EXISTS facts (text TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS pictures (
-    place BLOB NOT NULL, path BLOB NOT NULL, state TEXT, seen INTEGER, status TEXT, row TEXT,
+    place BLOB NOT NULL, path BLOB NOT NULL, state TEXT, seen INTEGER, status TEXT, row TEXT, digest BLOB,
     UNIQUE (place, path)
 );
 """
@@ -102,6 +102,21 @@ class Journal:
             raise self.damage("its settings cannot be read")
         return facts
 
+    def check(self) -> None:
+        """Check that all rows are as they were kept.
+
+        Raises
+        ------
+        LiaamError
+            If a byte of them, or how they are found, has changed.
+        """
+        (found,) = self._ask("PRAGMA integrity_check(1)")
+        if found != ("ok",):
+            raise self.damage(found[0])
+        for path, *row, digest in self._pages("path, status, row, digest", "row IS NOT NULL"):
+            if _digest(path, *row) != digest:
+                raise self.damage("a row has changed")
+
     def restart(self, facts: dict[str, Any]) -> None:
         """Forget all rows, and note the settings of those to come."""
         with self._change():
@@ -151,9 +166,14 @@ class Journal:
 
     def keep(self, chunk: Iterable[str], rows: Iterable[tuple[str, str]]) -> None:
         """Keep (status, row) of each picture of a chunk; they are on disk when this returns."""
-        entries = [(*row, place_of(path), os.fsencode(path)) for path, row in zip(chunk, rows, strict=True)]
+        names = [(path, os.fsencode(path)) for path in chunk]
+        entries = [
+            (*row, _digest(name, *row), place_of(path), name) for (path, name), row in zip(names, rows, strict=True)
+        ]
         with self._change():
-            self._base.executemany("UPDATE pictures SET status = ?, row = ? WHERE place = ? AND path = ?", entries)
+            self._base.executemany(
+                "UPDATE pictures SET status = ?, row = ?, digest = ? WHERE place = ? AND path = ?", entries
+            )
 
     def rows(self) -> Iterator[str]:
         """All rows, in the order of the pictures."""
@@ -233,6 +253,11 @@ class Journal:
                 f"{self._file} cannot be read or written ({error}): check the rights and the free space; if it is "
                 f"damaged, remove {self.folder} and begin anew"
             ) from error
+
+
+def _digest(path: bytes, status: Any, row: Any) -> bytes:
+    """What tells a row from all others; SQLite does not notice if a byte of it changes."""
+    return hashlib.blake2b(repr((path, status, row)).encode("utf-8", "replace"), digest_size=8).digest()
 
 
 def _entry(start_of: Callable[[str], Path | None], path: str) -> tuple[bytes, bytes, str]:

@@ -1,8 +1,12 @@
 """Which pictures: of folders, patterns, files and lists, one at a time, so that there may be any number."""
 
+import errno
+import fnmatch
 import glob
 import os
-from collections.abc import Iterable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from itertools import takewhile
 from pathlib import Path
 
 from liaam.errors import ImageError
@@ -12,16 +16,17 @@ from liaam.io.files import existing_file
 SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
 
 
-def find_pictures(*sources: str | os.PathLike[str]) -> Iterator[str]:
+def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], object] | None = None) -> Iterator[str]:
     """Give the paths of pictures.
 
     Parameters
     ----------
     *sources : path-like
-        Folders, of which all pictures are taken, those of sub-folders too (a folder that may not be read is given in
-        their place, so that its row says so); patterns such as ``images/**/left*.png``,
+        Folders, of which all pictures are taken, those of sub-folders too; patterns such as ``images/**/left*.png``,
         where ``**`` stands for any folders; or files, whatever they are called. Hidden files and folders are passed
         over.
+    on_closed : callable, optional
+        Called with each folder that may not be read and is passed over; if left out, a warning names it.
 
     Yields
     ------
@@ -31,13 +36,14 @@ def find_pictures(*sources: str | os.PathLike[str]) -> Iterator[str]:
     Raises
     ------
     ImageError
-        If a source is not there, or is a folder or pattern without pictures.
+        If a source is not there, may not be read, or is a folder or pattern without pictures.
     """
+    on_closed = on_closed or _warn
     for source in [os.fspath(source) for source in sources]:
         if os.path.isdir(source):  # noqa: PTH112 (a str stays one, as people wrote it)
-            found = _in_folder(source)
+            found = _in_folder(source, on_closed)
         elif glob.has_magic(source) and not os.path.lexists(source):
-            found = _of_pattern(source)
+            found = _of_pattern(source, on_closed)
         else:
             if not os.path.lexists(source):
                 existing_file(source, ImageError, "picture")  # says what is wrong
@@ -60,39 +66,65 @@ def listed_pictures(lines: Iterable[bytes]) -> Iterator[str]:
             yield path
 
 
-def _in_folder(folder: str) -> Iterator[str]:
-    closed: list[str] = []
-    for parent, folders, names in os.walk(folder, onerror=lambda fault: closed.append(fault.filename)):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        yield from (os.path.join(parent, name) for name in names if _is_picture(name))  # noqa: PTH118
-    yield from closed
+def _warn(folder: str) -> None:
+    warnings.warn(f"{folder} cannot be read, so it is passed over: check the rights", stacklevel=3)
 
 
-def _of_pattern(pattern: str) -> Iterator[str]:
-    found = glob.iglob(pattern, recursive=True)  # noqa: PTH207 (Path.glob sorts nothing either, and makes objects)
-    yield from (path for path in found if _is_picture(Path(path).name) and not os.path.isdir(path))  # noqa: PTH112
-    yield from _closed(pattern)
-
-
-def _closed(pattern: str) -> Iterator[str]:
-    """Folders that a pattern leads into and that may not be read, which glob passes over."""
-    told: set[str] = set()
-    folders = pattern if pattern.endswith("**") else os.path.dirname(pattern)  # noqa: PTH120
-    while folders and folders.rstrip(os.sep):
-        for folder in glob.iglob(os.path.join(folders, ""), recursive=True):  # noqa: PTH118, PTH207
-            folder = folder.rstrip(os.sep)
-            if folder not in told and not _may_be_listed(folder):
-                told.add(folder)
-                yield folder
-        folders = os.path.dirname(folders)  # noqa: PTH120
-
-
-def _may_be_listed(folder: str) -> bool:
+def _in_folder(folder: str, on_closed: Callable[[str], object]) -> Iterator[str]:
     try:
         os.scandir(folder).close()
-    except OSError:
+    except OSError as fault:
+        raise ImageError(f"{folder} cannot be read ({fault.strerror or fault}): check the rights") from fault
+    for parent, folders, names in os.walk(folder, onerror=lambda fault: on_closed(fault.filename)):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (os.path.join(parent, name) for name in names if _is_picture(name))  # noqa: PTH118
+
+
+def _of_pattern(pattern: str, on_closed: Callable[[str], object]) -> Iterator[str]:
+    """Pictures of a pattern; each folder is listed once."""
+    parts = pattern.split(os.sep)  # noqa: PTH206 (what the path begins with stays as it is)
+    fixed = [*takewhile(lambda part: not glob.has_magic(part), parts)]
+    parts = [part for part in parts[len(fixed) : -1] if part] + parts[-1:]
+    todo = [(os.sep.join([*fixed, ""]), {0})]  # noqa: PTH118
+    while todo:
+        folder, places = todo.pop()
+        # Where the entries of this folder may be in the pattern: after a '**' that stands for no folder, too.
+        for place in range(len(parts) - 1):
+            if place in places and parts[place] == "**":
+                places.add(place + 1)
+        for entry in _entries(folder, on_closed):
+            met = {place for place in places if _matches(entry.name, parts[place])}
+            if not _is_folder(entry):
+                if len(parts) - 1 in met and _is_picture(entry.name):
+                    yield folder + entry.name
+                continue
+            below = {place if parts[place] == "**" else place + 1 for place in met} - {len(parts)}
+            if below:
+                todo.append((os.path.join(folder, entry.name, ""), below))  # noqa: PTH118
+
+
+def _entries(folder: str, on_closed: Callable[[str], object]) -> "list[os.DirEntry[str]]":
+    try:
+        with os.scandir(folder or ".") as entries:
+            return list(entries)
+    except OSError as fault:
+        if fault.errno not in (errno.ENOENT, errno.ENOTDIR):
+            on_closed(folder.rstrip(os.sep) or folder)
+        return []
+
+
+def _matches(name: str, part: str) -> bool:
+    if name.startswith(".") and not part.startswith("."):
         return False
-    return True
+    return part == "**" or fnmatch.fnmatch(name, part)
+
+
+def _is_folder(entry: "os.DirEntry[str]") -> bool:
+    """Whether an entry is a folder to look into: a link to a folder that it lies in would lead round and round."""
+    if not entry.is_dir() or not entry.is_symlink():
+        return entry.is_dir()
+    here, there = (Path(os.path.realpath(path)) for path in (Path(entry.path).parent, entry.path))
+    return not here.is_relative_to(there)
 
 
 def _is_picture(name: str) -> bool:

@@ -16,7 +16,7 @@ from liaam import __version__
 from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
 from liaam.batch.pools import Chunk, Finished, in_processes, in_turn
-from liaam.batch.tables import Table, check_format, is_row, write_table
+from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_table
 from liaam.batch.work import Job, Settings
 from liaam.errors import LiaamError
 from liaam.io import write_text_atomically
@@ -224,6 +224,7 @@ class _Batch:
             before = journal.facts
             if before is not None and journal.statuses:
                 self._refuse_others(before)
+                journal.check()
                 return
             self._check_earlier()
         journal.restart(self.facts)
@@ -258,12 +259,17 @@ class _Batch:
         write_text_atomically(summary_file(self.output), json.dumps(facts, indent=1) + "\n")
         return summary
 
-    def _rows(self, journal: Journal) -> Iterator[str]:
-        """All rows, none of which may be damaged."""
-        for row in journal.rows():
-            if not is_row(row, self.job.model.n_points, self.job.settings.covariance):
+    def _rows(self, journal: Journal) -> Iterator[ParsedRow]:
+        """All rows, as text and as what it stands for; none may be missing or damaged."""
+        n_rows = 0
+        for text in journal.rows():
+            row = row_of(text, self.job.model.n_points, self.job.settings.covariance)
+            if row is None:
                 raise journal.damage("a row cannot be read")
-            yield row
+            n_rows += 1
+            yield text, row
+        if n_rows != journal.total:
+            raise journal.damage(f"{journal.total - n_rows} rows are missing")
 
     def _fit(self, journal: Journal, workers: _Workers, tell: Progress) -> Summary:
         """Fit what the journal does not hold yet."""

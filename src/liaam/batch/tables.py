@@ -34,14 +34,18 @@ COLUMNS = {
 _PARTS = {"landmarks": ("x", "y"), "covariance": ("xx", "xy", "yy")}
 
 
+ParsedRow = tuple[str, dict[str, Any]]
+"""A row as JSON, and what it stands for."""
+
+
 @dataclass(frozen=True)
 class Table:
     """What is written.
 
     Attributes
     ----------
-    rows : iterable of str
-        JSON, one for each picture.
+    rows : iterable of (str, dict)
+        One for each picture: JSON, and what it stands for.
     n_points : int
         Landmarks of the model.
     covariance : bool
@@ -50,7 +54,7 @@ class Table:
         Settings, kept in the file where the format has a place for them.
     """
 
-    rows: Iterable[str]
+    rows: Iterable[ParsedRow]
     n_points: int
     covariance: bool
     facts: dict[str, Any]
@@ -61,16 +65,17 @@ class Table:
         return [name for name in COLUMNS if self.covariance or name != "covariance"]
 
 
-def is_row(text: str, n_points: int, covariance: bool) -> bool:
-    """Whether a text is a row that can be written: JSON with all columns, each of its type."""
+def row_of(text: str, n_points: int, covariance: bool) -> dict[str, Any] | None:
+    """Read a row of JSON; None if it is no row that can be written, with all columns, each of its type."""
     try:
         row = json.loads(text)
     except (ValueError, RecursionError):
-        return False
+        return None
     names = [name for name in COLUMNS if covariance or name != "covariance"]
     if not isinstance(row, dict) or not row.keys() >= set(names):
-        return False
-    return all(_is_cell(row[name], COLUMNS[name], n_points * len(_PARTS.get(name, ()))) for name in names)
+        return None
+    sound = all(_is_cell(row[name], COLUMNS[name], n_points * len(_PARTS.get(name, ()))) for name in names)
+    return row if sound else None
 
 
 def _is_cell(value: Any, kind: str, width: int) -> bool:
@@ -107,7 +112,7 @@ def _write_parquet(path: Path, table: Table) -> None:
     schema = pa.schema([(name, types[COLUMNS[name]]) for name in table.columns], {"liaam": json.dumps(table.facts)})
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
         for group in _groups(table.rows):
-            writer.write_table(pa.Table.from_pylist([json.loads(row) for row in group], schema))
+            writer.write_table(pa.Table.from_pylist([row for _, row in group], schema))
 
 
 def _write_csv(path: Path, table: Table) -> None:
@@ -116,14 +121,13 @@ def _write_csv(path: Path, table: Table) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header for name in table.columns for header in _headers(name, table.n_points))
-        for text in table.rows:
-            row = json.loads(text)
+        for _, row in table.rows:
             writer.writerow(cell for name in table.columns for cell in _cells(row[name], widths.get(name)))
 
 
 def _write_lines(path: Path, table: Table) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.writelines(f"{row}\n" for row in table.rows)
+        file.writelines(f"{text}\n" for text, _ in table.rows)
 
 
 def _headers(name: str, n_points: int) -> list[str]:
@@ -136,7 +140,7 @@ def _cells(value: Any, width: int | None) -> list[Any]:
     return [None] * width if value is None else value
 
 
-def _groups(rows: Iterable[str]) -> Iterator[list[str]]:
+def _groups(rows: Iterable[ParsedRow]) -> Iterator[list[ParsedRow]]:
     rest = iter(rows)
     while group := list(islice(rest, GROUP)):
         yield group

@@ -1,7 +1,7 @@
 """The command ``liaam batch``: it reads options, runs, and prints what came out."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from liaam.cli.inputs import RotationsOption
-from liaam.cli.terminal import complain, say, stoppable_progress
+from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 
 
@@ -65,10 +65,11 @@ def batch(
 
     camera = None if camera_file is None else load_camera(camera_file)
     settings = Settings(method, init, iterations, camera, response, covariance, rotations)
-    with ExitStack() as files, stoppable_progress() as tell:
+    closed: list[str] = []
+    with ExitStack() as files, progress_bar() as tell:
         summary = run_batch(
             model_file,
-            named_pictures(pictures or [], listed, files),
+            named_pictures(pictures or [], listed, files, closed.append),
             output,
             settings,
             jobs=jobs,
@@ -83,20 +84,27 @@ def batch(
         rate = summary.fitted / summary.seconds
         say(f"{output}: {_count(summary.fitted, 'picture')} done in {summary.seconds:.0f} s, {rate:.1f} a second")
     say(f"{_count(summary.total, 'row')}: {in_words(summary.statuses)}")
+    for folder in sorted(set(closed)):
+        complain(f"{folder} cannot be read, so it is passed over: check the rights")
     if errors := summary.statuses.get(ERROR, 0):
         complain(f"{_count(errors, 'picture')} could not be fitted; the column 'message' says why")
     if errors == summary.total:
         raise typer.Exit(1)
 
 
-def named_pictures(sources: list[str], listed: Path | None, files: ExitStack) -> Iterator[str]:
+def named_pictures(
+    sources: list[str], listed: Path | None, files: ExitStack, on_closed: Callable[[str], object]
+) -> Iterator[str]:
     """Pictures of all arguments and lists, one after the other."""
     from liaam.batch import find_pictures, listed_pictures
     from liaam.io.files import existing_file
 
     if not sources and listed is None:
         raise LiaamError("no pictures: name a folder, a pattern such as 'images/**', files, or a --list")
-    named = [listed_pictures(sys.stdin.buffer) if source == "-" else find_pictures(source) for source in sources]
+    named = [
+        listed_pictures(sys.stdin.buffer) if source == "-" else find_pictures(source, on_closed=on_closed)
+        for source in sources
+    ]
     if listed is not None:
         path = existing_file(listed, LiaamError, "list of pictures")
         named.append(listed_pictures(files.enter_context(path.open("rb"))))
