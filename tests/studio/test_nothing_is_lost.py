@@ -3,13 +3,14 @@
 import errno
 import os
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from small_projects import POINTS, by_name, proposal, refused
 
 from liaam.errors import LiaamError
-from liaam.io import Landmarks, write_image, write_landmarks
+from liaam.io import Landmarks, atomic, read_landmarks, write_image, write_landmarks
 from liaam.studio import folder as project_folder
 from liaam.studio import landmark_files, state_files
 from liaam.studio.app import make_studio
@@ -209,12 +210,44 @@ def test_a_studio_that_could_not_start_leaves_the_folder_free(small, tmp_path):
 
 
 def test_what_a_killed_process_left_is_swept(small):
-    left = [small.root / STATE / f".liaam-{'0a' * 8}{suffix}" for suffix in (".liaam", ".json")]
-    own = [small.root / f".liaam-{'0a' * 8}.png", small.root / STATE / ".liaam-mine.json"]
+    name = f".liaam-{atomic._HOST}0a0a0a0a"
+    left = [small.root / STATE / f"{name}.liaam", small.root / STATE / f"{name}.json", small.root / f"{name}.ljson"]
+    own = [small.root / ".liaam-mine.png", small.root / STATE / ".liaam-mine.json"]
     for path in (*left, *own):
         path.touch()
-    make_studio(small.root).close()
+    with atomic.atomic_path(small.root / "x.csv") as being_written:
+        make_studio(small.root).close()
+        assert being_written.exists()
     assert not any(path.exists() for path in left) and all(path.exists() for path in own)
+
+
+@pytest.mark.parametrize("after", ["invisible.json", "p4.pts"])
+def test_a_save_that_is_cut_short_keeps_landmarks_and_marks_together(small, monkeypatch, after):
+    write_image(small.root / "p4.png", np.full((30, 40, 3), 90, np.uint8))
+    write_landmarks(small.root / "p4.pts", Landmarks(POINTS))
+    saved = {"points": POINTS, "invisible": [1]}
+    small.save_marks("p4.png", {**saved, "revision": small.marks("p4.png")["revision"]})
+
+    for module, name in ((state_files, "write_bytes_atomically"), (landmark_files, "write_text_atomically")):
+        real = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *arguments, real=real: cut_short_by(real, after, *arguments))
+    change = {"points": MOVED, "invisible": [0, 2]}
+    with pytest.raises(KeyboardInterrupt):
+        small.save_marks("p4.png", {**change, "revision": small.marks("p4.png")["revision"]})
+    monkeypatch.undo()
+    marks = Project(small.root).marks("p4.png")
+    assert {key: marks[key] for key in saved} == (change if after == "p4.pts" else saved)
+    again = Project(small.root)
+    again.save_marks("p4.png", {**change, "revision": again.marks("p4.png")["revision"]})
+    assert Project(small.root).marks("p4.png")["invisible"] == [0, 2]
+    again.save_marks("p4.png", {"points": MOVED, "invisible": [], "revision": again.marks("p4.png")["revision"]})
+    assert Project(small.root).marks("p4.png")["invisible"] == []
+
+
+def cut_short_by(write, after, path, *arguments):
+    write(path, *arguments)
+    if path.name == after:
+        raise KeyboardInterrupt  # as good as a kill
 
 
 def test_a_stamp_changes_with_all_that_is_shown(small):
@@ -293,6 +326,36 @@ def test_a_landmark_file_that_was_deleted_is_called_so(small):
     refusal = refused(lambda: put(small, "p1.png", MOVED, revision=revision))
     assert "was deleted since" in str(refusal) and refusal.details["current"]["revision"] is None
     assert put(small, "p1.png", MOVED)["picture"]["state"] == "done"  # written again
+
+
+# Two tabs, and a clock that jumps
+
+
+def test_of_many_tabs_that_save_at_once_one_is_heard_and_the_others_are_told(small, serve):
+    client = serve(small.root).client
+    revision = client.get("/api/pictures/p1.png/landmarks").json()["revision"]
+    sent = [{"points": [[i, 1], [2, 3], [4, 5]], "invisible": [], "revision": revision} for i in range(12)]
+    with ThreadPoolExecutor(12) as tabs:
+        answers = list(tabs.map(lambda data: client.put("/api/pictures/p1.png/landmarks", json=data), sent))
+    heard = [data for data, answer in zip(sent, answers, strict=True) if answer.status_code == 200]
+    assert len(heard) == 1 and {answer.status_code for answer in answers} == {200, 409}
+    assert client.get("/api/pictures/p1.png/landmarks").json()["points"] == heard[0]["points"]
+    shown = [answer.json()["current"]["points"] for answer in answers if answer.status_code == 409]
+    assert all(points == heard[0]["points"] for points in shown)
+    assert read_landmarks(small.root / "p1.ljson").points.tolist() == heard[0]["points"]
+
+
+@pytest.mark.parametrize("age", [4e9, 1e6])
+def test_a_file_that_is_changed_elsewhere_is_noticed_whatever_the_clock_says(small, age):
+    os.utime(small.root / "p1.ljson", (age, age))
+    before = small.marks("p1.png")
+    write_landmarks(small.root / "p1.ljson", Landmarks(MOVED))
+    os.utime(small.root / "p1.ljson", (age - 100, age - 100))  # older than the one before
+    assert small.marks("p1.png")["points"] == MOVED
+    assert refused(lambda: put(small, "p1.png", POINTS, revision=before["revision"])).status == 409
+    os.utime(small.root, (age, age))
+    put(small, "p1.png", POINTS, revision=small.marks("p1.png")["revision"])
+    assert Project(small.root).marks("p1.png")["points"] == POINTS
 
 
 # What the page is told

@@ -76,7 +76,6 @@ class LandmarkFiles:
         self._paired_files: object = None
         self._paired_version = -1
         self._invisible: dict[str, Any] = state.read(INVISIBLE_FILE, _is_invisible) or {}
-        self._written_invisible = self._invisible
 
     # What they say --------------------------------------------------------------------------------
 
@@ -129,8 +128,8 @@ class LandmarkFiles:
         except LandmarkError as fault:
             return Marks(own.name, revision, None, f"{fault} A copy is kept when you place points anew.")
         assert isinstance(landmarks, Landmarks)  # these formats are of one picture
-        marks = self._invisible.get(own.name)
-        if marks is not None and marks["revision"] == revision and max(marks["points"], default=0) < len(landmarks):
+        marks = self._invisible_of(own.name, revision)
+        if marks is not None and max(marks["points"], default=0) < len(landmarks):
             landmarks = replace(landmarks, invisible=tuple(marks["points"]))
         return Marks(own.name, revision, landmarks)
 
@@ -180,8 +179,8 @@ class LandmarkFiles:
 
     def save(self, picture: File, template: Template, points: Sequence[Any], invisible: Sequence[int]) -> None:
         """Write a picture's landmarks; of a picture without any point nothing is left."""
-        target = self.target(picture)
-        self._keep_unreadable(self.of(picture), target, template)
+        target, before = self.target(picture), self.of(picture)
+        self._keep_unreadable(before, target, template)
         # A file of another format would show again if the studio's own were removed.
         is_alone = picture.name not in self._foreign()
         if not any(points) and target.suffix.lower() == ".ljson" and is_alone:
@@ -189,8 +188,9 @@ class LandmarkFiles:
         else:
             landmarks = landmarks_of(template, points, invisible)
             text = text_of(landmarks, target)
+            revision = before.revision if before is not None and before.file == target.name else None
+            self._remember_invisible(target.name, revision, text.encode(), landmarks.invisible)
             write_text_atomically(target, text, LandmarkError)
-            self._remember_invisible(target.name, text.encode(), landmarks.invisible)
         self._listing.renew(target.name)
         self._read.pop(target.name, None)  # a write within the clock's resolution does not show in the signature
 
@@ -201,10 +201,11 @@ class LandmarkFiles:
         except Refusal:  # it has become a link that leads out: not ours to write
             return
         data = target.read_bytes() if target.is_file() else None
-        if data != after and (None if data is None else revision_of(data)) == before:
+        if data != after and (None if data is None else revision_of(data)) != before:
+            return
+        self._remember_invisible(name, before, after, invisible)
+        if data != after:
             write_bytes_atomically(target, after, LandmarkError)
-        if invisible:
-            self._remember_invisible(name, after, invisible)
 
     def _keep_unreadable(self, before: Marks | None, target: Path, template: Template) -> None:
         """Keep a copy of what a person may miss: a file that cannot be read, or of another number of points."""
@@ -214,15 +215,26 @@ class LandmarkFiles:
             data = target.read_bytes()
             self._state.write(f"kept/{target.stem}.{revision_of(data)}{target.suffix}", data)
 
-    def _remember_invisible(self, name: str, data: bytes, invisible: Sequence[int]) -> None:
-        """Keep the marks that a ``.pts`` has no place for."""
+    def _invisible_of(self, name: str, revision: str | None) -> dict[str, Any] | None:
+        """Marks of a revision of a file: the newest ones, or those before where the newest was not written."""
+        newest = self._invisible.get(name)
+        found = [] if newest is None else [newest, newest.get("before")]
+        return next((marks for marks in found if marks is not None and marks["revision"] == revision), None)
+
+    def _remember_invisible(self, name: str, before: str | None, data: bytes, invisible: Sequence[int]) -> None:
+        """Keep the marks that a ``.pts`` has no place for.
+
+        This comes before the file is written, so the marks of the file as it is now (revision ``before``) stay.
+        """
         known = {key: marks for key, marks in self._invisible.items() if key != name}
-        if invisible and Path(name).suffix.lower() == ".pts":
-            known[name] = {"revision": revision_of(data), "points": list(invisible)}
-        self._invisible = known
-        if known != self._written_invisible:
+        marks, old = {"revision": revision_of(data), "points": list(invisible)}, self._invisible_of(name, before)
+        if old is not None:
+            marks["before"] = {"revision": old["revision"], "points": old["points"]}
+        if Path(name).suffix.lower() == ".pts" and (invisible or old is not None):
+            known[name] = marks
+        if known != self._invisible:
             self._state.write(INVISIBLE_FILE, known)
-            self._written_invisible = known
+            self._invisible = known
 
 
 def text_of(landmarks: Landmarks, target: Path) -> str:
@@ -233,4 +245,5 @@ def text_of(landmarks: Landmarks, target: Path) -> str:
 
 
 def _is_invisible(data: Any) -> bool:
-    return all(isinstance(item["revision"], str) and all(i >= 0 for i in item["points"]) for item in data.values())
+    marks = [marks for item in data.values() for marks in (item, item.get("before", item))]
+    return all(isinstance(item["revision"], str) and all(i >= 0 for i in item["points"]) for item in marks)
