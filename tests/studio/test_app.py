@@ -158,7 +158,7 @@ def test_training_is_stopped(folder, serve):
 
 def test_too_few_pictures_are_told(folder, serve):
     answer = serve(folder(3, 2)).client.post("/api/training", json={})
-    assert answer.status_code == 422 and "3 are needed" in answer.json()["error"]
+    assert answer.status_code == 422 and "complete at least 3" in answer.json()["error"]
 
 
 def test_a_given_model_is_used(folder, serve, head_model, tmp_path):
@@ -309,7 +309,7 @@ def test_ctrl_c_stops_the_command(folder, command):
     process = command(folder(1), "--port", "0")
     address = process.stdout.readline().split()[-1]
     assert address.startswith("http://127.0.0.1:") and "/?token=" in address
-    assert process.stdout.readline() == "Ctrl-C stops it\n"
+    assert process.stdout.readline() == "Press Ctrl-C to stop it\n"
     with httpx.Client(trust_env=False, follow_redirects=True) as browser:
         assert browser.get(address).status_code == 200
         with browser.stream("GET", address.partition("?")[0] + "api/events") as events:
@@ -381,7 +381,7 @@ def test_ports_that_are_taken_are_passed_over(folder):
         assert first.getsockname()[1] != second.getsockname()[1]
     with pytest.raises(LiaamError, match="ports are"):
         open_port("127.0.0.1", 70_000)
-    with pytest.raises(LiaamError, match="give another"):
+    with pytest.raises(LiaamError, match="choose another with --port"):
         open_port("203.0.113.7", None)
 
 

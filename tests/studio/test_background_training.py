@@ -82,7 +82,7 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     models.listeners.append(lambda current: seen.append(current.number))
 
     assert trainer.start().state == "running"
-    with pytest.raises(Refusal, match="a training is under way") as caught:
+    with pytest.raises(Refusal, match="a training is running: wait for it, or stop it") as caught:
         trainer.start()
     assert caught.value.status == 409
     ended = trainer.wait(240)
@@ -121,7 +121,7 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
 
 def test_too_few_pictures_are_refused(setting):
     *_, trainer = setting(4, 2)
-    with pytest.raises(Refusal, match="2 pictures have all their points; 3 are needed") as caught:
+    with pytest.raises(Refusal, match="only 2 pictures have all their points: complete at least 3") as caught:
         trainer.start()
     assert caught.value.status == 422
     assert trainer.state.state == "idle"

@@ -226,9 +226,9 @@ class TestLayers:
     @pytest.mark.parametrize(
         ("name", "method", "text"),
         [
-            ("face.png", "grey", "method grey does not tell colour from shading"),
-            ("face.png", "igo", "method igo does not tell"),
-            ("face.png", "li-lit", "method li-lit does not tell"),
+            ("face.png", "grey", "method grey does not separate colour from shading"),
+            ("face.png", "igo", "method igo does not separate"),
+            ("face.png", "li-lit", "method li-lit does not separate"),
             ("grey.png", "soft-li", "the image is grey"),
         ],
     )
@@ -285,7 +285,7 @@ class TestLight:
         assert fits.relit(fitted, (1.0, 0.0, 0.5), 0.2, 80).shape == (80, 60, 3)
 
     def test_a_method_without_shading_says_so(self, fits):
-        with pytest.raises(layers.MethodError, match="method grey does not tell"):
+        with pytest.raises(layers.MethodError, match="method grey does not separate"):
             fits.relit(fit(fits, method="grey"), (0.0, 0.0, 1.0), 0.3, 320)
 
     def test_on_request(self, page):
@@ -476,12 +476,12 @@ class TestRequests:
         [
             ({"picture": "nothing.png"}, 404, "no picture 'nothing.png'"),
             ({"picture": "../face.png"}, 404, "no picture"),
-            ({"upload": "nonsense"}, 404, "drop it once more"),
-            ({}, 422, "say what to fit"),
-            ({"picture": "face.png", "upload": "x"}, 422, "say what to fit"),
-            ({"picture": 7}, 422, "say what to fit"),
+            ({"upload": "nonsense"}, 404, "drop it again"),
+            ({}, 422, "the picture to fit is unclear"),
+            ({"picture": "face.png", "upload": "x"}, 422, "the picture to fit is unclear"),
+            ({"picture": 7}, 422, "the picture to fit is unclear"),
             ({"picture": "face.png", "method": "magic"}, 422, "method 'magic' does not exist"),
-            ({"picture": "face.png", "method": 7}, 422, "the method is no text"),
+            ({"picture": "face.png", "method": 7}, 422, "the method is not a string"),
             ({"picture": "face.png", "start": "there"}, 422, "the start is unclear"),
             ({"picture": "face.png", "start": {"box": [5, 5, 5, 5]}}, 422, "the box 5, 5, 5, 5 is empty"),
             ({"picture": "face.png", "start": {"box": [900, 900, 990, 990]}}, 422, "the start lies outside the image"),
@@ -503,10 +503,10 @@ class TestRequests:
     @pytest.mark.parametrize(
         ("path", "status", "text"),
         [
-            ("layers/heat", 404, "there are residual, shading, flat"),
-            ("layers/flat?size=big", 422, "no whole number"),
-            ("export?what=zip", 422, "there are pts, ljson"),
-            ("export", 422, "there are pts"),
+            ("layers/heat", 404, "choose one of residual, shading, flat"),
+            ("layers/flat?size=big", 422, "not a whole number"),
+            ("export?what=zip", 422, "choose one of pts, ljson"),
+            ("export", 422, "choose one of pts"),
             ("relit?x=nan", 422, "the light is unclear"),
             ("relit?x=0&y=0&z=0", 422, "the light is unclear"),
             ("relit?x=a", 422, "the light is unclear"),

@@ -314,9 +314,9 @@ def test_what_is_passed_over_is_told(small, tmp_path):
     (small.root / "p1.png").rename(small.root / "renamed.png")
     small.overview()
     pictures, links, orphans = small.problems
-    assert pictures.startswith("4 pictures (a.gif, b.HEIC, c.webp and 1 more) passed over")
+    assert pictures.startswith("4 pictures (a.gif, b.HEIC, c.webp and 1 more) skipped")
     assert "(1 .gif, 1 .heic, 2 .webp)" in pictures
-    assert links.startswith("1 file (link.png) passed over")
+    assert links.startswith("1 file (link.png) skipped")
     assert orphans.startswith("1 landmark file (p1.ljson) without a picture of the same name")
 
 
@@ -324,7 +324,7 @@ def test_a_landmark_file_that_was_deleted_is_called_so(small):
     revision = small.marks("p1.png")["revision"]
     (small.root / "p1.ljson").unlink()
     refusal = refused(lambda: put(small, "p1.png", MOVED, revision=revision))
-    assert "was deleted since" in str(refusal) and refusal.details["current"]["revision"] is None
+    assert "was deleted in the meantime" in str(refusal) and refusal.details["current"]["revision"] is None
     assert put(small, "p1.png", MOVED)["picture"]["state"] == "done"  # written again
 
 

@@ -90,7 +90,7 @@ class TestTaken:
         assert len(uploads) == 3
         assert [uploads.get(upload.id).name for upload in added[2:]] == ["2.png", "3.png", "4.png"]
         for upload in added[:2]:
-            with pytest.raises(Refusal, match="only the 3 newest are kept: drop it once more") as refused:
+            with pytest.raises(Refusal, match="only the 3 newest are kept: drop it again") as refused:
                 uploads.source(upload.id)
             assert refused.value.status == 404
 
@@ -100,7 +100,7 @@ class TestTaken:
         uploads.add(PNG, "b.png")  # pushes the first one's pixels out
         assert np.array_equal(uploads._pictures.pixels(first), colours())
         uploads.add(PNG, "c.png")  # and this one the first itself
-        with pytest.raises(Refusal, match="drop it once more"):
+        with pytest.raises(Refusal, match="drop it again"):
             uploads._pictures.pixels(first)
 
     def test_from_many_threads(self):

@@ -1,7 +1,7 @@
-"""The studio's web application: its parts put together, its routes, and errors as JSON.
+"""The studio's web application: it wires the parts together, defines the routes, and returns errors as JSON.
 
-Handlers are short: they read a request, call a part in a thread (so that the event loop stays free), and answer. Every
-error that is meant for people is ``{"error": sentence}``.
+A handler reads a request, calls one part in a thread to keep the event loop free, and answers. Errors for the user have
+the form ``{"error": sentence}``.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from liaam.studio.training import Trainer
 from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
 
 IMAGE_SIZE, CHROMA_SIZE = 2048, 640
-"""Longest sides where none is asked for, pixels."""
+"""Default longest sides in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,21 +58,21 @@ class Studio:
     lock: FolderLock
 
     def close(self) -> None:
-        """End what is under way: the open pages' event streams, and a training; then give the folder free."""
+        """Close the event streams, stop a running training, and release the folder."""
         self.events.close()
         self.training.stop()
         self.lock.release()
 
 
 def make_studio(folder: str | Path, model: Path | None = None, settings: Settings | None = None) -> Studio:
-    """Put together a studio on a folder.
+    """Create the studio of a folder.
 
     Parameters
     ----------
     folder : path-like
-        Holds the pictures; may be empty.
+        Folder of the pictures; may be empty.
     model : Path, optional
-        Model to use instead of what the studio trained in this folder before.
+        Model to use instead of the one that the studio trained in this folder before.
     settings : Settings, optional
 
     Raises
@@ -113,7 +113,7 @@ def _made(folder: str | Path, model: Path | None, settings: Settings, lock: Fold
 
 
 def make_app(studio: Studio) -> Starlette:
-    """Make the web application of a studio."""
+    """Create the web application of a studio."""
     handlers = _Handlers(studio)
     return Starlette(
         routes=[
@@ -136,12 +136,12 @@ Handler = Callable[[Request], Awaitable[Response]]
 
 
 class _Handlers:
-    """What answers requests about the project, its training and its pictures."""
+    """Handlers of requests about the project, its training and its pictures."""
 
     def __init__(self, studio: Studio) -> None:
         self.studio = studio
-        # Their own: the thumbnails of a large folder must keep neither fits nor landmarks waiting.
-        self._lookers = CapacityLimiter(2)
+        # A separate limit, so that the thumbnails of a large folder do not delay fits or landmarks.
+        self._picture_threads = CapacityLimiter(2)
 
     def routes(self) -> list[Route]:
         get, put, post, delete = (["GET"], ["PUT"], ["POST"], ["DELETE"])
@@ -176,14 +176,14 @@ class _Handlers:
         from liaam.fitting.methods import DEFAULT_METHOD
 
         studio, project = self.studio, self.studio.project
-        learnt = self._learnt()  # before what it stands for: a change meanwhile shows the next time
-        overview = project.overview_since(_without(learnt, known))
+        suffix = self._stamp_suffix()  # read before the data: a change in between shows up in the next request
+        overview = project.overview_since(_without(suffix, known))
         if overview is None:
             return {"unchanged": True, "stamp": known}
         follow_template(project, studio.models, studio.training)
         return {
             "id": project.id,
-            "stamp": overview.stamp + learnt,
+            "stamp": overview.stamp + suffix,
             "folder": project.root.name or str(project.root),
             "version": __version__,
             "pictures": overview.pictures,
@@ -200,8 +200,8 @@ class _Handlers:
             "problems": project.problems,
         }
 
-    def _learnt(self) -> str:
-        """What a stamp says beside the folder's own: which model there is, and whether a training runs."""
+    def _stamp_suffix(self) -> str:
+        """Return the part of a stamp that depends on the model and the training, not on the folder."""
         model = self.studio.models.current
         return f"-{0 if model is None else model.number}-{self.studio.training.state.state}"
 
@@ -229,7 +229,7 @@ class _Handlers:
         try:
             studio.project.save_template(data)
             return studio.project.template_json() or {}
-        finally:  # also if a change of before was finished, and this one refused
+        finally:  # even if this change is refused, since an earlier one may have been finished
             follow_template(studio.project, studio.models, studio.training)
 
     async def read_template(self, request: Request) -> Response:
@@ -239,18 +239,18 @@ class _Handlers:
         return JSONResponse(template.as_json())
 
     async def train(self, request: Request) -> Response:
-        return JSONResponse(await self._of_training(request, self.studio.training.start), 202)
+        return JSONResponse(await self._control_training(request, self.studio.training.start), 202)
 
     async def stop_training(self, request: Request) -> Response:
-        return JSONResponse(await self._of_training(request, self.studio.training.stop))
+        return JSONResponse(await self._control_training(request, self.studio.training.stop))
 
-    async def _of_training(self, request: Request, do: Callable[[], Any]) -> dict[str, Any]:
-        """Start or stop it, unless the page is of another folder; what has no page need not say which it means."""
-        asked = await self._json(request) if request.headers.get("content-type") else None
+    async def _control_training(self, request: Request, action: Callable[[], Any]) -> dict[str, Any]:
+        """Start or stop the training. A request with a body is refused if it names another folder."""
+        body = await self._json(request) if request.headers.get("content-type") else None
 
         def checked() -> dict[str, Any]:
-            self.studio.project.check_id(asked)
-            return asdict(do())
+            self.studio.project.check_id(body)
+            return asdict(action())
 
         return await run_sync(checked)
 
@@ -272,7 +272,7 @@ class _Handlers:
         return await self._image(request, self._source)
 
     async def thumbnail(self, request: Request) -> Response:
-        return await self._seen(request, self._source, "thumbnail", "image/jpeg", self.studio.pictures.thumbnail)
+        return await self._cached(request, self._source, "thumbnail", "image/jpeg", self.studio.pictures.thumbnail)
 
     async def chroma(self, request: Request) -> Response:
         return await self._chroma(request, self._source)
@@ -290,7 +290,8 @@ class _Handlers:
 
     async def _image(self, request: Request, source: Callable[[Request], Source]) -> Response:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
-        return await self._seen(request, source, f"{size}", "image/jpeg", lambda s: self.studio.pictures.image(s, size))
+        pictures = self.studio.pictures
+        return await self._cached(request, source, f"{size}", "image/jpeg", lambda s: pictures.image(s, size))
 
     async def _chroma(self, request: Request, source: Callable[[Request], Source]) -> Response:
         size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.studio.models.current
@@ -300,9 +301,9 @@ class _Handlers:
             return self.studio.pictures.chroma(picture, size, camera.suited_to(raw=picture.raw).response)
 
         kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
-        return await self._seen(request, source, kind, "application/octet-stream", chroma)
+        return await self._cached(request, source, kind, "application/octet-stream", chroma)
 
-    async def _seen(
+    async def _cached(
         self,
         request: Request,
         source: Callable[[Request], Source],
@@ -310,18 +311,18 @@ class _Handlers:
         media: str,
         make: Callable[[Source], bytes],
     ) -> Response:
-        """Answer with bytes made of a picture, or with 304 if the browser has them."""
+        """Return bytes computed from a picture, or 304 if the browser has them already."""
         picture = await run_sync(source, request)
         headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
         known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
         if headers["etag"] in known:
             return Response(status_code=304, headers=headers)
-        content = await run_sync(make, picture, limiter=self._lookers)
+        content = await run_sync(make, picture, limiter=self._picture_threads)
         return Response(content, media_type=media, headers=headers)
 
     def _source(self, request: Request) -> Source:
         project, name = self.studio.project, request.path_params["name"]
-        project.size_of(name)  # says why a picture cannot be used
+        project.size_of(name)  # raises if the picture cannot be used
         return source_of(project.path_of(name), self.studio.settings.pixels)
 
     def _upload_source(self, request: Request) -> Source:
@@ -330,7 +331,7 @@ class _Handlers:
     # Errors ---------------------------------------------------------------------------------------
 
     async def on_fault(self, request: Request, fault: Exception) -> Response:
-        """Answer with what is wrong; where the disk refuses to write, so that the page tries again."""
+        """Return the error message; if the disk refused to write, use a status that makes the page retry."""
         text = self.studio.project.plain(fault)
         if isinstance(fault, Refusal):
             return JSONResponse({"error": text, **fault.details}, fault.status)
@@ -338,25 +339,25 @@ class _Handlers:
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
 
 
-def _without(learnt: str, stamp: str | None) -> str | None:
-    """Give the folder's own part of a stamp; None if the rest of it has changed, or there is no stamp."""
-    return stamp.removesuffix(learnt) if stamp is not None and stamp.endswith(learnt) else None
+def _without(suffix: str, stamp: str | None) -> str | None:
+    """Return the folder's part of a stamp, or None if there is no stamp or its suffix has changed."""
+    return stamp.removesuffix(suffix) if stamp is not None and stamp.endswith(suffix) else None
 
 
 async def _nothing(request: Request) -> Response:
-    raise Refusal(404, "there is nothing at that address")
+    raise Refusal(404, "this address does not exist")
 
 
 async def _on_http_fault(request: Request, fault: Exception) -> Response:
     assert isinstance(fault, HTTPException)
-    text = "there is nothing at that address" if fault.status_code == 404 else fault.detail
+    text = "this address does not exist" if fault.status_code == 404 else fault.detail
     return JSONResponse({"error": text}, fault.status_code, fault.headers)
 
 
 async def _on_gone(request: Request, fault: Exception) -> Response:
-    return Response(status_code=400)  # nobody reads it
+    return Response(status_code=400)  # the client has disconnected
 
 
 async def _on_bug(request: Request, fault: Exception) -> Response:
-    text = f"the studio failed ({type(fault).__name__}): its terminal says more"
-    return JSONResponse({"error": text}, 500, {**HEADERS, "connection": "close"})  # which the server does now
+    text = f"the studio failed ({type(fault).__name__}): see its terminal for details"
+    return JSONResponse({"error": text}, 500, {**HEADERS, "connection": "close"})  # the server closes it anyway

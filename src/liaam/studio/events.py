@@ -1,4 +1,4 @@
-"""Server-sent events: one hub tells every open page what changed."""
+"""Server-sent events: one hub notifies every open page of changes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 ROOM = 100
-"""Events that may wait for a page; one that falls behind further is let go, and asks anew when it is back."""
+"""Maximum number of events queued for a page. A page that falls further behind is disconnected; it reconnects and
+reloads the project."""
 
 
 class Events:
-    """Tells open pages what happens; may be called from any thread."""
+    """Sends events to the open pages; thread-safe."""
 
     def __init__(self, heartbeat: float = 15.0) -> None:
         self._heartbeat = heartbeat
@@ -25,24 +26,24 @@ class Events:
         return len(self._pages)
 
     def publish(self, kind: str, data: Any) -> None:
-        """Tell all pages."""
+        """Send an event to all pages."""
         text = f"event: {kind}\ndata: {json.dumps(data)}\n\n"
         for page, loop in self._open_pages():
             _call(loop, page.put, text)
 
     def close(self) -> None:
-        """End all streams, and those to come: the server stops."""
+        """End all present and future streams, because the server stops."""
         self._closed = True
         for page, loop in self._open_pages():
             _call(loop, page.end)
 
     async def stream(self) -> AsyncIterator[str]:
-        """Give one page's events until it goes, falls behind, or the server stops."""
+        """Yield the events of one page until it disconnects, falls behind, or the server stops."""
         page = _Page()
         with self._lock:
             self._pages[page] = asyncio.get_running_loop()
         try:
-            yield "retry: 1000\n\n"  # milliseconds after which a browser comes back
+            yield "retry: 1000\n\n"  # milliseconds until a browser reconnects
             while not self._closed:
                 text = await page.get(self._heartbeat)
                 if text is None:
@@ -58,7 +59,7 @@ class Events:
 
 
 class _Page:
-    """What waits for one page; used on the event loop only."""
+    """Event queue of one page; used on the event loop only."""
 
     def __init__(self) -> None:
         self._queue: asyncio.Queue[str | None] = asyncio.Queue()
@@ -71,14 +72,14 @@ class _Page:
             self._queue.put_nowait(text)
 
     def end(self) -> None:
-        """Forget what waits, and end."""
+        """Drop the queued events and end the stream."""
         self._ended = True
         while not self._queue.empty():
             self._queue.get_nowait()
         self._queue.put_nowait(None)
 
     async def get(self, heartbeat: float) -> str | None:
-        """Wait for the next event; a comment if none comes for a while, None at the end."""
+        """Return the next event, a comment after ``heartbeat`` seconds without one, or None at the end."""
         try:
             return await asyncio.wait_for(self._queue.get(), heartbeat)
         except TimeoutError:
@@ -88,5 +89,5 @@ class _Page:
 def _call(loop: asyncio.AbstractEventLoop, call: Any, *arguments: Any) -> None:
     try:
         loop.call_soon_threadsafe(call, *arguments)
-    except RuntimeError:  # the loop has ended, and its pages with it
+    except RuntimeError:  # the event loop is closed
         return

@@ -1,4 +1,4 @@
-"""Files that a fit is given away as: landmarks, tables and pictures."""
+"""Export of fits as files: landmarks, tables and pictures."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from liaam.studio.fits import Fit, Fits
 
 FILES = ("pts", "ljson", "csv", "json", "overlay", "flat", "shading", "relit")
-"""What a fit is given away as."""
+"""Kinds of exported files."""
 
 
 def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, float], float]) -> tuple[str, str, bytes]:
-    """Name, type and content of a file that a fit is given away as.
+    """Return the name, media type and content of an exported file.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, fl
         kind = "application/json" if what == "ljson" else "text/csv" if what == "csv" else "text/plain"
         return f"{stem}.{what}", kind, dump(landmarks).encode()
     if what not in FILES:
-        raise Refusal(422, f"a fit cannot be given away as '{what[:40]}': there are {', '.join(FILES)}")
+        raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
     return (
         f"{stem}_{'fit' if what == 'overlay' else what}.png",
         "image/png",
@@ -54,7 +54,7 @@ def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, fl
 
 
 def _picture(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, float], float]) -> np.ndarray:
-    """Picture to give away, in full size."""
+    """Return the picture to export, in full size."""
     size = fit.source.width, fit.source.height
     if what == "relit":
         return fits.whole_light(fit).under(*light)
@@ -69,6 +69,6 @@ def _picture(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, f
 
 
 def attachment(name: str) -> str:
-    """Content-Disposition of a file to be saved under a name of any letters (RFC 6266)."""
+    """Return the Content-Disposition header for a file name with any characters (RFC 6266)."""
     plain = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._- ") else "_" for letter in name)
     return f"attachment; filename=\"{plain}\"; filename*=UTF-8''{quote(name, safe='')}"

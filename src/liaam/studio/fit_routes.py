@@ -1,4 +1,4 @@
-"""Endpoints of fits: what the page asks for, checked, and the answers. Whatever takes time runs in threads."""
+"""Endpoints of fits: they check requests and answer them. Slow work runs in threads."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def routes(fits: Fits) -> list[Route]:
-    """Endpoints of fits; failures leave them as :class:`Refusal`, with the status to answer."""
+    """Return the endpoints of fits. Failures are raised as :class:`Refusal` with the status to answer."""
     from starlette.routing import Route
 
     endpoints = _Endpoints(fits)
@@ -40,7 +40,7 @@ def routes(fits: Fits) -> list[Route]:
 
 
 def _refusing(endpoint: Callable[[Request], Awaitable[Answer]]) -> Callable[[Request], Awaitable[Answer]]:
-    """Turn errors about what was asked into refusals with a status."""
+    """Turn a :class:`LiaamError` of an endpoint into a refusal with a status."""
 
     @wraps(endpoint)
     async def refusing(request: Request) -> Answer:
@@ -55,13 +55,13 @@ def _refusing(endpoint: Callable[[Request], Awaitable[Answer]]) -> Callable[[Req
 
 
 class _Endpoints:
-    """Requests to calls of functions, in threads."""
+    """Handlers of requests about fits."""
 
     def __init__(self, fits: Fits) -> None:
         import anyio
 
         self.fits = fits
-        # Its own: the thumbnails of a large folder must not keep a fit waiting.
+        # A separate limit, so that the thumbnails of a large folder do not delay a fit.
         self._threads = anyio.CapacityLimiter(4)
 
     async def fit(self, request: Request) -> Answer:
@@ -87,27 +87,27 @@ class _Endpoints:
         return _answer(data, kind, {"content-disposition": attachment(name), "cache-control": "no-store"})
 
     def _fitted(self, body: Any) -> bytes:
-        """Fit what the page asks for; JSON."""
+        """Fit the requested picture and return JSON."""
         if not isinstance(body, dict):
             raise Refusal(422, "send an object with picture or upload, method and start")
         self.fits.project.check_id(body)
         source, of, truth = self._asked_for(body)
         method = body.get("method", DEFAULT_METHOD)
         if not isinstance(method, str):
-            raise Refusal(422, "the method is no text: send its name, such as 'soft-li'")
+            raise Refusal(422, "the method is not a string: send its name, such as 'soft-li'")
         fit = self.fits.fit(source, of, method, parse_start(body.get("start")), truth)
         return json.dumps(fit.as_json(), allow_nan=False, separators=(",", ":")).encode()
 
     def _asked_for(self, body: Mapping[str, Any]) -> tuple[Source, tuple[str, str], np.ndarray | None]:
-        """Picture to fit, what to call it, and its landmarks if it has any."""
-        asked = [(kind, body[kind]) for kind in ("picture", "upload") if body.get(kind) is not None]
-        if len(asked) != 1 or not isinstance(asked[0][1], str):
-            raise Refusal(422, "say what to fit: either picture, the name of one, or upload, the id of one")
-        kind, name = asked[0]
+        """Return the picture to fit, its reference, and its landmarks if it has any."""
+        given = [(kind, body[kind]) for kind in ("picture", "upload") if body.get(kind) is not None]
+        if len(given) != 1 or not isinstance(given[0][1], str):
+            raise Refusal(422, "the picture to fit is unclear: send either picture, its name, or upload, its id")
+        kind, name = given[0]
         if kind == "upload":
             return self.fits.uploads.source(name), (kind, name), None
         project = self.fits.project
-        project.size_of(name)  # says why a picture cannot be used
+        project.size_of(name)  # raises if the picture cannot be used
         source = source_of(project.path_of(name), self.fits.settings.pixels)
         return source, (kind, name), truth_of(project.landmarks(name))
 
@@ -123,16 +123,16 @@ def _answer(content: bytes, kind: str, headers: Mapping[str, str]) -> Answer:
     return Content(content, media_type=kind, headers=dict(headers))
 
 
-# What is asked for --------------------------------------------------------------------------------
+# Parsing ------------------------------------------------------------------------------------------
 
 
 def parse_start(data: Any) -> Any:
-    """Start of a fit as JSON gives it: nothing, a box, or a shape whose points may be null.
+    """Parse the start of a fit: null, a box, or a shape whose points may be null.
 
     Raises
     ------
     Refusal
-        422 if it is neither.
+        422 if it is none of these.
     """
     if data is None:
         return None
@@ -146,7 +146,7 @@ def parse_start(data: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    # Beyond this is no pixel, and arithmetic may overflow.
+    # No pixel lies beyond this limit, and arithmetic may overflow.
     return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
 
 
@@ -155,7 +155,7 @@ def _is_point(value: Any) -> bool:
 
 
 def _light_of(query: Mapping[str, str]) -> tuple[tuple[float, float, float], float]:
-    """Direction of a light (x right, y down, z to the viewer) and share of ambient light, as the page gives them."""
+    """Parse a light: its unit direction (x right, y down, z to the viewer) and the fraction of ambient light."""
     try:
         x, y, z, ambient = (
             float(query.get(key, otherwise)) for key, otherwise in (("x", 0), ("y", 0), ("z", 1), ("ambient", AMBIENT))
@@ -164,12 +164,12 @@ def _light_of(query: Mapping[str, str]) -> tuple[tuple[float, float, float], flo
         x = y = z = ambient = np.nan
     length = float(np.hypot(np.hypot(x, y), z))
     if not (np.isfinite(length) and length > 1e-6 and 0.0 <= ambient <= 1.0):
-        raise Refusal(422, "the light is unclear: give its direction x, y, z in numbers, and ambient from 0 to 1")
+        raise Refusal(422, "the light is unclear: send its direction as numbers x, y, z, and ambient from 0 to 1")
     return (x / length, y / length, z / length), ambient
 
 
 def truth_of(landmarks: Landmarks | None) -> np.ndarray | None:
-    """Landmarks to compare with: NaN where one is missing, or a person could not see it."""
+    """Return the landmarks to compare with, NaN where one is missing or invisible."""
     if landmarks is None:
         return None
     points = np.array(landmarks.points)

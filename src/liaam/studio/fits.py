@@ -1,7 +1,6 @@
-"""Fits for the page: made with the model in use, and kept for a while with what they can show.
+"""Fits for the page: computed with the current model and cached together with their layers.
 
-:class:`Fits` knows nothing of HTTP (:mod:`liaam.studio.fit_routes`), nor of files that are given away
-(:mod:`liaam.studio.fit_files`).
+HTTP is in :mod:`liaam.studio.fit_routes`, the export of files in :mod:`liaam.studio.fit_files`.
 """
 
 from __future__ import annotations
@@ -41,25 +40,25 @@ if TYPE_CHECKING:
     from liaam.studio.project import Project
 
 LAYER_SIZE = 1280
-"""Longest side of a layer where the page does not say, pixels."""
+"""Default longest side of a layer in pixels."""
 
 LIGHT_SIZE = 2048
-"""Longest side at which the page is shown a picture under another light, pixels: to take a picture apart costs about
-a second a megapixel. Files that are given away are of the picture's own size."""
+"""Longest side in pixels of a relit picture on the page. Splitting a picture into appearance and shading takes about a
+second per megapixel. Exported files have the full size."""
 
 LAYER_BYTES = 100_000_000
-"""Of encoded layers that are kept."""
+"""Bytes of encoded layers in the cache."""
 
 LIGHTS_KEPT = 6
-"""Fits that are ready to be put under another light at once."""
+"""Number of relighters in the cache."""
 
 FITTERS_KEPT = 16
 
 SEARCHED_AHEAD = 4_000_000
-"""Pixels of a dropped picture that is searched before anybody asks."""
+"""Largest dropped picture, in pixels, that is searched before its fit is requested."""
 
 WARM_UP = (480, 640)
-"""Height and width of the picture that is fitted when a model comes into use, so that the first real fit is fast."""
+"""Height and width of the image that is fitted when a new model is published, so that the first real fit is fast."""
 
 _NO_MODEL = "there is no model yet: train one first, or start with --model FILE"
 _GONE = "this fit is no longer kept: fit again"
@@ -67,7 +66,7 @@ _GONE = "this fit is no longer kept: fit again"
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit that was made.
+    """A fit and its inputs.
 
     Attributes
     ----------
@@ -75,14 +74,14 @@ class Fit:
     source : Source
         The picture.
     fitter : Fitter
-        With the model that was in use.
+        Holds the model of this fit.
     result : FitResult
     search_seconds, fit_seconds : float
     residual : layers.Residual
     no_flat : str or None
-        Why its shading cannot be told.
+        Why its shading cannot be computed.
     error : (float, float) or None
-        Distance from the picture's own landmarks, pixels and per cent of their diagonal.
+        Distance from the picture's landmarks, in pixels and in percent of their diagonal.
     of : (str, str)
         ``picture`` or ``upload``, and its name or id.
     """
@@ -100,18 +99,18 @@ class Fit:
 
     @property
     def model(self) -> AAM:
-        """The model that was in use."""
+        """The model of this fit."""
         return self.fitter.model
 
     @property
     def layers(self) -> list[str]:
-        """Layers that there are."""
+        """Names of the layers that this fit can show."""
         if not np.isfinite(self.result.landmarks).all():
             return []
         return ["residual"] if self.no_flat else list(layers.LAYERS)
 
     def as_json(self) -> dict[str, Any]:
-        """What the page is told."""
+        """Return the fit as JSON for the page."""
         result, model = self.result, self.model
         return {
             "id": self.id,
@@ -155,7 +154,7 @@ def _found(candidate: Candidate) -> dict[str, Any]:
 
 
 def numbers(values: np.ndarray, digits: int) -> list:
-    """Nested lists of an array, as JSON knows them: null for what is not finite."""
+    """Return an array as nested lists for JSON, with None for values that are not finite."""
     rounded = np.round(values, digits)
     if np.isfinite(rounded).all():
         return rounded.tolist()
@@ -163,16 +162,16 @@ def numbers(values: np.ndarray, digits: int) -> list:
 
 
 class Fits:
-    """Fits pictures with the model in use; may be used from any thread.
+    """Fits pictures with the current model; thread-safe.
 
     Parameters
     ----------
     project : Project
     models : ModelStore
-        Its next models are made ready as they come into use.
+        A new model is warmed up when it is published.
     uploads : Uploads
     pictures : Pictures
-        Where decoded pictures are kept.
+        Cache of decoded pictures.
     settings : Settings, optional
     """
 
@@ -199,7 +198,7 @@ class Fits:
         uploads.listeners.append(self.search_soon)
 
     def warm_up(self, current: ModelInUse | None) -> None:
-        """Fit something, so that nothing has to be made ready at the first fit."""
+        """Fit an example, so that the first real fit does not wait for set-up work."""
         if current is None:
             return
         image = example(current.model, WARM_UP)
@@ -210,7 +209,7 @@ class Fits:
             layers.taken_apart(fitter, image, result, (image.shape[1], image.shape[0]))
 
     def warm_up_soon(self, current: ModelInUse | None) -> threading.Thread:
-        """Do so in a thread: what :attr:`ModelStore.listeners` takes."""
+        """Call :meth:`warm_up` in a thread; a listener of :class:`ModelStore`."""
         thread = threading.Thread(target=self._try_to_warm_up, args=(current,), name="warm-up", daemon=True)
         thread.start()
         return thread
@@ -218,11 +217,11 @@ class Fits:
     def _try_to_warm_up(self, current: ModelInUse | None) -> None:
         try:
             self.warm_up(current)
-        except LiaamError:  # the first fit will say what there is to say
+        except LiaamError:  # the first fit will report it
             return
 
     def search_soon(self, source: Source) -> threading.Thread | None:
-        """Search a dropped picture while the page is still told of it; the fit that follows has less to do."""
+        """Search a dropped picture while the upload is being answered, so that the fit has less to do."""
         current = self.models.current
         if current is None or source.width * source.height > SEARCHED_AHEAD:
             return None
@@ -233,7 +232,7 @@ class Fits:
     def _try_to_search(self, current: ModelInUse, source: Source) -> None:
         try:
             self._search(current, source, self.pictures.pixels(source))
-        except LiaamError:  # the fit will say what there is to say
+        except LiaamError:  # the fit will report it
             return
 
     def fit(
@@ -244,7 +243,7 @@ class Fits:
         start: Any = None,
         truth: np.ndarray | None = None,
     ) -> Fit:
-        """Fit a picture and keep the result.
+        """Fit a picture and cache the result.
 
         Parameters
         ----------
@@ -253,16 +252,16 @@ class Fits:
             ``picture`` or ``upload``, and its name or id.
         method : str
         start : optional
-            As :meth:`Fitter.fit` takes it; searched for if left out.
+            As for :meth:`Fitter.fit`. By default the object is searched for.
         truth : (n, 2) float, optional
-            The picture's landmarks, NaN where they do not count.
+            The picture's landmarks, NaN where they are to be ignored.
 
         Raises
         ------
         Refusal
-            409 without a model.
+            409 if there is no model.
         ImageError, StartError, MethodError
-            For input that makes no sense. A fit that fails is a value.
+            For invalid input. A failed fit does not raise: its result has the status.
         """
         current = self.models.current
         if current is None:
@@ -291,12 +290,12 @@ class Fits:
         return fit
 
     def get(self, number: str) -> Fit:
-        """Fit of an id.
+        """Return the fit with an id.
 
         Raises
         ------
         Refusal
-            404 for one that is not kept.
+            404 if it is no longer in the cache.
         """
         fit = self._fits.peek(number)
         if fit is None:
@@ -304,21 +303,21 @@ class Fits:
         return fit
 
     def layer(self, fit: Fit, what: str, size: int) -> bytes:
-        """PNG of a layer, of the picture's extent, its longest side at most ``size``.
+        """Return a layer of the whole picture as PNG, its longest side at most ``size``.
 
         Raises
         ------
         Refusal
-            404 for a layer that does not exist.
+            404 if there is no such layer.
         MethodError
-            For one that this fit cannot have.
+            If the layer cannot be computed for this fit.
         """
         if what not in layers.LAYERS:
-            raise Refusal(404, f"there is no layer '{what[:40]}': there are {', '.join(layers.LAYERS)}")
+            raise Refusal(404, f"there is no layer '{what[:40]}': choose one of {', '.join(layers.LAYERS)}")
         return self._layers.get((fit.id, what, size), lambda: png_bytes(self.draw(fit, what, size)))
 
     def draw(self, fit: Fit, what: str, size: int) -> np.ndarray:
-        """Draw a layer, (h, w, 4) or (h, w, 3) uint8."""
+        """Draw a layer as (h, w, 4) or (h, w, 3) uint8."""
         if what == "residual":
             to = fitted_size(fit.source.width, fit.source.height, size)
             return layers.residual_layer(fit.model, self._shape(fit, to), fit.residual, to)
@@ -326,12 +325,12 @@ class Fits:
         return averaged(light.flat(), to) if what == "flat" else layers.shading_layer(light, to)
 
     def relit(self, fit: Fit, direction: tuple[float, float, float], ambient: float, size: int) -> np.ndarray:
-        """Picture with the object under a light from a direction, (h, w, 3) uint8."""
+        """Return the picture with the object under a directional light, (h, w, 3) uint8."""
         light, to = self._light(fit, size)
         return averaged(light.under(direction, ambient), to)
 
     def _light(self, fit: Fit, size: int) -> tuple[Relighter, tuple[int, int]]:
-        """Fitted picture taken apart, and the size to give it in: never a small one, which would say little."""
+        """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size."""
         layers.need_flat(fit.no_flat)
         width, height = fit.source.width, fit.source.height
         size = min(size, LIGHT_SIZE)
@@ -340,20 +339,21 @@ class Fits:
         return self._lights.get((fit.id, to), lambda: self._taken_apart(fit, to)), fitted_size(width, height, size)
 
     def whole_light(self, fit: Fit) -> Relighter:
-        """Fitted picture taken apart in full size. Large ones are not kept: they take a hundred bytes a pixel.
+        """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel.
 
         Raises
         ------
         Refusal
-            422 for one that would take too much memory.
+            422 if it would take too much memory.
         """
         layers.need_flat(fit.no_flat)
         whole = fit.source.width, fit.source.height
         if whole[0] * whole[1] > self.settings.whole_pixels:
             raise Refusal(
                 422,
-                f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, and the studio takes at most "
-                f"{self.settings.whole_pixels:,} apart in full size: use 'liaam relight', or a smaller picture",
+                f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, more than the "
+                f"{self.settings.whole_pixels:,} that the studio relights in full size: use 'liaam relight', or a "
+                "smaller picture",
             )
         if max(whole) <= LIGHT_SIZE:
             return self._light(fit, max(whole))[0]
@@ -368,7 +368,7 @@ class Fits:
         return layers.scaled_points(fit.result.landmarks, (fit.source.width, fit.source.height), to)
 
     def _search(self, current: ModelInUse, source: Source, image: np.ndarray) -> Candidate:
-        """Where the object is; one search serves all methods."""
+        """Search for the object; all methods share one search."""
         searcher = self._fitter(current, "igo", source.raw)
         key = (source.name, source.tag, current.number)
         return self._found.get(key, lambda: searcher.find(image, name=source.name)[0])
@@ -382,7 +382,7 @@ def _make_fitter(model: AAM, method: str, raw: bool) -> Fitter:
 
 
 def example(model: AAM, size: tuple[int, int]) -> np.ndarray:
-    """Picture (h, w, 3) uint8 of a model's mean appearance on grey."""
+    """Return an image of a model's mean appearance on grey, (h, w, 3) uint8."""
     mean = np.clip(model.levels[-1].appearances["value"].mean, 0.0, 1.0)
     mean = np.broadcast_to(mean, (len(mean), 3))
     height, width = size
@@ -394,7 +394,7 @@ def example(model: AAM, size: tuple[int, int]) -> np.ndarray:
 
 
 def error_of(shape: np.ndarray, truth: np.ndarray | None) -> tuple[float, float] | None:
-    """Mean distance from the true landmarks: pixels, and per cent of their diagonal; None where that says nothing."""
+    """Return the mean distance from the true landmarks in pixels and in percent of their diagonal, if defined."""
     if truth is None or truth.shape != shape.shape or not np.isfinite(shape).all():
         return None
     known = truth[np.isfinite(truth).all(axis=1)]

@@ -1,7 +1,7 @@
-"""A project's folder: whether it can be used, which of its paths may be touched, and how its faults are told.
+"""A project's folder: checks of the folder and its paths, and error messages without absolute paths.
 
-Pictures are looked up in the folder's listing and never joined to a path; a link that leads out of the folder does not
-exist for the studio, neither to read nor to write.
+Names of pictures are looked up in the folder's listing and never joined to a path. The studio neither reads nor writes
+through a link that leads out of the folder.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from liaam.errors import ImageError, LiaamError
 from liaam.studio.safety import Refusal
 
 STATE = ".liaam-studio"
-"""Folder in the folder, for what belongs to the studio alone."""
+"""Name of the subfolder for the studio's own files."""
 
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder that pictures are kept in."""
+    """A folder of pictures."""
 
     root: Path
-    """With links resolved."""
+    """Path with links resolved."""
 
     def leads_inside(self, path: Path) -> bool:
-        """Whether a path stays in the folder, and out of what belongs to the studio alone."""
+        """Whether a path stays in the folder and outside the studio's own subfolder."""
         real = Path(os.path.realpath(path))
         return real.is_relative_to(self.root) and STATE not in real.relative_to(self.root).parts
 
     def inside(self, name: str) -> Path:
-        """Path of a file of the folder itself, which a link does not lead out of it.
+        """Return the path of a file directly in the folder.
 
         Raises
         ------
         Refusal
-            409 if one does.
+            409 if it is a link that leads out of the folder.
         """
         path = self.root / name
         if path.name != name or not self.leads_inside(path):
@@ -45,25 +45,25 @@ class Folder:
         return path
 
     def time(self) -> int:
-        """When an entry of the folder came or went last, nanoseconds."""
+        """Return the time of the folder's last added or removed entry, in nanoseconds."""
         try:
             return self.root.stat().st_mtime_ns
         except OSError:
             return 0
 
     def plain(self, fault: object) -> str:
-        """Text of a fault with names instead of paths: the page knows the folder by its name."""
+        """Return an error message in which the folder's path is replaced by its name."""
         name = self.root.name or "the folder"
         return str(fault).replace(f"{self.root}{os.sep}", "").replace(str(self.root), name)
 
 
 def checked_folder(folder: str | os.PathLike[str]) -> Path:
-    """Give a folder with links resolved, if pictures can be kept in it.
+    """Check a folder and return it with links resolved.
 
     Raises
     ------
     ImageError
-        If it is none, or cannot be read or written.
+        If it is not a folder, or cannot be read or written.
     """
     folder = Path(folder)
     try:
@@ -80,7 +80,7 @@ def checked_folder(folder: str | os.PathLike[str]) -> Path:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, if it is there."""
+    """Remove a file if it exists."""
     try:
         path.unlink(missing_ok=True)
     except OSError as fault:
@@ -88,10 +88,10 @@ def remove(path: Path) -> None:
 
 
 def status_of(fault: BaseException | None) -> int:
-    """Status to answer with where the disk refuses: 507 where it is full, 503 otherwise. To try again may help."""
+    """Return the HTTP status of a failed write: 507 if the disk is full, 503 otherwise. The page retries after both."""
     return 507 if isinstance(fault, OSError) and fault.errno in (errno.ENOSPC, errno.EDQUOT) else 503
 
 
 def revision_of(data: bytes) -> str:
-    """What tells contents from all others."""
+    """Return a hash of the contents of a file."""
     return hashlib.sha256(data).hexdigest()[:16]

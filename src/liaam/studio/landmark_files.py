@@ -1,9 +1,9 @@
-"""The landmark files of a project: what they say of each picture, and how they are written.
+"""The landmark files of a project: reading and writing.
 
-Landmarks are kept beside the picture as ``.ljson``, or in the ``.pts`` that is there, since :func:`liaam.load_folder`
-prefers that. A file of another format is read, never written or removed: what is saved goes into an ``.ljson``, which
-comes before it. The studio's own are ``invisible.json`` (marks that a ``.pts`` cannot hold) and ``kept`` (landmark
-files as they were before the studio replaced what it could not read).
+Landmarks are saved beside the picture as ``.ljson``, or in an existing ``.pts``, which :func:`liaam.load_folder`
+prefers. Files of other formats are read but never written or removed; a saved ``.ljson`` takes precedence over them.
+The studio also keeps ``invisible.json`` (invisible points, which a ``.pts`` cannot store) and ``kept`` (copies of
+unreadable landmark files that were replaced).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ INVISIBLE_FILE = "invisible.json"
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """What the file of a picture's landmarks says."""
+    """The contents of a landmark file."""
 
     file: str
     revision: str
@@ -38,30 +38,30 @@ class Marks:
 
     @property
     def points(self) -> list[list[float] | None]:
-        """Points as JSON knows them: [x, y] or None."""
+        """Points for JSON: [x, y] or None."""
         placed = [] if self.landmarks is None else self.landmarks.points.tolist()
         return [None if x != x else [round(x, 3), round(y, 3)] for x, y in placed]
 
     @property
     def n_placed(self) -> int:
-        """Points that are placed."""
+        """Number of placed points."""
         return 0 if self.landmarks is None else int((~self.landmarks.missing).sum())
 
 
 def n_placed(marks: Marks | None) -> int:
-    """Points that are placed; none where there is no file."""
+    """Return the number of placed points, 0 without a file."""
     return 0 if marks is None else marks.n_placed
 
 
 class LandmarkFiles:
-    """Landmark files of the pictures that are listed; what they say is kept until they change.
+    """Landmark files of the listed pictures, cached until they change.
 
     Parameters
     ----------
     listing : Listing
     state : StateFiles
     most_bytes : int
-        Of a file that is read.
+        Maximum size of a landmark file.
     """
 
     def __init__(self, listing: Listing, state: StateFiles, most_bytes: int) -> None:
@@ -77,38 +77,38 @@ class LandmarkFiles:
         self._paired_version = -1
         self._invisible: dict[str, Any] = state.read(INVISIBLE_FILE, _is_invisible) or {}
 
-    # What they say --------------------------------------------------------------------------------
+    # Reading --------------------------------------------------------------------------------------
 
     def of(self, picture: File) -> Marks | None:
-        """Landmarks of a picture; None if it has no file, or the file belongs to another picture."""
+        """Return the landmarks of a picture, or None if it has no file or the file belongs to another picture."""
         if self._listing.winners[picture.stem] != picture.name:
             return None
         own = self._listing.own(picture)
         return self._foreign().get(picture.name) if own is None else self._own(own)
 
     def revision(self, picture: File) -> str | None:
-        """What tells the contents of a picture's landmark file from all others; None if it has none."""
+        """Return the hash of a picture's landmark file, or None if there is none."""
         marks = self.of(picture)
         return None if marks is None else marks.revision
 
     def fault_of(self, picture: File) -> str | None:
-        """Why a file of another format gives a picture without landmarks none."""
+        """Return why the file of another format cannot be read for a picture without landmarks."""
         self._foreign()
         return self._faults.get(picture.name)
 
     @property
     def problems(self) -> list[str]:
-        """Say which files cannot be read and belong to no picture."""
+        """Errors of files that cannot be read and belong to no picture."""
         return self._problems
 
     def is_current(self, picture: File) -> bool:
-        """Whether the listing holds what there is of a picture: no file has come or gone, and its own are the same."""
+        """Whether the listing is current for a picture: no file was added or removed, and its files are unchanged."""
         marks = self._foreign().get(picture.name)
         others = [self._listing.own(picture), None if marks is None else self._listing.files.get(marks.file)]
         return self._listing.is_current(picture, *(other for other in others if other is not None))
 
     def forget(self) -> None:
-        """Read all files anew."""
+        """Clear the cache."""
         self._read.clear()
 
     def _own(self, own: File) -> Marks:
@@ -127,14 +127,14 @@ class LandmarkFiles:
             landmarks = parse_landmark_data(own.name, data)
         except LandmarkError as fault:
             return Marks(own.name, revision, None, f"{fault} A copy is kept when you place points anew.")
-        assert isinstance(landmarks, Landmarks)  # these formats are of one picture
+        assert isinstance(landmarks, Landmarks)  # these formats hold one picture
         marks = self._invisible_of(own.name, revision)
         if marks is not None and max(marks["points"], default=0) < len(landmarks):
             landmarks = replace(landmarks, invisible=tuple(marks["points"]))
         return Marks(own.name, revision, landmarks)
 
     def _foreign(self) -> dict[str, Marks]:
-        """Landmarks by picture of all files that are read only, paired as ``liaam train`` pairs them."""
+        """Return the landmarks of files in other formats by picture, paired as ``liaam train`` does."""
         listing = self._listing
         if self._paired_version == listing.version:
             return self._paired
@@ -146,7 +146,7 @@ class LandmarkFiles:
         return self._paired
 
     def _pair(self) -> tuple[dict[str, Marks], dict[str, str], list[str]]:
-        """Pair pictures with files of other formats: landmarks, faults by picture, and faults of other files."""
+        """Pair pictures with files of other formats; return landmarks, errors by picture, and other errors."""
         root, listing = self._folder.root, self._listing
         images = [root / name for name in listing.winners.values()]
         samples, left_out = pair_files(root, images, [root / file.name for file in listing.other_files])
@@ -155,7 +155,7 @@ class LandmarkFiles:
             file = sample.landmark_file
             assert isinstance(sample.image, Path)
             assert file is not None
-            if file not in revisions:  # one file may be of all pictures
+            if file not in revisions:  # one file may hold the landmarks of all pictures
                 revisions[file] = revision_of(file.read_bytes())
             marks[sample.image.name] = Marks(file.name, revisions[file], sample.landmarks)
         faults, problems = {}, []
@@ -170,18 +170,18 @@ class LandmarkFiles:
                 faults[picture] = reason
         return marks, faults, problems
 
-    # How they are written -------------------------------------------------------------------------
+    # Writing --------------------------------------------------------------------------------------
 
     def target(self, picture: File) -> Path:
-        """File that a picture's landmarks are written to."""
+        """Return the file to which a picture's landmarks are written."""
         own = self._listing.own(picture)
         return self._folder.inside(own.name if own is not None else f"{picture.stem}.ljson")
 
     def save(self, picture: File, template: Template, points: Sequence[Any], invisible: Sequence[int]) -> None:
-        """Write a picture's landmarks; of a picture without any point nothing is left."""
+        """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed."""
         target, before = self.target(picture), self.of(picture)
         self._keep_unreadable(before, target, template)
-        # A file of another format would show again if the studio's own were removed.
+        # If the .ljson were removed, a file of another format would be read again.
         is_alone = picture.name not in self._foreign()
         if not any(points) and target.suffix.lower() == ".ljson" and is_alone:
             remove(target)
@@ -192,13 +192,13 @@ class LandmarkFiles:
             self._remember_invisible(target.name, revision, text.encode(), landmarks.invisible)
             write_text_atomically(target, text, LandmarkError)
         self._listing.renew(target.name)
-        self._read.pop(target.name, None)  # a write within the clock's resolution does not show in the signature
+        self._read.pop(target.name, None)  # the signature may not change within the clock's resolution
 
     def rewrite(self, name: str, text: str, before: str | None, invisible: Sequence[int]) -> None:
-        """Replace a file whose revision is ``before``; one that is there already, or is another, is left alone."""
+        """Replace a file if its revision is ``before``; leave it alone otherwise."""
         try:
             target, after = self._folder.inside(name), text.encode()
-        except Refusal:  # it has become a link that leads out: not ours to write
+        except Refusal:  # it has become a link that leads out of the folder
             return
         data = target.read_bytes() if target.is_file() else None
         if data != after and (None if data is None else revision_of(data)) != before:
@@ -208,7 +208,7 @@ class LandmarkFiles:
             write_bytes_atomically(target, after, LandmarkError)
 
     def _keep_unreadable(self, before: Marks | None, target: Path, template: Template) -> None:
-        """Keep a copy of what a person may miss: a file that cannot be read, or of another number of points."""
+        """Keep a copy of a file that cannot be read, or that has another number of points."""
         if before is None or before.file != target.name:
             return
         if before.landmarks is None or len(before.landmarks) != len(template):
@@ -216,15 +216,15 @@ class LandmarkFiles:
             self._state.write(f"kept/{target.stem}.{revision_of(data)}{target.suffix}", data)
 
     def _invisible_of(self, name: str, revision: str | None) -> dict[str, Any] | None:
-        """Marks of a revision of a file: the newest ones, or those before where the newest was not written."""
+        """Return the marks of a revision of a file: the newest, or the ones before if the newest was not written."""
         newest = self._invisible.get(name)
         found = [] if newest is None else [newest, newest.get("before")]
         return next((marks for marks in found if marks is not None and marks["revision"] == revision), None)
 
     def _remember_invisible(self, name: str, before: str | None, data: bytes, invisible: Sequence[int]) -> None:
-        """Keep the marks that a ``.pts`` has no place for.
+        """Save which points of a ``.pts`` are invisible, since the format cannot.
 
-        This comes before the file is written, so the marks of the file as it is now (revision ``before``) stay.
+        This comes before the file is written, so the marks of its present revision ``before`` are kept too.
         """
         known = {key: marks for key, marks in self._invisible.items() if key != name}
         marks, old = {"revision": revision_of(data), "points": list(invisible)}, self._invisible_of(name, before)
@@ -238,7 +238,7 @@ class LandmarkFiles:
 
 
 def text_of(landmarks: Landmarks, target: Path) -> str:
-    """Landmarks as a file of a format that the studio writes holds them."""
+    """Return the text of a landmark file in a format that the studio writes."""
     dump = FORMATS[target.suffix.lower()].dump
     assert dump is not None
     return dump(landmarks)

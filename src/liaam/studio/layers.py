@@ -1,5 +1,6 @@
-"""What a fit can show over, or instead of, its picture: residual, shading, the picture without its shading, and the
-object under another light. Functions of arrays; :mod:`liaam.studio.fits` keeps what they make.
+"""Layers of a fit: residual, shading, the picture without its shading, and the object under another light.
+
+These functions work on arrays; :mod:`liaam.studio.fits` caches their results.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ from liaam.studio.pictures import averaged
 LAYERS = ("residual", "shading", "flat")
 
 RESIDUAL_COLOURS = ((33, 102, 172), (247, 247, 247), (178, 24, 43))
-"""Below, at and above 0: the picture is darker than the model, as the model, brighter."""
+"""Colours below, at and above 0: the picture is darker than, equal to, or brighter than the model."""
 
 SHADING_COLOURS = ((38, 36, 92), (148, 148, 148), (255, 214, 92))
-"""In shadow, as under the light of training, and brighter."""
+"""Colours of shadow, of the training light, and of brighter light."""
 
 SHADING_LIMIT = float(np.log(4.0))
-"""Shading at which the colours end: a quarter, and four times, the light. The same for all pictures, to compare."""
+"""Limit of the colour scale: 1/4 and 4 times the training light. It is the same for all pictures, to compare them."""
 
 RESIDUAL_SHARE = 98.0
-"""Percentile of the residual's size at which its colours end."""
+"""Percentile of the absolute residual that limits the colour scale."""
 
 _ROWS = {
     "luminance": ("luminance",),
@@ -40,7 +41,7 @@ _ROWS = {
     "soft": ("gradient across", "gradient down", "invariant"),
     "invariant": ("invariant",),
 }
-"""What the rows of a method's metric measure, for the legend."""
+"""Legend of the channels of each metric."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +51,11 @@ class Residual:
     Attributes
     ----------
     values : (n_pixels, 2) float32
-        Image minus model, and where the image was usable, at the pixels of the model's frame.
+        Image minus model, and whether the image was usable, at the pixels of the model's frame.
     limit : float
-        Value at which the colours end.
+        Limit of the colour scale.
     what : str
-        What it measures.
+        Name of the channel.
     """
 
     values: np.ndarray
@@ -63,7 +64,7 @@ class Residual:
 
 
 def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residual:
-    """Channel of a fit's residual with the largest mean square: the one that tells most."""
+    """Return the channel of a fit's residual with the largest mean square."""
     method, model = result.method, fitter.model
     residual, usable = fitter.residual(image, result)
     row = int(np.nan_to_num(np.square(residual, dtype=np.float64).mean(axis=0)).argmax())
@@ -77,7 +78,7 @@ def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residua
 
 
 def _inside(model: AAM, frame: ReferenceFrame, values: np.ndarray) -> np.ndarray:
-    """Values (n, c) of a frame that surrounds the model's, at the pixels of the model's own."""
+    """Select the values (n, c) at the model's pixels from those of a larger frame."""
     if frame is model.frame:
         return values
     rows, columns = (model.frame.pixels + (model.frame.origin - frame.origin)[::-1].astype(int)).T
@@ -85,18 +86,18 @@ def _inside(model: AAM, frame: ReferenceFrame, values: np.ndarray) -> np.ndarray
 
 
 def scaled_points(points: np.ndarray, size: tuple[int, int], to: tuple[int, int]) -> np.ndarray:
-    """Points (n, 2) of a picture (width, height) in the same picture of another size; pixel centres are whole."""
+    """Scale points (n, 2) from one picture size (width, height) to another; pixel centres are integers."""
     return (points + 0.5) * (np.array(to) / np.array(size)) - 0.5
 
 
 def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tuple[int, int]) -> np.ndarray:
-    """Residual in colours, (height, width, 4) uint8; clear outside the mesh and where the image was not usable.
+    """Draw the residual as (height, width, 4) uint8, transparent outside the mesh and where the image is unusable.
 
     Parameters
     ----------
     model : AAM
     shape : (n, 2) float
-        Landmarks, pixels of the layer.
+        Landmarks in pixels of the layer.
     residual : Residual
     size : (int, int)
         Width and height of the layer.
@@ -109,19 +110,19 @@ def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tupl
 def taken_apart(
     fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int], raw: bool = False
 ) -> Relighter:
-    """Take a fitted picture apart, at another size.
+    """Create the relighter of a fit at another picture size.
 
     Parameters
     ----------
     fitter : Fitter
         The one that made the fit.
     image : (h, w, 3) uint8, uint16 or float32
-        The picture fitted.
+        The fitted picture.
     result : FitResult
     to : (int, int)
-        Width and height, not more than the picture's.
+        Width and height, at most those of the picture.
     raw : bool
-        Whether the picture is of linear light; what comes out is encoded as screens want it at any rate.
+        Whether the values of the picture are linear. The output is always sRGB.
     """
     size = (image.shape[1], image.shape[0])
     small = averaged(image, to)
@@ -135,7 +136,9 @@ def taken_apart(
 
 
 def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
-    """Shading in colours, (height, width, 4) uint8, clear outside the mesh: log of the picture's light over the flat's.
+    """Draw the shading as (height, width, 4) uint8, transparent outside the mesh.
+
+    The shading is the logarithm of the ratio of the picture to its flat appearance.
 
     Parameters
     ----------
@@ -145,37 +148,37 @@ def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
     """
     shading = light.shading()
     inside = np.any(shading != 0, axis=2).astype(np.float32)
-    mean, share = averaged(shading.mean(axis=2), to), averaged(inside, to)
-    colours = coloured(mean / np.maximum(share, 1e-6) / SHADING_LIMIT, SHADING_COLOURS)
-    return _with_alpha(colours, share > 0.5)
+    mean, coverage = averaged(shading.mean(axis=2), to), averaged(inside, to)
+    colours = coloured(mean / np.maximum(coverage, 1e-6) / SHADING_LIMIT, SHADING_COLOURS)
+    return _with_alpha(colours, coverage > 0.5)
 
 
 def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | None:
-    """Why the shading of a fit cannot be told; None where it can."""
+    """Return why the shading of a fit cannot be computed, or None if it can."""
     method = result.method
     if not np.isfinite(result.landmarks).all():
-        return "the fit lost the object, so there is nothing to take the shading from: fit again from a better start"
+        return "the fit lost the object, so it has no shading: fit again from a better start"
     if method.appearance not in ("log", "soft"):
         return (
-            f"method {method.name} does not tell colour from shading: fit with 'soft-li', 'li', 'li-pc', 'li-pcs' or "
-            "'chroma'"
+            f"method {method.name} does not separate colour from shading: fit with 'soft-li', 'li', 'li-pc', 'li-pcs' "
+            "or 'chroma'"
         )
     if not fitter.model.is_colour:
-        return "the model was trained on grey pictures, and shading is told by colours: train on colour pictures"
+        return "the model was trained on grey pictures, but shading needs colour: train on colour pictures"
     if is_grey(image):
-        return "the picture is grey, and shading is told by colours: use a colour picture"
+        return "the picture is grey, but shading needs colour: use a colour picture"
     return None
 
 
 def coloured(values: np.ndarray, colours: tuple[tuple[int, int, int], ...]) -> np.ndarray:
-    """Colours (h, w, 3) uint8 of values from -1 to 1, three colours apart evenly; what lies beyond is clipped."""
+    """Map values from -1 to 1 to three evenly spaced colours, (h, w, 3) uint8; values beyond are clipped."""
     table = np.stack([np.interp(np.linspace(-1, 1, 255), (-1, 0, 1), channel) for channel in np.array(colours).T], 1)
     index = np.rint((np.clip(np.nan_to_num(values), -1, 1) + 1) * 127).astype(np.uint8)
     return np.rint(table).astype(np.uint8)[index]
 
 
 def _canvas(size: tuple[int, int]) -> np.ndarray:
-    """Array of the size (width, height), which takes no memory."""
+    """Return a black image of a size (width, height) that takes no memory."""
     return np.broadcast_to(np.uint8(0), (size[1], size[0], 3))
 
 
@@ -184,6 +187,6 @@ def _with_alpha(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 
 def need_flat(reason: str | None) -> None:
-    """Refuse what needs the shading where it cannot be told."""
+    """Raise :class:`MethodError` if there is a reason why the shading cannot be computed."""
     if reason is not None:
         raise MethodError(reason)

@@ -1,4 +1,4 @@
-"""The listing of a project's folder: which pictures and landmark files there are, and which pictures can be used."""
+"""The listing of a project's folder: its pictures and landmark files, and whether each picture can be used."""
 
 from __future__ import annotations
 
@@ -20,62 +20,62 @@ from liaam.studio.folder import Folder
 from liaam.studio.safety import Refusal
 
 OWN_SUFFIXES = (".pts", ".ljson")
-"""Endings of landmark files that are written, in the order in which they are read."""
+"""Suffixes of the landmark files that the studio writes, in the order in which they are read."""
 
 _UNREAD = (".gif", ".webp", ".heic", ".heif", ".avif", ".jxl", ".svg", ".psd", ".jp2", ".exr")
-"""Endings of pictures that are not read, which a person may wonder about."""
+"""Suffixes of pictures that are not supported and are reported to the user."""
 
 _NAMED = 3
-"""Files that a line about several names."""
+"""Maximum number of file names in a message."""
 
 Signature = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
 class File:
-    """A file of the folder, and by what a change of it shows: time, size, and the file itself."""
+    """A file of the folder, with a signature that changes with it: time, size and inode."""
 
     name: str
     signature: Signature
 
     @property
     def stem(self) -> str:
-        """Name without its ending."""
+        """Name without its suffix."""
         return Path(self.name).stem
 
     @property
     def suffix(self) -> str:
-        """Ending, in lower case."""
+        """Suffix in lower case."""
         return Path(self.name).suffix.lower()
 
     @property
     def tag(self) -> str:
-        """What a page tells the file's contents by."""
+        """Identifier of the file's contents for the page."""
         return f"{self.signature[0]:x}-{self.signature[1]:x}"
 
 
 class Listing:
-    """The folder's files as they were when it was listed last.
+    """The folder's files at the time of the last scan.
 
     Parameters
     ----------
     folder : Folder
     most_pixels : int
-        Width times height of a picture that can be used.
+        Maximum width times height of a picture.
 
     Attributes
     ----------
     version : int
-        Counts up with every change of what is listed.
+        Incremented with every change of the listing.
     files : dict of str to File
         By name, in natural order.
     pictures : list of File
     own_files : dict of (str, str) to File
-        Landmark files of the formats that are written, by stem and suffix.
+        Landmark files in formats that the studio writes, by stem and suffix.
     other_files : list of File
-        Landmark files that are read only.
+        Landmark files in other formats.
     winners : dict of str to str
-        By stem, the picture that landmark files of that name belong to.
+        The picture to which landmark files of a stem belong, by stem.
     stranded : list of str
         Links that lead out of the folder.
     """
@@ -90,7 +90,7 @@ class Listing:
         self._sizes: dict[str, tuple[Signature, tuple[int, int] | str]] = {}
         self._arrange()
 
-    # What is there --------------------------------------------------------------------------------
+    # Files ----------------------------------------------------------------------------------------
 
     def scan(self) -> None:
         """List the folder.
@@ -98,9 +98,9 @@ class Listing:
         Raises
         ------
         Refusal
-            503 if it cannot be read any more.
+            503 if it can no longer be read.
         """
-        self._listed_at = self.folder.time()  # before: what comes meanwhile will be noticed
+        self._listed_at = self.folder.time()  # before the scan, so that changes during it are noticed
         self.stranded = []
         root = self.folder.root
         try:
@@ -115,7 +115,7 @@ class Listing:
         self._arrange()
 
     def renew(self, name: str) -> None:
-        """Renew what is known of one file of the folder."""
+        """Update the entry of one file."""
         try:
             self.files[name] = File(name, _signature((self.folder.root / name).stat()))
         except OSError:
@@ -124,16 +124,16 @@ class Listing:
         self._arrange()
 
     def is_current(self, *files: File) -> bool:
-        """Whether no file has come or gone, and these are the same."""
+        """Whether no file was added or removed, and the given files are unchanged."""
         return self._listed_at == self.folder.time() and all(map(self._is_same, files))
 
     def own(self, picture: File) -> File | None:
-        """Landmark file of a picture in a format that the studio writes."""
+        """Return the landmark file of a picture in a format that the studio writes."""
         found = (self.own_files.get((picture.stem, suffix)) for suffix in OWN_SUFFIXES)
         return next((file for file in found if file is not None), None)
 
     def _arrange(self) -> None:
-        """Sort the listing into pictures, landmark files of the studio's formats, and others."""
+        """Sort the files into pictures, landmark files in the studio's formats, and other landmark files."""
         files = self.files.values()
         self.pictures = [file for file in files if file.suffix in PICTURE_SUFFIXES]
         self.own_files = {(file.stem, file.suffix): file for file in files if file.suffix in OWN_SUFFIXES}
@@ -145,7 +145,7 @@ class Listing:
         self.version += 1
 
     def _entry(self, entry: os.DirEntry[str]) -> File | None:
-        """One file of the listing; None for folders, links that lead out, and what has gone or cannot be named."""
+        """Return an entry as a file; None for folders, links out of the folder, and unreadable entries."""
         try:
             entry.name.encode()
             if entry.is_symlink() and not self.folder.leads_inside(Path(entry.path)):
@@ -164,22 +164,22 @@ class Listing:
         except OSError:
             return False
 
-    # Which pictures can be used -------------------------------------------------------------------
+    # Usable pictures ------------------------------------------------------------------------------
 
     def fault_of(self, picture: File) -> str | None:
-        """Why a picture cannot be used."""
+        """Return why a picture cannot be used, or None if it can."""
         winner = self.winners[picture.stem]
         if winner != picture.name:
-            return f"{winner} has the same name but for its ending, and landmark files tell by the name: rename one"
+            return f"{winner} has the same name except for its suffix, so both would share landmark files: rename one"
         size = self.size_of(picture)
         return size if isinstance(size, str) else None
 
     def usable(self) -> list[File]:
-        """Pictures that can be used."""
+        """Return the pictures that can be used."""
         return [file for file in self.pictures if self.fault_of(file) is None]
 
     def usable_size(self, picture: File) -> tuple[int, int]:
-        """Width and height of a picture.
+        """Return the width and height of a picture.
 
         Raises
         ------
@@ -192,7 +192,7 @@ class Listing:
         return size
 
     def size_of(self, picture: File) -> tuple[int, int] | str:
-        """Width and height of a picture from its header, or why it has none."""
+        """Return the width and height of a picture from its header, or an error message."""
         known = self._sizes.get(picture.name)
         if known is None or known[0] != picture.signature:
             known = self._sizes[picture.name] = (picture.signature, self._read_size(picture))
@@ -214,34 +214,34 @@ class Listing:
             return str(fault)
         return width, height
 
-    # What a person should know --------------------------------------------------------------------
+    # Notices --------------------------------------------------------------------------------------
 
     def passed_over(self) -> list[str]:
-        """Say what lies in the folder and looks like a picture but is not shown, and why."""
+        """Return messages about files that look like pictures but are skipped."""
         unread = [file.name for file in self.files.values() if file.suffix in _UNREAD]
         kinds = Counter(Path(name).suffix.lower() for name in unread)
         lines = []
         if unread:
             endings = ", ".join(f"{count} {suffix}" for suffix, count in sorted(kinds.items()))
             lines.append(
-                f"{_several(unread, 'picture')} passed over, of a format that is not read ({endings}): "
+                f"{_several(unread, 'picture')} skipped, because the format is not supported ({endings}): "
                 "save as PNG or JPEG"
             )
         if self.stranded:
             lines.append(
-                f"{_several(self.stranded, 'file')} passed over, as a link that leads out of the folder: "
+                f"{_several(self.stranded, 'file')} skipped, because the link leads out of the folder: "
                 "put a copy in its place"
             )
         return lines
 
     def orphans(self) -> list[str]:
-        """Say which landmark files have no picture: perhaps one was renamed."""
+        """Return messages about landmark files without a picture, which may have been renamed."""
         names = [file.name for (stem, _), file in self.own_files.items() if stem not in self.winners]
         if not names:
             return []
         return [
             f"{_several(names, 'landmark file')} without a picture of the same name: "
-            "if the picture was renamed, rename the file too"
+            "if the picture was renamed, rename the landmark file too"
         ]
 
 
@@ -250,6 +250,6 @@ def _signature(facts: os.stat_result) -> Signature:
 
 
 def _several(names: Sequence[str], what: str) -> str:
-    """Count files, and name the first few."""
+    """Return the number of files and the first few names."""
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return f"{len(names)} {what}{'s' if len(names) > 1 else ''} ({', '.join(names[:_NAMED])}{more})"

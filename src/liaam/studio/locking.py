@@ -1,4 +1,4 @@
-"""One studio for a folder: two would overwrite what the other has written."""
+"""A lock on the folder: two studios would overwrite each other's files."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from liaam.studio.folder import STATE
 LOCK_FILE = "lock"
 
 _FAR = 1 << 30
-"""The byte that is locked, on Windows, where others could not read what is locked."""
+"""Position of the locked byte on Windows, beyond the contents, since locked bytes cannot be read."""
 
 _TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
 
 class FolderLock:
-    """A lock on a folder, which the system releases when this process ends, however it ends.
+    """A lock on a folder. The system releases it when this process ends for any reason.
 
     Parameters
     ----------
     folder : Path
-        With links resolved.
+        Path with links resolved.
     address : str
-        Where this studio is found, for those who come later.
+        Address of this studio, for the error message of a second one.
 
     Raises
     ------
     LiaamError
-        If another studio has it.
+        If another studio holds the lock.
     """
 
     def __init__(self, folder: Path, address: str) -> None:
         self._descriptor: int | None = None
         state = folder / STATE
         if state.is_symlink() or (state.exists() and not state.is_dir()):
-            return  # the project says so, and writes nothing there
+            return  # the project reports this and writes nothing there
         path = state / LOCK_FILE
         try:
             state.mkdir(exist_ok=True)
@@ -59,12 +59,12 @@ class FolderLock:
             os.close(descriptor)  # a file system without locks
             return
         self._descriptor = descriptor
-        with suppress(OSError):  # it only helps people
+        with suppress(OSError):  # only used for an error message
             os.ftruncate(descriptor, 0)
             os.write(descriptor, json.dumps({"process": os.getpid(), "address": address}).encode())
 
     def release(self) -> None:
-        """Let others have the folder."""
+        """Release the lock."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
             with suppress(OSError):
@@ -73,7 +73,7 @@ class FolderLock:
 
 
 def _holder(descriptor: int) -> str:
-    """Say who has the lock."""
+    """Describe the holder of the lock."""
     try:
         data = json.loads(os.read(descriptor, 1000))
         return f" ({data['address']}, process {data['process']})"

@@ -1,4 +1,4 @@
-"""The model in use: what is known of it, where the studio keeps its own, and when it does not fit any more."""
+"""The current model: its metadata, its files in the project's folder, and when it becomes invalid."""
 
 from __future__ import annotations
 
@@ -23,38 +23,38 @@ QUICK_FILE, QUICK_FACTS_FILE = "quick.liaam", "quick.json"
 
 @dataclass(frozen=True, eq=False)
 class ModelInUse:
-    """A model, and what is known of it."""
+    """A model and its metadata."""
 
     model: AAM
     number: int
-    """Counts up: another number is another model."""
+    """Incremented with every published model."""
     facts: dict[str, Any]
-    """``source`` ("studio" or "file"), ``trained`` (ISO 8601 or None), ``pictures`` (revision by name); of the studio's
-    own also ``careful`` (whether it knows how far it can be trusted) and ``order`` (:attr:`Project.order`)."""
+    """``source`` ("studio" or "file"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A model of
+    the studio also has ``careful`` (whether its confidence is calibrated) and ``order`` (:attr:`Project.order`)."""
 
     @property
     def is_careful(self) -> bool:
-        """Whether it may not be replaced by a quick one."""
+        """Whether a quick model must not replace it."""
         return bool(self.facts.get("careful", True))
 
 
 class ModelStore:
-    """The model that fits are made with; may be used from any thread."""
+    """Holds the current model; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._current: ModelInUse | None = None
         self._number = 0
         self.listeners: list[Callable[[ModelInUse | None], object]] = []
-        """Called in the thread that publishes, after another model has come into use."""
+        """Called in the publishing thread after the current model has changed."""
 
     @property
     def current(self) -> ModelInUse | None:
-        """The model, if there is one."""
+        """The current model, if there is one."""
         return self._current
 
     def publish(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
-        """Use a model from now on."""
+        """Set the current model."""
         with self._lock:
             self._number += 1
             self._current = current = ModelInUse(model, self._number, dict(facts))
@@ -63,18 +63,18 @@ class ModelStore:
         return current
 
     def withdraw(self) -> None:
-        """Use no model any more."""
+        """Remove the current model."""
         with self._lock:
             self._current = None
         for listener in self.listeners:
             listener(None)
 
 
-# Where it comes from -------------------------------------------------------------------------------
+# Loading -------------------------------------------------------------------------------------------
 
 
 def load_studio_model(project: Project, models: ModelStore) -> None:
-    """Publish the model that the studio trained here before, if there is one; what is wrong with it is noted."""
+    """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
     for file, facts_file, careful in ((MODEL_FILE, FACTS_FILE, True), (QUICK_FILE, QUICK_FACTS_FILE, False)):
         if models.current is None:
             _load_model(project, models, file, facts_file, careful)
@@ -93,11 +93,11 @@ def _load_model(project: Project, models: ModelStore, file: str, facts_file: str
         if facts["order"] == project.order:
             models.publish(load_model(path), facts)
     except (LiaamError, OSError) as fault:
-        project.state.note(file, f"{fault}; it is passed over: train again")
+        project.state.note(file, f"{fault}; the model is ignored: train again")
 
 
 def forget_studio_model(project: Project, models: ModelStore) -> None:
-    """Withdraw the studio's model and remove its files: it is of another template. One that a person named stays."""
+    """Withdraw the studio's model and remove its files, because the template changed. A given model stays."""
     current = models.current
     if current is not None and current.facts["source"] == "studio":
         models.withdraw()
@@ -105,7 +105,7 @@ def forget_studio_model(project: Project, models: ModelStore) -> None:
 
 
 def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:
-    """Stop a training, and withdraw a model, of points that the template has in another order by now."""
+    """Stop the training and withdraw the model if they are for an earlier set or order of points."""
     trainer.stop_unless(project.order)
     current = models.current
     if current is not None and current.facts["source"] == "studio" and current.facts.get("order", "") != project.order:
@@ -113,7 +113,7 @@ def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> N
 
 
 def load_given_model(path: Path, models: ModelStore) -> None:
-    """Publish a model of a file that a person named.
+    """Publish a model from a file given by the user.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def load_given_model(path: Path, models: ModelStore) -> None:
 
 
 def model_json(current: ModelInUse | None, done: Mapping[str, str]) -> dict[str, Any] | None:
-    """What the page is told of the model in use, while there are pictures that are done (revisions by name)."""
+    """Return the current model as JSON for the page; ``done`` holds the revisions of the done pictures by name."""
     if current is None:
         return None
     model, facts = current.model, current.facts
@@ -149,5 +149,5 @@ def model_json(current: ModelInUse | None, done: Mapping[str, str]) -> dict[str,
 
 
 def _are_facts(data: Any) -> bool:
-    sound = data["source"] == "studio" and isinstance(data["pictures"], dict) and "trained" in data
-    return sound and isinstance(data.get("order", ""), str)
+    valid = data["source"] == "studio" and isinstance(data["pictures"], dict) and "trained" in data
+    return valid and isinstance(data.get("order", ""), str)

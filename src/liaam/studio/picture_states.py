@@ -1,4 +1,4 @@
-"""How far each picture of a project is: new, proposed, partial, done or broken, and what is wrong with it."""
+"""The state of each picture of a project (new, proposed, partial, done or broken) and its error."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from liaam.studio.template_store import TemplateStore
 
 
 class PictureStates:
-    """What the page is told of pictures, from their listing, landmarks and proposals."""
+    """Describes pictures for the page from their listing, landmarks and proposals."""
 
     def __init__(
         self, listing: Listing, landmarks: LandmarkFiles, proposals: Proposals, templates: TemplateStore
@@ -25,7 +25,7 @@ class PictureStates:
         self._templates = templates
 
     def ranks(self) -> dict[str, int]:
-        """Rank the pictures that have only a proposal: 1 teaches most (see :func:`teaching_order`)."""
+        """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
         template = self._templates.current
         waiting = {
             file.name: proposal
@@ -36,7 +36,7 @@ class PictureStates:
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
-        """Give one picture, as the page shows it."""
+        """Return one picture as JSON for the page."""
         size, fault, marks = self._listing.size_of(file), self._listing.fault_of(file), self._landmarks.of(file)
         proposal = self._proposals.with_points(file, self._templates.current)
         placed = n_placed(marks)
@@ -61,7 +61,7 @@ class PictureStates:
         }
 
     def marks_json(self, file: File) -> dict[str, Any]:
-        """Landmarks of a picture as the page takes them: of its file, or as proposed, or none.
+        """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class PictureStates:
         return {**answer, **{key: proposal[key] for key in shown}, "source": "proposal"}
 
     def is_done(self, file: File) -> bool:
-        """Whether a picture has all of its points, and they are of that picture."""
+        """Whether all points of a picture are placed, most of them inside it."""
         template, marks = self._templates.current, self._landmarks.of(file)
         if template is None or marks is None or marks.landmarks is None:
             return False
@@ -102,7 +102,7 @@ class PictureStates:
         return is_complete and self._misplaced(file, marks) is None
 
     def _error_of(self, file: File, marks: Marks | None) -> str | None:
-        """What is wrong with the landmarks of a picture that can be shown."""
+        """Return what is wrong with the landmarks of a usable picture."""
         template = self._templates.current
         if marks is None:
             proposal = self._proposals.of(file)
@@ -111,12 +111,12 @@ class PictureStates:
         if marks.landmarks is not None and template is not None and len(marks.landmarks) != len(template):
             return (
                 f"{marks.file} has {len(marks.landmarks)} points where the template has {len(template)}: "
-                "place the points anew, or remove that file"
+                "place the points again, or remove that file"
             )
         return marks.error or self._misplaced(file, marks)
 
     def _misplaced(self, file: File, marks: Marks) -> str | None:
-        """Say so if most points lie outside the picture: they are of another one."""
+        """Return an error if most points lie outside the picture, as after it was replaced."""
         size = self._listing.size_of(file)
         if isinstance(size, str) or marks.landmarks is None:
             return None
@@ -126,5 +126,5 @@ class PictureStates:
             return None
         return (
             f"{n_outside} of the {len(placed)} points of {marks.file} lie outside the picture of "
-            f"{size[0]} x {size[1]} pixels, which may have been replaced: place them anew, or put the picture back"
+            f"{size[0]} x {size[1]} pixels, which may have been replaced: place them again, or put the picture back"
         )

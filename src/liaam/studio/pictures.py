@@ -1,7 +1,7 @@
-"""Pictures as the page shows them: upright, of 8 bits, scaled; thumbnails; and chroma, from which the page itself makes
-the invariant image for any angle.
+"""Pictures for the page: upright, 8-bit and scaled; thumbnails; and chroma, from which the page computes the invariant
+image for any angle.
 
-What is decoded or encoded is kept within a limit of bytes, and made once however many ask for it at a time.
+Decoded and encoded pictures are cached up to a limit of bytes. Concurrent requests share one computation.
 """
 
 from __future__ import annotations
@@ -27,36 +27,37 @@ from liaam.studio.safety import Refusal
 JPEG_QUALITY = 92
 
 THUMBNAIL = 160
-"""Longest side of a thumbnail, pixels."""
+"""Longest side of a thumbnail in pixels."""
 
 SIZES = (16, 16384)
-"""Sizes that may be asked for, pixels along the longest side."""
+"""Smallest and largest size of the longest side that a request may ask for, in pixels."""
 
 CHROMA_STEP = 1 / 4096
-"""What one stands for in chroma's 16-bit numbers, natural logarithm of a ratio of light."""
+"""Step of chroma's 16-bit integers: natural logarithm of a ratio of light."""
 
 CHROMA_MASKED = -32768
-"""In chroma: a pixel that is dark or saturated in a channel, so that its logarithm says nothing."""
+"""Value in chroma of a pixel that is dark or saturated in a channel, so that its logarithm is undefined."""
 
 DECODED_BYTES = 300_000_000
 ENCODED_BYTES = 200_000_000
 
 DECODED_AT_ONCE = 50_000_000
-"""Pixels: two pictures of an ordinary camera, or one of the largest. Decoding takes 7 to 14 bytes a pixel."""
+"""Pixels decoded concurrently: two pictures of an ordinary camera, or one of the largest. Decoding takes 7 to 14 bytes
+per pixel."""
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
 
 class Kept(Generic[K, V]):
-    """Values by key, those not asked for longest forgotten first; each is made once, whoever else asks meanwhile.
+    """A thread-safe least-recently-used cache. Concurrent requests for a missing key share one computation.
 
     Parameters
     ----------
     limit : int
-        Weight of all values together; a value that is heavier by itself is given but not kept.
+        Maximum total weight. A single value above it is returned but not cached.
     weigh : callable
-        Weight of a value; 1 each if left out.
+        Weight of a value; 1 by default.
     """
 
     def __init__(self, limit: int, weigh: Callable[[V], int] = lambda _: 1) -> None:
@@ -71,7 +72,7 @@ class Kept(Generic[K, V]):
         return len(self._values)
 
     def peek(self, key: K) -> V | None:
-        """Value of a key if it is there."""
+        """Return the value of a key, or None."""
         with self._lock:
             if key not in self._values:
                 return None
@@ -79,7 +80,7 @@ class Kept(Generic[K, V]):
             return self._values[key][0]
 
     def get(self, key: K, make: Callable[[], V]) -> V:
-        """Value of a key, made if it is not there; what ``make`` raises, all who wait for it get."""
+        """Return the value of a key, computed if it is missing. All waiting threads get an error of ``make``."""
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)
@@ -104,7 +105,7 @@ class Kept(Generic[K, V]):
         return value
 
     def put(self, key: K, value: V) -> None:
-        """Keep a value."""
+        """Cache a value."""
         with self._lock:
             self._put(key, value)
 
@@ -121,7 +122,7 @@ class Kept(Generic[K, V]):
 
 
 class Room:
-    """Room for pixels: a thread that wants more than is left waits."""
+    """A weighted semaphore: limits the number of pixels that are decoded concurrently."""
 
     def __init__(self, size: int) -> None:
         self.size = self.left = size
@@ -129,7 +130,7 @@ class Room:
 
     @contextmanager
     def of(self, n: int) -> Iterator[None]:
-        """Take room for so many, all there is at most, for a while."""
+        """Acquire ``n`` pixels, at most the whole size, and release them at the end of the block."""
         n = min(n, self.size)
         with self._changed:
             self._changed.wait_for(lambda: self.left >= n)
@@ -144,22 +145,22 @@ class Room:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where a picture's pixels come from.
+    """A picture that can be decoded.
 
     Attributes
     ----------
     name : str
-        What people call it.
+        Name for messages.
     tag : str
-        Of the content: changes when the file does.
+        Identifier of the contents; changes with the file.
     width, height : int
-        Upright, pixels.
+        Size of the upright picture in pixels.
     read : callable
-        Decodes it: (h, w, 3) uint8, uint16 or float32.
+        Decodes the picture: (h, w, 3) uint8, uint16 or float32.
     preview : callable, optional
-        Decodes it for a size, perhaps smaller than it is (see :func:`liaam.io.read_preview`).
+        Decodes the picture for a size, perhaps at a lower resolution (see :func:`liaam.io.read_preview`).
     raw : bool
-        Whether its values are linear light.
+        Whether the values are linear.
     """
 
     name: str
@@ -172,12 +173,12 @@ class Source:
 
 
 def source_of(path: Path, max_pixels: int) -> Source:
-    """Picture of a file.
+    """Return the picture of a file.
 
     Raises
     ------
     ImageError
-        If it is no image, or too large.
+        If it is not an image, or too large.
     """
     tag = file_tag(path)
     width, height = _of_file(path, image_size)
@@ -185,7 +186,7 @@ def source_of(path: Path, max_pixels: int) -> Source:
     def read(read_some: Callable[[Path], np.ndarray]) -> np.ndarray:
         image = _of_file(path, read_some)
         if file_tag(path) != tag:
-            raise Refusal(409, f"{path.name} has changed since: look at it again, and fit it again")
+            raise Refusal(409, f"{path.name} has changed: open it and fit it again")
         return image
 
     return Source(
@@ -200,7 +201,7 @@ def source_of(path: Path, max_pixels: int) -> Source:
 
 
 def file_tag(path: Path) -> str:
-    """What a file's change shows by."""
+    """Return an identifier of a file's contents, from its time and size."""
     try:
         facts = path.stat()
     except OSError as fault:
@@ -209,7 +210,7 @@ def file_tag(path: Path) -> str:
 
 
 def _of_file(path: Path, read: Callable[[Path], V]) -> V:
-    """What is read of a file; errors name it without its folder."""
+    """Call ``read`` on a file, with error messages that name it without its folder."""
     try:
         return read(path)
     except ImageError as fault:
@@ -217,22 +218,22 @@ def _of_file(path: Path, read: Callable[[Path], V]) -> V:
 
 
 class Pictures:
-    """Decoded pictures, and what was made of them for the page; may be used from any thread.
+    """Caches of decoded pictures and of their encodings for the page; thread-safe.
 
     Parameters
     ----------
     decoded, encoded : int
-        Bytes that may be kept.
+        Maximum number of cached bytes.
     """
 
     def __init__(self, decoded: int = DECODED_BYTES, encoded: int = ENCODED_BYTES) -> None:
         self._decoded: Kept[Hashable, np.ndarray] = Kept(decoded, lambda image: image.nbytes)
         self._encoded: Kept[Hashable, bytes] = Kept(encoded, len)
-        # A page asks for many thumbnails at once, and pictures on their way are as large as those that are kept.
+        # A page requests many thumbnails at once, and pictures being decoded are as large as cached ones.
         self.room = Room(DECODED_AT_ONCE)
 
     def pixels(self, source: Source) -> np.ndarray:
-        """Decoded picture, three channels. Shared: nobody may write to it."""
+        """Return the decoded picture with three channels. The array is shared and must not be modified."""
         from liaam.photometry.encoding import as_colour
 
         def read() -> np.ndarray:
@@ -242,24 +243,24 @@ class Pictures:
         return self._decoded.get((source.name, source.tag), read)
 
     def keep(self, source: Source, image: np.ndarray) -> None:
-        """Keep a picture that is decoded already."""
+        """Cache a decoded picture."""
         self._decoded.put((source.name, source.tag), image)
 
     def image(self, source: Source, size: int) -> bytes:
-        """JPEG to look at, its longest side at most ``size``."""
+        """Return a JPEG for display, its longest side at most ``size``."""
         return self._encoded.get(("image", source.name, source.tag, size), lambda: self._image(source, size))
 
     def thumbnail(self, source: Source) -> bytes:
-        """Small JPEG."""
+        """Return a small JPEG."""
         return self.image(source, THUMBNAIL)
 
     def chroma(self, source: Source, size: int, response: Response) -> bytes:
-        """Chroma of a picture (see :func:`chroma`)."""
+        """Return the chroma of a picture (see :func:`chroma`)."""
         key = ("chroma", source.name, source.tag, size, response)
         return self._encoded.get(key, lambda: chroma_bytes(self.pixels(source), size, response, source.name))
 
     def _image(self, source: Source, size: int) -> bytes:
-        # Half as large as it is or smaller: there may be a short way, which does not depend on what is kept.
+        # At half size or less, decoding a preview may be faster, and independent of the cache.
         if source.preview is not None and 2 * size <= max(source.width, source.height):
             with self.room.of(source.width * source.height):
                 return _displayed(source, source.preview(size), size)
@@ -271,36 +272,36 @@ def _displayed(source: Source, image: np.ndarray, size: int) -> bytes:
 
 
 def checked_size(text: str | None, otherwise: int) -> int:
-    """Read a size that the page asks for."""
+    """Parse a requested size and clip it to :data:`SIZES`."""
     if text is None:
         return otherwise
     if not (text.isascii() and text.isdigit() and len(text) < 7):
-        raise Refusal(422, f"size {text[:20]!r} is no whole number of pixels: give the longest side, such as 1024")
+        raise Refusal(422, f"size {text[:20]!r} is not a whole number of pixels: send the longest side, such as 1024")
     return int(np.clip(int(text), *SIZES))
 
 
 def fitted_size(width: int, height: int, size: int) -> tuple[int, int]:
-    """Width and height of a picture made so small that its longest side is at most ``size``."""
+    """Return the width and height of a picture scaled down so that its longest side is at most ``size``."""
     factor = min(1.0, size / max(width, height))
     return max(1, round(width * factor)), max(1, round(height * factor))
 
 
 def shown(image: np.ndarray, size: tuple[int, int], raw: bool = False) -> np.ndarray:
-    """Picture to look at, (height, width, 3) uint8, of a (width, height), which may not be larger than it is.
+    """Scale a picture down for display, (height, width, 3) uint8; ``size`` is (width, height).
 
-    Pixels are averaged, so centres of pixels go where they belong: x to (x + 0.5) * width' / width - 0.5.
+    Pixels are averaged: pixel centre x moves to (x + 0.5) * width' / width - 0.5.
     """
     from liaam.drawing import as_picture
     from liaam.photometry import linear_to_srgb
     from liaam.photometry.encoding import stored_values
 
-    if raw:  # linear light: averaged as such, then encoded as screens want it
+    if raw:  # linear values are averaged, then encoded as sRGB
         return as_picture(linear_to_srgb(np.clip(averaged(stored_values(image), size), 0.0, 1.0)))
     return averaged(as_picture(image), size)
 
 
 def averaged(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Picture of a (width, height) not more than its own, its pixels averaged; of the same type."""
+    """Scale an image down to (width, height) by averaging pixels; the dtype is kept."""
     import cv2
 
     if (image.shape[1], image.shape[0]) == size:
@@ -309,7 +310,7 @@ def averaged(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def jpeg_bytes(image: np.ndarray) -> bytes:
-    """JPEG of a picture (h, w, 3) uint8, with all of its colours' resolution."""
+    """Encode an image (h, w, 3) uint8 as JPEG without chroma subsampling."""
     import cv2
 
     options = [
@@ -322,7 +323,7 @@ def jpeg_bytes(image: np.ndarray) -> bytes:
 
 
 def png_bytes(image: np.ndarray, compression: int = 1) -> bytes:
-    """PNG of a picture (h, w, 3) or (h, w, 4) uint8."""
+    """Encode an image (h, w, 3) or (h, w, 4) uint8 as PNG."""
     import cv2
 
     return _encoded(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, compression])
@@ -336,20 +337,20 @@ def _encoded(suffix: str, image: np.ndarray, options: list[int]) -> bytes:
 
 
 def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str = "image") -> np.ndarray:
-    """Log-chromaticities of a picture, averaged to a size in linear light.
+    """Compute the log-chromaticities of an image, averaged in linear light.
 
-    The invariant image of any angle is ``cos(theta) * chroma[..., 0] + sin(theta) * chroma[..., 1]``, since the rows of
+    The invariant image of an angle is ``cos(theta) * chroma[..., 0] + sin(theta) * chroma[..., 1]``, since the rows of
     L(theta) sum to zero.
 
     Parameters
     ----------
     image : (h, w, 3) uint8, uint16 or float array
     size : int
-        Of the longest side, pixels, at most; somewhat less is taken where blocks then fill the picture better.
+        Maximum length of the longest side in pixels. It is reduced slightly if blocks then cover the image better.
     response : Response
-        Of the image's camera.
+        Response of the camera.
     name : str
-        What to call the image in errors.
+        Name of the image for error messages.
 
     Returns
     -------
@@ -360,7 +361,7 @@ def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str 
     Raises
     ------
     ImageError
-        If the picture is grey.
+        If the image is grey.
     """
     from liaam.photometry.encoding import as_colour, encode, refuse_grey
 
@@ -374,10 +375,10 @@ def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str 
 
 
 def chroma_bytes(image: np.ndarray, size: int, response: Response = "srgb", name: str = "image") -> bytes:
-    """Chroma for the page, all little-endian.
+    """Encode the chroma of an image for the page, little-endian.
 
-    Width and height as uint32; how much of the picture they cover, from its left and upper border, as float32, pixels
-    of the picture (blocks need not fill it); then :func:`chroma` row by row.
+    The order is: width and height (uint32), the covered width and height in pixels of the image from its upper left
+    corner (float32, since blocks need not fill the image), then :func:`chroma` row by row.
     """
     numbers = chroma(image, size, response, name)
     (height, width), (rows, columns) = numbers.shape[:2], image.shape[:2]
@@ -387,12 +388,12 @@ def chroma_bytes(image: np.ndarray, size: int, response: Response = "srgb", name
 
 
 def block_size(width: int, height: int, size: int) -> float:
-    """Size of square blocks that fill a picture with the least rest, the longest side being at most ``size`` blocks."""
+    """Return the size of square blocks that leave the smallest rest, with at most ``size`` blocks per side."""
     longest, shortest = max(width, height), min(width, height)
     if longest <= size:
         return 1.0
     counts = np.arange(max(1, int(0.9 * size)), size + 1)
     across = shortest * counts / longest
     rest = (across - np.floor(across + 1e-6)) / np.maximum(across, 1.0)
-    # Of equals the finest.
+    # Prefer the finest of equal blocks.
     return longest / float(counts[::-1][np.argmin(np.round(rest[::-1], 6))])

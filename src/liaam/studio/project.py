@@ -1,14 +1,14 @@
-"""A project is a folder: its pictures, their landmark files, the template, and what the studio keeps of it.
+"""A project is a folder: its pictures, their landmark files, the template, and the studio's own files.
 
-:class:`Project` is what the rest of the studio asks, from any thread. Its parts know nothing of threads, and of each
-other only what stands before them in this list:
+:class:`Project` is the thread-safe interface for the rest of the studio. Its parts are not thread-safe, and each
+depends only on those before it in this list:
 
-- :mod:`~liaam.studio.folder`: which paths may be touched; :mod:`~liaam.studio.state_files`: the studio's own files;
-- :mod:`~liaam.studio.listing`: which pictures there are, and which can be used;
-- :mod:`~liaam.studio.landmark_files`: what the landmark files say, and how they are written;
-- :mod:`~liaam.studio.proposals`: what the model found;
+- :mod:`~liaam.studio.folder`: checks of paths; :mod:`~liaam.studio.state_files`: the studio's own files;
+- :mod:`~liaam.studio.listing`: the pictures, and whether each can be used;
+- :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
+- :mod:`~liaam.studio.proposals`: landmarks proposed by the model;
 - :mod:`~liaam.studio.template_store`: the template; :mod:`~liaam.studio.template_change`: its changes;
-- :mod:`~liaam.studio.picture_states`: how far each picture is.
+- :mod:`~liaam.studio.picture_states`: the state of each picture.
 """
 
 from __future__ import annotations
@@ -42,37 +42,37 @@ from liaam.studio.template_store import TemplateStore
 
 @dataclass(frozen=True)
 class Annotated:
-    """A picture whose landmarks are all there, to learn from."""
+    """A picture with all its landmarks, for training."""
 
     name: str
     path: Path
     points: np.ndarray
-    """(n, 2) float64, image pixels."""
+    """(n, 2) float64 in pixels."""
     revision: str
 
 
 @dataclass(frozen=True)
 class Overview:
-    """All of a project's pictures, of one listing of the folder."""
+    """All pictures of a project at one scan of the folder."""
 
     stamp: str
-    """:attr:`Project.stamp` of then."""
+    """:attr:`Project.stamp` at that scan."""
     pictures: list[dict[str, Any]]
-    """In natural order, as the page shows them."""
+    """The pictures as JSON for the page, in natural order."""
     done: dict[str, str]
-    """Revision of the landmarks of each picture that is done, by name."""
+    """Revision of the landmarks of each done picture, by name."""
 
 
 class Project:
-    """The folder; may be used from any thread.
+    """A project's folder; thread-safe.
 
     Attributes
     ----------
     root : Path
-        The folder, links resolved.
+        The folder with links resolved.
     settings : Settings
     state : StateFiles
-        The studio's own files in it.
+        The studio's own files in the folder.
     """
 
     def __init__(self, folder: str | os.PathLike[str], settings: Settings | None = None) -> None:
@@ -93,18 +93,18 @@ class Project:
 
     @property
     def id(self) -> str:
-        """What tells this folder from all others, wherever it is moved to; a copy of it has another."""
+        """Unique identifier of the folder. It survives a move; a copy has another one."""
         return self.state.id
 
     @property
     def stamp(self) -> str:
-        """Changes with the folder's files, and with what the studio keeps of it; quick to ask for."""
+        """Value that changes with the folder's files and the studio's own files; quick to compute."""
         with self._lock:
-            self._look()
+            self._rescan()
             return self._stamp()
 
     def check_id(self, data: Any) -> None:
-        """Refuse what a page sends that is another folder's, as it says in ``folder`` of its request.
+        """Refuse a request whose ``folder`` is the id of another folder.
 
         Raises
         ------
@@ -112,23 +112,21 @@ class Project:
             409, with this folder's id in ``folder``.
         """
         if isinstance(data, dict) and data.get("folder", self.id) != self.id:
-            raise Refusal(
-                409, "the studio shows another folder now than this page was opened on: reload the page", folder=self.id
-            )
+            raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=self.id)
 
     def prepare(self) -> None:
-        """Give the folder its id, and remove what a killed process left half written."""
+        """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
         with self._lock, suppress(LiaamError, OSError):
             _ = self.id
             self.state.sweep()
 
     def plain(self, fault: object) -> str:
-        """Text of a fault with names instead of paths: the page knows the folder by its name."""
+        """Return an error message in which the folder's path is replaced by its name."""
         return self._folder.plain(fault)
 
     @property
     def problems(self) -> list[str]:
-        """What a person should know: files that cannot be read, are passed over, or belong to no picture."""
+        """Messages for the user about files that cannot be read, are skipped, or belong to no picture."""
         with self._lock:
             listing = self._listing
             return [
@@ -138,8 +136,8 @@ class Project:
                 *listing.orphans(),
             ]
 
-    def _look(self) -> None:
-        """List the folder anew, for who only looks."""
+    def _rescan(self) -> None:
+        """Scan the folder for reading; an unfinished change of the template is no error here."""
         self._changes.try_to_settle()
         self._listing.scan()
 
@@ -153,15 +151,15 @@ class Project:
     # Pictures -------------------------------------------------------------------------------------
 
     def overview(self) -> Overview:
-        """Give all pictures."""
+        """Return all pictures."""
         with self._lock:
-            self._look()
+            self._rescan()
             return self._overview()
 
     def overview_since(self, stamp: str | None) -> Overview | None:
-        """Give all pictures, or None if nothing has changed since a :attr:`stamp`."""
+        """Return all pictures, or None if nothing has changed since a :attr:`stamp`."""
         with self._lock:
-            self._look()
+            self._rescan()
             return None if self._stamp() == stamp else self._overview()
 
     def _overview(self) -> Overview:
@@ -173,29 +171,29 @@ class Project:
         )
 
     def path_of(self, name: str) -> Path:
-        """Path of a picture of the folder.
+        """Return the path of a picture.
 
         Raises
         ------
         Refusal
-            404 if there is none of that name, or it is a link that leads out of the folder.
+            404 if there is no such picture, 409 if it is a link that leads out of the folder.
         """
         with self._lock:
             return self._folder.inside(self._find(name).name)
 
     def size_of(self, name: str) -> tuple[int, int]:
-        """Width and height of a picture as a person sees it, from its header.
+        """Return the width and height of the upright picture, from its header.
 
         Raises
         ------
         Refusal
-            404 if there is none, 409 if it cannot be used.
+            404 if there is no such picture, 409 if it cannot be used.
         """
         with self._lock:
             return self._listing.usable_size(self._find(name))
 
     def annotated(self) -> list[Annotated]:
-        """Pictures that are done: all points are there.
+        """Return the done pictures, which have all their points.
 
         Raises
         ------
@@ -216,10 +214,10 @@ class Project:
         ]
 
     def to_propose(self, most: int) -> list[tuple[str, Path]]:
-        """Name and path of pictures without a point, to propose landmarks for.
+        """Return the names and paths of at most ``most`` pictures without points, to propose landmarks for.
 
-        Of a large folder some at a time, or the person would be far ahead of the model: half of them such as have a
-        proposal, those that teach most first, then such as have none yet, in natural order.
+        The number is limited so that proposals keep up with the user in a large folder. Up to half of the pictures have
+        a proposal already, in the order of :func:`teaching_order`. The others have none, in natural order.
         """
         with self._lock:
             self._listing.scan()
@@ -231,7 +229,7 @@ class Project:
             return [(name, self.root / name) for name in (*known, *fresh[: most - len(known)])]
 
     def _find(self, name: str) -> File:
-        """Find a picture in the listing, which is made anew if anything about the picture has changed."""
+        """Find a picture in the listing; scan the folder again if the picture or its files have changed."""
         file = self._listing.files.get(name)
         if file is None or not self._landmarks.is_current(file):
             self._listing.scan()
@@ -243,13 +241,13 @@ class Project:
     # Landmarks ------------------------------------------------------------------------------------
 
     def landmarks(self, name: str) -> Landmarks | None:
-        """Landmarks of a picture's file, whether complete or not; None if it has none that can be read."""
+        """Return the landmarks in a picture's file, complete or not, or None if no file can be read."""
         with self._lock:
             marks = self._landmarks.of(self._find(name))
             return None if marks is None else marks.landmarks
 
     def marks(self, name: str) -> dict[str, Any]:
-        """Landmarks of a picture as the page takes them: of its file, or as proposed, or none.
+        """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none.
 
         Raises
         ------
@@ -261,26 +259,26 @@ class Project:
             return self._states.marks_json(self._find(name))
 
     def save_marks(self, name: str, data: Any) -> dict[str, Any]:
-        """Save the landmarks of a picture, if its file is still what the page believes it to be.
+        """Save the landmarks of a picture if its file has not changed since the page read it.
 
         Parameters
         ----------
         name : str
         data : dict
-            ``points``, ``invisible`` and ``revision``, as JSON gives them; ``template``, the revision of the template
-            that they are points of, if it is to be checked.
+            JSON with ``points``, ``invisible`` and the ``revision`` of the file. Optionally ``template``, the revision
+            of the template of the points, which is then checked.
 
         Returns
         -------
         dict
-            ``revision`` and ``picture``. Who sends what the file says already is told so, whatever the revision: an
-            answer may have been lost on its way.
+            ``revision`` and ``picture``. Landmarks equal to those in the file are accepted with any revision, since an
+            earlier answer may have been lost.
 
         Raises
         ------
         Refusal
-            404, 409 (with ``current`` where the file has changed, with ``template`` where the template has), 422; 503
-            or 507 while the disk refuses.
+            404 if there is no such picture; 409 if the file or the template has changed, with ``current`` or
+            ``template``; 422 for invalid data; 503 or 507 if the disk refuses to write.
         """
         if not isinstance(data, dict):
             raise Refusal(422, "send an object with points, invisible and revision")
@@ -298,7 +296,7 @@ class Project:
             if not (same and saved and invisible == current["invisible"]):
                 if data.get("revision") != current["revision"]:
                     raise Refusal(409, _clash(name, current["revision"]), current=current)
-                self._templates.keep()  # what was taken from a file is settled by the first save
+                self._templates.keep()  # the first save fixes a template that was taken from a file
                 self._landmarks.save(file, template, points, invisible)
             revision = self._landmarks.revision(file)
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
@@ -307,43 +305,49 @@ class Project:
 
     @property
     def template(self) -> Template | None:
-        """The template that was saved, or else that of the first picture with landmarks."""
+        """The saved template, or else that of the first picture with landmarks."""
         with self._lock:
             return self._templates.current
 
     @property
     def order(self) -> str:
-        """Changes whenever points are added, taken away or put in another order."""
+        """Value that changes when points are added, removed or reordered."""
         with self._lock:
             return self._templates.order
 
     def template_json(self) -> dict[str, Any] | None:
-        """Give the template as the page takes it, with the ``revision`` that changes are made for."""
+        """Return the template as JSON for the page, with its ``revision``."""
         with self._lock:
             return self._templates.as_json()
 
     def save_template(self, data: Any) -> tuple[Template, bool]:
-        """Take a template; landmark files follow it if ``mapping`` says from where each point comes.
+        """Save a template and update the landmark files according to its ``mapping``.
+
+        Parameters
+        ----------
+        data : dict
+            JSON of the template. Optionally ``mapping``, the old index of each point or null for a new one, and
+            ``revision``, the revision of the template that is being changed.
 
         Returns
         -------
         Template
         bool
-            Whether points were added, taken away or put in another order: models of before do not fit any more.
+            Whether points were added, removed or reordered. Earlier models are then invalid.
 
         Raises
         ------
         Refusal
-            422 if it is not sound, or the number of points changes without a mapping while there are landmarks; 409,
-            with ``template``, if ``revision`` is sent and is not that of the template that there is; 503 or 507 if the
-            disk refuses: the change is then finished later.
+            422 for an invalid template, or if the number of points changes without a mapping while pictures have
+            landmarks; 409 with ``template`` if ``revision`` is not the current one; 503 or 507 if the disk refuses to
+            write, in which case the change is finished later.
         """
         template = parse_template(data, self.settings.points)
         with self._lock:
             return template, self._changes.save(template, data)
 
     def read_template(self, name: str, data: bytes) -> Template:
-        """Make a template of a landmark file that was sent; nothing is saved.
+        """Create a template from the contents of a landmark file, without saving it.
 
         Raises
         ------
@@ -362,14 +366,15 @@ class Project:
     # Proposals ------------------------------------------------------------------------------------
 
     def add_proposals(self, proposals: Mapping[str, dict[str, Any]], order: str | None = None) -> None:
-        """Keep what a model found in pictures, by name.
+        """Save landmarks proposed by a model.
 
         Parameters
         ----------
         proposals : dict of str to dict
-            Each with the ``tag`` of the picture that was looked at; it counts as that of now if left out.
+            Proposals by name of the picture, each with the ``tag`` of the picture that was fitted. The default is the
+            current tag.
         order : str, optional
-            :attr:`order` that they were made for; proposals for another are dropped.
+            :attr:`order` of the model's points. Proposals for another order are dropped.
         """
         with self._lock:
             if order in (None, self._templates.order):
@@ -377,7 +382,7 @@ class Project:
 
 
 def _clash(name: str, revision: str | None) -> str:
-    """Say what happened to landmarks that a page believes to be others."""
+    """Return the error message for landmarks that have changed since the page read them."""
     if revision is None:
-        return f"the landmark file of {name} was deleted since: save it again, or leave it deleted"
-    return f"{name} was changed elsewhere since: look at its landmarks"
+        return f"the landmark file of {name} was deleted in the meantime: save it again, or leave it deleted"
+    return f"the landmarks of {name} were changed elsewhere in the meantime: check them"

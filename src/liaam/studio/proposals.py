@@ -1,4 +1,4 @@
-"""Places that the model found in pictures, to be looked at by a person: ``proposals.json``."""
+"""Landmarks proposed by the model, for a person to check: ``proposals.json``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PROPOSALS_FILE = "proposals.json"
 
 
 class Proposals:
-    """Proposals for the pictures of a folder, by the picture's name."""
+    """Proposals for the pictures of a folder, by name of the picture."""
 
     def __init__(self, listing: Listing, state: StateFiles) -> None:
         self._listing = listing
@@ -21,23 +21,23 @@ class Proposals:
         self._kept: dict[str, dict[str, Any]] = state.read(PROPOSALS_FILE, _are_proposals) or {}
 
     def add(self, proposals: Mapping[str, dict[str, Any]]) -> None:
-        """Keep proposals; one that does not say of which file it is counts as of that of now."""
+        """Save proposals; the default ``tag`` is that of the current file."""
         tags = {name: file.tag for name, file in self._listing.files.items()}
         self._kept.update({name: {"tag": tags.get(name), **item} for name, item in proposals.items()})
         self._state.write(PROPOSALS_FILE, self._kept)
 
     def forget(self) -> None:
-        """Drop all proposals: they are of another template."""
+        """Drop all proposals, because the template changed."""
         self._kept = {}
         self._state.write(PROPOSALS_FILE, self._kept)
 
     def of(self, picture: File) -> dict[str, Any] | None:
-        """Proposal for a picture, unless another picture has taken its name since."""
+        """Return the proposal for a picture, unless the picture has been replaced since."""
         proposal = self._kept.get(picture.name)
         return proposal if proposal is not None and proposal.get("tag") == picture.tag else None
 
     def with_points(self, picture: File, template: Template | None) -> dict[str, Any] | None:
-        """Proposal for a picture that has points, and as many as the template."""
+        """Return the proposal for a picture if it has as many points as the template."""
         proposal = self.of(picture)
         if proposal is None or proposal["points"] is None or template is None:
             return None
@@ -45,17 +45,17 @@ class Proposals:
 
 
 def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Order pictures by how much their annotation would teach the model; the one place that says so.
+    """Order pictures by how useful their annotation is for training (active learning).
 
-    First those where the object was surely found but the fit failed or is doubtful: the object is there, and looks as
-    no training picture does. Then by uncertainty, highest first: mean deviation of the landmarks as a share of the
-    object's size. Last those where the search itself is doubtful: most often the object is hidden, cut off or not
-    there, which costs a person much work and teaches the model little.
+    First come pictures in which the search is confident but the fit failed or has low confidence: the object looks
+    unlike those in the training pictures. Then pictures by decreasing uncertainty, the mean standard deviation of the
+    landmarks relative to the object's size. Last come pictures in which the search itself has low confidence: often the
+    object is occluded, cut off or missing, so that annotation takes long and helps little.
 
     Parameters
     ----------
     proposals : dict of str to dict
-        By the picture's name, with ``found`` (whether the search is sure), ``ok`` and ``uncertainty``.
+        Proposals by name of the picture, with ``found`` (whether the search is confident), ``ok`` and ``uncertainty``.
     """
 
     def key(name: str) -> tuple[int, float]:
@@ -67,7 +67,7 @@ def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def is_proposal(item: Any) -> bool:
-    """Whether JSON is a proposal as :mod:`liaam.studio.training_process` makes them."""
+    """Whether JSON is a proposal of :mod:`liaam.studio.training_process`."""
     keys = {"points", "covariances", "quality", "status", "ok", "message", "found", "doubtful", "uncertainty"}
     if set(item) - {"tag"} != keys or not isinstance(item["message"], str):
         return False

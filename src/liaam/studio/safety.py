@@ -1,8 +1,8 @@
-"""The door: who may ask, from where, and how much they may send. Pure ASGI, before anything else looks at a request.
+"""Access control: checks the origin, the token and the size of each request. Pure ASGI, in front of the application.
 
-A page of another site can make a browser send requests to this machine, and a name of that site can be pointed at this
-machine (DNS rebinding). So the ``Host`` has to be this server's, the ``Origin`` the page's own, and every request has
-to know the token, which no other site can read.
+A page of another site can make a browser send requests to this machine, and its name can be pointed at this machine
+(DNS rebinding). So ``Host`` must be this server, ``Origin`` must be the studio's page, and each request must have the
+token, which other sites cannot read.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 UPLOADS = "/api/uploads"
-"""Where larger bodies go."""
+"""Path that accepts larger bodies."""
 
 HEADERS: dict[str, str] = {
     "content-security-policy": (
@@ -37,21 +37,19 @@ HEADERS: dict[str, str] = {
     "x-frame-options": "DENY",
     "cache-control": "no-store",
 }
-"""Of every response that does not say otherwise."""
+"""Default headers of every response."""
 
-_STRANGER = (
-    "this browser does not know the studio's token: open the address that 'liaam studio' printed, with its ?token=..."
-)
+_NO_TOKEN = "this browser does not have the studio's token: open the address that 'liaam studio' printed"
 
 
-class Refusal(LiaamError):  # noqa: N818 (an answer, not a fault of this program)
-    """A request that is not done: an HTTP status, a sentence, and what else the page needs to know.
+class Refusal(LiaamError):  # noqa: N818 (an answer, not a program error)
+    """A refused request: an HTTP status, an error message, and details for the page.
 
     Attributes
     ----------
     status : int
     details : dict
-        Further fields of the answer, beside ``error``.
+        Further fields of the answer besides ``error``.
     """
 
     def __init__(self, status: int, error: str, **details: Any) -> None:
@@ -61,7 +59,7 @@ class Refusal(LiaamError):  # noqa: N818 (an answer, not a fault of this program
 
 
 class Guard:
-    """Refuses requests from elsewhere, without the token, or with too large a body; adds headers to every response."""
+    """Refuses requests from other sites, without the token, or with too large a body; adds headers to responses."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app
@@ -73,15 +71,15 @@ class Guard:
         import h11
 
         try:
-            await self._answered(scope, receive, send)
-        except h11.LocalProtocolError:  # nonsense that came behind the request has ended the connection
+            await self._handle(scope, receive, send)
+        except h11.LocalProtocolError:  # invalid data after the request has closed the connection
             return
 
-    async def _answered(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
-        if scope["type"] != "http":  # there are no web sockets here
+        if scope["type"] != "http":  # web sockets are not supported
             await send({"type": "websocket.close", "code": 1008})
             return
         send = _with_headers(send)
@@ -91,20 +89,20 @@ class Guard:
             await _answer(send, 303, b"", [(b"location", b"/"), (b"set-cookie", self._cookie().encode())])
             return
         if refusal is None and not self._knows_token(headers):
-            refusal = Refusal(401, _STRANGER)
+            refusal = Refusal(401, _NO_TOKEN)
         if refusal is not None:
             await _refuse(send, refusal, html="text/html" in headers.one("accept"))
             return
         await self._limited(scope, headers, receive, send)
 
     def _refusal(self, headers: _Headers) -> Refusal | None:
-        """Check where the request comes from."""
+        """Check the origin of a request."""
         hosts = headers.all("host")
         if len(hosts) != 1 or not is_own_host(hosts[0], self.settings):
-            return Refusal(421, "this server does not go by that name: open the address that 'liaam studio' printed")
+            return Refusal(421, "this server has another name: open the address that 'liaam studio' printed")
         origins = headers.all("origin")
         if any(not _is_own_origin(origin, self.settings) for origin in origins):
-            return Refusal(403, "the request comes from another site, and only the studio's own page may ask")
+            return Refusal(403, "the request comes from another site: send it from the studio's own page")
         if any(site not in ("same-origin", "none") for site in headers.all("sec-fetch-site")):
             return Refusal(403, "the request comes from another site: type or paste the studio's address instead")
         return None
@@ -131,7 +129,7 @@ class Guard:
         return f"{self.settings.cookie}={self.settings.token}; HttpOnly; SameSite=Strict; Path=/"
 
     async def _limited(self, scope: Scope, headers: _Headers, receive: Receive, send: Send) -> None:
-        """Pass a request on, with its body counted while it is read."""
+        """Pass a request to the application and limit the size of its body."""
         is_upload = scope["path"] == UPLOADS
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
         declared = headers.one("content-length")
@@ -147,10 +145,10 @@ class Guard:
                 await self._refuse_body(receive, send, stopped.refusal)
 
     async def _refuse_body(self, receive: Receive, send: Send, refusal: Refusal) -> None:
-        """Throw away what comes, for a while: a sender that is cut off does not read the answer."""
+        """Discard the rest of the body for a while, because a client that is cut off does not read the answer."""
         import anyio
 
-        left = self.settings.upload_bytes if refusal.status != 408 else 0  # whose sender sends nothing
+        left = self.settings.upload_bytes if refusal.status != 408 else 0  # after a time-out there is nothing to read
         with anyio.move_on_after(self.settings.drain_seconds):
             while left > 0:
                 message = await receive()
@@ -165,15 +163,15 @@ def _too_large(limit: int) -> Refusal:
 
 
 RETRY_AFTER = 2
-"""Seconds after which to ask a busy studio again."""
+"""Seconds until a client should retry a request to a busy studio."""
 
 
 def _busy() -> Refusal:
     return Refusal(503, "the studio is busy with other pictures: try again in a moment", retry_after=RETRY_AFTER)
 
 
-class Stopped(Exception):  # noqa: N818 (what happened, not a fault of this program)
-    """A request is not read any further. It passes by the application's own answers to errors."""
+class Stopped(Exception):  # noqa: N818 (an event, not a program error)
+    """Raised to stop reading a request. It bypasses the error handlers of the application."""
 
     def __init__(self, refusal: Refusal) -> None:
         super().__init__(str(refusal))
@@ -181,7 +179,7 @@ class Stopped(Exception):  # noqa: N818 (what happened, not a fault of this prog
 
 
 class Crowd:
-    """Requests under way: so many bytes of bodies at a time, and so many uploads. Of one thread, so without locks."""
+    """Limits the bytes of concurrent request bodies and the number of concurrent uploads. Not thread-safe."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -190,12 +188,12 @@ class Crowd:
 
     @contextmanager
     def one(self, is_upload: bool) -> Iterator[Callable[[int], None]]:
-        """Let a request in until it is answered; gives what to call with the sizes of what it holds.
+        """Admit a request until it is answered; yield a function to call with the size of each received part.
 
         Raises
         ------
         Stopped
-            503 for an upload while too many are under way, and from what it gives where all hold too many bytes.
+            503 if there are too many concurrent uploads, or from the function if all requests hold too many bytes.
         """
         if is_upload and self.uploads >= self.settings.uploads_at_once:
             raise Stopped(_busy())
@@ -217,7 +215,7 @@ class Crowd:
 
 
 class _Body:
-    """The body's reader, which stops at a limit of bytes, its own or everyone's, and of time."""
+    """Reads a body up to its own limit of bytes, the shared limit, and a time limit."""
 
     def __init__(self, receive: Receive, limit: int, seconds: float, hold: Callable[[int], None]) -> None:
         self.receive = receive
@@ -229,13 +227,13 @@ class _Body:
     async def __call__(self) -> Message:
         import anyio
 
-        if self.whole:  # who listens now waits for the end of the connection
+        if self.whole:  # the application now waits for the end of the connection
             return await self.receive()
         message = None
         with anyio.move_on_after(self.due - time.monotonic()):
             message = await self.receive()
         if message is None:
-            raise Stopped(Refusal(408, "the rest of the request did not come in time: send it again"))
+            raise Stopped(Refusal(408, "the rest of the request did not arrive in time: send it again"))
         self.whole = not message.get("more_body", False)
         n_bytes = len(message.get("body", b""))
         self.left -= n_bytes
@@ -246,7 +244,7 @@ class _Body:
 
 
 class _Watched:
-    """A sender that remembers whether a response has begun."""
+    """A sender that records whether a response has started."""
 
     def __init__(self, send: Send) -> None:
         self.send = send
@@ -258,7 +256,7 @@ class _Watched:
 
 
 class _Headers:
-    """Headers of a request, by lower-case name."""
+    """Headers of a request by lower-case name."""
 
     def __init__(self, raw: Iterable[tuple[bytes, bytes]]) -> None:
         self._raw = [(name.decode("latin-1").lower(), value.decode("latin-1")) for name, value in raw]
@@ -273,12 +271,12 @@ class _Headers:
 def is_own_host(host: str, settings: Settings) -> bool:
     """Whether a ``Host`` header names this server.
 
-    Where it listens on all addresses, any address may be meant, but of names only this machine's: others can be made to
-    point here.
+    If the server listens on all addresses, any IP address is accepted, but only this machine's name: other names can be
+    pointed at this machine.
     """
     name, _, port = host.lower().rpartition(":")
     if port != str(settings.port):
-        name, port = host.lower(), "80"  # browsers leave out the usual port
+        name, port = host.lower(), "80"  # browsers omit the default port
     if port != str(settings.port):
         return False
     bare = name[1:-1] if name.startswith("[") and name.endswith("]") else name
@@ -317,7 +315,8 @@ async def _refuse(send: Send, refusal: Refusal, html: bool = False, close: bool 
     if "retry_after" in refusal.details:
         headers.append((b"retry-after", str(refusal.details["retry_after"]).encode()))
     if html:
-        text = f"<!doctype html><meta charset=utf-8><title>liaam studio</title><p>{refusal}</p>"  # of fixed sentences
+        # The message contains no user input, so it needs no escaping.
+        text = f"<!doctype html><meta charset=utf-8><title>liaam studio</title><p>{refusal}</p>"
         headers.append((b"content-type", b"text/html; charset=utf-8"))
     else:
         text = json.dumps({"error": str(refusal)})

@@ -1,4 +1,4 @@
-"""Serve the studio on this machine until Ctrl-C."""
+"""Serve the studio on this machine until it is stopped with Ctrl-C."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 PORTS_TRIED = 20
 GRACE = 2
-"""Seconds that requests under way have to finish once the server stops."""
+"""Seconds for running requests to finish when the server stops."""
 
 LARGE_BLOCK = 8 << 20
-"""Bytes of memory that are asked of the system, and given back, by themselves."""
+"""Bytes from which on a block of memory is returned to the system when it is freed."""
 
 KEEP_ALIVE = 5
 """Seconds that a connection may be idle between requests."""
@@ -43,16 +43,16 @@ def serve(
     Parameters
     ----------
     folder : Path
-        Holds the pictures; may be empty.
+        Folder of the pictures; may be empty.
     model : Path, optional
-        Model to begin with, instead of what the studio trained in this folder before.
+        Model to use instead of the one that the studio trained in this folder before.
     host : str
-        Address to listen on; others than the loopback let other machines in that know the token.
+        Address to listen on. With any other than the loopback, other machines that have the token have access.
     port : int, optional
-        The first free one from 8765 on if left out.
+        By default the first free port from 8765 on.
     open_browser : bool
     say : callable
-        Takes lines for people.
+        Prints a line.
 
     Raises
     ------
@@ -62,14 +62,14 @@ def serve(
     uvicorn = _uvicorn()
     from liaam.studio.app import make_studio
 
-    _give_memory_back()
+    _return_freed_memory()
     listener = open_port(host, port)
     with listener, one_blas_thread():
         settings = Settings(host=host, port=listener.getsockname()[1])
         studio = make_studio(folder, model, settings)
         server = make_server(studio, uvicorn)
         server.on_start = lambda: _welcome(settings, open_browser, say)
-        threading.Thread(target=_look_around, args=(studio,), name="studio-listing", daemon=True).start()
+        threading.Thread(target=_read_headers, args=(studio,), name="studio-listing", daemon=True).start()
         try:
             server.run([listener])
         except KeyboardInterrupt:  # uvicorn repeats the signal once it has stopped
@@ -79,7 +79,7 @@ def serve(
 
 
 def make_server(studio: Studio, uvicorn: Any = None) -> Any:
-    """Make the server of a studio: a ``uvicorn.Server`` whose event streams end when it stops."""
+    """Create the server of a studio, a ``uvicorn.Server`` that ends its event streams when it stops."""
     uvicorn = uvicorn or _uvicorn()
     from liaam.studio.app import make_app
 
@@ -92,7 +92,7 @@ def make_server(studio: Studio, uvicorn: Any = None) -> Any:
                 self.on_start()
 
         async def shutdown(self, *args: Any, **options: Any) -> None:
-            studio.events.close()  # or the server would wait for pages that only listen
+            studio.events.close()  # otherwise the server would wait for the event streams
             await super().shutdown(*args, **options)
 
     config = uvicorn.Config(
@@ -101,7 +101,7 @@ def make_server(studio: Studio, uvicorn: Any = None) -> Any:
         ws="none",
         lifespan="off",
         loop="asyncio",
-        log_config=None,  # plain lines on standard error, and only where something is wrong
+        log_config=None,  # plain lines on standard error, warnings and errors only
         log_level="warning",
         access_log=False,
         server_header=False,
@@ -114,48 +114,48 @@ def make_server(studio: Studio, uvicorn: Any = None) -> Any:
 
 
 def _protocol(header_seconds: float) -> Any:
-    """HTTP as h11 has it, strict and everywhere the same, which hangs up on requests that do not come to their body."""
+    """Return an h11 protocol that closes a connection whose request line and headers do not arrive in time."""
     import h11
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
-    class Impatient(H11Protocol):
+    class HeaderTimeout(H11Protocol):
         _due: Any = None
 
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self._look()
+            self._update_timer()
 
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
-            self._look()
+            self._update_timer()
 
         def connection_lost(self, exc: Exception | None) -> None:
             super().connection_lost(exc)
-            self._wait_no_more()
+            self._stop_timer()
 
-        def _look(self) -> None:
-            """Wait for a request from its first byte on, or for the rest of one that is answered, but not for ever."""
+        def _update_timer(self) -> None:
+            """Run the timer while waiting for a request, or for the rest of one that is answered."""
             answered = self.cycle is not None and self.cycle.response_complete
             if self.conn.their_state is not h11.IDLE and not answered:
-                self._wait_no_more()
+                self._stop_timer()
             elif self._due is None:
                 self._due = self.loop.call_later(header_seconds, self.transport.close)
 
-        def _wait_no_more(self) -> None:
+        def _stop_timer(self) -> None:
             if self._due is not None:
                 self._due.cancel()
                 self._due = None
 
-    return Impatient
+    return HeaderTimeout
 
 
 def open_port(host: str, port: int | None) -> socket.socket:
-    """Listen on a port: the one asked for, or the first free one.
+    """Listen on a given port, or on the first free one.
 
     Raises
     ------
     LiaamError
-        If it is taken, or there is no such address.
+        If the port is taken, or the address does not exist.
     """
     if port is not None and not 0 <= port <= 65535:
         raise LiaamError(f"--port {port}: ports are 1 to 65535")
@@ -169,14 +169,14 @@ def open_port(host: str, port: int | None) -> socket.socket:
     wanted = f"port {port}" if port is not None else f"no port from {tries[0]} to {tries[-1]}"
     what = "is not free" if port is not None else "is free"
     reason = fault.strerror or fault if fault is not None else ""
-    raise LiaamError(f"{wanted} of {host} {what} ({reason}): give another with --port")
+    raise LiaamError(f"{wanted} of {host} {what} ({reason}): choose another with --port")
 
 
-def _give_memory_back() -> None:
-    """Have large blocks go back to the system when they are freed.
+def _return_freed_memory() -> None:
+    """Make glibc return large blocks to the system when they are freed.
 
-    Each thread of glibc keeps blocks of up to 32 MB to itself otherwise, and pictures are decoded in many threads, in
-    blocks of 16 MB: under 200 uploads at once that came to 2.0 GB instead of 0.9.
+    By default each thread keeps freed blocks of up to 32 MB, and pictures are decoded in many threads in blocks of
+    16 MB. Under 200 concurrent uploads this lowers the memory from 2.0 GB to 0.9 GB.
     """
     import ctypes
 
@@ -187,10 +187,10 @@ def _give_memory_back() -> None:
 
 def _listen(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    # Of a socket whose protocol is not named asyncio does not send small answers at once: they wait 40 ms.
+    # Without an explicit protocol, asyncio does not set TCP_NODELAY, and small answers are delayed by 40 ms.
     listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
-        if os.name == "posix":  # elsewhere it would share the port with another program
+        if os.name == "posix":  # on other systems the option lets two programs share the port
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((host, port))
         listener.listen(128)
@@ -212,16 +212,18 @@ def _uvicorn() -> Any:
 def _welcome(settings: Settings, open_browser: bool, say: Callable[[str], None]) -> None:
     shown = settings if settings.host not in ("0.0.0.0", "::") else replace(settings, host=socket.gethostname())
     if not settings.is_local:
-        say(f"warning: other machines can reach the studio at {settings.host}; who has its address can change files")
+        say(
+            f"warning: other machines can reach the studio at {settings.host}; anyone with its address can change files"
+        )
     say(f"liaam studio: {shown.address}")
-    say("Ctrl-C stops it")
+    say("Press Ctrl-C to stop it")
     if open_browser:
         threading.Thread(target=webbrowser.open, args=(shown.address,), daemon=True).start()
 
 
-def _look_around(studio: Studio) -> None:
-    """Read the headers of the pictures before the page asks: of thousands that takes a while."""
+def _read_headers(studio: Studio) -> None:
+    """Read the headers of the pictures before the page needs them, since thousands take a while."""
     try:
         studio.project.overview()
-    except LiaamError:  # the page will be told
+    except LiaamError:  # reported when the page asks
         return

@@ -1,4 +1,4 @@
-"""What the studio is told at its start: its address, its token, and its limits."""
+"""Settings of the studio: its address, its token, and its limits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-"""Names of this machine that only this machine can use."""
+"""Names and addresses of the loopback."""
 
 DEFAULT_PORT = 8765
 
@@ -16,48 +16,51 @@ STATIC = Path(__file__).with_name("static")
 
 @dataclass(frozen=True)
 class Settings:
-    """The studio's address, its token, and its limits. Sizes are in bytes unless a name says otherwise."""
+    """The studio's address, its token, and its limits."""
 
     host: str = "127.0.0.1"
-    """Address that is listened on."""
+    """Address to listen on."""
     port: int = DEFAULT_PORT
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
-    """What a browser has to know; it is part of the address that ``liaam studio`` prints."""
+    """Secret for the browser; part of the address that ``liaam studio`` prints."""
     json_bytes: int = 2_000_000
-    """Body of a request, unless it is an upload."""
+    """Maximum body of a request that is not an upload."""
     upload_bytes: int = 64_000_000
+    """Maximum body of an upload."""
     pixels: int = 50_000_000
-    """Width times height of a picture to work with, from its header, before anything is decoded."""
+    """Maximum width times height of a picture, checked in its header before it is decoded."""
     whole_pixels: int = 16_000_000
-    """Of a picture that is relit in full size at most: it takes a hundred bytes a pixel, and a second a megapixel."""
+    """Maximum pixels of a picture relit in full size, which takes 100 bytes per pixel and a second per megapixel."""
     uploads_kept: int = 8
+    """Number of uploads in memory."""
     uploads_bytes: int = 130_000_000
-    """Of the files of those, all together."""
+    """Maximum total size of the uploads in memory."""
     uploads_at_once: int = 8
-    """Uploads that are read, wait or are decoded at a time; the next one is asked to come again."""
+    """Maximum number of concurrent uploads; the client of a further one is asked to retry."""
     bodies_bytes: int = 130_000_000
-    """Of all requests that are under way: two of the largest uploads."""
+    """Maximum total body size of concurrent requests: two of the largest uploads."""
     header_seconds: float = 10.0
-    """How long a request's line and headers may take to come."""
+    """Time limit for a request's line and headers."""
     body_seconds: float = 300.0
-    """How long its body may."""
+    """Time limit for a request's body."""
     fits_kept: int = 64
+    """Number of fits in memory."""
     points: int = 1000
-    """Landmarks of a template at most."""
+    """Maximum number of points of a template."""
     drain_seconds: float = 5.0
-    """How long a body that is too large is read and thrown away, so that its sender gets to read why."""
+    """How long too large a body is read and discarded, so that the client can read the answer."""
     heartbeat_seconds: float = 15.0
-    """Time between the comments that keep a silent event stream open."""
+    """Interval of the comments that keep an idle event stream open."""
     proposals_at_once: int = 8
-    """Pictures that the quick model fits before the careful one is trained."""
+    """Number of pictures that the quick model fits before the careful one is trained."""
     proposals_per_training: int = 100
-    """Pictures that a model fits at most before it may be trained again."""
+    """Maximum number of pictures that a model fits after each training."""
     static: Path = STATIC
-    """The page."""
+    """Folder of the page."""
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie: studios on other ports have others, though cookies do not know of ports."""
+        """Name of the cookie. It contains the port, because browsers share cookies between ports."""
         return f"liaam-studio-{self.port}"
 
     @property
@@ -67,6 +70,6 @@ class Settings:
 
     @property
     def address(self) -> str:
-        """What a person opens, token included."""
+        """Address to open in the browser, with the token."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.port}/?token={self.token}"

@@ -1,8 +1,8 @@
-"""What belongs to the studio alone: JSON files in a folder of their own, in the project's folder.
+"""The studio's own files, in a subfolder of the project's folder.
 
 They are ``template.json``, ``change.json`` (:mod:`liaam.studio.template_change`), ``proposals.json``
 (:mod:`liaam.studio.proposals`), ``invisible.json`` and ``kept`` (:mod:`liaam.studio.landmark_files`), the models
-(:mod:`liaam.studio.model_store`), and ``id``, by which a page tells folders apart.
+(:mod:`liaam.studio.model_store`), and ``id``, which identifies the folder.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from liaam.studio.safety import Refusal
 
 
 class StateFiles:
-    """The studio's own files in a folder; may be used from any thread.
+    """The studio's own files in a folder; thread-safe.
 
     Attributes
     ----------
     folder : Folder
     faults : dict of str to str
-        What is wrong with them, and with what is made of them.
+        Errors of these files and of the objects read from them.
     writes : int
-        Counts up when what they show has changed.
+        Incremented with every write or removal, except of ``id``.
     """
 
     def __init__(self, folder: Folder) -> None:
@@ -42,25 +42,25 @@ class StateFiles:
 
     @property
     def id(self) -> str:
-        """What tells this folder from all others, wherever it is moved to; a copy of it has another."""
+        """Unique identifier of the folder. It survives a move; a copy has another one."""
         with self._lock:
             if not self._id:
                 known = self.read("id", _is_id)
                 if known is None:
                     known = secrets.token_hex(16)
-                    with suppress(LiaamError):  # it then holds until the studio ends
+                    with suppress(LiaamError):  # the id is then valid until the studio ends
                         self.write("id", known)
                 facts = self.folder.root.stat()
                 self._id = revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
             return self._id
 
     def path(self, name: str) -> Path:
-        """Path of a file, whose folder exists then.
+        """Return the path of a file and create its folder.
 
         Raises
         ------
         Refusal
-            409 if it would lie outside the project's folder.
+            409 if it is a link that leads out of the studio's subfolder.
         """
         path = self._folder() / name
         if not path.resolve().is_relative_to(self.folder.root / STATE):
@@ -74,15 +74,15 @@ class StateFiles:
         return path
 
     def write(self, name: str, content: Any) -> None:
-        """Write a file, all or nothing: bytes as they are, all else as JSON."""
+        """Write a file atomically: bytes as they are, any other content as JSON."""
         data = content if isinstance(content, bytes) else json.dumps(content, ensure_ascii=False).encode()
         with self._lock:
             write_bytes_atomically(self.path(name), data)
-            self.writes += name != "id"  # which changes nothing that is shown
+            self.writes += name != "id"  # the id is not shown
             self.note(name, None)
 
     def read(self, name: str, check: Callable[[Any], bool]) -> Any:
-        """Read a JSON file; None if there is none, or it is damaged, which is noted then."""
+        """Read a JSON file. Return None if it does not exist or is damaged; damage is noted in ``faults``."""
         with self._lock:
             self.note(name, None)
             try:
@@ -94,24 +94,24 @@ class StateFiles:
                 if not path.is_file():
                     return None
                 content = json.loads(self.path(name).read_bytes())
-                json.dumps(content, allow_nan=False)  # NaN, too, is no JSON that the page could read
+                json.dumps(content, allow_nan=False)  # raises for NaN, which the page cannot parse
                 if check(content):
                     return content
-                fault: object = "it is not of the studio's making"
+                fault: object = "its contents are not valid"
             except (OSError, ValueError, RecursionError, LiaamError, KeyError, TypeError, AttributeError) as error:
                 fault = error
-            self.note(name, f"{STATE}/{name} cannot be read ({fault}), so it is passed over: remove it, or mend it")
+            self.note(name, f"{STATE}/{name} cannot be read ({fault}), so it is ignored: remove it, or fix it")
             return None
 
     def remove(self, *names: str) -> None:
-        """Remove files, if they are there."""
+        """Remove files if they exist."""
         with self._lock:
             for name in names:
                 remove(self.path(name))
             self.writes += 1
 
     def note(self, key: str, fault: str | None) -> None:
-        """Note what is wrong with a file, or that nothing is (any more)."""
+        """Set or clear the error of a file."""
         with self._lock:
             if fault is None:
                 self.faults.pop(key, None)
@@ -119,7 +119,7 @@ class StateFiles:
                 self.faults[key] = self.folder.plain(fault)
 
     def sweep(self) -> None:
-        """Remove what a killed process left half written, here and beside the pictures."""
+        """Remove partial files of a killed process, here and beside the pictures. Call it before any other writes."""
         with self._lock, suppress(LiaamError):
             for folder in (self.folder.root, self._folder(), self._folder() / "kept"):
                 sweep(folder)

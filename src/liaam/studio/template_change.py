@@ -1,7 +1,7 @@
-"""Changes of the template, which landmark files follow: all of them, even if the studio is killed half way.
+"""Changes of the template and of all landmark files with it, as one transaction that survives a killed process.
 
-A change is written down whole, in ``change.json``, before its first file is rewritten. From then on it counts: until
-all of its files are written, landmarks are neither given nor taken, and every call tries to finish it first.
+The whole change is written to ``change.json`` before the first landmark file is rewritten. Until all files are written,
+landmarks can be neither read nor saved, and every call tries to finish the change first.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CHANGE_FILE = "change.json"
 
 
 class TemplateChanges:
-    """Makes changes of the template, and finishes those of before."""
+    """Applies changes of the template and finishes interrupted ones."""
 
     def __init__(
         self,
@@ -36,7 +36,7 @@ class TemplateChanges:
         proposals: Proposals,
         templates: TemplateStore,
     ) -> None:
-        self.is_pending = True  # until it has been looked for
+        self.is_pending = True  # until change.json has been read
         self._folder: Folder = listing.folder
         self._listing = listing
         self._state = state
@@ -45,13 +45,13 @@ class TemplateChanges:
         self._templates = templates
 
     def save(self, template: Template, data: dict[str, Any]) -> bool:
-        """Take a template; gives whether points were added, taken away or put in another order.
+        """Save a template; return whether points were added, removed or reordered.
 
         Parameters
         ----------
         template : Template
         data : dict
-            As it was sent, with ``mapping`` and ``revision`` if they are known.
+            The request, with ``mapping`` and ``revision`` if known.
 
         Raises
         ------
@@ -66,7 +66,7 @@ class TemplateChanges:
         identity = None if old is None else list(range(len(old)))
         is_there, is_current = template == templates.saved, data.get("revision") == templates.revision
         if "revision" in data and not is_current:
-            if is_there:  # sent once more: the answer may have been lost on its way
+            if is_there:  # sent again, since the first answer may have been lost
                 return False
             templates.check(data["revision"], "the template")
         mapping = _mapping(data.get("mapping"), len(template), old, bool(marks))
@@ -75,17 +75,17 @@ class TemplateChanges:
         moved = old is not None and mapping != identity
         change = self._change(template, old, mapping, marks, moved)
         self.is_pending = True
-        self._state.write(CHANGE_FILE, change)  # from here on the change will be finished, even after a kill
+        self._state.write(CHANGE_FILE, change)  # from here on the change will be finished, even after a crash
         self.settle()
         return moved
 
     def settle(self) -> None:
-        """Finish a change that is under way; nothing may be read or written between its files.
+        """Finish a pending change.
 
         Raises
         ------
         Refusal
-            503, or 507 where there is no space: it cannot be finished yet.
+            503, or 507 if the disk is full: the change cannot be finished yet.
         """
         if not self.is_pending:
             return
@@ -94,15 +94,16 @@ class TemplateChanges:
         except (LiaamError, OSError) as fault:
             cause = fault if isinstance(fault, OSError) else fault.__cause__
             sentence = (
-                f"a change of the template cannot be finished yet ({self._folder.plain(fault)}): it is tried again"
+                f"a change of the template cannot be finished yet ({self._folder.plain(fault)}): fix this; the studio "
+                "retries by itself"
             )
             self._state.note(CHANGE_FILE, sentence)
             status = fault.status if isinstance(fault, Refusal) else status_of(cause)
             raise Refusal(status, sentence) from fault
 
     def try_to_settle(self) -> None:
-        """Do so if it is possible, for who only looks."""
-        with suppress(Refusal):  # it has been noted
+        """Finish a pending change if possible."""
+        with suppress(Refusal):  # the error has been noted
             self.settle()
 
     def _change(
@@ -113,7 +114,7 @@ class TemplateChanges:
         marks: list[tuple[File, Marks]],
         moved: bool,
     ) -> dict[str, Any]:
-        """What a change writes, in full: doing it twice does no harm."""
+        """Return a change in full. Applying it twice has no further effect."""
         files = []
         for file, known in marks:
             target = self._landmarks.target(file)
@@ -131,9 +132,9 @@ class TemplateChanges:
         return {"template": stored, "files": files}
 
     def _finish(self) -> None:
-        """Do what ``change.json`` says, and remove it; files that somebody changed meanwhile are left alone."""
+        """Apply ``change.json`` and remove it. Files that were changed in the meantime are left alone."""
         change = self._state.read(CHANGE_FILE, _is_change)
-        if change is None:  # none, or damaged, which is noted
+        if change is None:  # missing, or damaged and noted
             self.is_pending = False
             return
         for item in change["files"]:
@@ -148,7 +149,7 @@ class TemplateChanges:
 
 
 def _mapping(data: Any, n: int, old: Template | None, has_marks: bool) -> list[int | None]:
-    """Index of each point before the change, None for a new one."""
+    """Return the old index of each point, None for a new one."""
     if old is None:
         return [None] * n
     if data is None:
@@ -156,21 +157,21 @@ def _mapping(data: Any, n: int, old: Template | None, has_marks: bool) -> list[i
             raise Refusal(
                 422,
                 f"the template had {len(old)} points and now has {n}, but pictures have landmarks: "
-                "send a mapping that says which point was which",
+                "send a mapping with the old index of each point",
             )
         return [i if i < len(old) else None for i in range(n)]
     if not isinstance(data, list) or len(data) != n:
-        raise Refusal(422, f"the mapping has to say for each of the {n} points which it was, or null for a new one")
+        raise Refusal(422, f"the mapping is not valid: send the old index of each of the {n} points, or null if new")
     parse_indices([index for index in data if index is not None], len(old), "mapping")
     return data
 
 
 def _is_change(data: Any) -> bool:
     keys = {"file", "before", "text", "invisible"}
-    sound = all(set(item) == keys and isinstance(item["text"], str) and _is_own(item["file"]) for item in data["files"])
-    return sound and is_template(data["template"])
+    valid = all(set(item) == keys and isinstance(item["text"], str) and _is_own(item["file"]) for item in data["files"])
+    return valid and is_template(data["template"])
 
 
 def _is_own(name: str) -> bool:
-    """Whether a name is that of a landmark file of the folder itself, in a format that is written."""
+    """Whether a name is that of a landmark file directly in the folder, in a format that the studio writes."""
     return Path(name).name == name and Path(name).suffix.lower() in OWN_SUFFIXES

@@ -1,4 +1,4 @@
-"""The template of a project: ``template.json``, or else what the first picture with landmarks has."""
+"""The template of a project: ``template.json``, or else the template of the first picture with landmarks."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from liaam.studio.template import Template, parse_template, template_of
 TEMPLATE_FILE = "template.json"
 
 _MOST = 10**6
-"""Points of a template that is stored: what was let in once is read again."""
+"""Maximum number of points of a stored template, far above that of a new one, so that it can always be read."""
 
 
 class TemplateStore:
-    """The template that there is, and what tells it from others.
+    """The current template and its revision.
 
     Attributes
     ----------
     saved : Template or None
     order : str
-        Changes whenever points are added, taken away or put in another order.
+        Value that changes when points are added, removed or reordered.
     """
 
     def __init__(self, listing: Listing, state: StateFiles, landmarks: LandmarkFiles) -> None:
@@ -46,7 +46,7 @@ class TemplateStore:
 
     @property
     def current(self) -> Template | None:
-        """The template that was saved, or else that of the first picture with landmarks."""
+        """The saved template, or else that of the first picture with landmarks."""
         if self.saved is None and self._guessed_version != self._listing.version:
             self._guessed_version = self._listing.version
             self._guess = self._guessed()
@@ -54,12 +54,12 @@ class TemplateStore:
 
     @property
     def needed(self) -> Template:
-        """The template.
+        """The current template.
 
         Raises
         ------
         Refusal
-            422 if there is none.
+            422 if there is no template.
         """
         template = self.current
         if template is None:
@@ -68,33 +68,34 @@ class TemplateStore:
 
     @property
     def revision(self) -> str | None:
-        """What changes of the template are made for; None if there is no template."""
+        """Revision of the current template; None without a template."""
         template = self.current
         if template is None:
             return None
         return self._revision or revision_of(json.dumps(template.as_json()).encode())
 
     def as_json(self) -> dict[str, Any] | None:
-        """Give the template as the page takes it, with its ``revision``."""
+        """Return the template as JSON for the page, with its ``revision``."""
         template = self.current
         return None if template is None else {**template.as_json(), "revision": self.revision}
 
     def check(self, revision: Any, what: str) -> None:
-        """Refuse what was made for another template than there is."""
+        """Refuse a request that was made for another revision of the template."""
         if revision != self.revision:
             raise Refusal(
                 409,
-                f"the template was changed elsewhere since, and {what} came for the one before: look at it again",
+                f"the template was changed elsewhere in the meantime, so the studio did not save {what}: check and "
+                "save again",
                 template=self.as_json(),
             )
 
     def store(self, stored: Mapping[str, Any]) -> None:
-        """Use and keep a template, as JSON with its ``revision`` and ``order``."""
+        """Save a template, given as JSON with its ``revision`` and ``order``."""
         self._state.write(TEMPLATE_FILE, stored)
         self._take(stored)
 
     def keep(self) -> None:
-        """Keep what was taken from a file."""
+        """Save a template that was taken from a landmark file."""
         if self.saved is None:
             self.store({**self.needed.as_json(), "revision": self.revision, "order": self.order})
 
@@ -109,12 +110,12 @@ class TemplateStore:
         if first is None or first.landmarks is None:
             self._guessed_of = None
             return None
-        if self._guessed_of is not first.landmarks:  # to look for symmetry takes a moment
+        if self._guessed_of is not first.landmarks:  # the search for symmetry is slow
             self._guessed_of, self._guess = first.landmarks, template_of(first.landmarks)
         return self._guess
 
 
 def is_template(data: Any) -> bool:
-    """Whether JSON is a template as it is stored."""
+    """Whether JSON is a stored template."""
     known = all(data.get(key) is None or isinstance(data[key], str) for key in ("revision", "order"))
     return known and bool(parse_template(data, _MOST))

@@ -1,10 +1,10 @@
-"""Learning in the background: a process trains and proposes landmarks, and what it tells is heeded here.
+"""Training in the background: a separate process trains models and proposes landmarks.
 
-A quick model comes first, which fits a few pictures, so that a person can go on within seconds; then the same model
-with what leaving pictures out tells (how far fits can be trusted), which fits all. The quick one has a file of its own
-and serves only where there is no careful one: who stops a training keeps the model of before. The process
-(:mod:`liaam.studio.training_process`) tells its parent over a pipe what it does; to stop it is to end it, at any time,
-since all that it writes is written whole or not at all.
+A quick model comes first. It fits a few pictures, so that the user can continue within seconds. Then the careful model,
+whose confidence is calibrated by leaving pictures out, fits all. The quick model has its own file and is used only if
+there is no careful one, so a stopped training keeps the earlier model. The process
+(:mod:`liaam.studio.training_process`) reports over a pipe. It can be killed at any time, since all its writes are
+atomic.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from liaam.studio.training_process import LEAST, Job, launch
 
 @dataclass(frozen=True)
 class Training:
-    """What the training does, for people."""
+    """State of the training, for the page."""
 
     state: str = "idle"
     """``idle``, ``running``, ``failed`` or ``done``."""
@@ -38,15 +38,15 @@ class Training:
 
 
 class Trainer:
-    """Trains in one process of its own, one at a time.
+    """Trains in a separate process, one training at a time.
 
     Parameters
     ----------
     project : Project
     models : ModelStore
-        Where a model is published as soon as it is trained.
+        Publishes each model as soon as it is trained.
     publish : callable
-        Told (kind, data) of everything that happens, as :meth:`liaam.studio.events.Events.publish`.
+        Called with (kind, data) of every event, such as :meth:`liaam.studio.events.Events.publish`.
     """
 
     def __init__(self, project: Project, models: ModelStore, publish: Callable[[str, Any], None]) -> None:
@@ -55,7 +55,7 @@ class Trainer:
         self._publish = publish
         self._lock = threading.RLock()
         self._waiting = threading.Lock()
-        """Held while a process is waited for: to the second of two that wait, one that has ended seems alive."""
+        """Held while joining the process: if two threads join, an ended process seems alive to the second."""
         self._state = Training()
         self._process: Any = None
         self._listener: threading.Thread | None = None
@@ -64,22 +64,20 @@ class Trainer:
 
     @property
     def state(self) -> Training:
-        """What it does now."""
+        """The current state."""
         return self._state
 
     def start(self) -> Training:
-        """Train on the pictures that are done.
+        """Train on the done pictures.
 
         Raises
         ------
         Refusal
-            409 while it runs, 422 with too few pictures.
+            409 if a training is running, 422 if there are too few pictures.
         """
         with self._lock:
             if self._state.state == "running":
-                raise Refusal(
-                    409, "a training is under way: wait for it, or stop it first", training=asdict(self._state)
-                )
+                raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self._state))
             job = self._job()
             self._run += 1
             self._order = job.order
@@ -91,10 +89,10 @@ class Trainer:
             return self._state
 
     def stop(self) -> Training:
-        """Stop what is under way; what it has found until now is kept."""
+        """Stop a running training; its results so far are kept."""
         with self._lock:
             if self._state.state == "running":
-                self._run += 1  # what is still in the pipe is not listened to
+                self._run += 1  # messages still in the pipe are ignored
                 self._set(Training("idle"))
             process, self._process = self._process, None
         if process is not None:
@@ -102,28 +100,28 @@ class Trainer:
         return self._state
 
     def stop_unless(self, order: str) -> None:
-        """Stop what is under way if it is for points of another order."""
+        """Stop a running training if it is for another :attr:`Project.order`."""
         with self._lock:
             stale = self._state.state == "running" and self._order != order
         if stale:
             self.stop()
 
     def wait(self, timeout: float | None = None) -> Training:
-        """Wait until nothing is under way; gives how it ended."""
+        """Wait for a running training and return its final state."""
         listener = self._listener
         if listener is not None:
             listener.join(timeout)
         return self._state
 
     def _job(self) -> Job:
-        order = self.project.order  # before the points: of those that are changed meanwhile nothing is kept
+        order = self.project.order  # read before the points, so that results for changed points are dropped
         done, template = self.project.annotated(), self.project.template
         if len(done) < LEAST or template is None:
             raise Refusal(
-                422, f"{len(done)} pictures have all their points; {LEAST} are needed to learn from, 5 are better"
+                422, f"only {len(done)} pictures have all their points: complete at least {LEAST}, better 5, to train"
             )
         if len(template) < 3:
-            raise Refusal(422, f"the template has {len(template)} points; 3 or more make a shape: add some")
+            raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
         return Job(
             done,
             self.project.to_propose(self.project.settings.proposals_per_training),
@@ -135,10 +133,10 @@ class Trainer:
             self.project.settings.proposals_at_once,
         )
 
-    # Listening --------------------------------------------------------------------------------
+    # Messages of the process ------------------------------------------------------------------
 
     def _listen(self, run: int, job: Job, pipe: Any, process: Any) -> None:
-        """Follow a process until it ends."""
+        """Handle the messages of a process until it ends."""
         end: Training | None = None
         try:
             with pipe:
@@ -150,20 +148,22 @@ class Trainer:
                     with self._lock:
                         if run != self._run:
                             return
-                        end = self._heed(job, message)
-        except LiaamError as fault:  # the folder has gone, the disk is full
+                        end = self._handle(job, message)
+        except LiaamError as fault:  # such as a missing folder or a full disk
             end = Training("failed", error=self.project.plain(fault))
         with self._waiting:
             process.join()
         with self._lock:
             if run == self._run:
-                died = Training("failed", error="the training ended unexpectedly: start it again; it may lack memory")
+                died = Training(
+                    "failed", error="the training ended unexpectedly, perhaps for lack of memory: start it again"
+                )
                 self._process = None
                 self._set(end or died)
         self._publish("project", {})
 
-    def _heed(self, job: Job, message: tuple[str, Any]) -> Training | None:
-        """Act on what the process tells; gives how it ended, if it has."""
+    def _handle(self, job: Job, message: tuple[str, Any]) -> Training | None:
+        """Handle a message of the process; return the final state if it has ended."""
         kind, data = message
         if kind == "progress":
             self._set(Training("running", **data))
@@ -179,7 +179,7 @@ class Trainer:
         return None
 
     def _use(self, job: Job, left_out: Mapping[str, str], careful: bool) -> None:
-        """Publish a model; a quick one only where there is nothing better."""
+        """Publish a model; a quick one only if there is no careful one."""
         from liaam.model import load_model
 
         current = self.models.current
@@ -200,7 +200,7 @@ class Trainer:
         self._publish("project", {})
 
     def _end(self, process: Any) -> None:
-        """End a process, politely first."""
+        """Terminate a process, and kill it if it does not end."""
         process.terminate()
         with self._waiting:
             process.join(2.0)

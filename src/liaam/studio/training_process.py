@@ -1,4 +1,4 @@
-"""What a process of its own does: it trains on the pictures that are done, and proposes landmarks for the rest."""
+"""The training process: it trains on the done pictures and proposes landmarks for the rest."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ if TYPE_CHECKING:
     from liaam.model import AAM
 
 LEAST = 3
-"""Pictures to learn from at least."""
+"""Minimum number of pictures for training."""
 
 OPTIONS: dict[str, Any] = {"prior": "smooth"}
-"""How models are trained: ``smooth`` shapes serve best where few pictures have been annotated."""
+"""Options of training. ``smooth`` shapes work best with few annotated pictures."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What the training process is to do."""
+    """Input of the training process."""
 
     done: list[Annotated]
-    """Pictures to learn from."""
+    """Pictures for training."""
     waiting: list[tuple[str, Path]]
-    """Pictures to propose landmarks for: name and file."""
+    """Name and path of the pictures for which landmarks are proposed."""
     contours: tuple[Contour, ...]
     model: Path
-    """Where the model is written."""
+    """Output file of the model."""
     quick: Path
-    """Where the quick model is written."""
+    """Output file of the quick model."""
     order: str
     """:attr:`Project.order` of the points."""
     name: str
-    """What the model is called."""
+    """Name of the model."""
     at_once: int
-    """Pictures that the quick model fits."""
+    """Number of pictures that the quick model fits."""
 
 
 def launch(job: Job) -> tuple[Any, Any]:
-    """Start the process; gives it, and the end of the pipe to listen at."""
-    # A fresh interpreter, on every system: a fork copies the locks of the server's threads in whatever state they are.
+    """Start the process; return it and the receiving end of its pipe."""
+    # Spawn a new interpreter: a fork would copy the locks of the server's threads in an arbitrary state.
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(job, there), name="liaam-studio-training", daemon=True)
@@ -64,22 +64,22 @@ def launch(job: Job) -> tuple[Any, Any]:
 
 
 def _work(job: Job, pipe: Any) -> None:
-    """Do a job, in a process of its own."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the server, which ends this
+    """Run a job in the training process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the server, which terminates this process
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
     with suppress(AttributeError, OSError):
-        os.nice(5)  # what a person waits for comes first
+        os.nice(5)  # requests of the user have priority
     with suppress(BrokenPipeError, ConnectionError):
         try:
             pipe.send(("done", _Worker(job, pipe.send).run()))
         except (LiaamError, MemoryError) as fault:
-            pipe.send(("failed", str(fault) or "there is not enough memory: train on smaller pictures"))
+            pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))
 
 
 class _Picture:
-    """A picture to learn from, as :func:`liaam.training.train` takes it; remembers what was wrong with it."""
+    """A picture for :func:`liaam.training.train`; records its error."""
 
     def __init__(self, item: Annotated, contours: tuple[Contour, ...]) -> None:
         self.name = item.name
@@ -103,14 +103,14 @@ class _Picture:
 
 @dataclass
 class _Worker:
-    """Does a job, and tells about it."""
+    """Runs a job and reports its progress."""
 
     job: Job
-    tell: Callable[[tuple[str, Any]], None]
+    send: Callable[[tuple[str, Any]], None]
     left_out: dict[str, str] = field(default_factory=dict)
 
     def run(self) -> str:
-        """Train, propose, train with care, propose; gives a sentence about it."""
+        """Train and apply the quick model, then the careful one; return a summary."""
         waiting, soon = self.job.waiting, self.job.waiting[: self.job.at_once]
         model = self._train(leave_out=False)
         if soon:
@@ -123,12 +123,12 @@ class _Worker:
 
     def _progress(self, phase: str) -> Progress:
         def progress(done: int, total: int, what: str) -> None:
-            self.tell(("progress", {"phase": phase, "done": done, "total": total, "what": what}))
+            self.send(("progress", {"phase": phase, "done": done, "total": total, "what": what}))
 
         return progress
 
     def _train(self, leave_out: bool) -> AAM:
-        """Train on the pictures that serve; those that turn out not to are left out, and it begins anew."""
+        """Train a model. Leave out pictures that turn out to be unusable and start again."""
         from liaam.training import train
 
         items = [_Picture(item, self.job.contours) for item in self.job.done if item.name not in self.left_out]
@@ -145,49 +145,49 @@ class _Worker:
                 self.left_out |= unfit
                 items = [item for item in items if item.name not in unfit]
         model.save(self.job.model if leave_out else self.job.quick)
-        self.tell(("model", {"left_out": self.left_out, "careful": leave_out}))
+        self.send(("model", {"left_out": self.left_out, "careful": leave_out}))
         return model
 
     def _propose(self, model: AAM, pictures: list[tuple[str, Path]]) -> None:
-        """Find the object in pictures, and tell of each as it comes, or of several where they come fast."""
+        """Find the object in pictures and report the proposals, at most once per second."""
         from time import monotonic
 
         from liaam.fitting import Fitter
 
         fitter, progress = Fitter(model), self._progress("proposals")
         batch: dict[str, Any] = {}
-        told = monotonic()
+        last_sent = monotonic()
         for i, (name, path) in enumerate(pictures):
             progress(i, len(pictures), name)
             batch[name] = propose(fitter, path)
-            if monotonic() - told > 1.0:
-                self.tell(("proposals", batch))
-                batch, told = {}, monotonic()
-        self.tell(("proposals", batch))
+            if monotonic() - last_sent > 1.0:
+                self.send(("proposals", batch))
+                batch, last_sent = {}, monotonic()
+        self.send(("proposals", batch))
         progress(len(pictures), len(pictures), "")
 
 
 def _unfit(items: list[_Picture]) -> dict[str, str]:
-    """Pictures that cannot be read, or are grey among coloured ones (or the other way round), with the reason."""
+    """Return pictures that cannot be read, or else the minority of grey or colour pictures, each with the reason."""
     broken = {item.name: item.fault for item in items if item.fault is not None}
     if broken:
         return broken
     grey = [item for item in items if item.grey]
     colour = [item for item in items if item.grey is False]
     fewer, kind = (grey, "grey") if len(grey) <= len(colour) else (colour, "in colour")
-    return {item.name: f"the picture is {kind}, unlike most" for item in fewer}
+    return {item.name: f"the picture is {kind}, unlike most of the others" for item in fewer}
 
 
 def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
-    """Find the object in a picture; gives JSON, without points where that makes no sense."""
+    """Find the object in a picture; return the proposal as JSON, without points if there is no fit."""
     nothing = {**_NOTHING, "status": "not fitted"}
     try:
-        tag = file_tag(path)  # before it is read: of what replaces it meanwhile this is no proposal
+        tag = file_tag(path)  # before reading: the proposal is not valid for a file that replaces it meanwhile
         return {**proposal_of(fitter.fit(path)), "tag": tag}
     except LiaamError as fault:
         return {**nothing, "message": str(fault).replace(f"{path.parent}{os.sep}", "")}
     except MemoryError:
-        return {**nothing, "message": f"{path.name} is too large for the memory: make it smaller"}
+        return {**nothing, "message": f"{path.name} does not fit into memory: make it smaller"}
 
 
 _NOTHING: dict[str, Any] = {
@@ -202,22 +202,22 @@ _NOTHING: dict[str, Any] = {
 
 
 def proposal_of(result: FitResult) -> dict[str, Any]:
-    """Give a fit as a proposal. One that failed keeps its points: to correct is less work than to begin."""
+    """Return a fit as a proposal. A failed fit keeps its points: correcting them is less work than placing them."""
     from liaam.model.shape import diagonal_of
 
     facts = {"status": str(result.status), "message": result.message}
     if not np.isfinite(result.landmarks).all():
         return {**_NOTHING, **facts}
     covariances, size = result.landmark_covariances, diagonal_of(result.landmarks)
-    certain = bool(np.isfinite(covariances).all()) and size > 0
+    has_covariances = bool(np.isfinite(covariances).all()) and size > 0
     found = not result.place_doubtful
     return {
         **facts,
         "points": [[round(x, 3), round(y, 3)] for x, y in result.landmarks.tolist()],
-        "covariances": np.round(covariances, 4).tolist() if certain else None,
+        "covariances": np.round(covariances, 4).tolist() if has_covariances else None,
         "quality": None if np.isnan(result.quality) else round(float(result.quality), 4),
         "ok": result.status.ok,
         "found": found,
         "doubtful": not found or not result.status.ok,
-        "uncertainty": round(float(result.deviations.mean()) / size, 5) if certain else None,
+        "uncertainty": round(float(result.deviations.mean()) / size, 5) if has_covariances else None,
     }

@@ -1,4 +1,4 @@
-"""Pictures that are dropped on the page: checked before they are decoded, and kept in memory only, the newest few."""
+"""Pictures dropped on the page: checked before decoding, and kept in memory only, up to a few."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from starlette.requests import Request
 
 LONGEST_NAME = 120
-"""Characters of a name that are kept."""
+"""Maximum number of characters of a name."""
 
-_GONE = "this picture is no longer in memory, where only the {} newest are kept: drop it once more"
+_GONE = "this picture is no longer in memory, where only the {} newest are kept: drop it again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +34,11 @@ class Upload:
     ----------
     id : str
     name : str
-        Its file's name, without folders.
+        Name of the file without folders.
     data : bytes
-        The file.
+        Contents of the file.
     width, height : int
-        Upright, pixels.
+        Size of the upright picture in pixels.
     """
 
     id: str
@@ -49,14 +49,14 @@ class Upload:
 
 
 class Uploads:
-    """The newest dropped pictures; may be used from any thread.
+    """The newest dropped pictures; thread-safe.
 
     Parameters
     ----------
     pictures : Pictures
-        Where decoded ones are kept.
+        Cache of decoded pictures.
     settings : Settings, optional
-        How many, of how many bytes and pixels.
+        Limits of number, bytes and pixels.
     """
 
     def __init__(self, pictures: Pictures, settings: Settings | None = None) -> None:
@@ -65,7 +65,7 @@ class Uploads:
         self._lock = threading.Lock()
         self._uploads: OrderedDict[str, Upload] = OrderedDict()
         self.listeners: list[Callable[[Source], object]] = []
-        """Called with each picture that is added, in the thread that adds it."""
+        """Called with each new picture in the thread that adds it."""
 
     def __len__(self) -> int:
         return len(self._uploads)
@@ -76,8 +76,8 @@ class Uploads:
         Raises
         ------
         Refusal
-            413 for too many bytes or pixels, 415 for what is no picture that can be read, 422 for one that is empty,
-            damaged, or too small.
+            413 for too many bytes or pixels, 415 for an unsupported format, 422 for an empty, damaged or too small
+            picture.
         """
         name = plain_name(name)
         width, height = self._checked(data, name)
@@ -103,12 +103,12 @@ class Uploads:
         return len(self._uploads) > limits.uploads_kept or (len(self._uploads) > 1 and n_bytes > limits.uploads_bytes)
 
     def get(self, number: str) -> Upload:
-        """Upload of an id.
+        """Return the upload with an id.
 
         Raises
         ------
         Refusal
-            404 for one that is not kept.
+            404 if it is no longer in memory.
         """
         with self._lock:
             upload = self._uploads.get(number)
@@ -117,11 +117,11 @@ class Uploads:
         return upload
 
     def source(self, number: str) -> Source:
-        """Picture of an upload, for as long as it is kept."""
+        """Return an upload as a :class:`Source`, which can be read while the upload is in memory."""
         return self._source(self.get(number))
 
     def _source(self, upload: Upload) -> Source:
-        # A source may outlive the upload, whose bytes it must not keep.
+        # A source may outlive the upload, so it must not hold its bytes.
         number, name, pixels = upload.id, upload.name, self._settings.pixels
         return Source(
             name,
@@ -132,19 +132,19 @@ class Uploads:
         )
 
     def _checked(self, data: bytes, name: str) -> tuple[int, int]:
-        """Width and height from the header, if it may be decoded."""
+        """Check an upload before it is decoded; return the width and height from its header."""
         limits = self._settings
         if len(data) > limits.upload_bytes:
             raise Refusal(413, f"{name} has {len(data):,} bytes, more than {limits.upload_bytes:,}: make it smaller")
         if not data:
             raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
         if is_raw(name):
-            raise Refusal(415, f"{name} is a RAW file, which is read from the folder only: put it there")
+            raise Refusal(415, f"{name} is a RAW file, which can only be read from the folder: put it there")
         if not is_image(data):
             raise Refusal(
                 415,
-                f"{name} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image, whatever its name says: open it in an image "
-                "program and save it as PNG",
+                f"{name} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: open it in an image program and save it as "
+                "PNG",
             )
         try:
             width, height = encoded_size(data, name)
@@ -158,19 +158,19 @@ class Uploads:
 
 
 def plain_name(name: str) -> str:
-    """Name of a file without folders and without what cannot be shown; "picture" where nothing is left."""
+    """Return a file name without folders and unprintable characters, or "picture" if nothing is left."""
     last = name.replace("\\", "/").rpartition("/")[2]
     shown = "".join(letter if letter.isprintable() else " " for letter in last).strip()
     return shown[-LONGEST_NAME:] or "picture"
 
 
 async def read_body(request: Request, limit: int) -> bytes:
-    """Body of a request, counted while it is read.
+    """Read the body of a request.
 
     Raises
     ------
     Refusal
-        413 for more than ``limit`` bytes.
+        413 if it has more than ``limit`` bytes.
     """
     parts, size = [], 0
     async for part in request.stream():
@@ -182,12 +182,12 @@ async def read_body(request: Request, limit: int) -> bytes:
 
 
 async def read_json(request: Request, limit: int) -> Any:
-    """Body of a request, which has to be JSON.
+    """Read the body of a request as JSON.
 
     Raises
     ------
     Refusal
-        415 for another type, 413 for more than ``limit`` bytes, 400 for what is no JSON.
+        415 for another media type, 413 if it has more than ``limit`` bytes, 400 if it is not JSON.
     """
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json":
@@ -195,7 +195,7 @@ async def read_json(request: Request, limit: int) -> Any:
     body = await read_body(request, limit)
     try:
         asked = json.loads(body, parse_constant=_no_number)
-        if b"\\u" in body:  # half of a surrogate pair can be neither answered nor written
+        if b"\\u" in body:  # raises for half of a surrogate pair, which cannot be encoded
             json.dumps(asked, ensure_ascii=False).encode()
         return asked
     except (ValueError, RecursionError) as fault:  # UnicodeDecodeError is a ValueError
@@ -203,4 +203,4 @@ async def read_json(request: Request, limit: int) -> Any:
 
 
 def _no_number(text: str) -> Any:
-    raise ValueError(f"{text} is no number of JSON")
+    raise ValueError(f"{text} is not a JSON number")
