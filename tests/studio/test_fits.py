@@ -229,7 +229,7 @@ class TestLayers:
             ("face.png", "grey", "method grey does not separate colour from shading"),
             ("face.png", "igo", "method igo does not separate"),
             ("face.png", "li-lit", "method li-lit does not separate"),
-            ("grey.png", "soft-li", "the image is grey"),
+            ("grey.png", "soft-li", "the picture is grey"),
         ],
     )
     def test_that_make_no_sense_are_left_out_and_say_why(self, fits, name, method, text):

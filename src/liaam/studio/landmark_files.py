@@ -126,7 +126,7 @@ class LandmarkFiles:
         try:
             landmarks = parse_landmark_data(own.name, data)
         except LandmarkError as fault:
-            return Marks(own.name, revision, None, f"{fault} A copy is kept when you place points anew.")
+            return Marks(own.name, revision, None, f"{fault} A copy is kept when you place the points again.")
         assert isinstance(landmarks, Landmarks)  # these formats hold one picture
         marks = self._invisible_of(own.name, revision)
         if marks is not None and max(marks["points"], default=0) < len(landmarks):

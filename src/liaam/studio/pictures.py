@@ -366,7 +366,7 @@ def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str 
     from liaam.photometry.encoding import as_colour, encode, refuse_grey
 
     image = as_colour(image, name)
-    refuse_grey(image, name, "there is no colour to make an invariant image of")
+    refuse_grey(image, name, "an invariant image needs colour")
     encoded = encode(image, "log", response, reduce=block_size(image.shape[1], image.shape[0], size))
     ratios = (encoded[..., :2] - encoded[..., 2:3]) / np.float32(CHROMA_STEP)
     numbers = np.rint(np.clip(ratios, -32767, 32767)).astype(np.int16)

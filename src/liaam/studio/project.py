@@ -89,7 +89,7 @@ class Project:
         self._templates = TemplateStore(listing, self.state, self._landmarks)
         self._states = PictureStates(listing, self._landmarks, self._proposals, self._templates)
         self._changes = TemplateChanges(listing, self.state, self._landmarks, self._proposals, self._templates)
-        self._changes.try_to_settle()
+        self._changes.try_to_finish()
 
     @property
     def id(self) -> str:
@@ -137,8 +137,8 @@ class Project:
             ]
 
     def _rescan(self) -> None:
-        """Scan the folder for reading; an unfinished change of the template is no error here."""
-        self._changes.try_to_settle()
+        """Scan the folder; ignore a change of the template that cannot be finished yet."""
+        self._changes.try_to_finish()
         self._listing.scan()
 
     def _stamp(self) -> str:
@@ -176,7 +176,7 @@ class Project:
         Raises
         ------
         Refusal
-            404 if there is no such picture, 409 if it is a link that leads out of the folder.
+            404 if there is no such picture, or if it is a link that leads out of the folder.
         """
         with self._lock:
             return self._folder.inside(self._find(name).name)
@@ -201,7 +201,7 @@ class Project:
             503 or 507 while a change of the template cannot be finished.
         """
         with self._lock:
-            self._changes.settle()
+            self._changes.finish()
             self._listing.scan()
             return self._annotated()
 
@@ -255,7 +255,7 @@ class Project:
             404 if there is no such picture, 409 if it cannot be used.
         """
         with self._lock:
-            self._changes.settle()
+            self._changes.finish()
             return self._states.marks_json(self._find(name))
 
     def save_marks(self, name: str, data: Any) -> dict[str, Any]:
@@ -283,7 +283,7 @@ class Project:
         if not isinstance(data, dict):
             raise Refusal(422, "send an object with points, invisible and revision")
         with self._lock:
-            self._changes.settle()
+            self._changes.finish()
             file, template = self._find(name), self._templates.needed
             if "template" in data:
                 self._templates.check(data["template"], f"the landmarks of {name}")

@@ -58,7 +58,7 @@ class TemplateChanges:
         Refusal
             See :meth:`liaam.studio.project.Project.save_template`.
         """
-        self.settle()
+        self.finish()
         self._listing.scan()
         templates = self._templates
         old = templates.current
@@ -76,10 +76,10 @@ class TemplateChanges:
         change = self._change(template, old, mapping, marks, moved)
         self.is_pending = True
         self._state.write(CHANGE_FILE, change)  # from here on the change will be finished, even after a crash
-        self.settle()
+        self.finish()
         return moved
 
-    def settle(self) -> None:
+    def finish(self) -> None:
         """Finish a pending change.
 
         Raises
@@ -90,21 +90,21 @@ class TemplateChanges:
         if not self.is_pending:
             return
         try:
-            self._finish()
+            self._apply()
         except (LiaamError, OSError) as fault:
             cause = fault if isinstance(fault, OSError) else fault.__cause__
             sentence = (
-                f"a change of the template cannot be finished yet ({self._folder.plain(fault)}): fix this; the studio "
-                "retries by itself"
+                f"a change of the template cannot be finished yet ({self._folder.plain(fault)}): fix this, and the "
+                "studio will finish it"
             )
             self._state.note(CHANGE_FILE, sentence)
             status = fault.status if isinstance(fault, Refusal) else status_of(cause)
             raise Refusal(status, sentence) from fault
 
-    def try_to_settle(self) -> None:
+    def try_to_finish(self) -> None:
         """Finish a pending change if possible."""
         with suppress(Refusal):  # the error has been noted
-            self.settle()
+            self.finish()
 
     def _change(
         self,
@@ -131,7 +131,7 @@ class TemplateChanges:
         stored = {**template.as_json(), "revision": secrets.token_hex(8), "order": order}
         return {"template": stored, "files": files}
 
-    def _finish(self) -> None:
+    def _apply(self) -> None:
         """Apply ``change.json`` and remove it. Files that were changed in the meantime are left alone."""
         change = self._state.read(CHANGE_FILE, _is_change)
         if change is None:  # missing, or damaged and noted

@@ -194,10 +194,10 @@ async def read_json(request: Request, limit: int) -> Any:
         raise Refusal(415, f"the request is of type '{kind[:50]}': send application/json")
     body = await read_body(request, limit)
     try:
-        asked = json.loads(body, parse_constant=_no_number)
+        content = json.loads(body, parse_constant=_no_number)
         if b"\\u" in body:  # raises for half of a surrogate pair, which cannot be encoded
-            json.dumps(asked, ensure_ascii=False).encode()
-        return asked
+            json.dumps(content, ensure_ascii=False).encode()
+        return content
     except (ValueError, RecursionError) as fault:  # UnicodeDecodeError is a ValueError
         raise Refusal(400, f"the request is not JSON ({str(fault)[:100]})") from fault
 

@@ -255,7 +255,7 @@ def test_two_methods_are_compared(fit_tab, artefacts):
     nearer = min(sides, key=lambda fit: fit["error"]["pixels"])
     assert sides[0]["method"] != sides[1]["method"]
     verdict = fit_tab.locator("[data-testid=compare-verdict]").inner_text()
-    assert verdict.startswith(f"{nearer['method']} is nearer")
+    assert verdict.startswith(f"{nearer['method']} is closer")
     views = "() => [window.liaamStudio.compare.left.viewer.view, window.liaamStudio.compare.right.viewer.view]"
     start = fit_tab.evaluate(views)
     fit_tab.locator("[data-testid=compare-right] canvas").hover()

@@ -328,7 +328,7 @@ test("a conflict is the person's to decide: mine goes with the new revision", as
   saver.change("a", content(2));
   run();
   assert.equal(log.sent.length, 1);
-  saver.settle("a", "mine");
+  saver.resolveConflict("a", "mine");
   assert.deepEqual(log.sent[1].body, { ...content(2), revision: "r9" });
   await answer("ok");
   assert.equal(state(), "saved");
@@ -339,7 +339,7 @@ test("a conflict: theirs forgets mine", async () => {
   saver.change("a", content(1));
   run();
   await answer("fail", { status: 409, body: { current: marks(9, "r9") } });
-  saver.settle("a", "theirs");
+  saver.resolveConflict("a", "theirs");
   assert.equal(state(), "saved");
   assert.equal(saver.isDirty("a"), false);
   assert.equal(new Unsaved(storage, "folder").get("a"), null);
@@ -503,7 +503,7 @@ test("a point that the template has no more is not lost without a word", async (
   current.template = { names: ["b"], revision: "t3" };
   saver.rebase("a", after([null], "r5"));
   assert.equal(log.lost.length, 1);
-  assert.match(log.lost[0], /no 'a' any more/);
+  assert.match(log.lost[0], /no longer has 'a'/);
   run();
   assert.deepEqual(log.sent[1].body.points, [[2, 0]]);
 });
@@ -543,7 +543,7 @@ test("a file that was deleted is said to be", async () => {
   const gone = { points: [null, null], invisible: [], revision: null, source: "none" };
   await answer("fail", { status: 409, body: { current: gone } });
   assert.equal(saver.wasDeleted("a"), true);
-  saver.settle("a", "mine");
+  saver.resolveConflict("a", "mine");
   assert.equal(saver.wasDeleted("a"), false);
   assert.equal(log.sent[1].body.revision, null);
   await answer("ok");
@@ -680,7 +680,7 @@ test("deleting keeps paths, twins and origins right", () => {
   assert.deepEqual(less.contours, [{ indices: [0, 1, 2], closed: true }]);
   assert.deepEqual(less.mirror, [2, 1, 0]); // the twin of a deleted point is its own
   assert.deepEqual(less.origins, [0, 2, 3]);
-  assert.deepEqual(template.changes(less, 4), ["1 point will be deleted, with the places they have"]);
+  assert.deepEqual(template.changes(less, 4), ["1 point will be deleted"]);
   assert.equal(template.deletePoints(draft, [0, 1, 2]).contours.length, 0);
 });
 
@@ -727,8 +727,8 @@ test("what is wrong with a template is said", () => {
   ]);
   assert.equal(template.fault(draft), null);
   assert.match(template.fault(template.rename(draft, 1, " ")), /Point 2 has no name/);
-  assert.match(template.fault(template.rename(draft, 1, "point 1")), /Two points are called 'point 1'/);
-  assert.match(template.fault({ ...draft, points: [[0, 0], null, [1, 1]] }), /'point 2' has no place/);
+  assert.match(template.fault(template.rename(draft, 1, "point 1")), /Two points have the name 'point 1'/);
+  assert.match(template.fault({ ...draft, points: [[0, 0], null, [1, 1]] }), /'point 2' is not placed/);
 });
 
 test("points are the same by their names, and where a template was only renamed by their places", () => {
@@ -788,8 +788,8 @@ test("next is the picture of the best rank, else the next in the folder, round",
 test("the reason is the uncertainty, in words", () => {
   const picture = { state: "proposed", uncertainty: 0.031, rank: 1, doubtful: false };
   const others = [picture, { uncertainty: 0.01 }, { uncertainty: 0.008 }];
-  assert.match(assist.reason(picture, others, {}), /least sure here.*3\.1\s% of the object's size.*at most 1\.0\s%/);
-  assert.match(assist.reason({ ...picture, doubtful: true }, others, {}), /doubts/);
+  assert.match(assist.reason(picture, others, {}), /least certain.*3\.1\s% of the object's size.*median 1\.0\s%/);
+  assert.match(assist.reason({ ...picture, doubtful: true }, others, {}), /low confidence/);
   assert.match(assist.reason(picture, others, null), /Next in the folder/);
 });
 
@@ -798,8 +798,8 @@ test("a fit that has blown up is not told in numbers, and none is called least s
   const sure = { state: "proposed", uncertainty: 0.0026, rank: 2, doubtful: false };
   const other = { state: "proposed", uncertainty: 0.004, rank: 1, doubtful: false };
   assert.match(assist.reason(wild, [wild, sure, other], {}), /over 100\s%/);
-  assert.doesNotMatch(assist.reason(sure, [wild, sure, other], {}), /least sure/);
-  assert.match(assist.reason(other, [wild, sure, other], {}), /least sure here.*0\.40\s%.*at most 0\.26\s%/);
+  assert.doesNotMatch(assist.reason(sure, [wild, sure, other], {}), /least certain/);
+  assert.match(assist.reason(other, [wild, sure, other], {}), /least certain.*0\.40\s%.*median 0\.26\s%/);
 });
 
 test("what was left out, what was passed over, and a model of another template are told", () => {

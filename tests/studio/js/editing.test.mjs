@@ -260,7 +260,7 @@ test("what was made goes on under a template that is another now, as one step", 
   click([50, 50]);
   made.rebase({ ...TEMPLATE, names: ["tip", "left", "right"], revision: "s" });
   assert.deepEqual([made.saved.revision, made.draft.origins], ["s", [1, 2, 0, null]]);
-  assert.equal(made.history.undoes, "what was made before");
+  assert.equal(made.history.undoes, "earlier changes");
 });
 
 test("the axis is half-way between twins, else in the middle of the points or the picture", () => {

@@ -80,7 +80,7 @@ test("chroma that is cut short is refused with a remedy", () => {
           [1, 1],
         ]).slice(0, 20),
       ),
-    /20 octets in place of 32/,
+    /20 bytes instead of 32/,
   );
 });
 
@@ -403,10 +403,10 @@ test("numbers are told in people's units", () => {
 test("the comparison names which is nearer, and says when nobody knows", () => {
   const near = fit({ error: { pixels: 1, percent: 0.5 } });
   const far = fit({ method: "rgb", error: { pixels: 3, percent: 1.5 } });
-  assert.equal(comparison(near, far, 2), "soft-li is nearer: 1 px (0.5 %) from the landmarks, rgb 3 px (1.5 %).");
+  assert.equal(comparison(near, far, 2), "soft-li is closer to the landmarks: 1 px (0.5 %), rgb: 3 px (1.5 %).");
   assert.equal(comparison(far, near, 2), comparison(near, far, 2));
-  assert.match(comparison(near, near, 0), /^Equally near/);
-  assert.match(comparison(near, fit(), 2.5), /No landmarks.*2.5 px apart/);
+  assert.match(comparison(near, near, 0), /^Equal errors/);
+  assert.match(comparison(near, fit(), 2.5), /no landmarks.*2.5 px apart/);
   assert.equal(comparison(null, far, 2), "");
 });
 

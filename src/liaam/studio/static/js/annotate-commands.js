@@ -1,16 +1,15 @@
-// What the Annotate tab's buttons and keys do.
+// Commands of the Annotate tab's buttons and keys.
 
 import { nextToTeach } from "./assist.js";
 import { called, missingText } from "./annotate-words.js";
 import { placed } from "./points.js";
 
-const EDGE = 20; // css pixels from the border of the view within which a point is not well seen
+const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
 
 export class Commands {
-  /** tab: the Annotate tab. */
   constructor(tab) {
     Object.assign(this, { tab, marking: tab.marking });
-    this.nagged = null; // the picture of which it was said that points are missing
+    this.warned = null; // picture with a warning about missing points
     this.escaped = false; // whether Tab leaves the picture
   }
 
@@ -23,7 +22,7 @@ export class Commands {
     this.tab.speaker.say(text);
   }
 
-  // What is shown ---------------------------------------------------------------------------------------------------
+  // Display ---------------------------------------------------------------------------------------------------------
 
   flick(what) {
     const { show, toolbar, viewer } = this.tab;
@@ -48,16 +47,16 @@ export class Commands {
     const { tab, marking } = this;
     if (!tab.template?.mirror) {
       tab.app.toast(
-        "The template has no twins. Edit the template with Mirror on, or load one whose names tell left from right.",
+        "The template has no mirrored points. Edit it with Mirror on, or load one with left and right in its names.",
       );
       return;
     }
     marking.mirrored = !marking.mirrored;
     tab.toolbar.press("mirror", marking.mirrored);
-    this.say(marking.mirrored ? "Twins move along" : "Twins stay");
+    this.say(marking.mirrored ? "Mirrored points move together" : "Points move separately");
   }
 
-  // Choosing --------------------------------------------------------------------------------------------------------
+  // Selecting -------------------------------------------------------------------------------------------------------
 
   chooseFromList(index, adds) {
     const { marking } = this;
@@ -71,7 +70,7 @@ export class Commands {
   chooseAll() {
     const { doc } = this.tab;
     doc.select(placed(doc.points), -1);
-    this.say(`${doc.selection.size} points chosen`);
+    this.say(`${doc.selection.size} points selected`);
   }
 
   escape() {
@@ -80,7 +79,7 @@ export class Commands {
     this.escaped = true;
   }
 
-  /** Choose the next point, or the one before; false where there is none, and the focus goes on with the page. */
+  /** Select the next or previous point; false if there is none, so that the focus leaves the picture. */
   stepPoint(by) {
     const index = this.marking.step(by);
     if (index < 0) return false;
@@ -89,7 +88,7 @@ export class Commands {
     return true;
   }
 
-  /** Bring a point into view where the picture is zoomed in. */
+  /** Scroll a point into view. */
   reveal(index) {
     const { viewer } = this.tab;
     const point = this.marking.points[index];
@@ -139,7 +138,7 @@ export class Commands {
     const chosen = marking.chosenPlaced;
     if (!this.marks || !chosen.length) return;
     marking.removeChosen();
-    this.say(`${called(marking.names, chosen)} has no place now`);
+    this.say(`${called(marking.names, chosen)} cleared`);
   }
 
   placeChosen() {
@@ -147,15 +146,15 @@ export class Commands {
     if (index >= 0) this.tab.sayPlace(index);
   }
 
-  // Going on --------------------------------------------------------------------------------------------------------
+  // Next picture ----------------------------------------------------------------------------------------------------
 
   accept() {
     const { tab, marking } = this;
     if (!this.marks) return;
     marking.accept();
     const left = marking.missing;
-    if (left.length && this.nagged !== tab.name) {
-      this.nagged = tab.name; // said once: points may be left out on purpose
+    if (left.length && this.warned !== tab.name) {
+      this.warned = tab.name; // warn once, since points may be left out on purpose
       marking.select([left[0]]);
       tab.app.toast(missingText(marking.names, left));
       return;
@@ -171,7 +170,7 @@ export class Commands {
     const { tab } = this;
     const { name, state } = tab;
     const { pictures } = state.project;
-    this.nagged = null;
+    this.warned = null;
     const next = nextToTeach(pictures, name);
     if (next) {
       state.select(next.name);
@@ -182,6 +181,6 @@ export class Commands {
     const open = pictures.some(
       (picture) => picture.name !== name && picture.state !== "done" && picture.state !== "broken",
     );
-    if (!open) tab.app.toast("All pictures are done. Open Fit to see what the model makes of them.", "good");
+    if (!open) tab.app.toast("All pictures are done. Open Fit to try the model.", "good");
   }
 }

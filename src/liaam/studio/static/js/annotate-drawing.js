@@ -1,4 +1,4 @@
-// What the Annotate tab draws over the picture that is open, or over that on which a template is made.
+// Drawings of the Annotate tab over the open picture.
 
 import {
   COLOURS,
@@ -13,10 +13,10 @@ import {
 } from "./drawing.js";
 import { indicesOf } from "./points.js";
 
-const MANY = 150; // points from which on they are drawn smaller
-const NAMED = 6; // chosen points up to which their names are shown
+const MANY = 150; // more points than these are drawn smaller
+const NAMED = 6; // the names of up to so many selected points are shown
 
-/** The marks of a picture; show: {names, contours, ellipses}. */
+/** Draw the marks of a picture; show: {names, contours, ellipses}. */
 export function drawMarking(ctx, viewer, tool, marking, show) {
   const { points, suggested, selection, active, invisible, names } = marking;
   if (marking.state.source === "proposal" && show.ellipses) drawSpread(ctx, viewer, points, marking.book.covariances);
@@ -39,7 +39,7 @@ export function drawMarking(ctx, viewer, tool, marking, show) {
   }
 }
 
-/** What a gesture shows while it lasts: its box, and the loupe under the pointer. */
+/** Draw the box and the loupe of a gesture. */
 export function drawGesture(ctx, viewer, tool, suggested) {
   if (tool.gesture?.box) drawBox(ctx, viewer, tool.gesture.box);
   if (tool.gesture?.loupe && tool.pointer)

@@ -1,26 +1,26 @@
-// The Annotate tab's keys: which command each is, and what arrow keys do to points.
+// Keys of the Annotate tab.
 
 import { keyEdit } from "./gestures.js";
 import { placed } from "./points.js";
 
 export const SHORTCUTS = [
-  { keys: "Enter", what: "Accept the points, open the picture that teaches most" },
+  { keys: "Enter", what: "Accept the points and open the picture that helps the model most" },
   { keys: "N", what: "Open it without accepting" },
   { keys: "Tab Shift+Tab", what: "Next, previous point (Escape, then Tab: leave the picture)" },
-  { keys: "← → ↑ ↓", what: "Move the chosen points by 1 px; Shift 10, Alt 0.1" },
-  { keys: "Ctrl+← Ctrl+→", what: "Turn them by 1°, Shift 5°" },
-  { keys: "Ctrl+↑ Ctrl+↓", what: "Scale them by 1 %, Shift 5 %" },
-  { keys: "Shift click", what: "Add to the choice; Shift drag: choose with a box" },
-  { keys: "Ctrl+A Escape", what: "Choose all, none" },
-  { keys: "P", what: "Place the missing point where the others suggest" },
-  { keys: "Delete", what: "Take the point's place away" },
-  { keys: "V", what: "Visible or not" },
-  { keys: "X M", what: "Move twins along; flip left and right" },
-  { keys: "B", what: "Dragging draws a box" },
-  { keys: "L K E", what: "Names, contours, ellipses" },
-  { keys: "H", what: "Hide all while held" },
+  { keys: "← → ↑ ↓", what: "Move the selected points by 1 px (Shift: 10, Alt: 0.1)" },
+  { keys: "Ctrl+← Ctrl+→", what: "Rotate them by 1° (Shift: 5°)" },
+  { keys: "Ctrl+↑ Ctrl+↓", what: "Scale them by 1 % (Shift: 5 %)" },
+  { keys: "Shift click", what: "Add to the selection (Shift drag: select with a box)" },
+  { keys: "Ctrl+A Escape", what: "Select all, none" },
+  { keys: "P", what: "Place the missing point at its expected position" },
+  { keys: "Delete", what: "Clear the point's position" },
+  { keys: "V", what: "Mark the point as visible or invisible" },
+  { keys: "X M", what: "Move mirrored points together; flip left and right" },
+  { keys: "B", what: "Select with a box" },
+  { keys: "L K E", what: "Show names, contours, ellipses" },
+  { keys: "H", what: "Hide all points while held" },
   { keys: "Ctrl+Z Ctrl+Y", what: "Undo, redo" },
-  { keys: "N C X P", what: "In the template: new path, close path, mirror, a point in the middle" },
+  { keys: "N C X P", what: "In the template: new path, close path, mirror, add a point in the middle" },
 ];
 
 const CONTROLS = "button, a, label, input, summary, [role=tab]";
@@ -29,7 +29,6 @@ const WITH_ARROWS = "input, [role=listbox], [role=radiogroup], [role=tab]";
 const isIn = (event, selector) => event.target instanceof Element && Boolean(event.target.closest(selector));
 
 export class Keys {
-  /** tab: the Annotate tab. */
   constructor(tab) {
     const { commands } = tab;
     this.tab = tab;
@@ -52,7 +51,7 @@ export class Keys {
     };
   }
 
-  /** Act on a key; gives whether it meant something. */
+  /** Handle a key; return whether it was handled. */
   down(event) {
     const { tab } = this;
     const { commands } = tab;
@@ -79,7 +78,7 @@ export class Keys {
     return true;
   }
 
-  /** Tab goes through the points while the picture has the focus; past the last, or after Escape, it goes on. */
+  /** Tab selects the next point while the picture has the focus. Past the last, or after Escape, the focus moves on. */
   tabKey(event) {
     const { commands, viewer } = this.tab;
     if (event.target !== viewer.canvas || !commands.marks || commands.escaped) return false;

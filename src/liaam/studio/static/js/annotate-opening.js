@@ -1,25 +1,24 @@
-// Opening pictures in the Annotate tab: fetching them, with what the server or an earlier page has of their marks.
+// Opening pictures in the Annotate tab: fetches them with their marks from the server or from an earlier page.
 
 import { FirstMarks } from "./first-marks.js";
 import { History } from "./history.js";
 import { nextMissing, sameMarks } from "./points.js";
 
 export class Opening {
-  /** tab: the Annotate tab; begins() -> how pictures without points begin, "layout" or "click". */
+  /** tab: the Annotate tab; begins() -> the start of pictures without points, "layout" or "click". */
   constructor(tab, begins) {
     Object.assign(this, { tab, state: tab.state, marking: tab.marking, begins });
     this.first = new FirstMarks({ state: tab.state, fetchMarks: (name) => tab.saving.fetchMarks(name), begins });
-    this.books = new Map(); // name -> book, of pictures that were open on this page
-    this.turn = 0; // counts up, so that what comes late is not shown
+    this.books = new Map(); // name -> book of a picture that was opened on this page
+    this.turn = 0; // incremented with each picture, to drop late answers
   }
 
-  /** The landmarks of a picture are others. */
+  /** The landmarks of a picture have changed. */
   forget(name) {
     this.books.delete(name);
     this.first.forget(name);
   }
 
-  /** The template is another. */
   clear() {
     this.books.clear();
     this.first.clear();
@@ -32,7 +31,7 @@ export class Opening {
     const before = tab.name;
     const { width: wasWide, height: wasHigh } = viewer;
     tab.tool.cancel();
-    tab.tool.leave(); // what the pointer was over is gone
+    tab.tool.leave();
     marking.shown = null;
     marking.select([]);
     if (before && before !== name) tab.leavePicture(before);
@@ -62,10 +61,10 @@ export class Opening {
     const picture = this.state.picture(name);
     if (!name || !picture) {
       const folder = this.state.project?.folder ?? "the folder";
-      const what = `Put pictures (JPEG, PNG, TIFF …) into ${folder}; they appear here by themselves.`;
+      const what = `Put pictures (JPEG, PNG, TIFF …) into ${folder}. They appear here automatically.`;
       cover.show("folder", "No pictures yet", what);
     } else if (picture.state === "broken") {
-      cover.show("warning", `${name} cannot be used`, picture.error ?? "It cannot be read; replace the file.");
+      cover.show("warning", `${name} cannot be used`, picture.error ?? "It cannot be read: replace the file.");
     } else {
       return false;
     }
@@ -76,7 +75,7 @@ export class Opening {
   failed(name, error) {
     const { cover } = this.tab;
     if (error.status === 0) {
-      const what = "The picture opens as soon as 'liaam studio' runs again. What you did is kept.";
+      const what = "Start 'liaam studio' again, and the picture opens. Your changes are kept.";
       cover.show("warning", "The server is not reachable", what);
     } else {
       cover.show("warning", `${name} cannot be opened`, error.message);
@@ -89,7 +88,7 @@ export class Opening {
     this.tab.refresh();
   }
 
-  /** Show what the server has of a picture, or what an earlier page could not save. */
+  /** Show a picture's marks from the server, or those that an earlier page could not save. */
   async take(name, marks, turn = this.turn) {
     const { tab, marking } = this;
     const { saver } = tab.saving;
@@ -108,7 +107,7 @@ export class Opening {
     };
     this.books.set(name, book);
     marking.open(book);
-    // Where points are placed one after another, go on with the first that is missing.
+    // If points are placed one after another, continue with the first missing one.
     const { source } = marking.state;
     const places = source === "none" || (source === "file" && this.begins() === "click");
     const first = places ? nextMissing(marking.points) : -1;
@@ -117,12 +116,12 @@ export class Opening {
     tab.refresh();
   }
 
-  /** Show what the server has now of the picture that is open. */
+  /** Show the server's current marks of the open picture. */
   async reload() {
     const { tab, marking, turn } = this;
     const { name } = tab;
     if (!name || !tab.template || tab.editing) return;
-    const marks = await tab.saving.tryToFetch(name); // unreachable: `online` brings us back here
+    const marks = await tab.saving.tryToFetch(name); // if the server is unreachable, `online` calls this again
     if (!marks || turn !== this.turn || tab.saving.saver.isDirty(name) || tab.tool.gesture) return;
     const chosen = [...marking.selection];
     const { active } = marking;
@@ -130,30 +129,30 @@ export class Opening {
     if (marking.book && chosen.length && Math.max(...chosen) < marking.points.length) marking.select(chosen, active);
   }
 
-  /** Zoomed in on a picture that was fetched smaller than it is: fetch it as it is. */
+  /** Fetch the picture at a higher resolution if the zoom needs it. */
   async sharpen() {
     const { viewer, pictures, name } = this.tab;
     const bitmap = await pictures.sharper(name, viewer.scale * devicePixelRatio);
     if (bitmap && this.tab.name === name) viewer.setSource(bitmap);
   }
 
-  /** Whether the person has done nothing here: then newer marks may replace what is shown. */
+  /** Whether the user has not changed anything, so that newer marks may replace the shown ones. */
   get pristine() {
     return this.marking.book !== null && !this.marking.history.canUndo && this.idle;
   }
 
-  /** Whether nothing is under way: neither a gesture nor a save. */
+  /** Whether neither a gesture nor a save is in progress. */
   get idle() {
     return !this.tab.saving.saver.isDirty(this.tab.name) && !this.tab.tool.gesture;
   }
 
-  /** What the marks of a picture that nobody has touched depend on. */
+  /** Key that changes when the marks of an unchanged picture may have to be reloaded. */
   keyOf(name) {
     const picture = this.state.picture(name);
     return `${picture?.state}|${picture?.uncertainty}|${this.state.project?.model?.trained}`;
   }
 
-  /** The project is told anew: the picture that is open may be another, or the model may know more of it. */
+  /** The project was reloaded: the open picture may have been replaced, or the model may have a new proposal. */
   refresh() {
     const { tab, state } = this;
     const { book } = this.marking;

@@ -1,28 +1,28 @@
-// Saving marks on the server, and what is asked where somebody else has saved others meanwhile.
+// Saving marks on the server, and resolving conflicts with changes made elsewhere.
 
 import { contentOf, Page, Saver, Unsaved } from "./saving.js";
 
-const KEEPALIVE = 60_000; // octets that a browser lets outlive a page
+const KEEPALIVE = 60_000; // largest body in bytes that a browser still sends after the page is closed
 
-/** What is asked where the file is not what this tab read. */
+/** Dialogs of conflicts with the file on the server. */
 const CHANGED = {
   title: "Changed elsewhere",
   text: (name) =>
-    `The landmarks of ${name} were changed in another tab, or by another program, since this tab read them.`,
-  theirs: "Take theirs",
-  mine: "Keep mine",
+    `The landmarks of ${name} were changed in another tab or by another program since this tab read them.`,
+  theirs: "Use the other version",
+  mine: "Keep my version",
 };
 const DELETED = {
   title: "The landmark file was deleted",
   text: (name) =>
-    `The landmark file of ${name} has gone since this tab read it: somebody deleted, renamed or moved it.`,
+    `The landmark file of ${name} was deleted, renamed or moved since this tab read it.`,
   theirs: "Leave it deleted",
-  mine: "Write it again",
+  mine: "Save it again",
 };
 
 export class MarksSaving {
-  /** onstatus(state, message); onsaved(name): its landmarks are others; onforeign(name): somebody else has changed
-   *  them; ontheirs(name): the person gave up what was done here. */
+  /** onstatus(state, message); onsaved(name): landmarks were saved; onforeign(name): they were changed elsewhere;
+   *  ontheirs(name): the user discarded the changes of this page. */
   constructor({ app, onstatus, onsaved, onforeign, ontheirs }) {
     Object.assign(this, { app, state: app.state, ontheirs });
     this.deciding = false;
@@ -59,7 +59,7 @@ export class MarksSaving {
     return this.app.api.get(this.app.api.url("pictures", name, "landmarks"));
   }
 
-  /** What the server has of a picture, or null where it cannot be asked. */
+  /** Fetch the marks of a picture; null if the request fails. */
   tryToFetch(name) {
     return this.fetchMarks(name).catch(() => null);
   }
@@ -78,20 +78,20 @@ export class MarksSaving {
       { label: mine, kind: "primary", value: "mine", testid: "conflict-mine" },
     ]);
     this.deciding = false;
-    if (choice === null) return; // undecided: said in the status line, with a button to decide
-    await this.saver.settle(name, choice);
+    if (choice === null) return; // undecided: the status line shows a button to decide
+    await this.saver.resolveConflict(name, choice);
     if (choice === "theirs") this.ontheirs(name);
   }
 
-  /** The server refused marks because they are of a template that is no more: learn the new one, carry them over. */
+  /** The server refused marks of an earlier template: fetch the new one and convert them. */
   async templateMoved(name) {
     const before = this.template?.revision;
-    await this.state.refresh().catch(() => {}); // unreachable: `online` tries again
-    // Another template came with it: who heard of that has seen to all that is unsaved.
+    await this.state.refresh().catch(() => {}); // if the server is unreachable, `online` retries
+    // If the template has changed, the listener has already converted all unsaved marks.
     if (this.template && this.template.revision === before) await this.rebase([name]);
   }
 
-  /** Carry what is not saved yet over to the present template. */
+  /** Convert unsaved marks to the current template. */
   async rebase(names = this.saver.dirty, mapping = null) {
     for (const name of names) {
       const marks = await this.tryToFetch(name);
@@ -99,25 +99,25 @@ export class MarksSaving {
     }
   }
 
-  /** The template is another from now on: what could not be saved before goes along. */
+  /** The template has changed: convert unsaved marks to it. */
   async keepUnsaved(template, mapping) {
     this.state.project.template = template;
     if (template) await this.rebase(this.saver.dirty, mapping);
   }
 
-  /** What an earlier page could not save of this picture, being saved from now on; null where there is nothing. */
+  /** Marks that an earlier page could not save; this page saves them from now on. Null if there are none. */
   async inherited(name, marks) {
     if (this.saver.isDirty(name)) return null;
     const kept = this.saver.unsaved.get(name);
     const ours = kept === null || (await this.page.inherits(kept.page));
     if (this.saver.isDirty(name)) return null;
     if (ours) return this.saver.restore(name, marks);
-    this.saver.known(name, marks.revision, contentOf(marks), marks); // another tab is at it
+    this.saver.known(name, marks.revision, contentOf(marks), marks); // another tab is saving them
     return null;
   }
 
-  /** Pictures that an earlier page could not save are saved now, whether they are opened or not; reopen(name) ->
-   *  Promise of whether the picture is open, which has taken it up then. */
+  /** Save the marks that an earlier page could not save. reopen(name) -> Promise of whether the picture is open, in
+   *  which case it has restored its marks itself. */
   async sendKept(reopen) {
     for (const name of this.saver.unsaved.names()) {
       if (!this.state.picture(name) || !this.template || this.saver.isDirty(name)) continue;

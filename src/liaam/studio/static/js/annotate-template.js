@@ -1,5 +1,4 @@
-// The template in the Annotate tab: when it is made or edited there, what saving it does to the picture that is open,
-// and what to do where it was changed elsewhere.
+// The template in the Annotate tab: creating, editing and saving it, and following changes made elsewhere.
 
 import { expected, indicesOf, layoutIn, placed } from "./points.js";
 import { TemplateEditor } from "./template-editor.js";
@@ -7,7 +6,6 @@ import { TemplateEditor } from "./template-editor.js";
 const sentence = (text) => (/[.!?]$/.test(text) ? text : `${text}.`);
 
 export class TemplateSession {
-  /** tab: the Annotate tab. */
   constructor(tab) {
     Object.assign(this, { tab, state: tab.state, marking: tab.marking });
     this.editing = false;
@@ -23,13 +21,13 @@ export class TemplateSession {
     });
   }
 
-  // Beginning and ending --------------------------------------------------------------------------------------------
+  // Starting and ending ---------------------------------------------------------------------------------------------
 
-  /** There is no template yet: make one on the picture that is open. */
+  /** There is no template yet: create one on the open picture. */
   begin() {
     const running = this.editing && this.editor.started;
     this.editing = true;
-    if (!running) this.editor.start(null, null); // changing pictures keeps what was begun
+    if (!running) this.editor.start(null, null); // a draft is kept when the picture changes
     this.tab.refresh();
   }
 
@@ -69,7 +67,7 @@ export class TemplateSession {
     const { tab, state, marking } = this;
     const { api } = tab.app;
     const isNew = !tab.template;
-    // Editing the template does not place what was missing on this picture, but for points that are new.
+    // Editing the template places new points on this picture, but not those that were missing.
     await tab.saving.saver.flush();
     const before = marking.state ?? (isNew ? null : await tab.saving.fetchMarks(tab.name));
     const hadFile = before?.source === "file";
@@ -90,15 +88,15 @@ export class TemplateSession {
       await tab.saving.saver.flush(tab.name);
     } catch (error) {
       if (error.status !== 409 || !error.body?.template) throw error;
-      // What was made stays in the editor, on top of what the template is now.
+      // Keep the changes in the editor, on top of the current template.
       this.saving = false;
-      this.key = ""; // whatever has come meanwhile
+      this.key = ""; // follow the template of the server in any case
       await state.refresh();
-      throw new Error(`${sentence(error.message)} What you made is still here: look at it, then press Done again.`);
+      throw new Error(`${sentence(error.message)} Your changes are still here: check them, then press Done again.`);
     } finally {
       this.saving = false;
     }
-    tab.app.toast(isNew ? "Template saved, and with it the points of this picture." : "Template saved.", "good");
+    tab.app.toast(isNew ? "Template and points of this picture saved." : "Template saved.", "good");
   }
 
   commitEdited(points, mapping, before) {
@@ -106,9 +104,9 @@ export class TemplateSession {
     this.marking.commit(next, "edit the template");
   }
 
-  // Changes that come from elsewhere --------------------------------------------------------------------------------
+  // Changes made elsewhere ------------------------------------------------------------------------------------------
 
-  /** Whether the template was made or changed elsewhere, which is seen to then. */
+  /** Follow a template that was changed elsewhere; return whether it was. */
   noticed() {
     const { tab } = this;
     const key = JSON.stringify(tab.template);
@@ -121,16 +119,15 @@ export class TemplateSession {
     return true;
   }
 
-  /** What is being done here goes on under the new template. */
   async changed(before) {
     const { tab } = this;
     const drafting = this.editing && this.editor.hasChanges;
     this.marking.open(null);
     if (drafting) {
       this.editor.rebase(tab.template);
-      tab.app.toast("The template was changed elsewhere. What you made is still here: look at it, then press Done.");
+      tab.app.toast("The template was changed elsewhere. Your changes are still here: check them, then press Done.");
     } else if (before) {
-      tab.app.toast("The template was changed elsewhere, and is shown as it is now.");
+      tab.app.toast("The template was changed elsewhere. The new version is shown.");
     }
     await tab.saving.rebase();
     if (drafting) return;
@@ -138,12 +135,11 @@ export class TemplateSession {
     if (tab.visible) await tab.opening.open(tab.name);
   }
 
-  /** Another picture is chosen; gives whether it may be opened: a change of the template is finished first, on the
-   *  picture that it was begun on. */
+  /** Whether another picture may be opened. A change of the template must be finished first, on its own picture. */
   mayLeave(before) {
     if (!this.editing) return true;
     if (this.editor.isChanging && this.state.picture(before)) {
-      this.tab.app.toast("First finish the template: Done or Cancel at the right.");
+      this.tab.app.toast("Finish the template first: press Done or Cancel on the right.");
       this.state.select(before);
       return false;
     }

@@ -1,6 +1,6 @@
-// The Annotate tab's toolbar: buttons that do what the commands do, and show what they would do.
+// The Annotate tab's toolbar.
 
-/** act(event, work): how buttons do their work. Gives {element, refresh(), press(name, on)}. */
+/** act(event, work): runs the action of a button. Returns {element, refresh(), press(name, on)}. */
 export function createToolbar({ ui, state, commands, status, act }) {
   const { h, button } = ui;
   const tool = (label, icon, shortcut, work, more = {}) =>
@@ -19,10 +19,10 @@ export function createToolbar({ ui, state, commands, status, act }) {
   const rule = () => h("span", { class: "rule", "aria-hidden": "true" });
   const undo = tool("Undo", "undo", "Ctrl+Z", () => commands.undo(), { testid: "undo" });
   const redo = tool("Redo", "redo", "Ctrl+Y", () => commands.redo(), { testid: "redo" });
-  const names = toggle("Names", "Names of all points", { text: "Aa" }, "L", () => commands.flick("names"));
+  const names = toggle("Names", "Show the names of all points", { text: "Aa" }, "L", () => commands.flick("names"));
   const contours = toggle(
     "Contours",
-    "Contours: the template's paths",
+    "Show the contours",
     { icon: "path" },
     "K",
     () => commands.flick("contours"),
@@ -30,14 +30,14 @@ export function createToolbar({ ui, state, commands, status, act }) {
   );
   const ellipses = toggle(
     "Ellipses",
-    "Ellipses: where the model expects each point with 95 % probability",
+    "Show ellipses that contain each point with 95 % probability",
     { icon: "target" },
     "E",
     () => commands.flick("ellipses"),
     true,
   );
-  const box = tool("Choose with a box", "box", "B", () => commands.toggleBox(), { pressed: false });
-  const mirror = tool("Move twins along", "mirror", "X", () => commands.toggleMirrored(), { pressed: false });
+  const box = tool("Select with a box", "box", "B", () => commands.toggleBox(), { pressed: false });
+  const mirror = tool("Move mirrored points together", "mirror", "X", () => commands.toggleMirrored(), { pressed: false });
   const flip = tool("Flip left and right", "swap", "M", () => commands.flip());
   const switches = { names, contours, ellipses, box, mirror };
   const element = h(
@@ -61,7 +61,7 @@ export function createToolbar({ ui, state, commands, status, act }) {
 
   return {
     element,
-    /** history: that undo goes through, or null; editing: whether the template is; marking: whether marks are. */
+    /** history: for undo, or null; editing: whether the template is edited; marking: whether marks are edited. */
     refresh({ history, editing, marking }) {
       undo.disabled = !history?.canUndo;
       redo.disabled = !history?.canRedo;

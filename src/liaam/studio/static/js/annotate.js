@@ -1,5 +1,5 @@
-// The Annotate tab: places the points of one picture after another, saves them, and lets the model help. Here its parts
-// are put together; what each does is said where it is made.
+// The Annotate tab: place the points of one picture after another with the help of the model. This module connects its
+// parts.
 
 import { createAssist } from "./assist.js";
 import { Commands } from "./annotate-commands.js";
@@ -34,10 +34,10 @@ class AnnotateTab {
   constructor(root, app) {
     this.app = app;
     this.state = app.state;
-    this.name = null; // of the picture that is open
+    this.name = null; // name of the open picture
     this.visible = false;
     this.show = { names: false, contours: true, ellipses: true };
-    this.boxing = false; // whether dragging draws a box
+    this.boxing = false; // whether dragging selects with a box
     this.makePage();
     this.makeParts();
     this.put(root);
@@ -45,7 +45,7 @@ class AnnotateTab {
     this.expose();
   }
 
-  // Its parts -------------------------------------------------------------------------------------------------------
+  // Parts -----------------------------------------------------------------------------------------------------------
 
   makePage() {
     const { h } = this.app.ui;
@@ -130,18 +130,18 @@ class AnnotateTab {
     return this.templates.editor;
   }
 
-  /** What gestures edit: the template, or the marks of the picture. */
+  /** The document that gestures edit: the template, or the marks of the picture. */
   get doc() {
     return this.editing ? this.editor.doc : this.marking;
   }
 
-  /** Buttons give the keyboard back to the picture when they were clicked, so that Enter goes on with the work. */
+  /** Run the action of a button. After a click, return the focus to the picture, so that Enter works there. */
   act(event, work) {
     work();
     if (event.detail > 0) this.viewer.canvas.focus({ preventScroll: true });
   }
 
-  // What happens ----------------------------------------------------------------------------------------------------
+  // Events ----------------------------------------------------------------------------------------------------------
 
   listen() {
     const { state } = this;
@@ -154,7 +154,7 @@ class AnnotateTab {
       if (document.visibilityState === "hidden") this.saving.saver.flush();
     });
     addEventListener("pagehide", () => this.saving.saver.flush());
-    // A gesture is lost when the page goes away; what it showed was not the person's yet.
+    // A gesture in progress is not saved when the page is closed.
     document.addEventListener("keyup", (event) => {
       if (event.key.toLowerCase() === "h") this.commands.hideMarks(false);
     });
@@ -181,7 +181,7 @@ class AnnotateTab {
   }
 
   selected({ name, before }) {
-    if (name === this.name && this.editing) return; // sent back by what comes next
+    if (name === this.name && this.editing) return; // the selection was reverted by mayLeave below
     if (!this.templates.mayLeave(before)) return;
     if (this.visible) this.opening.open(name);
     else this.saving.saver.flush();
@@ -191,13 +191,13 @@ class AnnotateTab {
     this.saving.saver.flush(name).then(() => this.assist.left());
   }
 
-  /** The shown marks are others: keep them, show them. */
+  /** The marks have changed: save and show them. */
   changed() {
     this.saving.change(this.name, this.marking.state);
     this.refresh();
   }
 
-  /** Other points are chosen. */
+  /** The selection has changed. */
   chosen() {
     this.commands.escaped = false;
     this.panel.mark(this.marking);
@@ -205,21 +205,21 @@ class AnnotateTab {
     this.viewer.redraw();
   }
 
-  /** After a point was placed: the next that is missing. */
+  /** After a point was placed, select the next missing one. */
   goOn(index) {
     const next = nextMissing(this.marking.points, index);
     this.marking.select([next < 0 ? index : next]);
     this.sayPlace(index, next);
   }
 
-  /** Somebody else has changed a picture's landmarks, or what was done here was given up. */
-  foreign(name, anew = false) {
+  /** A picture's landmarks were changed elsewhere, or the changes of this page were discarded. */
+  foreign(name, discarded = false) {
     this.opening.first.forget(name);
-    if (anew || name !== this.name) this.opening.books.delete(name);
+    if (discarded || name !== this.name) this.opening.books.delete(name);
     if (name === this.name) this.opening.reload();
   }
 
-  /** Whether a picture is the one that is open, which then takes up what was kept of it. */
+  /** Whether a picture is open; if so, reload it, which restores its unsaved marks. */
   async reopen(name) {
     if (name !== this.name) return false;
     if (this.opening.pristine) await this.opening.reload();
@@ -231,10 +231,10 @@ class AnnotateTab {
     if (this.opening.pristine && state.source !== "file" && state.source !== "proposal") this.opening.reload();
   }
 
-  // What is shown ---------------------------------------------------------------------------------------------------
+  // Display ---------------------------------------------------------------------------------------------------------
 
   refresh() {
-    if (!this.assist) return; // while the parts are being made
+    if (!this.assist) return; // the parts are not complete yet
     const { editing, editor, marking, toolbar } = this;
     const panel = editing ? [editor.panel] : [this.assist.element, ...this.panel.elements];
     if (this.side.firstChild !== panel[0]) this.side.replaceChildren(...panel);
@@ -250,7 +250,7 @@ class AnnotateTab {
     this.viewer.redraw();
   }
 
-  /** A template is not saved before it is done; nothing should look as if it were. */
+  /** A template is saved only with Done, so the status must not say "Saved" before. */
   showDraft() {
     if (this.editing && this.editor.started) this.status.show("draft", "");
     else if (this.status.state === "draft") this.saving.saver.report();
@@ -273,12 +273,12 @@ class AnnotateTab {
     if (!editing && marking.book) this.showPrompt();
   }
 
-  /** The picture in words, for those who do not see it. */
+  /** Describe the picture for screen readers. */
   describe() {
     const { marking, name } = this;
     const own = marking.book ? descriptionOf(name, marking) : "No picture is open.";
     this.alternative.textContent = this.editing
-      ? `Making the template: ${this.editor.draft.names.length} points so far.`
+      ? `Editing the template: ${this.editor.draft.names.length} points.`
       : own;
     this.viewer.canvas.setAttribute("aria-label", name ? `${name} with landmarks` : "Picture with landmarks");
   }
@@ -287,7 +287,6 @@ class AnnotateTab {
     this.speaker.say(placeOf(this.marking, index, next));
   }
 
-  /** After a burst of keys. */
   saySoon(indices) {
     this.speaker.soon(() => {
       if (this.editing) return null;
@@ -303,20 +302,20 @@ class AnnotateTab {
     drawGesture(ctx, viewer, tool, marking.suggested);
   }
 
-  /** Hooks for tests of the page, kept stable: where points are, on the picture and on the page. */
+  /** Hooks for browser tests: positions of points in the picture and on the page. */
   expose() {
     const tab = this;
     window.liaamStudio = Object.assign(window.liaamStudio ?? {}, {
       annotate: {
         viewer: this.viewer,
-        /** Points as shown: of the picture, or of the template that is being made. */
+        /** Points as shown: of the picture, or of the template that is being edited. */
         points: () => tab.doc.points.map((point) => point && point.slice()),
-        /** Where a point, or any [x, y] of the picture, is on the page: [clientX, clientY], null without place. */
+        /** Position of a point, or of any [x, y] of the picture, on the page: [clientX, clientY] or null. */
         toClient: (what) => {
           const point = Array.isArray(what) ? what : tab.doc.points[what];
           return point ? tab.viewer.toClient(point) : null;
         },
-        /** "file", "proposal", "layout", "none", or "template" while one is made; null while a picture opens. */
+        /** "file", "proposal", "layout", "none", or "template" while it is edited; null while a picture opens. */
         source: () => (tab.editing ? "template" : (tab.marking.state?.source ?? null)),
         name: () => tab.name,
         selection: () => [...tab.doc.selection],

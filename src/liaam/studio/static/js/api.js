@@ -1,7 +1,7 @@
-// The server's HTTP interface: one function a verb, and one kind of error, with a sentence for people.
+// The server's HTTP interface: a function for each verb, and an error with a message for the user.
 
 export class ApiError extends Error {
-  /** @param {string} message a sentence; @param {number} status 0 where the server could not be reached. */
+  /** @param {string} message for the user; @param {number} status HTTP status, 0 if the server is unreachable. */
   constructor(message, status, body = null) {
     super(message);
     this.name = "ApiError";
@@ -14,9 +14,9 @@ export class ApiError extends Error {
   }
 }
 
-const UNREACHABLE = "The studio's server cannot be reached. Is 'liaam studio' still running?";
+const UNREACHABLE = "The server is not reachable. Is 'liaam studio' still running?";
 
-/** Address of a path whose parts are given apart: url("pictures", name, "image", {size: 512}). */
+/** Address of a path given in parts: url("pictures", name, "image", {size: 512}). */
 export function url(...parts) {
   const query = parts.length && typeof parts.at(-1) === "object" ? parts.pop() : null;
   const path = parts.map((part) => String(part).split("/").map(encodeURIComponent).join("/")).join("/");
@@ -24,7 +24,7 @@ export function url(...parts) {
   return `/api/${path}${text ? `?${text}` : ""}`;
 }
 
-const TRIES = 10; // of a request that a busy server asks to repeat: half a minute or so
+const TRIES = 10; // attempts of a request to a busy server, about half a minute
 
 async function send(address, options) {
   let response;
@@ -35,17 +35,17 @@ async function send(address, options) {
       if (fault.name === "AbortError") throw fault;
       throw new ApiError(UNREACHABLE, 0);
     }
-    // Only where the server says so: of a 503 without a time the page tells, such as of a disk that refuses to write.
+    // Retry only if the server asks for it. Other 503 errors, such as a full disk, are shown.
     const wait = Number(response.headers.get("retry-after"));
     if (response.status !== 503 || !(wait > 0) || tries === TRIES) break;
-    await later(1000 * Math.min(wait, 10) * (1 + Math.random()), options?.signal); // not all at once
+    await later(1000 * Math.min(wait, 10) * (1 + Math.random()), options?.signal); // random, to spread retries
   }
   if (response.ok) return response;
   const body = await response.json().catch(() => null);
   throw new ApiError(body?.error ?? `The server answered ${response.status} ${response.statusText}.`, response.status, body);
 }
 
-/** Wait; rejects at once where the signal says that nobody waits any more. */
+/** Wait; rejects at once when the signal is aborted. */
 function later(milliseconds, signal) {
   return new Promise((resolve, reject) => {
     signal?.throwIfAborted();
@@ -77,12 +77,11 @@ export const api = {
   put: withBody("PUT"),
   post: withBody("POST"),
   delete: withBody("DELETE"),
-  /** Send a file as it is. */
   upload: (address, blob, options = {}) =>
     json(address, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: blob, ...options }),
   buffer: async (address, options = {}) => (await send(address, options)).arrayBuffer(),
   blob: async (address, options = {}) => (await send(address, options)).blob(),
-  /** A file to save: {blob, disposition: what the server says of its name}. */
+  /** A file to save: {blob, disposition: the Content-Disposition header}. */
   file: async (address, options = {}) => {
     const answer = await send(address, options);
     return { blob: await answer.blob(), disposition: answer.headers.get("content-disposition") };

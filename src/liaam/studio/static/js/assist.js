@@ -1,25 +1,25 @@
-// The model's help: training while the person goes on, and which picture to correct next.
+// The model's help: training in the background, and the choice of the next picture.
 
-export const LEAST = 3; // pictures that training needs
-export const AUTO_FIRST = 4; // done pictures from which the first model is trained unasked
-export const AUTO_AGAIN = 3; // pictures completed or changed since, from which it is trained again
+export const LEAST = 3; // pictures needed for training
+export const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
+export const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const AUTO_KEY = "liaam-studio:auto-train";
 
 export const countDone = (pictures) => pictures.filter((picture) => picture.state === "done").length;
 
-/** Whether to train without being asked. `failedAt`: what `situation` was when training last failed or was stopped. */
+/** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped. */
 export function shouldTrain(project, { auto, failedAt = null }) {
   const { model, training, pictures } = project;
   if (!auto || !project.template || training?.state === "running") return false;
-  if (model?.source === "file") return false; // the person brought this model: replacing it is theirs to ask for
+  if (model?.source === "file") return false; // a model given by the user is replaced only on request
   if (countDone(pictures) < AUTO_FIRST || situation(project) === failedAt) return false;
   return !model || model.stale >= AUTO_AGAIN;
 }
 
-/** What would be trained on: the same again would fail again. */
+/** Key of the training data: training on the same data would fail again. */
 export const situation = ({ model, pictures }) => `${countDone(pictures)}|${model?.stale ?? "none"}`;
 
-/** The picture that teaches most of those that are not done: by rank, then by place in the folder, after `current`. */
+/** The picture that helps the model most: by rank, then by position in the folder after `current`; null if all are done. */
 export function nextToTeach(pictures, current) {
   const at = pictures.findIndex((picture) => picture.name === current);
   const round = [...pictures.slice(at + 1), ...pictures.slice(0, Math.max(at, 0))];
@@ -30,52 +30,52 @@ export function nextToTeach(pictures, current) {
 
 const NBSP = "\u00a0";
 
-/** A share for people; beyond the object's own size a number says nothing. */
-function percent(share) {
-  if (!(share <= 1)) return `over 100${NBSP}%`;
-  return `${(100 * share).toFixed(share < 0.01 ? 2 : 1)}${NBSP}%`;
+/** A fraction as text. Above 1 the value is meaningless. */
+function percent(fraction) {
+  if (!(fraction <= 1)) return `over 100${NBSP}%`;
+  return `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)}${NBSP}%`;
 }
 
-/** Why this picture comes next, in one sentence. */
+/** Why this picture comes next. */
 export function reason(picture, pictures, model) {
   if (!picture) return "";
-  if (!model) return "Next in the folder; once there is a model, the picture that teaches it most comes first.";
-  if (picture.state === "partial") return "Some of its points are still missing.";
-  if (picture.uncertainty == null) return "The model has not looked at it yet.";
-  const sure = `its points are uncertain by ${percent(picture.uncertainty)} of the object's size`;
-  if (picture.doubtful) return `The model doubts its own points here (${sure}), so correcting them teaches most.`;
-  // Only with its like can it be compared: where the model doubts its points, so it does how sure they are.
+  if (!model) return "Next in the folder. Once there is a model, the picture that helps it most comes first.";
+  if (picture.state === "partial") return "Some of its points are missing.";
+  if (picture.uncertainty == null) return "The model has not been fitted to it yet.";
+  const text = `uncertainty of its points: ${percent(picture.uncertainty)} of the object's size`;
+  if (picture.doubtful) return `The model has low confidence here (${text}), so correcting it helps most.`;
+  // Compare with confident fits only: the uncertainty of the others is unreliable.
   const known = pictures
     .filter((each) => each.uncertainty != null && !each.doubtful && each.state !== "done")
     .map((each) => each.uncertainty)
     .sort((a, b) => a - b);
-  if (known.length < 2 || picture.uncertainty < known.at(-1)) return `${sure[0].toUpperCase()}${sure.slice(1)}.`;
+  if (known.length < 2 || picture.uncertainty < known.at(-1)) return `${text[0].toUpperCase()}${text.slice(1)}.`;
   const median = known[Math.floor((known.length - 1) / 2)];
-  return `Of those left, the model is least sure here: ${sure} (half of them: at most ${percent(median)}).`;
+  return `The least certain of the remaining pictures (${text}, median ${percent(median)}).`;
 }
 
-/** What a person should know of the folder and the model: [{title, lines}], without what there is nothing to say of. */
+/** Notices about the folder and the model: [{title, lines}], without empty ones. */
 export function notices({ model, template, problems = [] }) {
   const left = Object.entries(model?.left_out ?? {}).map(([name, why]) => `${name}: ${why}`);
   const groups = [
-    { title: "Not as the template", lines: [mismatch({ model, template })].filter(Boolean) },
-    { title: "Left out of the model", lines: left },
+    { title: "Other template", lines: [mismatch({ model, template })].filter(Boolean) },
+    { title: "Left out of training", lines: left },
     { title: "In the folder", lines: problems },
   ];
   return groups.filter(({ lines }) => lines.length);
 }
 
-/** What is wrong where the model was made for another template, in a sentence; "" where nothing is. */
+/** Message if the model was trained for another template, otherwise "". */
 export function mismatch({ model, template }) {
   if (!model || !template || model.n_points === template.names.length) return "";
   const [has, wants] = [model.n_points, template.names.length];
-  const remedy = "train it anew, or open it in a folder of its template";
+  const remedy = "train again, or use the model in a folder with its template";
   return `The model has ${has} points where the template has ${wants}, so it cannot place points here: ${remedy}.`;
 }
 
 /**
- * The panel. parts: {app, oneditable, accept(): take over what is shown and go on; skip(): go on without}.
- * Gives {element, refresh(), left(): the person is done with a picture for now}.
+ * Create the panel. accept(): accept the points and open the next picture; skip(): open it without accepting.
+ * Returns {element, refresh(), left(): the user has left a picture}.
  */
 export function createAssist({ app, accept, skip }) {
   const { h, button, icon } = app.ui;
@@ -110,18 +110,18 @@ export function createAssist({ app, accept, skip }) {
     "label",
     {
       class: "check small",
-      title: `Trains when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`,
+      title: `Train when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`,
     },
     auto,
-    "Train by itself",
+    "Train automatically",
   );
-  const next = button("Accept, go on", {
+  const next = button("Accept and continue", {
     icon: "check",
     kind: "primary",
     shortcut: "Enter",
     testid: "accept-next",
     onclick: accept,
-    title: "Accept these points, open the picture that teaches most",
+    title: "Accept these points and open the picture that helps the model most",
   });
   next.append(h("kbd", { class: "kbd", "aria-hidden": "true" }, "⏎"));
   const pass = button("Skip", {
@@ -130,7 +130,7 @@ export function createAssist({ app, accept, skip }) {
     shortcut: "N",
     testid: "skip-next",
     onclick: skip,
-    title: "Next picture, this one stays as it is",
+    title: "Open the next picture and leave this one unchanged",
   });
   const why = h("p", { class: "small muted", dataset: { testid: "why-next" } });
 
@@ -157,7 +157,7 @@ export function createAssist({ app, accept, skip }) {
       const training = await state.send((folder) => api.post(api.url("training"), { folder }));
       state.project.training = training;
     } catch (error) {
-      // Another tab was quicker: its training is ours too.
+      // 409: another tab has started the training already.
       if (error.status !== 409) {
         failedAt = situation(state.project);
         showFailure(error.message);
@@ -170,7 +170,7 @@ export function createAssist({ app, accept, skip }) {
 
   async function stop() {
     cancel.disabled = true;
-    failedAt = situation(state.project); // who stops it does not want it begun again by itself
+    failedAt = situation(state.project); // do not restart automatically what the user has stopped
     try {
       await state.send((folder) => api.delete(api.url("training"), { folder }));
     } catch (error) {
@@ -180,11 +180,11 @@ export function createAssist({ app, accept, skip }) {
     }
   }
 
-  /** Long lists stay closed: their titles say that there is something, and how much. */
+  /** Show notices; lists of several are collapsed. */
   function note(project) {
     const groups = notices(project);
     const key = JSON.stringify(groups);
-    if (key === noted) return; // one that was opened stays so
+    if (key === noted) return; // keep an opened list open
     noted = key;
     notes.hidden = !groups.length;
     notes.replaceChildren(
@@ -194,7 +194,7 @@ export function createAssist({ app, accept, skip }) {
           : h(
               "details",
               { class: "small" },
-              h("summary", {}, `${title}: ${lines.length} remarks`),
+              h("summary", {}, `${title}: ${lines.length} notices`),
               h("ul", { class: "assist-lines" }, lines.map((line) => h("li", {}, line))),
             ),
       ),
@@ -220,21 +220,21 @@ export function createAssist({ app, accept, skip }) {
     train.disabled = runs || asking || done < LEAST;
     train.title =
       done < LEAST
-        ? `Needs ${LEAST} pictures that are done; ${done} ${done === 1 ? "is" : "are"}`
+        ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
         : model?.stale
           ? `${model.stale} ${model.stale === 1 ? "picture" : "pictures"} completed or changed since the last training`
-          : "Train the model with all that is done";
+          : "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     explain(pictures, model, done);
     note(project);
   }
 
   function showProgress({ phase, done, total, what: doing }) {
-    const share = total ? Math.round((100 * done) / total) : null;
-    progress.classList.toggle("unknown", share === null);
-    bar.style.width = share === null ? "" : `${share}%`;
-    if (share === null) progress.removeAttribute("aria-valuenow");
-    else progress.setAttribute("aria-valuenow", String(share));
+    const value = total ? Math.round((100 * done) / total) : null;
+    progress.classList.toggle("unknown", value === null);
+    bar.style.width = value === null ? "" : `${value}%`;
+    if (value === null) progress.removeAttribute("aria-valuenow");
+    else progress.setAttribute("aria-valuenow", String(value));
     const doingText = doing || (phase === "proposals" ? "Placing points on the other pictures" : "Training");
     what.textContent = total ? `${doingText} (${done} of ${total})` : `${doingText}…`;
   }
@@ -254,11 +254,11 @@ export function createAssist({ app, accept, skip }) {
     const left = AUTO_FIRST - done;
     if (left > 0)
       return `After ${left} more ${left === 1 ? "picture" : "pictures"} the model can place points for you.`;
-    if (state.project.training?.state === "running") return "Once this is done, the next pictures come with points.";
-    return "Train the model, and it places the points of the next pictures.";
+    if (state.project.training?.state === "running") return "After training, the model places points for you.";
+    return "Train the model to let it place points for you.";
   }
 
-  /** Between two pictures is the time to train: what was being moved is in place. */
+  /** Train between two pictures, when no point is being moved. */
   async function left() {
     await state.refresh().catch(() => {});
     if (shouldTrain(state.project, { auto: auto.checked, failedAt })) await start();

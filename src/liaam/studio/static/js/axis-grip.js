@@ -1,5 +1,5 @@
-// The axis of symmetry over the picture: it is dragged by its grip near the top of the picture, since elsewhere on the
-// line points are placed.
+// The axis of symmetry over the picture. It is dragged by a grip near the top, since clicks elsewhere on the line place
+// points.
 
 import { COLOURS, drawText } from "./drawing.js";
 
@@ -13,7 +13,7 @@ export class AxisGrip {
     this.at = [viewer.toScreen([x, 0])[0], Math.min(Math.max(top, 0) + 16, viewer.canvas.clientHeight - 16)];
   }
 
-  /** Whether a point of the picture lies under the grip. */
+  /** Whether a position in the picture lies under the grip. */
   isAt(xy) {
     const [x, y] = this.viewer.toScreen(xy);
     return Math.hypot(x - this.at[0], y - this.at[1]) <= REACH;

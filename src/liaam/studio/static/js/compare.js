@@ -1,4 +1,4 @@
-// The Compare tab: two methods on the same picture, side by side under one view.
+// The Compare tab: two methods on the same picture, side by side, with the same zoom.
 
 import { api } from "./api.js";
 import { drawFit, drawTruth, entries, modelNeeded, overlayButtons, OVERLAYS, pressOverlays } from "./fit-draw.js";
@@ -8,13 +8,13 @@ import { Intake, sourcesOf } from "./fit-source.js";
 import { button, h, icon } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
-/** What the default method is compared with at first: what people know. */
+/** Methods to compare the default with at first: the best known. */
 const FAMILIAR = ["rgb", "grey"];
 
 const SHORTCUTS = [
-  { keys: "Enter F", what: "Fit by both methods" },
+  { keys: "Enter F", what: "Fit with both methods" },
   { keys: "X", what: "Swap the sides" },
-  { keys: "C L M E T", what: "Contours, points, mesh, ellipses, truth" },
+  { keys: "C L M E T", what: "Show contours, points, mesh, ellipses, ground truth" },
 ];
 
 export function mount(root, app) {
@@ -22,7 +22,7 @@ export function mount(root, app) {
   return { show: () => tab.open(), hide: () => tab.leave(), shortcuts: SHORTCUTS, key: (event) => tab.key(event) };
 }
 
-/** One side: its method, its viewer and what came of its fit. */
+/** One side: its method, its viewer and its result. */
 class Side {
   constructor(name, label, { onmethod, draw }) {
     this.name = name;
@@ -30,7 +30,7 @@ class Side {
     this._run = 0;
     this.select = h("select", {
       class: "text",
-      "aria-label": `Method at the ${label}`,
+      "aria-label": `Method on the ${label}`,
       dataset: { testid: `compare-method-${name}` },
       onchange: () => onmethod(this),
     });
@@ -38,11 +38,11 @@ class Side {
     this.facts = h("dl", { class: "fit-facts compare-facts" });
     this.message = h("p", { class: "small muted compare-message" });
     this.container = h("div", { class: "fit-viewer" });
-    this.viewer = new Viewer(this.container, { label: `Picture, fitted by the method at the ${label}` });
+    this.viewer = new Viewer(this.container, { label: `Picture, fitted with the method on the ${label}` });
     this.viewer.addLayer((ctx, viewer) => draw(ctx, viewer, this));
     this.element = h(
       "section",
-      { class: "compare-side", "aria-label": `Method at the ${label}`, dataset: { testid: `compare-${name}` } },
+      { class: "compare-side", "aria-label": `Method on the ${label}`, dataset: { testid: `compare-${name}` } },
       h("div", { class: "compare-head" }, this.select, this.badge),
       this.container,
       h("div", { class: "compare-result", role: "status", "aria-live": "polite" }, this.facts, this.message),
@@ -88,7 +88,7 @@ class Side {
     this.message.title = text;
   }
 
-  /** Fit; gives whether this is still the newest run of the side. */
+  /** Fit; return whether this is still the newest run of the side. */
   async run(store, source) {
     const run = (this._run += 1);
     const { method } = this;
@@ -108,7 +108,7 @@ class Side {
     return run === this._run;
   }
 
-  /** Drop what is under way. */
+  /** Drop a running fit and the result. */
   reset() {
     this._run += 1;
     this.container.classList.remove("busy");
@@ -179,7 +179,7 @@ class CompareTab {
     return true;
   }
 
-  /** Fit by both at once. */
+  /** Fit with both methods at once. */
   async run() {
     const source = this.sources.current;
     if (!source || !this.state.project?.model) return;
@@ -276,13 +276,13 @@ class CompareTab {
 
   _build(root) {
     this._overlays = overlayButtons(this.shown, (name) => this._toggle(name));
-    this._truthButton = button("Truth", {
+    this._truthButton = button("Ground truth", {
       small: true,
       shortcut: "T",
       pressed: this.showTruth,
       disabled: true,
       testid: "compare-truth",
-      title: "The picture's own landmarks, as crosses",
+      title: "Show the known landmarks of the picture as crosses",
       onclick: () => this._toggleTruth(),
     });
     this._runButton = button("Fit both", {
@@ -329,12 +329,12 @@ class CompareTab {
       h("div", { class: "compare-foot" }, this._verdictText),
     );
     root.append(area);
-    this.intake = new Intake(area, "Drop the picture to compare on it", this.sources, (error) =>
+    this.intake = new Intake(area, "Drop the picture to compare the methods on it", this.sources, (error) =>
       this.app.toast(error, "bad"),
     );
   }
 
-  /** Zoom and pan of either side move the other. */
+  /** Keep zoom and pan of both sides equal. */
   _together() {
     const follow = (one, other) =>
       one.viewer.addEventListener("view", () => {
@@ -382,7 +382,7 @@ class CompareTab {
     this._empty.replaceChildren(
       icon("compare", 56),
       h("h2", {}, "Two methods, side by side"),
-      h("p", {}, "Pick a picture at the left, or drop one here."),
+      h("p", {}, "Select a picture on the left, or drop one here."),
     );
   }
 }

@@ -1,4 +1,4 @@
-// What stands in the place of a picture that cannot be shown: an icon, a title and what to do.
+// A message in place of a picture that cannot be shown: an icon, a title and a remedy.
 
 export class Cover {
   constructor({ h, icon }) {

@@ -1,8 +1,8 @@
-// The line between before and after: dragged, or moved with the arrow keys.
+// The line between before and after. It is dragged, or moved with the arrow keys.
 
 import { h } from "./ui.js";
 
-/** Part of the width after a key; null for other keys. */
+/** Position of the line, as a fraction of the width, after a key; null for other keys. */
 export function shareAfterKey(share, { key, shiftKey = false }) {
   const step = shiftKey ? 0.1 : 0.02;
   const next = { ArrowLeft: share - step, ArrowRight: share + step, Home: 0, End: 1 }[key];
@@ -10,7 +10,7 @@ export function shareAfterKey(share, { key, shiftKey = false }) {
 }
 
 export class Divider {
-  /** Over a viewer; `onmove` is called when what is seen changes. */
+  /** `onmove` is called when the line has moved. */
   constructor(viewer, onmove) {
     this.viewer = viewer;
     this.share = 0.5;
@@ -49,12 +49,11 @@ export class Divider {
     this.element.hidden = !now;
   }
 
-  /** Where the line is in the canvas, css pixels. */
+  /** Position of the line in the canvas, css pixels. */
   get x() {
     return this.share * this.viewer.canvas.clientWidth;
   }
 
-  /** Say what is on either side. */
   label(before, after) {
     this._before.textContent = before;
     this._after.textContent = after;
@@ -72,7 +71,7 @@ export class Divider {
     this.element.style.left = `${100 * this.share}%`;
     this.element.setAttribute("aria-valuenow", String(percent));
     this.element.setAttribute("aria-valuetext", `${percent} % of the width`);
-    // Near an edge the label on that side has no room.
+    // Near an edge there is no room for the label on that side.
     this._before.hidden = this.share < 0.08;
     this._after.hidden = this.share > 0.92;
   }

@@ -1,16 +1,16 @@
-// A template while it is made or edited over one picture: its draft, what is chosen, what is undone, and what clicks
-// do. It is the document that gestures edit (see gestures.js); of the page it knows the view only.
+// A template while it is edited over a picture: its draft, selection, undo history, and the effect of clicks. It is a
+// document that gestures edit (see gestures.js).
 
 import { AxisGrip } from "./axis-grip.js";
 import { History } from "./history.js";
 import { flip, indicesOf, place, withTwins } from "./points.js";
 import * as drafts from "./template.js";
 
-const AXIS_REACH = 8; // css pixels within which a point lies on the axis
+const AXIS_REACH = 8; // css pixels; a new point closer to the axis is placed on it
 
 export class Drafting {
-  /** viewer; onchange(): the draft is another, or something else that the page shows; onselect(): other points are
-   *  chosen; say(text): to screen readers. */
+  /** onchange(): the draft or its display has changed; onselect(): the selection has changed; say(text): announce to
+   *  screen readers. */
   constructor({ viewer, onchange = () => {}, onselect = () => {}, say = () => {} }) {
     Object.assign(this, { viewer, onchange, onselect, say });
     this.editable = true;
@@ -18,12 +18,12 @@ export class Drafting {
     this.start(null, null, drafts.EMPTY);
   }
 
-  /** Edit `template` with its points at `points` on the picture, or, where it is null, a draft of a new one. */
+  /** Edit `template` with its points at `points` on the picture, or `draft` of a new template if it is null. */
   start(template, points, draft) {
-    this.saved = template; // the template that is edited, or null for a new one
-    this.isFresh = template === null; // whether it was begun without any template
-    this.loaded = ""; // the file that a new one came from
-    this.layingOut = false; // whether the layout as a whole is being put in place
+    this.saved = template; // the edited template, or null for a new one
+    this.isFresh = template === null; // whether there was no template at the start
+    this.loaded = ""; // the file from which a new template was loaded
+    this.layingOut = false; // whether the layout as a whole is being placed
     this.axis = null; // x of the mirror line while mirroring
     this.choose([]);
     this.shown = null; // points during a gesture
@@ -31,13 +31,13 @@ export class Drafting {
     this.history = new History(this.draft);
   }
 
-  /** The template is another now: what was made becomes a change of that one. */
+  /** The saved template has changed: turn the draft into a change of the new one. */
   rebase(template) {
     const before = this.saved;
     this.saved = template;
     this.draft = drafts.rebased(this.draft, before, template);
     this.history = new History(drafts.draftOf(template));
-    this.history.push(this.draft, "what was made before");
+    this.history.push(this.draft, "earlier changes");
     this.shown = null;
     this.changed();
   }
@@ -75,7 +75,6 @@ export class Drafting {
     this.onchange();
   }
 
-  /** Undo or redo. */
   travel(way) {
     const state = this.history[way]();
     if (!state) return;
@@ -125,7 +124,7 @@ export class Drafting {
     const index = unplaced >= 0 ? unplaced : this.names.length;
     const add = (at) =>
       unplaced >= 0 ? { ...this.draft, points: place(this.draft.points, unplaced, at) } : this.withPoint(at);
-    // Drawn as if it were there, so that its line is seen; the step is taken when the pointer goes up.
+    // The ghost shows the new point and its line; the point is added when the pointer goes up.
     return {
       loupe: xy,
       ghost: add(xy),
@@ -162,7 +161,7 @@ export class Drafting {
     };
   }
 
-  /** A press on a point: with Shift the path runs through it, on the path's first point it closes. */
+  /** Handle a press on a point: with Shift, connect the path to it; on the path's first point, close the path. */
   press(index, event) {
     if (this.layingOut) return false;
     if (event.shiftKey) {
@@ -188,21 +187,21 @@ export class Drafting {
   startPath() {
     if (this.draft.path < 0) return;
     this.apply(drafts.newPath(this.draft), "new path");
-    this.say("The next point begins a new path");
+    this.say("The next point starts a new path");
   }
 
   flip() {
     this.apply({ ...this.draft, points: flip(this.draft.points, this.draft.mirror) }, "flip");
   }
 
-  /** For those who place by keys: a point where the view is, to be moved from there. */
+  /** Add a point in the middle of the view, to be moved with keys. */
   addInTheMiddle() {
     if (this.layingOut) return;
     const { clientWidth, clientHeight } = this.viewer.canvas;
     const index = this.names.length;
     this.apply(this.withPoint(this.viewer.toImage([clientWidth / 2, clientHeight / 2])), "add a point");
     this.select([index], index);
-    this.say(`${this.names[index]} added in the middle; arrow keys move it`);
+    this.say(`${this.names[index]} added in the middle. Arrow keys move it`);
   }
 
   deleteChosen(indices = [...this.selection]) {
@@ -217,12 +216,12 @@ export class Drafting {
     this.apply(drafts.rename(this.draft, index, name), "rename", `rename ${index}`);
   }
 
-  /** Give a point another place in the order. */
+  /** Move a point to another position in the order. */
   shift(from, to) {
     if (to < 0 || to >= this.names.length || from === to) return;
     this.apply(drafts.reorder(this.draft, from, to), "reorder");
     this.select([to], to);
-    this.say(`${this.names[to]} is number ${to + 1} now`);
+    this.say(`${this.names[to]} is now number ${to + 1}`);
   }
 
   setClosed(path, closed) {
@@ -239,16 +238,16 @@ export class Drafting {
 
   // The axis of symmetry --------------------------------------------------------------------------------------------
 
-  /** Begin or end mirroring; gives whether it is on. */
+  /** Start or end mirroring; return whether it is on. */
   toggleMirror() {
     const on = this.axis === null;
     this.axis = on ? drafts.axisOf(this.draft, this.viewer.width) : null;
-    this.say(on ? "Mirroring on: each point gets a twin" : "Mirroring off");
+    this.say(on ? "Mirroring on: each new point is mirrored" : "Mirroring off");
     this.viewer.redraw();
     return on;
   }
 
-  /** Arrow keys move the axis where no point is chosen. */
+  /** Arrow keys move the axis if no point is selected. */
   shiftAxis(event) {
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (this.axis === null || !by) return false;
@@ -259,17 +258,17 @@ export class Drafting {
 
   // A layout from a file --------------------------------------------------------------------------------------------
 
-  /** Begin with the points of a file, at `points` on the picture. */
+  /** Start with the points of a file, at `points` on the picture. */
   load(file, template, points) {
     this.layingOut = true;
     this.loaded = file;
     this.choose([]);
     const draft = drafts.draftOf(template, points);
     this.apply({ ...draft, origins: template.names.map(() => null) }, "load");
-    this.say(`${template.names.length} points loaded; put them in place`);
+    this.say(`${template.names.length} points loaded. Move them into place`);
   }
 
-  /** The loaded points are in place: single ones are edited from now on. */
+  /** The loaded points are in place: edit single points from now on. */
   endLayout() {
     this.layingOut = false;
     this.select([]);

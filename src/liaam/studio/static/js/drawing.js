@@ -1,9 +1,9 @@
-// What the Annotate tab draws over a picture: points in their states, names, the frame with its handles, the loupe.
+// Drawing of points, names, the frame with its handles, and the loupe.
 
 import { drawContours, drawEllipses } from "./viewer.js";
 import { frameOf } from "./gestures.js";
 
-// On pictures of any colour: yellow is what a person placed, blue what is only proposed, white what is chosen.
+// Colours for any picture: yellow is placed, blue is proposed, white is selected.
 export const COLOURS = {
   placed: "#ffd166",
   proposed: "#6fd3ff",
@@ -35,7 +35,7 @@ function outlined(ctx, colour, width, dash = []) {
   ctx.setLineDash([]);
 }
 
-/** All points, a few paths for all of them: hundreds of points cost as little as ten. */
+/** Draw all points. A few paths serve all of them, so that hundreds are as fast as ten. */
 export function drawMarks(ctx, viewer, view) {
   const { points, invisible, selection, active = -1, hovered = -1, suggested, radius = 4 } = view;
   const colour = suggested ? COLOURS.proposed : COLOURS.placed;
@@ -53,7 +53,7 @@ export function drawMarks(ctx, viewer, view) {
   ctx.stroke();
   pathOf(ctx, viewer, points, hollow, radius);
   if (suggested) {
-    // glassy, so that the picture shows through what is to be checked
+    // transparent, so that the picture can be checked through it
     ctx.fillStyle = "rgb(111 211 255 / 35%)";
     ctx.fill();
   }
@@ -90,7 +90,7 @@ export function drawText(ctx, text, x, y, { colour = "#fff", align = "left" } = 
   ctx.fillText(text, x, y);
 }
 
-/** Names beside points; only those on the canvas are set, text being what costs. */
+/** Draw names beside points. Names off the canvas are skipped, because text is slow. */
 export function drawNames(ctx, viewer, points, names, indices) {
   const { clientWidth, clientHeight } = viewer.canvas;
   for (const i of indices) {
@@ -163,19 +163,19 @@ export function drawBox(ctx, viewer, [x0, y0, x1, y1]) {
   outlined(ctx, "#fff", 1, [4, 3]);
 }
 
-/** Where the loupe goes: beside a mouse, above a finger, and inside the canvas in any case. */
+/** Position of the loupe: beside a mouse, above a finger, and always inside the canvas. */
 export function loupePlace([x, y], type, width, height) {
   const r = LOUPE + 6;
   const up = type === "touch" ? 110 : 86;
   const aside = type === "touch" ? 0 : 86;
   const cx = x + aside + r > width ? x - aside : x + aside;
   const cy = y - up - r < 0 ? y + up : y - up;
-  // A finger at the top edge would cover what is under it: go beside it instead.
+  // At the top edge the loupe goes beside the finger instead.
   const dodge = type === "touch" && y - up - r < 0 ? (x > width / 2 ? -120 : 120) : 0;
   return [Math.min(Math.max(cx + dodge, r), width - r), Math.min(Math.max(cy, r), height - r)];
 }
 
-/** What lies under `xy`, magnified, with a cross where the point is. */
+/** Draw the surroundings of `xy` magnified, with a cross at the point. */
 export function drawLoupe(ctx, viewer, xy, pointer, colour = COLOURS.placed) {
   const { clientWidth: width, clientHeight: height } = viewer.canvas;
   if (!viewer.source || width < 200 || height < 200) return;
@@ -187,7 +187,7 @@ export function drawLoupe(ctx, viewer, xy, pointer, colour = COLOURS.placed) {
   ctx.fillStyle = "#1b2030";
   ctx.fill();
   ctx.clip();
-  // The whole picture is drawn, clipped: browsers cut it, and no resolution of the source needs to be known.
+  // The whole picture is drawn and clipped, so that the resolution of the source does not matter.
   ctx.imageSmoothingEnabled = scale < 6;
   ctx.drawImage(
     viewer.source,
@@ -222,7 +222,7 @@ export function drawLoupe(ctx, viewer, xy, pointer, colour = COLOURS.placed) {
   ctx.stroke();
 }
 
-/** The template's layout in a small canvas, with the point that comes next lit up. */
+/** Draw the template's layout in a small canvas, with the next point highlighted. */
 export function drawHint(canvas, layout, contours, lit, style) {
   const ratio = window.devicePixelRatio || 1;
   const { clientWidth: width, clientHeight: height } = canvas;

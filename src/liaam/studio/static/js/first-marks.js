@@ -1,11 +1,11 @@
-// What a picture is opened with: its own marks, what the model proposed, or the mean of the pictures that are done.
+// Marks that a picture opens with: its own, the model's proposal, or the mean of the done pictures.
 
 import { layoutIn, meanLayout } from "./points.js";
 
-const LAYOUT_OF = 8; // done pictures that the mean layout is made of
+const LAYOUT_OF = 8; // number of done pictures in the mean layout
 
 export class FirstMarks {
-  /** fetchMarks(name) -> Promise of what the server has; begins() -> "layout" or "click". */
+  /** fetchMarks(name) -> Promise of the server's marks; begins() -> "layout" or "click". */
   constructor({ state, fetchMarks, begins }) {
     Object.assign(this, { state, fetchMarks, begins });
     this.shapes = new Map(); // name -> {points, width, height} of done pictures
@@ -24,9 +24,9 @@ export class FirstMarks {
     this.shapes.clear();
   }
 
-  /** {points, invisible, source} for a picture, of what the server has of it. */
+  /** {points, invisible, source} for a picture, from the server's marks. */
   async of(name, marks) {
-    const fits = marks.points.length === this.template.names.length; // a file may have been made for another template
+    const fits = marks.points.length === this.template.names.length; // a file may belong to another template
     if (fits && (marks.source === "file" || marks.source === "proposal")) {
       return { points: marks.points, invisible: marks.invisible ?? [], source: marks.source };
     }
@@ -36,7 +36,7 @@ export class FirstMarks {
     return points ? { points, invisible: [], source: "layout" } : nothing;
   }
 
-  /** Mean of what is done, or the template's own layout; null where there is neither. */
+  /** Mean of the done pictures, or else the template's layout; null if there is neither. */
   async layout(name, width, height) {
     const done = this.state.project.pictures
       .filter((picture) => picture.state === "done" && picture.name !== name)
@@ -49,7 +49,7 @@ export class FirstMarks {
 
   async learn(name) {
     if (this.shapes.has(name)) return;
-    const marks = await this.fetchMarks(name).catch(() => null); // one that fails is left out of the mean
+    const marks = await this.fetchMarks(name).catch(() => null); // a failed picture is left out of the mean
     if (marks?.source === "file") this.shapes.set(name, marks);
   }
 }

@@ -1,16 +1,16 @@
-// How Fit and Compare show a fit: over its picture, and in numbers.
+// Drawing of fits for the tabs Fit and Compare.
 
 import { button, h } from "./ui.js";
 import { drawContours, drawEllipses, drawMesh, drawPoints } from "./viewer.js";
 
 export const OVERLAYS = [
-  { name: "contours", label: "Contours", key: "C", title: "Lines through the landmarks" },
-  { name: "landmarks", label: "Points", key: "L", title: "The fitted landmarks" },
-  { name: "mesh", label: "Mesh", key: "M", title: "The model's triangles" },
-  { name: "ellipses", label: "Ellipses", key: "E", title: "Ellipses that hold 95 % of where each point may be" },
+  { name: "contours", label: "Contours", key: "C", title: "Show the contours" },
+  { name: "landmarks", label: "Points", key: "L", title: "Show the fitted points" },
+  { name: "mesh", label: "Mesh", key: "M", title: "Show the model's triangles" },
+  { name: "ellipses", label: "Ellipses", key: "E", title: "Show ellipses that contain each point with 95 % probability" },
 ];
 
-/** A button for each overlay, by its name; `shown`: names of those that are drawn. */
+/** A button for each overlay, by name; `shown`: names of the drawn overlays. */
 export function overlayButtons(shown, onclick, testid = () => null) {
   return new Map(
     OVERLAYS.map(({ name, label, key, title }) => [
@@ -27,12 +27,11 @@ export function overlayButtons(shown, onclick, testid = () => null) {
   );
 }
 
-/** Let the buttons say which overlays are drawn. */
 export function pressOverlays(buttons, shown) {
   for (const [name, each] of buttons) each.setAttribute("aria-pressed", String(shown.has(name) && !each.disabled));
 }
 
-/** A button whose label gives way to its icon where there is little room. */
+/** A button whose label is hidden if there is little room. */
 export function roomy(element) {
   const label = element.lastChild;
   element.setAttribute("aria-label", label.textContent);
@@ -40,13 +39,13 @@ export function roomy(element) {
   return element;
 }
 
-/** What to do where there is no model: words, and the way to the tab that makes one. */
+/** Message without a model, with a button to the Annotate tab. */
 export function modelNeeded(app, testid = null) {
   return [
     h(
       "p",
       { class: "muted" },
-      "There is no model yet. Place landmarks on a few pictures and train one, or start the studio with ",
+      "There is no model yet. Place points on a few pictures and train one, or start the studio with ",
       h("code", { class: "fit-code" }, "--model"),
       ".",
     ),
@@ -59,21 +58,21 @@ export function entries(rows) {
   return rows.map(([term, value]) => h("div", {}, h("dt", {}, term), h("dd", { class: "number" }, value)));
 }
 
-/** Fits that may be used are yellow as landmarks are everywhere; others are orange, and dashed. */
+/** Successful fits are yellow like all landmarks; others are orange and dashed. */
 const GOOD = { colour: "#ffd166", dash: [] };
 const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
 
-/** Draw a fit's shape (or another shape of its iterations) with the overlays named in a set. */
+/** Draw a fit's shape, or that of an iteration, with the overlays named in a set. */
 export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true } = {}) {
   const { colour, dash } = fit.ok ? GOOD : UNSURE;
   if (shown.has("mesh")) drawMesh(ctx, viewer, shape, fit.triangles);
-  // Uncertainty is known of the result only.
+  // Covariances exist for the result only.
   if (shown.has("ellipses") && final) drawEllipses(ctx, viewer, shape, fit.covariances);
   if (shown.has("contours")) drawContours(ctx, viewer, shape, fit.contours ?? [], { colour, dash });
   if (shown.has("landmarks")) drawPoints(ctx, viewer, shape, { colour, radius: 3 });
 }
 
-/** Draw known landmarks: crosses, so that they are told from a fit's points without colour. */
+/** Draw known landmarks as crosses, to distinguish them from a fit's points without colour. */
 export function drawTruth(ctx, viewer, points, colour = "#6df2a4") {
   const arm = 5;
   ctx.beginPath();
@@ -95,8 +94,8 @@ export function drawTruth(ctx, viewer, points, colour = "#6df2a4") {
   }
 }
 
-/** Draw an image over the viewer's picture, right of a line (css pixels) where one is given. covered: [width, height]
- *  of the picture that the image is of, in the picture's pixels from its upper left; null: all of it. */
+/** Draw an image over the viewer's picture, to the right of the line `from` (css pixels) if given. covered: [width,
+ *  height] of the part of the picture that the image shows, from the upper left, in its pixels; null: all of it. */
 export function drawOver(ctx, viewer, image, from = null, covered = null) {
   const [width, height] = covered ?? [viewer.width, viewer.height];
   ctx.save();

@@ -1,4 +1,4 @@
-// What can be taken away from a fit, and back into the folder.
+// Export of a fit to files, or as landmarks of the folder.
 
 import { api } from "./api.js";
 import { roomy } from "./fit-draw.js";
@@ -12,14 +12,14 @@ const EXPORTS = [
       { what: "pts", label: "Landmarks .pts" },
       { what: "ljson", label: "Landmarks .ljson" },
       { what: "csv", label: "Table .csv" },
-      { what: "json", label: "Everything .json" },
+      { what: "json", label: "Fit .json" },
     ],
   },
   {
     title: "Pictures",
     items: [
       { what: "overlay", label: "Picture with the fit" },
-      { what: "flat", label: "Without its shading", layer: "flat" },
+      { what: "flat", label: "Without shading", layer: "flat" },
       { what: "shading", label: "Shading", layer: "shading" },
       { what: "relit", label: "Under the new light", layer: "flat" },
     ],
@@ -27,7 +27,7 @@ const EXPORTS = [
 ];
 
 export class ExportMenu {
-  /** `light()` gives the light that is set; `annotate(fit)` takes the landmarks into the folder; `complain(error)`. */
+  /** `light()` returns the current light; `annotate(fit)` saves the landmarks in the folder; `complain(error)`. */
   constructor({ light, annotate, complain }) {
     this._light = light;
     this._complain = complain;
@@ -82,7 +82,7 @@ export class ExportMenu {
     });
   }
 
-  /** Offer what a fit has; null: nothing. canAnnotate: whether folder has its picture, and the template its points. */
+  /** Offer the files of a fit, or null. canAnnotate: whether its landmarks can be saved for a picture of the folder. */
   show(fit, canAnnotate) {
     this._fit = fit;
     this.button.disabled = !fit;
@@ -103,7 +103,7 @@ export class ExportMenu {
         download: "",
         dataset: { testid: `export-${what}` },
         onclick: (event) => {
-          event.preventDefault(); // a link would say nothing while the server works, nor if it refuses
+          event.preventDefault(); // a plain link would show neither progress nor errors
           this._save(link, what);
         },
       },
@@ -113,7 +113,7 @@ export class ExportMenu {
     return link;
   }
 
-  /** Fetch a file and hand it to the browser; the menu stays open and says that it is being made. */
+  /** Fetch a file and save it; the menu stays open and shows progress. */
   async _save(link, what) {
     if (link.getAttribute("aria-busy") === "true") return;
     const label = link.textContent;
@@ -126,7 +126,7 @@ export class ExportMenu {
       document.body.append(saver);
       saver.click();
       saver.remove();
-      setTimeout(() => URL.revokeObjectURL(address), 60_000); // the browser may not have begun to read it
+      setTimeout(() => URL.revokeObjectURL(address), 60_000); // the browser may not have read it yet
       this.close();
     } catch (error) {
       this._complain(error);
@@ -152,21 +152,21 @@ export class ExportMenu {
   }
 }
 
-/** Name that an answer gives its file. */
+/** File name in a Content-Disposition header. */
 export function fileNameIn(disposition, otherwise) {
   const [, encoded] = /filename\*=UTF-8''([^;]+)/i.exec(disposition ?? "") ?? [];
   if (encoded) {
     try {
       return decodeURIComponent(encoded);
     } catch {
-      // then the plain one
+      // use the plain name below
     }
   }
   const [, quoted, bare] = /filename=(?:"([^"]+)"|([^;"\s]+))/i.exec(disposition ?? "") ?? [];
   return quoted ?? bare ?? otherwise;
 }
 
-/** Save a fit's landmarks as the picture's annotation; asks where there are some already. Gives whether it was saved. */
+/** Save a fit's landmarks for its picture; ask before replacing others. Returns whether they were saved. */
 export async function useAsAnnotation(app, fit) {
   const address = api.url("pictures", fit.picture, "landmarks");
   const { template } = app.state.project;
@@ -175,7 +175,7 @@ export async function useAsAnnotation(app, fit) {
   if (placed) {
     const agreed = await app.confirm(
       "Replace the landmarks?",
-      `${fit.picture} has landmarks already (${known.file ?? "in its file"}). The fit's take their place.`,
+      `${fit.picture} already has landmarks (${known.file ?? "in its file"}). They will be replaced by those of the fit.`,
       "Replace",
     );
     if (!agreed) return false;

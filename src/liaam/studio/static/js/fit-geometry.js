@@ -1,6 +1,6 @@
-// Geometry of shapes and lights in a picture. Points are [x, y] in image pixels. Nothing here touches the page.
+// Geometry of shapes and lights in a picture, independent of the page. Points are [x, y] in image pixels.
 
-/** Smallest box around points: {x0, y0, x1, y1}; null without points that are finite. */
+/** Smallest box around points: {x0, y0, x1, y1}; null without finite points. */
 export function boundsOf(points) {
   const finite = (points ?? []).filter((p) => p && Number.isFinite(p[0]) && Number.isFinite(p[1]));
   if (!finite.length) return null;
@@ -9,7 +9,7 @@ export function boundsOf(points) {
   return { x0: Math.min(...xs), y0: Math.min(...ys), x1: Math.max(...xs), y1: Math.max(...ys) };
 }
 
-/** Box between two corners, in whatever order they were drawn, within a picture. */
+/** Box between two corners in any order, clipped to the picture. */
 export function boxBetween([ax, ay], [bx, by], width, height) {
   const inside = (value, size) => Math.min(Math.max(value, 0), size - 1);
   const [x0, x1] = [inside(Math.min(ax, bx), width), inside(Math.max(ax, bx), width)];
@@ -17,12 +17,12 @@ export function boxBetween([ax, ay], [bx, by], width, height) {
   return [x0, y0, x1, y1];
 }
 
-/** Whether a box is large enough to have been meant. */
+/** Whether a box is large enough to be intended. */
 export function isDrawn([x0, y0, x1, y1], least = 8) {
   return x1 - x0 >= least && y1 - y0 >= least;
 }
 
-/** A shape in units of its box's longer half side about its box's centre: what a placement is applied to. */
+/** Normalise a shape: its box is centred, and the longer half side is 1. */
 export function normalised(points) {
   const box = boundsOf(points);
   const half = Math.max(box.x1 - box.x0, box.y1 - box.y0) / 2 || 1;
@@ -30,22 +30,22 @@ export function normalised(points) {
   return points.map(([x, y]) => [(x - cx) / half, (y - cy) / half]);
 }
 
-/** Placement {x, y, size, turn}: where the mean shape lies; size is the longer half side in pixels, turn in radians. */
+/** Apply a placement {x, y, size, turn} to a normalised shape; size: longer half side in pixels, turn: radians. */
 export function placed(unit, { x, y, size, turn }) {
   const c = Math.cos(turn) * size;
   const s = Math.sin(turn) * size;
   return unit.map(([u, v]) => [x + c * u - s * v, y + s * u + c * v]);
 }
 
-/** Placement that fills about half of a picture's shorter side. */
+/** Initial placement: 0.6 of a picture's shorter side, in its middle. */
 export function firstPlacement(width, height) {
   return { x: (width - 1) / 2, y: (height - 1) / 2, size: 0.3 * Math.min(width, height), turn: 0 };
 }
 
-/** Least size of a dragged shape: half sides of a few pixels, which can still be grasped. */
+/** Minimum size of a dragged shape, which can still be grabbed. */
 const LEAST_SIZE = 6;
 
-/** Placement after its corner (size) or its knob (turn) was dragged from one point to another about the centre. */
+/** Placement after its corner (size) or its knob (turn) was dragged from one point to another. */
 export function pulled(placement, from, to, what) {
   const [ax, ay] = [from[0] - placement.x, from[1] - placement.y];
   const [bx, by] = [to[0] - placement.x, to[1] - placement.y];
@@ -55,7 +55,7 @@ export function pulled(placement, from, to, what) {
   return { ...placement, size: Math.max(LEAST_SIZE, (placement.size * after) / before) };
 }
 
-/** Handles of a placed shape: its box's four corners, turned with it, and a knob above the middle of its top side. */
+/** Handles of a placed shape: the corners of its rotated box, and a knob above the middle of the top side. */
 export function handlesOf(unit, placement, gap) {
   const box = boundsOf(unit);
   const corners = [
@@ -70,7 +70,7 @@ export function handlesOf(unit, placement, gap) {
   return { corners: rest, top, knob: above };
 }
 
-/** Whether a point is in a box that is turned with a placement. */
+/** Whether a point is in the rotated box of a placed shape. */
 export function isWithin(unit, placement, [px, py]) {
   const box = boundsOf(unit);
   const c = Math.cos(placement.turn) / placement.size;
@@ -80,7 +80,7 @@ export function isWithin(unit, placement, [px, py]) {
   return u >= box.x0 && u <= box.x1 && v >= box.y0 && v <= box.y1;
 }
 
-/** Box after a key: arrows move it, comma and full stop shrink and grow it; null for other keys. */
+/** Box after a key: arrows move it, comma and full stop resize it; null for other keys. */
 export function boxAfterKey(box, { key, shiftKey = false }, width, height) {
   const step = shiftKey ? 10 : 1;
   const [x0, y0, x1, y1] = box ?? [0.25 * width, 0.2 * height, 0.75 * width, 0.8 * height];
@@ -92,14 +92,14 @@ export function boxAfterKey(box, { key, shiftKey = false }, width, height) {
   return boxBetween([x0 - grow, y0 - grow], [x1 + grow, y1 + grow], width, height);
 }
 
-/** Box moved by [dx, dy], as far as the picture goes. */
+/** Box moved by [dx, dy] within the picture. */
 export function boxMoved([x0, y0, x1, y1], [dx, dy], width, height) {
   const mx = Math.min(Math.max(dx, -x0), width - 1 - x1);
   const my = Math.min(Math.max(dy, -y0), height - 1 - y1);
   return [x0 + mx, y0 + my, x1 + mx, y1 + my];
 }
 
-/** Placement after a key, as [x, y, size, turn] all can be set without a pointer; null for other keys. */
+/** Placement after a key; null for other keys. */
 export function placementAfterKey(placement, { key, shiftKey = false }) {
   const step = shiftKey ? 10 : 1;
   const { x, y, size, turn } = placement;
@@ -130,12 +130,12 @@ export function placementAfterKey(placement, { key, shiftKey = false }) {
   }
 }
 
-/** Points on the way between two shapes, 0 at the first. */
+/** Interpolate between two shapes; share 0 is the first. */
 export function between(first, second, share) {
   return first.map(([x, y], i) => [x + share * (second[i][0] - x), y + share * (second[i][1] - y)]);
 }
 
-/** Mean distance between two shapes, pixels. Points that either lacks do not count; NaN where none is left. */
+/** Mean distance between two shapes in pixels, over their common points; NaN without any. */
 export function meanDistance(first, second) {
   let sum = 0;
   let count = 0;
@@ -148,10 +148,10 @@ export function meanDistance(first, second) {
   return count ? sum / count : NaN;
 }
 
-/** Sine of the steepest angle a light is set to: at 90 degrees it would not reach the front at all. */
+/** Sine of the largest angle of a light: at 90 degrees it would not reach the front. */
 const RIM = Math.sin((85 * Math.PI) / 180);
 
-/** Ball that a light is moved over: {x, y, radius}, around a fitted shape. */
+/** Ball around a fitted shape over which a light is moved: {x, y, radius}. */
 export function ballOf(points) {
   const box = boundsOf(points);
   if (!box) return null;
@@ -159,7 +159,7 @@ export function ballOf(points) {
   return { x: (box.x0 + box.x1) / 2, y: (box.y0 + box.y1) / 2, radius: Math.max(4, 0.62 * Math.max(w, h)) };
 }
 
-/** Unit direction to a light (x right, y down, z to the viewer) from a place over the ball: centre frontal, rim grazing. */
+/** Unit direction to a light (x right, y down, z to the viewer) at a position over the ball: frontal at the centre. */
 export function directionAt([px, py], ball) {
   let x = (px - ball.x) / ball.radius;
   let y = (py - ball.y) / ball.radius;
@@ -168,7 +168,7 @@ export function directionAt([px, py], ball) {
   return [x, y, Math.sqrt(Math.max(0, 1 - x * x - y * y))];
 }
 
-/** Place over the ball of a direction: the inverse of directionAt. */
+/** Position of a direction over the ball: the inverse of directionAt. */
 export function placeOf([x, y], ball) {
   return [ball.x + x * ball.radius, ball.y + y * ball.radius];
 }
@@ -182,7 +182,7 @@ export function directionAfterKey(direction, { key, shiftKey = false }) {
   return directionAt([direction[0] + step * move[0], direction[1] + step * move[1]], { x: 0, y: 0, radius: 1 });
 }
 
-/** Direction in words, for people who do not see the handle: "from the upper left, 42 degrees off the view". */
+/** Direction in words: "from the upper left, 42° off the view". */
 export function directionInWords([x, y, z]) {
   const angle = Math.round((Math.acos(Math.min(1, Math.max(-1, z))) * 180) / Math.PI);
   if (angle < 5) return "from the front";
@@ -193,8 +193,8 @@ export function directionInWords([x, y, z]) {
 }
 
 /**
- * Curves of a fit's cost for a plot of width x height: one run per level, each scaled to its own costs, because costs
- * compare within a level only. x is the iteration.
+ * Curves of a fit's cost for a plot of width x height, x being the iteration. Each level has its own scale, because
+ * costs are comparable within a level only.
  */
 export function costRuns(iterations, width, height, margin = 4) {
   const n = iterations.length;
@@ -208,9 +208,9 @@ export function costRuns(iterations, width, height, margin = 4) {
     const costs = run.points.map((p) => p.cost).filter(Number.isFinite);
     const [low, high] = [Math.min(...costs), Math.max(...costs)];
     for (const point of run.points) {
-      const share = high > low && Number.isFinite(point.cost) ? (point.cost - low) / (high - low) : 0;
+      const relative = high > low && Number.isFinite(point.cost) ? (point.cost - low) / (high - low) : 0;
       point.x = across(point.index);
-      point.y = height - margin - share * (height - 2 * margin);
+      point.y = height - margin - relative * (height - 2 * margin);
     }
   }
   return runs;

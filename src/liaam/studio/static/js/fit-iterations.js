@@ -1,4 +1,4 @@
-// The way a fit went: a slider through its iterations, a play button, and the cost of each level.
+// The iterations of a fit: a slider, a play button, and a plot of the cost.
 
 import { costRuns } from "./fit-geometry.js";
 import { significant } from "./fit-run.js";
@@ -6,7 +6,7 @@ import { button, h, icon } from "./ui.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const [WIDTH, HEIGHT] = [264, 58];
-const STEP = 140; // ms between iterations that are played
+const STEP = 140; // milliseconds per iteration while playing
 
 function svg(tag, attributes, ...children) {
   const element = document.createElementNS(SVG, tag);
@@ -16,7 +16,7 @@ function svg(tag, attributes, ...children) {
 }
 
 export class Iterations {
-  /** `onmove(index, last)` is called when another iteration is to be shown. */
+  /** `onmove(index, last)` is called to show an iteration. */
   constructor(onmove) {
     this._onmove = onmove;
     this._timer = null;
@@ -68,7 +68,7 @@ export class Iterations {
     return this.iterations.length - 1;
   }
 
-  /** Take a fit's iterations; its result, the last, is shown. */
+  /** Show a fit's iterations, starting with the last. */
   show(iterations) {
     this.pause();
     this.iterations = iterations ?? [];
@@ -135,7 +135,7 @@ export class Iterations {
           ...(run ? [svg("line", { class: "between", x1: left, x2: left, y1: 0, y2: HEIGHT })] : []),
           svg("polyline", { points: line, class: "cost" }),
           ...points.map(({ x, y }) => svg("circle", { cx: x, cy: y, r: 1.6, class: "cost-point" })),
-          // Costs fall: the top right of a level's part is free.
+          // Costs decrease, so the top right of each level is free.
           svg(
             "text",
             { x: right - 5, y: 12, class: "level", "text-anchor": "end" },
@@ -151,7 +151,7 @@ export class Iterations {
     this.slider.value = String(this.index);
     const now = this.iterations[this.index];
     if (!now) {
-      this.text.textContent = "A fit shows here how it went.";
+      this.text.textContent = "The iterations of a fit appear here.";
       return;
     }
     const at = this._runs.flatMap((run) => run.points).find((point) => point.index === this.index);
@@ -159,7 +159,7 @@ export class Iterations {
     this._cursor.setAttribute("x2", at.x);
     this._dot.setAttribute("cx", at.x);
     this._dot.setAttribute("cy", at.y);
-    // Methods that do not estimate the angle have the same one all along.
+    // Methods that do not estimate the angle keep it constant.
     const theta = now.theta_deg == null || !this._turns ? "" : ` · θ ${now.theta_deg.toFixed(1)}°`;
     const text = `${this.index} of ${this.last} · level ${now.level} · cost ${significant(now.cost)}${theta}`;
     this.text.textContent = text;

@@ -1,11 +1,11 @@
-// The Fit tab's panel that says what came of a fit, and what may help where it is in doubt.
+// The Fit tab's panel with the result of a fit, and remedies if it failed or has low confidence.
 
 import { entries } from "./fit-draw.js";
 import { factsOf, verdictOf } from "./fit-run.js";
 import { button, h } from "./ui.js";
 
 export class ResultPanel {
-  /** onstart(value): the person wants to start from a "box" or the "mean" shape. */
+  /** onstart(value): start from a "box" or the "mean" shape. */
   constructor({ onstart }) {
     this._status = h("div", {
       class: "column tight fit-status",
@@ -17,7 +17,7 @@ export class ResultPanel {
       "div",
       { class: "row tight fit-remedies", hidden: true },
       button("Draw a box", { icon: "box", small: true, onclick: () => onstart("box") }),
-      button("Drag the mean", { icon: "target", small: true, onclick: () => onstart("mean") }),
+      button("Drag the mean shape", { icon: "target", small: true, onclick: () => onstart("mean") }),
     );
     this._facts = h("dl", { class: "fit-facts" });
     this.element = h(
@@ -29,8 +29,8 @@ export class ResultPanel {
     );
   }
 
-  /** Say what happened, where there is no fit; kind: "info" or "bad". */
-  tell(kind, message) {
+  /** Show a message in place of a fit; kind: "info" or "bad". */
+  showMessage(kind, message) {
     this._status.replaceChildren(h("p", { class: kind === "bad" ? "error-text" : "small" }, message));
     this._remedies.hidden = true;
     this._facts.replaceChildren();

@@ -1,11 +1,11 @@
-// Asking for fits, remembering them, and saying what came of them.
+// Requests for fits, their cache, and texts about their results.
 
 import { api } from "./api.js";
 
-/** Fits remembered, so that going back to a picture shows its fit at once. The server keeps 64. */
+/** Number of cached fits, so that an earlier picture shows its fit at once. The server keeps 64. */
 const KEPT = 32;
 
-/** What an error says where the server has forgotten a fit. */
+/** Whether an error says that the server no longer has a fit. */
 export const isGone = (error) => error?.status === 404;
 
 export class FitStore {
@@ -13,7 +13,7 @@ export class FitStore {
 
   constructor(state) {
     this.state = state;
-    // Errors are against the landmarks as they were.
+    // Errors of cached fits refer to the earlier landmarks.
     state.addEventListener("landmarks", ({ detail }) => this.#drop((fit) => fit.picture === detail.name));
   }
 
@@ -29,7 +29,7 @@ export class FitStore {
     return fit;
   }
 
-  /** The newest fit of a source by a method under the present model, or null. */
+  /** The newest fit of a source with a method and the current model, or null. */
   recall(source, method) {
     return this.#kept.get(this.#key(source, method)) ?? null;
   }
@@ -47,7 +47,7 @@ export class FitStore {
   }
 }
 
-/** A fit whose points are either [x, y] or null: one that has blown up may lack a coordinate. */
+/** A fit whose points are either [x, y] or null: a diverged fit may lack a coordinate. */
 export function cleaned(fit) {
   const points = (shape) => shape.map((point) => (point && point.every(Number.isFinite) ? point : null));
   return {
@@ -60,13 +60,13 @@ export function cleaned(fit) {
 
 const shared = new WeakMap();
 
-/** The one store of an app: what Fit has fitted, Compare need not fit again. */
+/** The store of an app, shared by the tabs Fit and Compare. */
 export function fitsOf(app) {
   if (!shared.has(app)) shared.set(app, new FitStore(app.state));
   return shared.get(app);
 }
 
-/** How a fit is to be judged: {kind for its badge, title, advice that names what can be done here or ""}. */
+/** Assessment of a fit: {kind of its badge, title, advice or ""}. */
 export function verdictOf(fit) {
   const doubtful = fit.found?.doubtful;
   if (!fit.ok) {
@@ -79,20 +79,20 @@ export function verdictOf(fit) {
   if (doubtful) {
     return {
       kind: "warn",
-      title: `${fit.status}, found with doubt`,
-      advice: "The search was not sure that it saw the object. If the points are off, draw a box around it:",
+      title: `${fit.status}, search uncertain`,
+      advice: "The search may not have found the object. If the points are wrong, draw a box around it:",
     };
   }
   return { kind: "good", title: fit.status, advice: "" };
 }
 
-/** Seconds for people: "38 ms", "1.2 s". */
+/** Seconds as text: "38 ms", "1.2 s". */
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return "–";
   return seconds < 1 ? `${Math.round(1000 * seconds)} ms` : `${seconds.toFixed(1)} s`;
 }
 
-/** Number with so many significant digits, without exponents for ordinary sizes; a dash where there is none. */
+/** Number with significant digits, without an exponent for ordinary values; a dash if it is not finite. */
 export function significant(value, digits = 3) {
   if (value == null || !Number.isFinite(value)) return "–";
   if (value === 0) return "0";
@@ -100,34 +100,34 @@ export function significant(value, digits = 3) {
   return size >= 1e5 || size < 1e-4 ? value.toExponential(digits - 1) : String(Number(value.toPrecision(digits)));
 }
 
-/** An error for people: hundredths say enough of pixels and per cents. */
+/** An error in pixels or percent, to two decimals. */
 function short(value) {
   return value < 0.01 ? "< 0.01" : String(Number(value.toFixed(2)));
 }
 
-const told = ({ error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
+const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
 
-/** Rows [term, value] of what a fit says of itself. */
+/** Facts about a fit as rows [term, value]. */
 export function factsOf(fit) {
   const { search, fit: fitting } = fit.seconds ?? {};
   const rows = [];
   if (fit.quality != null) rows.push(["Quality", `${Math.round(100 * fit.quality)} %`]);
-  if (fit.error) rows.push(["Error", told(fit)]);
+  if (fit.error) rows.push(["Error", errorText(fit)]);
   if (fit.theta_deg != null) rows.push(["θ", `${fit.theta_deg.toFixed(1)}°`]);
   rows.push(["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)]);
   return rows;
 }
 
-/** Which of two fits to the same picture is nearer to the known landmarks, as a sentence. */
+/** Which of two fits to the same picture is closer to the known landmarks. */
 export function comparison(left, right, distance) {
   if (!left || !right) return "";
   if (!left.error || !right.error) {
-    return `No landmarks are known of this picture, so there is no error to compare. The two fits lie ${short(distance)} px apart on average.`;
+    return `This picture has no landmarks, so the errors are unknown. The two fits are ${short(distance)} px apart on average.`;
   }
   const [a, b] = [left.error.pixels, right.error.pixels];
   if (left.method === right.method || Math.abs(a - b) < 0.005 * Math.max(a, b)) {
-    return `Equally near: ${told(left)} and ${told(right)} from the landmarks.`;
+    return `Equal errors: ${errorText(left)} and ${errorText(right)}.`;
   }
   const [near, far] = a < b ? [left, right] : [right, left];
-  return `${near.method} is nearer: ${told(near)} from the landmarks, ${far.method} ${told(far)}.`;
+  return `${near.method} is closer to the landmarks: ${errorText(near)}, ${far.method}: ${errorText(far)}.`;
 }

@@ -1,8 +1,8 @@
-// When to ask and when to draw. Nothing in this module touches the page.
+// Scheduling of requests and drawing, independent of the page.
 
 /**
- * Asks for the newest of many wishes, one at a time: what was wished for while an answer was under way is dropped in
- * favour of the last wish. So a drag is answered as fast as the server can, and never by a queue of old answers.
+ * Sends one request at a time. While one is running, only the newest of the others is kept. So a drag is answered as
+ * fast as the server can, without a queue of outdated requests.
  */
 export class LatestWins {
   #task;
@@ -22,12 +22,12 @@ export class LatestWins {
     return this.#running;
   }
 
-  ask(wish) {
-    this.#waiting = { wish };
+  ask(request) {
+    this.#waiting = { request };
     if (!this.#running) this.#run();
   }
 
-  /** Forget what is wished for; an answer that is under way is dropped. */
+  /** Drop the waiting request, and the answer of a running one. */
   cancel() {
     this.#epoch += 1;
     this.#waiting = null;
@@ -36,22 +36,22 @@ export class LatestWins {
   async #run() {
     this.#running = true;
     while (this.#waiting) {
-      const { wish } = this.#waiting;
+      const { request } = this.#waiting;
       const epoch = this.#epoch;
       this.#waiting = null;
       try {
-        const answer = await this.#task(wish);
-        if (epoch === this.#epoch) this.#done(answer, wish);
+        const answer = await this.#task(request);
+        if (epoch === this.#epoch) this.#done(answer, request);
       } catch (error) {
-        // A newer wish may well succeed: only the last failure is worth telling.
-        if (epoch === this.#epoch && !this.#waiting) this.#failed(error, wish);
+        // Report the last failure only, since a newer request may succeed.
+        if (epoch === this.#epoch && !this.#waiting) this.#failed(error, request);
       }
     }
     this.#running = false;
   }
 }
 
-/** Rate of the frames drawn during one drag, frames per second. A pause of more than `gap` ms begins another drag. */
+/** Frames per second during one drag. A pause of more than `gap` milliseconds starts another drag. */
 export class FrameMeter {
   #times = [];
   #gap;
@@ -78,9 +78,9 @@ export class FrameMeter {
   }
 }
 
-/** Promise of the moment when what was asked to be drawn by now has been painted. */
+/** Promise that resolves when the requested drawing has been painted. */
 export function afterPaint() {
-  // The first callback runs before the frame is painted; a task queued there runs after it.
+  // The callback runs before the frame is painted; a task queued there runs after it.
   return new Promise((resolve) => {
     requestAnimationFrame(() => {
       const channel = new MessageChannel();

@@ -1,4 +1,4 @@
-// The Fit tab's panel that says what is fitted, from where and by which method.
+// The Fit tab's panel for the picture, the start and the method.
 
 import { modelNeeded } from "./fit-draw.js";
 import { button, h, icon, segmented } from "./ui.js";
@@ -7,26 +7,26 @@ const STARTS = [
   {
     value: "auto",
     label: "Automatic",
-    title: "The model searches the picture for its object",
+    title: "Search the picture for the object",
     hint: "The model searches the whole picture.",
   },
   {
     value: "box",
     label: "Box",
     title: "Draw a box around the object",
-    hint: "Draw a box around the object. Keys: arrows move it, comma and full stop resize it, Enter fits.",
+    hint: "Draw a box around the object. Arrow keys move it, comma and full stop resize it, Enter fits.",
   },
   {
     value: "mean",
     label: "Mean shape",
     title: "Drag the model's mean shape onto the object",
-    hint: "Drag it onto the object; corners set its size, the knob turns it. Keys: arrows, comma and full stop, brackets. Enter fits.",
+    hint: "Drag the shape onto the object. Its corners resize it, the knob rotates it. Keys: arrows move, comma and full stop resize, brackets rotate, Enter fits.",
   },
 ];
 
 export class SetupPanel {
-  /** onback(): to the folder's picture; onopen(): a file is to be opened; onstart(value), onmethod(name): chosen;
-   *  onclick(): the starts were clicked, not reached by keys; onrun(). */
+  /** onback(): show the folder's picture; onopen(): open a file; onstart(value), onmethod(name): chosen; onclick(): a
+   *  start was clicked, not chosen by keys; onrun(). */
   constructor({ app, onback, onopen, onstart, onclick, onmethod, onrun }) {
     this._methods = [];
     this._label = h("span", { class: "fit-source-name grow" });
@@ -41,10 +41,10 @@ export class SetupPanel {
     const open = button("Open…", {
       icon: "image",
       small: true,
-      title: "Open a picture from elsewhere; it is not put into the folder",
+      title: "Open another picture without adding it to the folder",
       onclick: onopen,
     });
-    this._starts = segmented("Where to start", STARTS, "auto", onstart);
+    this._starts = segmented("Start", STARTS, "auto", onstart);
     for (const each of this._starts.element.children) each.dataset.testid = `start-${each.dataset.value}`;
     this._starts.element.addEventListener("click", onclick);
     this._hint = h("p", { class: "small muted", hidden: true });
@@ -95,7 +95,7 @@ export class SetupPanel {
     return this._method.value;
   }
 
-  /** Offer methods, the `first` before the others. */
+  /** Set the methods, with `first` at the top. */
   offer(methods, first, chosen) {
     this._methods = methods;
     const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
@@ -114,8 +114,8 @@ export class SetupPanel {
     this._run.disabled = !can;
   }
 
-  /** source: the picture, or null; canGoBack: whether it hides one of the folder; mismatch: why the model does not suit
-   *  the template, or "". */
+  /** source: the picture, or null; canGoBack: whether it hides a picture of the folder; mismatch: why the model does not
+   *  match the template, or "". */
   show({ source, model, canGoBack, mismatch }) {
     this._label.textContent = source?.name ?? "No picture";
     this._label.title = source?.name ?? "";

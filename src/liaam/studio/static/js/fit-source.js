@@ -1,14 +1,14 @@
-// The picture that Fit and Compare work on: one of the folder, or one that was dropped, pasted or opened.
+// The picture of the tabs Fit and Compare: one of the folder, or one that was dropped, pasted or opened.
 
 import { api } from "./api.js";
 import { h, icon, isTyping } from "./ui.js";
 
-/** Longest side of the copy that is shown, pixels. */
+/** Longest side of the displayed copy in pixels. */
 const SHOWN = 2048;
 
-/** One picture to fit. `ready` resolves once the server knows it; `image` is what is shown until and after then. */
+/** A picture to fit. `ready` resolves once the server has it; `image` is the displayed copy. */
 export class Source {
-  /** `tag`: of the picture's file in the folder, which another may take the place of. */
+  /** `tag` identifies the contents of the file in the folder, which may be replaced. */
   constructor(kind, name, tag = null) {
     this.kind = kind;
     this.name = name;
@@ -25,7 +25,6 @@ export class Source {
     return this.kind === "picture";
   }
 
-  /** What a request calls it by. */
   get reference() {
     return this.ofFolder ? { picture: this.name } : { upload: this.id };
   }
@@ -40,15 +39,15 @@ let uploads = 0;
 
 const shared = new WeakMap();
 
-/** The one source of an app: Fit and Compare show the same picture. */
+/** The sources of an app, shared by the tabs Fit and Compare. */
 export function sourcesOf(app) {
   if (!shared.has(app)) shared.set(app, new Sources(app.state));
   return shared.get(app);
 }
 
 /**
- * Keeps the current source. Says "taken" when a file has come and is on its way to the server, "change" when another
- * source is shown, "ready" when the server has it, "failed" with the error when it cannot be had.
+ * Holds the current source. Events: "taken" when the upload of a file starts, "change" when another source is shown,
+ * "ready" when the server has it, "failed" with the error.
  */
 export class Sources extends EventTarget {
   constructor(state) {
@@ -56,7 +55,7 @@ export class Sources extends EventTarget {
     this.state = state;
     this.current = null;
     this._watchers = 0;
-    this._chosen = false; // in the strip, since a picture was opened
+    this._chosen = false; // whether a picture of the folder was selected since a file was opened
     this._wanted = null;
     state.addEventListener("select", () => {
       this._chosen = true;
@@ -69,14 +68,14 @@ export class Sources extends EventTarget {
     });
   }
 
-  /** A tab that shows the source opens (true) or is left (false): pictures are loaded while one is open only. */
+  /** A tab that shows the source is opened (true) or left (false). Pictures are loaded only while one is open. */
   watch(open) {
     this._watchers += open ? 1 : -1;
-    // An opened picture stays until another one of the folder is chosen, be it in a tab that does not show sources.
+    // An opened file stays until a picture of the folder is selected in any tab.
     if (open && (this.current?.kind !== "upload" || this._chosen)) this._follow();
   }
 
-  /** Show the strip's picture again after an opened one. */
+  /** Show the selected picture of the folder again after an opened file. */
   backToFolder() {
     this.current = null;
     this._wanted = null;
@@ -108,7 +107,7 @@ export class Sources extends EventTarget {
     } catch (error) {
       source.opening = false;
       if (this._wanted !== source) return;
-      // The strip has gone on to it: the picture before must not stay as if it were this one.
+      // The strip shows this picture as selected, so the previous one must not stay.
       this._show(null);
       this._say("failed", { error: namely(error, name), source });
       return;
@@ -117,7 +116,7 @@ export class Sources extends EventTarget {
     if (this._wanted === source) this._show(source);
   }
 
-  /** The picture's own size, where the project does not tell: the copy's is it unless the copy was made smaller. */
+  /** The picture's size if the project lacks it: that of the copy, unless the copy was scaled down. */
   async _sizeOf(source, image) {
     if (Math.max(image.naturalWidth, image.naturalHeight) < SHOWN) {
       return { width: image.naturalWidth, height: image.naturalHeight };
@@ -125,14 +124,14 @@ export class Sources extends EventTarget {
     return api.get(source.address("landmarks"));
   }
 
-  /** Take a file: it is shown from here at once, while it is on its way to the server. */
+  /** Open a file: show it at once and upload it. */
   async take(file) {
     const source = new Source("upload", file.name || "pasted picture.png");
     const limit = this.state.project?.limits?.upload_bytes;
     if (limit && file.size > limit) {
       const error = new Error(
-        `${source.name} has ${megabytes(file.size)}, more than the ${megabytes(limit)} that can be ` +
-          "opened here: put it into the folder, or make it smaller.",
+        `${source.name} has ${megabytes(file.size)}, more than the limit of ${megabytes(limit)}: ` +
+          "put it into the folder, or make it smaller.",
       );
       this._say("failed", { error, source });
       return null;
@@ -148,7 +147,7 @@ export class Sources extends EventTarget {
         this._show(source);
       },
       () => null,
-    ); // formats that only the server reads are shown when it has them
+    ); // formats that the browser cannot decode are shown after the upload
     try {
       await source.ready;
       await seen;
@@ -168,7 +167,7 @@ export class Sources extends EventTarget {
     const { id, width, height } = await api.upload(api.url("uploads", { name: source.name }), file);
     const known = source.width;
     Object.assign(source, { id, width, height });
-    // The server's size is the one of landmark coordinates.
+    // Landmark coordinates refer to the server's size.
     if (known && this.current === source) this._say("ready", { source });
     return source;
   }
@@ -189,9 +188,9 @@ async function loaded(address) {
   try {
     await image.decode();
   } catch {
-    // An <img> does not tell what the server said: ask for the sentence.
+    // An <img> does not give the server's error message: request it.
     await api.buffer(address);
-    throw new Error("The browser cannot show what the server sent of this picture: reload the page.");
+    throw new Error("The browser cannot show this picture: reload the page.");
   }
   return image;
 }
@@ -200,18 +199,18 @@ function namely(error, name) {
   return error.message.includes(name) ? error : new Error(`${name}: ${error.message}`);
 }
 
-const megabytes = (octets) => `${(octets / 1e6).toFixed(0)} MB`;
+const megabytes = (bytes) => `${(bytes / 1e6).toFixed(0)} MB`;
 
 /** Whether a drag carries files. */
 const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
 
-/** Lets a tab take pictures by dropping and pasting while it is open, and keeps its source loaded then. */
+/** Accepts dropped and pasted pictures while a tab is open, and keeps its source loaded. */
 export class Intake {
-  /** root: where pictures are dropped; text: what is said there; complain(error). */
+  /** root: drop area; text: its message; complain(error). */
   constructor(root, text, sources, complain) {
     Object.assign(this, { sources, complain });
     this.isOpen = false;
-    this._depth = 0; // of the elements that a drag is over
+    this._depth = 0; // number of nested elements under a drag
     const words = h("p", {}, icon("upload", 28), text);
     this._overlay = h("div", { class: "fit-dropping", hidden: true, "aria-hidden": "true" }, words);
     root.append(this._overlay);
@@ -236,7 +235,7 @@ export class Intake {
     });
   }
 
-  /** The tab opens (true) or is left (false). */
+  /** The tab is opened (true) or left (false). */
   open(now) {
     if (now !== this.isOpen) this.sources.watch(now);
     this.isOpen = now;
@@ -249,6 +248,6 @@ export class Intake {
 
   _take(file) {
     if (file) this.sources.take(file);
-    else this.complain(new Error("Nothing that was dropped is a file: drop a picture file."));
+    else this.complain(new Error("This is not a file: drop a picture file."));
   }
 }

@@ -1,4 +1,4 @@
-// Where a fit starts from: a box that is drawn, or the model's mean shape that is dragged onto the object.
+// Starts of a fit: a drawn box, or the model's mean shape dragged onto the object.
 
 import {
   boxAfterKey,
@@ -52,7 +52,7 @@ function outline(ctx, corners) {
   }
 }
 
-/** A box around the object; `ready` is called when one has been drawn. */
+/** A box around the object; `ready` is called when it has been drawn. */
 export class BoxTool {
   constructor(viewer, ready) {
     this.viewer = viewer;
@@ -82,7 +82,7 @@ export class BoxTool {
         [x0, y1],
       ];
       const near = corners.findIndex((corner) => isNear(this.viewer, corner, xy, event));
-      // A corner is dragged against the one opposite.
+      // While a corner is dragged, the opposite one stays.
       if (near >= 0) this._drag = { kind: "draw", from: corners[(near + 2) % 4], before };
       else if (xy[0] > x0 && xy[0] < x1 && xy[1] > y0 && xy[1] < y1) this._drag = { kind: "move", from: xy, before };
     }
@@ -103,7 +103,7 @@ export class BoxTool {
   up() {
     const before = this._drag?.before ?? null;
     this._drag = null;
-    // A click, or a slip, is no box.
+    // Ignore a click or a very short drag.
     if (!this.start) this.box = before;
     this.viewer.redraw();
     if (this.start && this.box !== before) this._ready();
@@ -141,13 +141,13 @@ export class BoxTool {
   }
 }
 
-/** The mean shape, dragged, scaled by its corners and turned by its knob. */
+/** The mean shape: dragged, scaled by its corners and rotated by its knob. */
 export class MeanTool {
   constructor(viewer) {
     this.viewer = viewer;
     this.unit = null;
     this.placement = null;
-    this.settled = false; // a fit from here is shown: only the frame is left, until it is moved again
+    this.fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
     this._drag = null;
   }
 
@@ -155,12 +155,12 @@ export class MeanTool {
     return this.placement && this.unit ? { shape: placed(this.unit, this.placement) } : null;
   }
 
-  /** Whether the last fit would only be in the way. */
+  /** Whether the last fit is hidden while the shape is placed. */
   get hidesFit() {
-    return !this.settled && this.start !== null;
+    return !this.fitted && this.start !== null;
   }
 
-  /** Take the model's mean shape, in any units. */
+  /** Set the model's mean shape, in any units. */
   use(shape, { contours, triangles }) {
     this.unit = normalised(shape);
     this.contours = contours ?? [];
@@ -195,7 +195,7 @@ export class MeanTool {
 
   move(event, xy) {
     if (!this._drag) return;
-    this.settled = false;
+    this.fitted = false;
     const { what, from, before } = this._drag;
     this.placement =
       what === "move"
@@ -222,7 +222,7 @@ export class MeanTool {
     const next = this.placement && placementAfterKey(this.placement, event);
     if (!next) return false;
     this.placement = next;
-    this.settled = false;
+    this.fitted = false;
     this.viewer.redraw();
     return true;
   }
@@ -230,7 +230,7 @@ export class MeanTool {
   draw(ctx, viewer) {
     if (!this.start) return;
     const { shape } = this.start;
-    if (!this.settled) this._drawShape(ctx, viewer, shape);
+    if (!this.fitted) this._drawShape(ctx, viewer, shape);
     const { corners, top, knob } = this._handles();
     const at = corners.map((corner) => viewer.toScreen(corner));
     outline(ctx, at);
@@ -258,13 +258,13 @@ export class MeanTool {
 }
 
 /**
- * The model's mean shape: told by the server, or the template's layout, or where a fit began, which is the mean shape
- * as the search placed it. Null where none of them is known yet.
+ * The model's mean shape: from the server, else the template's layout, else the start of a fit, which is the mean shape
+ * placed by the search. Null if none is known.
  */
 export function meanShape(project, fit) {
   const { model, template } = project ?? {};
   if (model?.mean) return model.mean;
-  const layout = template?.points; // of a model that does not tell
+  const layout = template?.points; // for models without a mean
   if (layout && layout.length === model?.n_points && layout.every(Boolean)) return layout;
   return fit?.iterations?.[0]?.shape ?? null;
 }

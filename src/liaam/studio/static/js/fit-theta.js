@@ -1,4 +1,4 @@
-// The invariant image with its theta slider.
+// The invariant image with the slider of theta.
 
 import { api } from "./api.js";
 import {
@@ -16,13 +16,13 @@ import {
 import { FrameMeter } from "./fit-schedule.js";
 import { button, h, segmented } from "./ui.js";
 
-/** Longest side of the chroma that is asked for: native for 640x480, and quick to draw for all. */
+/** Longest side of the requested chroma: full size for 640x480, and fast to draw for all pictures. */
 const SIZE = 1024;
 
-/** Where the sensors of real cameras put the angle, for pictures without a model or a fit, degrees. */
+/** Typical angle of real cameras in degrees, for pictures without a model or a fit. */
 const USUAL = 118;
 
-/** Keys come singly: contrast is held until they pause, as it is until a drag ends. */
+/** Milliseconds after the last key until the contrast is adapted, as at the end of a drag. */
 const PAUSE = 350;
 
 export class InvariantView extends EventTarget {
@@ -42,19 +42,19 @@ export class InvariantView extends EventTarget {
     this._show();
   }
 
-  /** Whether there is something to draw. */
+  /** The image to draw, or null. */
   get image() {
     if (!this._chroma) return null;
     if (this._dirty) this._paint();
     return this.canvas;
   }
 
-  /** How much of the picture the image is of, in the picture's pixels; null: all. */
+  /** Part of the picture that the image covers, in its pixels; null: all. */
   get covered() {
     return this._chroma?.covered ?? null;
   }
 
-  /** Forget the picture; its chroma is fetched when the view is opened. */
+  /** Drop the picture; its chroma is fetched when the view is opened. */
   clear() {
     this._chroma = null;
     this._chosen = false;
@@ -62,7 +62,7 @@ export class InvariantView extends EventTarget {
     this._asked = null;
   }
 
-  /** Fetch the source's chroma unless it is here. */
+  /** Fetch the source's chroma unless it is loaded. */
   async load(source) {
     if (this._asked === source) return;
     this._asked = source;
@@ -87,17 +87,17 @@ export class InvariantView extends EventTarget {
     this._image = new ImageData(chroma.width, chroma.height);
     this._pixels = new Uint32Array(this._image.data.buffer);
     this._context = this.canvas.getContext("2d");
-    const share = measurable(chroma);
-    this._note.textContent = share < 0.5 ? `${Math.round(100 * (1 - share))} % too dark or overexposed (hatched)` : "";
-    this._settle();
+    const usable = measurable(chroma);
+    this._note.textContent = usable < 0.5 ? `${Math.round(100 * (1 - usable))} % too dark or overexposed (hatched)` : "";
+    this._adaptContrast();
   }
 
-  /** Angles worth a mark, degrees; the fit's or else the model's is shown until the slider is moved. */
+  /** Mark the angles of the model and the fit, in degrees. The fit's, or else the model's, is the initial value. */
   mark({ model = null, fit = null }) {
     this.marks = { model: model == null ? null : foldedTheta(model), fit: fit == null ? null : foldedTheta(fit) };
     if (!this._chosen) this.theta = this._default;
     this._show();
-    this._settle();
+    this._adaptContrast();
   }
 
   get _default() {
@@ -109,7 +109,7 @@ export class InvariantView extends EventTarget {
     if (next === null) return false;
     this._move(next);
     clearTimeout(this._timer);
-    this._timer = setTimeout(() => this._settle(), PAUSE);
+    this._timer = setTimeout(() => this._adaptContrast(), PAUSE);
     return true;
   }
 
@@ -122,8 +122,8 @@ export class InvariantView extends EventTarget {
     this.viewer.redraw();
   }
 
-  /** A drag has ended: take the contrast that suits this angle. */
-  _settle() {
+  /** Adapt the contrast to the angle at the end of a drag. */
+  _adaptContrast() {
     this._held = null;
     if (!this._chroma) return;
     this._range = robustRange(this._sample, this._radians);
@@ -150,10 +150,10 @@ export class InvariantView extends EventTarget {
       min: "0",
       max: "180",
       step: "0.1",
-      "aria-label": "Angle θ of the invariant, degrees",
+      "aria-label": "Angle θ of the invariant image in degrees",
       dataset: { testid: "theta-slider" },
       oninput: () => this._move(Number(this._slider.value)),
-      onchange: () => this._settle(),
+      onchange: () => this._adaptContrast(),
       onkeydown: (event) => {
         if (!this.key(event)) return;
         event.preventDefault();
@@ -166,12 +166,12 @@ export class InvariantView extends EventTarget {
     this._reset = button("Reset", {
       small: true,
       testid: "theta-reset",
-      title: "Back to the fit's or the model's angle",
+      title: "Reset to the angle of the fit or the model",
       onclick: () => {
         this.theta = this._default;
         this._chosen = false;
         this._show();
-        this._settle();
+        this._adaptContrast();
       },
     });
     const colours = segmented(
@@ -210,7 +210,7 @@ export class InvariantView extends EventTarget {
       for (const [key, value] of Object.entries(place(degrees))) element.style.setProperty(key, value);
       return element;
     };
-    const range = h("span", { class: "range", title: "Real cameras lie between 90° and 135°" });
+    const range = h("span", { class: "range", title: "Angles of real cameras are between 90° and 135°" });
     range.style.setProperty("--from", String(PHYSICAL[0] / 180));
     range.style.setProperty("--to", String(PHYSICAL[1] / 180));
     const key = `${model}|${fit}`;

@@ -1,4 +1,4 @@
-// The picture with its layers: what is shown (one view), what is drawn over it, the divider, and each view's controls.
+// The picture with its views, overlays and divider, and the controls of each view.
 
 import { api } from "./api.js";
 import { Divider } from "./divider.js";
@@ -13,31 +13,31 @@ export const VIEWS = [
   {
     name: "picture",
     label: "Picture",
-    hint: "Drop another picture anywhere here, paste one, or pick one at the left.",
+    hint: "Drop or paste another picture here, or select one on the left.",
   },
   {
     name: "flat",
     label: "Flat",
-    after: "Without its shading",
-    hint: "The object as it would look under the light of training, without this picture's shading.",
+    after: "Without shading",
+    hint: "The object under the training light, without the shading of this picture.",
   },
   {
     name: "shading",
     label: "Shading",
     after: "Shading",
-    hint: "What this light adds to the object: the picture divided by its flat appearance.",
+    hint: "The effect of the light: the picture divided by its flat appearance.",
   },
-  { name: "residual", label: "Residual", after: "Residual", hint: "What the model leaves unexplained at each pixel." },
+  { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model." },
   { name: "invariant", label: "Invariant", after: "Invariant" },
   { name: "relit", label: "Relight", after: "Relit" },
 ];
 
-/** Layers that the server makes, once a fit. */
+/** Layers fetched from the server, once per fit. */
 const FETCHED = ["flat", "shading", "residual"];
 const LAYER_SIZE = 1600;
 
 export class FitView {
-  /** `gone(fit)` is called when the server has forgotten the fit; `ambient`: of the light that is first tried. */
+  /** `gone(fit)` is called when the server no longer has the fit; `ambient`: fraction of ambient light at first. */
   constructor({ gone, ambient }) {
     this._gone = gone;
     this.container = h("div", { class: "fit-viewer", dataset: { testid: "fit-viewer" } });
@@ -45,14 +45,14 @@ export class FitView {
     this.source = null;
     this.fit = null;
     this.name = "picture";
-    // Each view has its own overlays: what is drawn on the picture would hide what the others are looked at for.
+    // Each view has its own overlays, since those of the picture would hide the others.
     this._drawn = new Map(
       VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]),
     );
     this.iteration = null; // {shape, final} of the slider, null for the result
-    this.tool = null; // of the start, while one is set by hand
+    this.tool = null; // tool of a manual start
     this._images = new Map();
-    this._faults = new Map(); // view -> why the server could not give it
+    this._faults = new Map(); // view -> error message of the server
     this._split = false;
     this.divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
@@ -69,9 +69,9 @@ export class FitView {
     this.show("picture");
   }
 
-  // What is shown.
+  // Display.
 
-  /** Show another picture; its layers are fetched when they are asked for. */
+  /** Show another picture; its layers are fetched when needed. */
   setSource(source) {
     const another = source?.key !== this.source?.key;
     this.source = source;
@@ -82,7 +82,6 @@ export class FitView {
     this.setFit(null);
   }
 
-  /** Take a fit of the source, or null. */
   setFit(fit) {
     this.fit = fit;
     this.iteration = null;
@@ -102,30 +101,28 @@ export class FitView {
     this.viewer.redraw();
   }
 
-  /** Names of the overlays of the view. */
   get shown() {
     return this._drawn.get(this.name);
   }
 
-  /** Choose a view by its name. */
   show(name) {
     this.name = name;
-    this._faults.delete(name); // choosing it again tries again
+    this._faults.delete(name); // retry a view that has failed
     this._choice.value = name;
     this._load();
     this._dress();
     this.viewer.redraw();
   }
 
-  /** Say whether the model has contours to draw. */
+  /** Whether the model has contours to draw. */
   set hasContours(has) {
     const chooser = this._overlays.get("contours");
     chooser.disabled = !has;
     this._dress();
-    chooser.title = has ? "Lines through the landmarks (C)" : "This model has no contours: define them in the template";
+    chooser.title = has ? "Show the contours (C)" : "This model has no contours: define them in the template";
   }
 
-  /** Choose the next view (or the one before) that can be seen. */
+  /** Choose the next or previous available view. */
   cycle(by) {
     const can = VIEWS.map((view) => view.name).filter((name) => !this._why(name));
     this.show(can[(can.indexOf(this.name) + by + can.length) % can.length] ?? "picture");
@@ -143,7 +140,7 @@ export class FitView {
 
   set split(now) {
     this._split = now && Boolean(this.source);
-    // Nothing is beside the picture itself: go on to what people look for.
+    // The picture has no counterpart: switch to the most useful view.
     if (this._split && this.name === "picture")
       this.show(["flat", "invariant"].find((name) => !this._why(name)) ?? "picture");
     else this._dress();
@@ -156,7 +153,7 @@ export class FitView {
     return this.viewer.key(event);
   }
 
-  // Why a view cannot be seen now: a sentence, or "".
+  // Why a view is unavailable, or "".
 
   _why(name) {
     if (name === "picture") return "";
@@ -166,7 +163,7 @@ export class FitView {
     if (!this.fit) return "This picture has not been fitted yet.";
     const layer = name === "relit" ? "flat" : name;
     if (this.fit.layers.includes(layer)) return "";
-    return `A fit by ${this.fit.method} has no such layer: choose another method, such as soft-li, and a picture in colour.`;
+    return `A fit with ${this.fit.method} has no such layer: choose another method, such as soft-li, and a colour picture.`;
   }
 
   async _load() {
@@ -185,7 +182,7 @@ export class FitView {
   async _fetch(layer) {
     const { fit } = this;
     if (this._images.has(layer)) return;
-    this._images.set(layer, null); // is on its way
+    this._images.set(layer, null); // requested
     this._busy(true);
     try {
       const blob = await api.blob(api.url("fits", fit.id, "layers", layer, { size: LAYER_SIZE }));
@@ -201,7 +198,7 @@ export class FitView {
     }
   }
 
-  /** A view could not be had: say so where it would be. A fit that the server has forgotten can be made again. */
+  /** Show the error of a view. If the server no longer has the fit, it is fitted again. */
   _failed(name, error, fit = null) {
     if (fit && fit !== this.fit) return;
     if (fit && isGone(error)) {
@@ -234,7 +231,7 @@ export class FitView {
 
   _build() {
     this._choice = segmented(
-      "What to show",
+      "View",
       VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint })),
       this.name,
       (name) => this.show(name),
@@ -247,7 +244,7 @@ export class FitView {
         pressed: false,
         shortcut: "S",
         testid: "fit-split",
-        title: "The picture at the left of a line, the view at its right",
+        title: "Show the picture on the left of a line and the view on its right",
         onclick: () => {
           this.split = !this.split;
         },
@@ -276,7 +273,7 @@ export class FitView {
     return [...this._overlays.values()];
   }
 
-  /** Make the controls fit the view. */
+  /** Update the controls for the view. */
   _dress() {
     const view = VIEWS.find(({ name }) => name === this.name);
     const why = this._why(this.name);
@@ -296,12 +293,12 @@ export class FitView {
     if (beside) this.divider.label("Picture", view.after);
   }
 
-  /** The colours of a layer: what they run from and to. */
+  /** Show the colour scale of a layer. */
   _explain(scale) {
     this._legend.hidden = !scale;
     if (!scale) return;
     const shading = this.name === "shading";
-    // Shading is a logarithm: people read it as so many times the light of training.
+    // Shading is a logarithm; show it as a multiple of the training light.
     const [low, high] = shading
       ? [`1/${significant(Math.exp(scale.limit))}`, `${significant(Math.exp(scale.limit))}×`]
       : [`−${significant(scale.limit, 2)}`, `+${significant(scale.limit, 2)}`];
@@ -328,7 +325,7 @@ export class FitView {
     this.light.draw(ctx, viewer);
   }
 
-  /** The start's tool is asked first, then the light; what neither takes pans. */
+  /** Pointers go to the start's tool first, then to the light; otherwise they pan. */
   _tools() {
     let holder = null;
     const active = () => [this.tool, this.light.visible ? this.light.tool : null].filter(Boolean);

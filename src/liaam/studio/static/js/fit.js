@@ -1,4 +1,4 @@
-// The Fit tab: a picture comes in, the model is fitted to it, and the result is looked at from all sides.
+// The Fit tab: fit the model to a picture and inspect the result.
 
 import { mismatch } from "./assist.js";
 import { FitView } from "./fit-view.js";
@@ -16,10 +16,10 @@ const SHORTCUTS = [
   { keys: "Enter F", what: "Fit" },
   { keys: "V Shift+V", what: "Next, previous view" },
   { keys: "S", what: "Before and after" },
-  { keys: "C L M E", what: "Contours, points, mesh, ellipses" },
-  { keys: ", .", what: "Iteration back, on (or size of the start)" },
+  { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
+  { keys: ", .", what: "Previous, next iteration (or resize the start)" },
   { keys: "P", what: "Play the iterations" },
-  { keys: "Arrows", what: "Move θ (Shift: 0.1°), the light, or the start" },
+  { keys: "Arrows", what: "Change θ (Shift: 0.1°), the light, or the start" },
 ];
 
 export function mount(root, app) {
@@ -42,7 +42,7 @@ class FitTab {
     this.method = null;
     this.fit = null;
     this.lastDropMs = null;
-    this._run = 0; // number of the newest run: older answers are dropped
+    this._run = 0; // number of the newest run, to drop answers of older ones
     this.view = new FitView({
       gone: (fit) => this._forgotten(fit),
       ambient: this.state.project.default_ambient,
@@ -93,7 +93,7 @@ class FitTab {
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
     const onControl = event.target instanceof HTMLElement && event.target.matches("button, a, [role=radio]");
-    if (event.key === "Enter" && onControl) return false; // Enter is the control's own
+    if (event.key === "Enter" && onControl) return false; // Enter activates the control
     if (this._startTool()?.key(event)) return true;
     const letter = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const actions = {
@@ -118,7 +118,7 @@ class FitTab {
 
   // Fitting.
 
-  /** Fit the picture that is shown, from the start that is set. Resolves once the fit is painted. */
+  /** Fit the shown picture from the chosen start. Resolves once the fit is painted. */
   async run() {
     const source = this.sources.current;
     const { model } = this.state.project ?? {};
@@ -141,17 +141,17 @@ class FitTab {
     }
   }
 
-  /** A file has come: ask for its fit while the browser still decodes it. */
+  /** Request the fit of a dropped file while the browser is still decoding it. */
   _early(source) {
     this.lastDropMs = null;
     if (!this.visible || !this.state.project?.model) return;
     const { method } = this;
     const answer = this.store.run(source, method);
-    answer.catch(() => {}); // told by the run that waits for it, or by the upload
+    answer.catch(() => {}); // reported by the run that waits for it, or by the upload
     this._ahead = { source, method, answer };
   }
 
-  /** The fit's answer: the one that was asked for ahead, if it is of this source, method and start. */
+  /** The answer with the fit; reuses an early request for the same source, method and start. */
   _asked(source, start) {
     const { _ahead: ahead, method } = this;
     this._ahead = null;
@@ -159,16 +159,16 @@ class FitTab {
     return this.store.run(source, method, start);
   }
 
-  /** The start that is set; undefined (and a sentence) where it is not finished. */
+  /** The chosen start; undefined, with a message, if it is not complete. */
   _start() {
     const tool = this._startTool();
     if (!tool) return null;
     if (tool.start) return tool.start;
-    this.result.tell(
+    this.result.showMessage(
       "info",
       this.start === "box"
         ? "Draw a box around the object first."
-        : "The mean shape is not known yet: fit automatically once.",
+        : "The mean shape is not known yet: run an automatic fit first.",
     );
     return undefined;
   }
@@ -186,7 +186,7 @@ class FitTab {
     this.exports.show(fit, ofFolder && !mismatch(this.state.project));
     this._result();
     if (this.start === "mean") this._useMean();
-    this.mean.settled = Boolean(fit);
+    this.mean.fitted = Boolean(fit);
   }
 
   _iterate(index, last) {
@@ -195,7 +195,7 @@ class FitTab {
 
   _forgotten(fit) {
     this.store.forget(fit);
-    this.app.toast("The server no longer keeps this fit, so it is fitted again.");
+    this.app.toast("The server no longer has this fit, so the picture is fitted again.");
     this.run();
   }
 
@@ -222,7 +222,7 @@ class FitTab {
     });
   }
 
-  /** Another picture: show it, and its fit where there is one or one can be made without asking. */
+  /** The picture has changed: show it with its fit, or fit it if the start is automatic. */
   _source() {
     const source = this.sources.current;
     if (this._seen !== source) {
@@ -245,13 +245,13 @@ class FitTab {
 
   async _runAtOnce(source) {
     const fit = await this.run();
-    if (fit && source.kind === "upload" && !source.told) {
-      source.told = true;
+    if (fit && source.kind === "upload" && !source.timed) {
+      source.timed = true;
       this.lastDropMs = performance.now() - source.started;
     }
   }
 
-  /** The project has changed: other methods, another model, or none. */
+  /** The project has changed: update the methods and the model. */
   _project() {
     const { methods = [], default_method: first, model } = this.state.project ?? {};
     const names = methods.map((method) => method.name).join();
@@ -266,7 +266,7 @@ class FitTab {
     this.view.hasContours = Boolean(model?.contours?.length);
     this._emptiness();
     if (!another) return;
-    // Another model: what was fitted with the last one is no longer true of it.
+    // The model has changed, so earlier fits are out of date.
     this._run += 1;
     this.mean.unit = null;
     this._take(null);
@@ -291,7 +291,7 @@ class FitTab {
     });
     const toolbar = h(
       "div",
-      { class: "toolbar", role: "toolbar", "aria-label": "What to show" },
+      { class: "toolbar", role: "toolbar", "aria-label": "View" },
       this.view.chooser,
       this.view.splitter,
       h("span", { class: "grow" }),
@@ -309,7 +309,7 @@ class FitTab {
       this._file,
     );
     root.append(this._area);
-    this.intake = new Intake(this._area, "Drop the picture to fit it", this.sources, (error) => this._complain(error));
+    this.intake = new Intake(this._area, "Drop a picture to fit it", this.sources, (error) => this._complain(error));
   }
 
   _panelDraw() {
@@ -333,7 +333,7 @@ class FitTab {
     else this.run();
   }
 
-  /** Who clicks wants to go on at the picture, and its keys; arrow keys in the row of choices stay there. */
+  /** After a click on a start, focus the picture for its keys; arrow keys in the row of starts stay there. */
   _toPicture() {
     if (this._startTool()) this.view.viewer.canvas.focus({ preventScroll: true });
   }
@@ -342,7 +342,7 @@ class FitTab {
     this.start = value;
     this.setup.start = value;
     if (value === "mean") {
-      this.mean.settled = false;
+      this.mean.fitted = false;
       this._useMean();
     }
     this.view.tool = this._startTool();
@@ -350,7 +350,7 @@ class FitTab {
     if (focus) this.view.viewer.canvas.focus();
   }
 
-  /** Give the mean's tool its shape; where only a fit tells it, one is made. */
+  /** Set the mean shape of its tool; if it is unknown, get it from an automatic fit. */
   async _useMean() {
     if (this.mean.unit) return;
     const { project } = this.state;
@@ -369,7 +369,7 @@ class FitTab {
   _busy(now) {
     this.setup.canRun = !now && Boolean(this.sources.current);
     this.view.container.classList.toggle("busy", now);
-    if (now && !this.fit) this.result.tell("info", "Fitting…");
+    if (now && !this.fit) this.result.showMessage("info", "Fitting…");
   }
 
   _result() {
@@ -379,12 +379,12 @@ class FitTab {
     }
     const { model } = this.state.project ?? {};
     const what = this.sources.current ? "Not fitted yet." : "Open a picture to fit the model to it.";
-    this.result.tell("info", model ? what : "");
+    this.result.showMessage("info", model ? what : "");
   }
 
-  /** Say why nothing came of it; what was there before stays. */
+  /** Show why the fit failed; the earlier fit stays. */
   _refused(error) {
-    this.result.tell("bad", error.message);
+    this.result.showMessage("bad", error.message);
   }
 
   _complain(error) {
@@ -402,18 +402,18 @@ class FitTab {
     this._empty.hidden = Boolean(source);
     this.view.container.classList.toggle("without", !source);
     if (source) return;
-    const where = pictures.length ? "pick one at the left, drop one here, or open one" : "drop one here, or open one";
+    const where = pictures.length ? "select one on the left, drop one here, or open one" : "drop one here, or open one";
     this._empty.replaceChildren(
       icon("image", 56),
       h("h2", {}, "A picture to fit"),
-      h("p", {}, `Take any picture of what the model knows: ${where}. It stays on this machine.`),
+      h("p", {}, `Use any picture of the model's object: ${where}. It stays on this machine.`),
       button("Open a picture…", { icon: "upload", kind: "primary", onclick: () => this._file.click() }),
     );
   }
 
   /**
-   * For tests of the page: `lastDropMs` from the newest drop to the first frame painted with its fit, frames per second
-   * of the newest drag of theta, and what is shown.
+   * Hooks for browser tests: `lastDropMs` from the newest drop to the first frame painted with its fit, frames per second
+   * of the newest drag of theta, and the displayed values.
    */
   _expose() {
     const tab = this;

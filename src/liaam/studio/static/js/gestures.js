@@ -1,28 +1,28 @@
-// From pointers to edits of points: dragging, selecting with a box, placing, and the handles that turn and scale.
-// What is edited is a document (the marks of a picture, or a template that is being made):
-//   points, invisible (Set), selection (Set)     what is shown now
-//   select(indices, active)                      choose points
-//   preview(points), revert()                    show points during a gesture; put them back
-//   commit(points, what)                         end of a gesture: one step of undo
-//   follow(before, after, indices) -> points     moves that come along (twins)
-//   adding(xy) -> gesture | null                 a press on an empty place puts a point there
-//   press(index) -> bool                         a press on a point that means something else than dragging it
-//   framed() -> indices                          the points that have handles around them
+// Gestures that edit points: dragging, selecting with a box, placing, and the handles that rotate and scale.
+// They edit a document (the marks of a picture, or a template):
+//   points, invisible (Set), selection (Set)     the current state
+//   select(indices, active)                      select points
+//   preview(points), revert()                    show points during a gesture; restore them
+//   commit(points, what)                         end of a gesture: one undo step
+//   follow(before, after, indices) -> points     also move the mirrored points (twins)
+//   adding(xy) -> gesture | null                 a press on an empty place adds a point
+//   press(index) -> bool                         whether a press on a point has another meaning than dragging
+//   framed() -> indices                          the points with a frame and handles
 // A gesture is {move(xy, event), up(), cancel(), loupe: xy | null}.
 
 import { bounds, centroid, inBox, move, nearest, turn } from "./points.js";
 
-const REACH = { mouse: 9, pen: 14, touch: 24 }; // css pixels from a point that still hit it
-const REACH_PLACING = { mouse: 5, pen: 7, touch: 11 }; // closer while placing, so that neighbours can be set
+const REACH = { mouse: 9, pen: 14, touch: 24 }; // css pixels around a point that hit it
+const REACH_PLACING = { mouse: 5, pen: 7, touch: 11 }; // smaller while placing, so that points can be close together
 const HANDLE_REACH = { mouse: 11, pen: 15, touch: 24 };
 const FRAME = 16; // css pixels between the points and their frame
 const KNOB = 26; // css pixels from the frame to the knobs
-const STILL = 4; // css pixels that a click may wander
-const SLIP = { mouse: 1, pen: 2, touch: 5 }; // css pixels that a click on a point may wander without moving it
+const STILL = 4; // maximum movement of a click, css pixels
+const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click that does not move a point, css pixels
 
 const distance = (p, q) => Math.hypot(p[0] - q[0], p[1] - q[1]);
 
-/** The frame of `indices` in css pixels: its box, and handles {kind, at, centre} (centre: what stays in place). */
+/** The frame of `indices` in css pixels: its box, and handles {kind, at, fixed} (fixed: the corner that stays). */
 export function frameOf(viewer, points, indices) {
   const box = indices.length > 1 ? bounds(points, indices) : null;
   if (box === null) return null;
@@ -88,7 +88,7 @@ function turning(viewer, doc, handle, indices) {
       }
       doc.preview(points);
     },
-    up: () => (points === before ? doc.revert() : doc.commit(points, handle.kind === "scale" ? "scale" : "turn")),
+    up: () => (points === before ? doc.revert() : doc.commit(points, handle.kind === "scale" ? "scale" : "rotate")),
     cancel: () => doc.revert(),
   };
 }
@@ -107,15 +107,15 @@ function boxing(doc, start, adds) {
   };
 }
 
-/** The viewer's tool that edits what `current()` gives.
- *  options.boxes() -> whether a drag on an empty place draws a box; options.onend(): after every gesture. */
+/** The viewer's tool that edits the document `current()`.
+ *  options.boxes() -> whether a drag on an empty place selects with a box; options.onend(): after every gesture. */
 export class PointTool {
   constructor(viewer, current, { boxes = () => false, onend = () => {} } = {}) {
     Object.assign(this, { viewer, current, boxes, onend });
     this.gesture = null;
     this.hovered = -1;
     this.pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered
-    this.pressed = null; // where a pointer went down that was not taken
+    this.pressed = null; // position of a press that started no gesture
     viewer.canvas.addEventListener("pointerup", (event) => this.released(event));
     viewer.canvas.addEventListener("blur", () => this.leave());
   }
@@ -175,7 +175,7 @@ export class PointTool {
     const at = this.viewer.toScreen(xy);
     const shift = gesture.move;
     gesture.move = function (to, event) {
-      far ||= distance(event.at, at) > slip; // a click must not move a point by a hair
+      far ||= distance(event.at, at) > slip; // a click must not move a point
       if (far) shift.call(this, to);
     };
     gesture.up = () => (far ? up() : (doc.revert(), still()));
@@ -206,7 +206,7 @@ export class PointTool {
     this.viewer.redraw();
   }
 
-  /** A click on an empty place that moved nothing lets go of the selection. */
+  /** A click on an empty place clears the selection. */
   released(event) {
     const { pressed } = this;
     this.pressed = null;
@@ -244,7 +244,7 @@ export class PointTool {
 const TURN = Math.PI / 180;
 const GROW = 1.01;
 
-/** What a key does to points: {points, what, key} or null. `indices`: the chosen ones, or all. */
+/** Edit points with a key: {points, what, key} or null. `indices`: the selected points, or all. */
 export function keyEdit(event, points, indices, chosen) {
   const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
   const arrow = arrows[event.key];
@@ -255,7 +255,7 @@ export function keyEdit(event, points, indices, chosen) {
     const [angle, factor] = arrow[0] ? [arrow[0] * TURN * more, 1] : [0, GROW ** (-arrow[1] * more)];
     return {
       points: turn(points, indices, centre, angle, factor),
-      what: arrow[0] ? "turn" : "scale",
+      what: arrow[0] ? "rotate" : "scale",
       key: `turn ${indices.join()}`,
     };
   }

@@ -1,8 +1,7 @@
-// Undo and redo over snapshots. States are never changed in place, so a snapshot is a reference and costs nothing
-// but the arrays that differ.
+// Undo and redo with snapshots. States are immutable, so a snapshot is a reference.
 
-const LIMIT = 500; // steps kept
-const BURST = 800; // milliseconds within which steps of the same key become one
+const LIMIT = 500; // maximum number of steps
+const BURST = 800; // milliseconds within which steps with the same key are merged
 
 export class History {
   /** @param {object} state the first state
@@ -17,7 +16,7 @@ export class History {
     this.last = { key: null, time: -Infinity };
   }
 
-  /** A new state. Steps with the same `key` in quick succession (held arrow keys) count as one. */
+  /** Add a state. Steps with the same `key` in quick succession (held arrow keys) are merged. */
   push(state, what = "", key = null) {
     if (state === this.state) return;
     const time = this.now();
@@ -29,7 +28,7 @@ export class History {
     this.last = { key, time };
   }
 
-  /** Start again from a state that came from elsewhere (another tab, another file): its past is not ours. */
+  /** Start again from a state that came from elsewhere (another tab, another file). */
   reset(state) {
     this.state = state;
     this.past = [];
@@ -49,7 +48,7 @@ export class History {
     return this.future.length > 0;
   }
 
-  /** What the step that would be undone did, for the button's tooltip. */
+  /** Description of the step to undo, for the tooltip. */
   get undoes() {
     return this.past.at(-1)?.what ?? "";
   }

@@ -1,36 +1,35 @@
-// The light-invariant image of a picture, computed here so that it follows the theta slider at every frame:
+// The light-invariant image of a picture, computed in the browser so that each frame follows the theta slider:
 //     L(theta) = cos(theta) log R/B + sin(theta) log G/B.
-// The server sends the two logarithms of a picture once, as 16-bit integers; each frame is then two products, a clamp
-// and a look-up per pixel. Nothing in this module touches the page.
+// The server sends the two logarithms once, as 16-bit integers. Each frame takes two products, a clamp and a look-up
+// per pixel. This module is independent of the page.
 
 /** Integer steps of the server's chroma per unit of natural logarithm. */
 export const STEPS = 4096;
 
-/** Value of a pixel whose colour cannot be measured (too dark or overexposed). */
+/** Value of an unusable pixel (too dark or overexposed). */
 export const MASKED = -32768;
 
-/** Least half width of the range shown, so that noise of a grey picture does not fill all of it. */
+/** Minimum half width of the displayed range, so that it is not filled by the noise of a grey picture. */
 const LEAST_HALF = 0.02;
 
-/** Pixels that percentiles are taken of: enough for 1 % to stand on forty pixels, few enough to sort in each frame. */
+/** Number of pixels for percentiles: 1 % of them are forty pixels, and they can be sorted in each frame. */
 const SAMPLED = 4096;
 
 const SHARE = 0.01;
 
 /**
- * Chroma of a picture from the server's octets: two uint32 (width, height), two float32 (covered: how much of the
- * picture it is of, from the left and upper border, in the picture's pixels), then int16 (height, width, 2).
- * All are little endian, like every machine that runs a browser; typed arrays read them in place. Without the floats,
- * covered is null: all of the picture.
+ * Chroma of a picture from the server's bytes, little-endian: two uint32 (width, height), two float32 (covered width and
+ * height of the picture from its upper left, in its pixels), then int16 (height, width, 2). Without the floats, covered
+ * is null: all of the picture.
  */
 export function parseChroma(buffer) {
-  if (buffer.byteLength < 8) throw new RangeError("The picture's chroma is cut short: reload the page.");
+  if (buffer.byteLength < 8) throw new RangeError("The picture's chroma is incomplete: reload the page.");
   const [width, height] = new Uint32Array(buffer, 0, 2);
   const size = 4 * width * height;
   const [short, expected] = [8 + size, 16 + size];
   if (buffer.byteLength !== expected && buffer.byteLength !== short) {
     throw new RangeError(
-      `The picture's chroma has ${buffer.byteLength} octets in place of ${expected}: reload the page.`,
+      `The picture's chroma has ${buffer.byteLength} bytes instead of ${expected}: reload the page.`,
     );
   }
   const covered = buffer.byteLength === short ? null : [...new Float32Array(buffer, 8, 2)];
@@ -39,11 +38,11 @@ export function parseChroma(buffer) {
 
 const commonDivisor = (a, b) => (b ? commonDivisor(b, a % b) : a);
 
-/** Evenly spread measurable pixels: the same ones whatever theta, so that the range does not jump between frames. */
+/** Evenly spaced usable pixels, the same for every theta, so that the range does not jump between frames. */
 export function sampleChroma({ width, values }, limit = SAMPLED) {
   const n = values.length / 2;
   let stride = Math.max(1, Math.floor(n / limit));
-  // A stride that shares a factor with the width would look at a few columns only.
+  // A stride with a common factor with the width would sample a few columns only.
   while (commonDivisor(width, stride) > 1) stride += 1;
   const red = [];
   const green = [];
@@ -55,14 +54,14 @@ export function sampleChroma({ width, values }, limit = SAMPLED) {
   return { red: Float32Array.from(red), green: Float32Array.from(green) };
 }
 
-/** Share of the pixels that can be measured, 0 to 1. */
+/** Fraction of usable pixels, 0 to 1. */
 export function measurable({ values }) {
   let count = 0;
   for (let i = 0; i < values.length; i += 2) if (values[i] !== MASKED) count += 1;
   return values.length ? (2 * count) / values.length : 0;
 }
 
-/** Range {centre, half} of the invariant that holds all but the outermost hundredth of the pixels on either side. */
+/** Range {centre, half} of the invariant between the 1st and 99th percentile of the pixels. */
 export function robustRange({ red, green }, theta) {
   const n = red.length;
   if (!n) return { centre: 0, half: 1 };
@@ -76,16 +75,16 @@ export function robustRange({ red, green }, theta) {
 }
 
 /**
- * Range to show while theta is dragged: the contrast stays what it was when the drag began, only its middle follows.
- * So nothing flickers, and an edge that fades does so because the light drops out of it, not by new contrast.
+ * Range while theta is dragged: the contrast stays as at the start of the drag, and only the centre follows. So nothing
+ * flickers, and an edge fades because the light cancels, not because the contrast changes.
  */
 export function steadyRange(sample, theta, held) {
   return { centre: robustRange(sample, theta).centre, half: held.half };
 }
 
 /**
- * Colours of the invariant image, written into the 32-bit pixels of an ImageData.
- * Pixels that cannot be measured are hatched, so that they are never taken for dark ones.
+ * Write the colours of the invariant image into the 32-bit pixels of an ImageData. Unusable pixels are hatched, to
+ * distinguish them from dark ones.
  */
 export function paintInvariant({ width, height, values }, theta, { centre, half }, colours, out) {
   const gain = 128 / (half * STEPS);
@@ -143,10 +142,10 @@ export const COLOURS = {
   viridis: colourTable(VIRIDIS),
 };
 
-/** Angles (degrees) in which the invariant of a real camera lies. */
+/** Range of the angles of real cameras, degrees. */
 export const PHYSICAL = [90, 135];
 
-/** Angle that an arrow key asks for, degrees; null for other keys. Shift moves finely. */
+/** Angle after an arrow key, degrees; null for other keys. Shift moves in small steps. */
 export function thetaAfterKey(theta, { key, shiftKey = false }) {
   const step = shiftKey ? 0.1 : 1;
   const moved = {
@@ -163,7 +162,7 @@ export function thetaAfterKey(theta, { key, shiftKey = false }) {
   return Math.round(10 * Math.min(180, Math.max(0, moved))) / 10;
 }
 
-/** Angle in degrees brought into 0..180, where every invariant is (up to its sign). */
+/** Angle in degrees, folded into 0..180, which covers every invariant up to its sign. */
 export function foldedTheta(degrees) {
   return ((degrees % 180) + 180) % 180;
 }

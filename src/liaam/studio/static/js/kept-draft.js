@@ -1,4 +1,4 @@
-// A template that is being made, kept until it is saved: a reload must not cost an hour of clicking.
+// The draft of a new template, stored until it is saved, so that a reload does not lose it.
 
 export class KeptDraft {
   constructor(folder) {
@@ -19,7 +19,7 @@ export class KeptDraft {
       if (draft?.names.length) localStorage.setItem(this.key, JSON.stringify(draft));
       else localStorage.removeItem(this.key);
     } catch {
-      // Without storage the draft lives as long as the page.
+      // Without storage, the draft is lost with the page.
     }
   }
 }

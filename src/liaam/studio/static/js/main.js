@@ -1,4 +1,4 @@
-// The page's frame: tabs, theme, keys, and what is said about training and the connection.
+// The frame of the page: tabs, theme, keys, and the status of training and of the connection.
 
 import { api, ApiError } from "./api.js";
 import { State } from "./state.js";
@@ -7,28 +7,28 @@ import * as ui from "./ui.js";
 import { button, dialog, h, isTyping, toast } from "./ui.js";
 
 const TABS = [
-  { name: "annotate", label: "Annotate", what: "Place landmarks, and let the model help" },
-  { name: "fit", label: "Fit", what: "Fit the model to a picture, look, and move the light" },
-  { name: "compare", label: "Compare", what: "Two methods side by side" },
+  { name: "annotate", label: "Annotate", what: "Place landmarks with the help of the model" },
+  { name: "fit", label: "Fit", what: "Fit the model to a picture and change its light" },
+  { name: "compare", label: "Compare", what: "Compare two methods side by side" },
 ];
 
 const COMMON_KEYS = [
   { keys: "1 2 3", what: "Annotate, Fit, Compare" },
   { keys: "[ ]", what: "Previous, next picture" },
   { keys: "+ - 0", what: "Zoom in, out, whole picture" },
-  { keys: "Space drag", what: "Pan (also: drag an empty place, middle button, two fingers)" },
-  { keys: "Wheel", what: "Zoom about the pointer" },
-  { keys: "?", what: "This page" },
+  { keys: "Space drag", what: "Pan (or drag an empty area, use the middle button or two fingers)" },
+  { keys: "Wheel", what: "Zoom at the pointer" },
+  { keys: "?", what: "Show these keys" },
 ];
 
 const state = new State();
 const tabs = new Map(); // name -> {root, tab, button}
 let open = null;
-let wanted = null; // a tab that was asked for while the page was still loading
+let wanted = null; // tab requested while the page was loading
 
 const app = { state, api, ui, toast, confirm: ui.confirm, openTab };
 
-/** For tests of the page: what tabs expose of themselves. */
+/** Hooks for browser tests; the tabs add theirs. */
 window.liaamStudio = { app, state };
 
 async function start() {
@@ -79,9 +79,9 @@ async function mountTabs() {
 async function load(name, root) {
   try {
     return (await import(`./${name}.js`)).mount(root, app);
-  } catch (error) { // a tab that is broken must not take the others with it
+  } catch (error) { // the other tabs must still work
     console.error(error);
-    root.append(h("p", { class: "empty error-text" }, `This part of the studio does not work here: ${error.message}`));
+    root.append(h("p", { class: "empty error-text" }, `This tab failed to load: ${error.message}`));
     return { show() {}, hide() {}, shortcuts: [] };
   }
 }
@@ -151,11 +151,11 @@ function actions() {
   );
 }
 
-// What the top bar says: the model, training, and a lost server.
+// Status in the top bar: the model, training, and the connection.
 
 function status() {
   const box = document.getElementById("top-status");
-  const offline = h("span", { class: "badge bad", role: "alert", hidden: true }, "server not reachable – trying again");
+  const offline = h("span", { class: "badge bad", role: "alert", hidden: true }, "Server not reachable – retrying");
   const training = h("span", { class: "badge accent", hidden: true, dataset: { testid: "top-training" } });
   const model = h("span", { class: "badge", dataset: { testid: "top-model" } });
   box.append(offline, training, model);
@@ -163,10 +163,10 @@ function status() {
     const { training: now, model: has } = state.project;
     training.hidden = now?.state !== "running";
     if (now?.state === "running") {
-      const share = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
-      training.textContent = `${now.phase === "proposals" ? "Placing points" : "Training"}${share}`;
+      const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
+      training.textContent = `${now.phase === "proposals" ? "Placing points" : "Training"}${percent}`;
     }
-    model.textContent = has ? `Model of ${has.n_images} pictures` : "No model yet";
+    model.textContent = has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";
   };
   let before = null;

@@ -1,9 +1,9 @@
-// The marks of the picture that is open, while they are edited: what is chosen, what is shown, what is undone. This is
-// the document that gestures edit (see gestures.js), and knows nothing of the page.
+// The marks of the open picture while they are edited: selection, display and undo history. This is a document that
+// gestures edit (see gestures.js), independent of the page.
 //
-// A *state* {points, invisible, source} is a value and what undo goes through; source "file" is the person's own,
-// "proposal" the model's and "layout" the mean of what is done, both not saved until taken over. A *book* {history,
-// covariances, doubtful, ...} is what this page knows of one picture.
+// A *state* {points, invisible, source} is an immutable value in the undo history. Source "file" is placed by the user,
+// "proposal" by the model, and "layout" is the mean of the done pictures; the last two are saved only when accepted. A
+// *book* {history, covariances, doubtful, ...} holds everything about one picture.
 
 import {
   expected,
@@ -20,8 +20,8 @@ import {
 } from "./points.js";
 
 export class Marking {
-  /** template() -> that of the project, or null; onchange(): the shown state is another; onselect(): others are chosen;
-   *  onpreview(): a gesture shows points elsewhere; onplaced(index): a click placed a point that was missing. */
+  /** template() -> template of the project, or null; onchange(): the state has changed; onselect(): the selection has
+   *  changed; onpreview(): a gesture moves points; onplaced(index): a click placed a missing point. */
   constructor({ template, onchange = () => {}, onselect = () => {}, onpreview = () => {}, onplaced = () => {} }) {
     Object.assign(this, { templateOf: template, onchange, onselect, onpreview, onplaced });
     this.book = null;
@@ -29,12 +29,12 @@ export class Marking {
     this.active = -1;
     this.invisible = new Set();
     this.shown = null; // points during a gesture
-    this.hidden = false; // all marks, for a moment
-    this.mirrored = false; // whether twins move along
+    this.hidden = false; // whether all marks are hidden for a moment
+    this.mirrored = false; // whether mirrored points (twins) move together
     this.followsPointer = false;
   }
 
-  // What there is ---------------------------------------------------------------------------------------------------
+  // State -----------------------------------------------------------------------------------------------------------
 
   get template() {
     return this.templateOf();
@@ -54,11 +54,11 @@ export class Marking {
   get editable() {
     return this.book !== null && !this.hidden;
   }
-  /** Whether the points came from the model or from other pictures. */
+  /** Whether the points are from the model or from other pictures, and not accepted yet. */
   get suggested() {
     return this.state !== null && (this.state.source === "proposal" || this.state.source === "layout");
   }
-  /** Whether a click places the chosen point. */
+  /** Whether a click places the selected point. */
   get placing() {
     return this.book !== null && this.active >= 0 && this.active < this.points.length && !this.points[this.active];
   }
@@ -72,7 +72,7 @@ export class Marking {
     return missing(this.points);
   }
 
-  /** The points that have handles around them. */
+  /** The points with a frame and handles. */
   framed() {
     if (this.selection.size > 1) return [...this.selection].filter((i) => this.points[i]);
     return this.state?.source === "layout" ? placed(this.points) : [];
@@ -107,12 +107,12 @@ export class Marking {
     this.preview(null);
   }
 
-  /** One step: the points are others. */
+  /** Change the points in one undo step. */
   commit(points, what, key = null) {
     this.change({ points }, what, key);
   }
 
-  /** One step: what changes of the marks. Whatever was suggested is the person's from now on. */
+  /** Change the marks in one undo step. This accepts suggested points. */
   change(change, what, key = null) {
     const before = this.state;
     const { points, invisible } = { ...before, ...change };
@@ -124,7 +124,7 @@ export class Marking {
     this.changed();
   }
 
-  /** Take a step back ("undo") or forth ("redo"); gives what that step did, or null where there is none. */
+  /** Undo or redo a step; return its description, or null if there is none. */
   travel(way) {
     const what = way === "undo" ? this.history?.undoes : this.history?.redoes;
     if (!this.history?.[way]()) return null;
@@ -171,7 +171,6 @@ export class Marking {
 
   // Edits -----------------------------------------------------------------------------------------------------------
 
-  /** Take over what was suggested. */
   accept() {
     if (this.suggested) this.commit(this.points, "accept");
   }
@@ -181,7 +180,7 @@ export class Marking {
     this.change({ points: flip(this.points, mirror), invisible: flipIndices(this.state.invisible, mirror) }, "flip");
   }
 
-  /** Make the chosen points invisible, or visible; gives which they are now. */
+  /** Toggle the visibility of the selected points; return whether they are invisible now. */
   toggleInvisible() {
     const chosen = this.chosenPlaced;
     const invisible = toggle(this.state.invisible, chosen);
@@ -189,15 +188,14 @@ export class Marking {
     return invisible.includes(chosen[0]);
   }
 
-  /** Take the chosen points' places away. */
   removeChosen() {
     const chosen = this.chosenPlaced;
-    this.commit(remove(this.points, chosen), "take away");
+    this.commit(remove(this.points, chosen), "clear");
     this.select(chosen, chosen[0]);
   }
 
-  /** Place the point that is chosen, or else the next that is missing, where the others suggest, or in the middle of
-   *  the picture; gives which it was, -1 where all are placed. */
+  /** Place the selected point, or else the next missing one, at its expected position or in the middle of the picture;
+   *  return its index, or -1 if all are placed. */
   placeChosen({ width, height }) {
     const index = this.placing ? this.active : nextMissing(this.points, this.active);
     if (index < 0) return index;
@@ -208,7 +206,7 @@ export class Marking {
     return index;
   }
 
-  /** Choose the next point, or the one before; gives it, or -1 past the last, where none is chosen then. */
+  /** Select the next or previous point; return its index, or -1 past the last, which clears the selection. */
   step(by) {
     const count = this.points.length;
     const next = this.active < 0 ? (by > 0 ? 0 : count - 1) : this.active + by;

@@ -1,17 +1,17 @@
-// Pictures that were fetched, the few last ones, and the sharper ones that zooming in asks for.
+// A cache of the last few pictures, which are fetched at a higher resolution for zooming in.
 
-const SHOWN_SIZE = 2048; // longest side of what is fetched first
-const SHARP_SIZE = 8192; // and when zoomed in on a larger picture
+const SHOWN_SIZE = 2048; // longest side at first
+const SHARP_SIZE = 8192; // longest side after zooming in
 const KEPT = 4;
 
 export class PictureStore {
   constructor({ api, state }) {
     this.api = api;
     this.state = state;
-    this.pictures = new Map(); // name -> {bitmap, sharp, width, height, tag: of the file that it was made of}
+    this.pictures = new Map(); // name -> {bitmap, sharp, width, height, tag: of the file}
   }
 
-  /** The picture to show: {bitmap, width, height}, with the size that landmarks are told in. */
+  /** Fetch a picture: {bitmap, width, height}, with the size of landmark coordinates. */
   async fetch(name) {
     const known = this.pictures.get(name);
     return known && known.tag === this.tag(name) ? known : this.load(name, SHOWN_SIZE);
@@ -21,17 +21,17 @@ export class PictureStore {
     return this.state.picture(name)?.tag ?? null;
   }
 
-  /** A sharper bitmap where `scale` (screen pixels for one of the picture) asks for one; null where none is needed. */
+  /** Fetch a sharper bitmap if `scale` (screen pixels per picture pixel) needs one; null otherwise. */
   async sharper(name, scale) {
     const picture = this.pictures.get(name);
     if (!picture || picture.sharp) return null;
-    const shown = picture.bitmap.width / picture.width; // pixels of the bitmap for one of the picture
+    const shown = picture.bitmap.width / picture.width; // bitmap pixels per picture pixel
     if (shown >= 1 || scale < 1.3 * shown) return null;
-    picture.sharp = true; // asked for once
+    picture.sharp = true; // request it once
     try {
       return (await this.load(name, SHARP_SIZE)).bitmap;
     } catch {
-      picture.sharp = false; // what is shown stays; the next zoom tries again
+      picture.sharp = false; // the next zoom retries
       return null;
     }
   }
@@ -52,7 +52,7 @@ export class PictureStore {
     const sharp = this.pictures.get(newest).sharp;
     for (const [name, picture] of this.pictures) {
       if (name === newest) continue;
-      // Of whole pictures, which may be of a hundred megabytes, one is enough.
+      // Keep only one sharp picture, which may take a hundred megabytes.
       if (this.pictures.size > KEPT || (sharp && picture.sharp)) this.pictures.delete(name);
     }
   }

@@ -1,7 +1,7 @@
-// The list of a picture's points: what state each is in, and choosing them by mouse or keyboard.
+// The list of a picture's points with their states; points are selected by mouse or keyboard.
 
 export class PointList {
-  /** onchoose(index, adds): a point was chosen, added to the choice where `adds`. */
+  /** onchoose(index, adds): a point was selected, in addition to others if `adds`. */
   constructor({ h }, onchoose) {
     this.h = h;
     this.onchoose = onchoose;
@@ -31,7 +31,7 @@ export class PointList {
     this.onchoose(Math.min(Math.max(goes[event.key], 0), last), false);
   }
 
-  /** Bring the list up to date; only items whose state differs are touched. */
+  /** Update the items whose state has changed. */
   render(names, stateOf) {
     while (this.items.length > names.length) this.items.pop().element.remove();
     names.forEach((name, i) => {

@@ -1,24 +1,24 @@
-// The panel beside the picture: its points, what to do with those that are chosen, and how pictures begin.
+// The panel beside the picture: its points, actions on the selected ones, and the start of new pictures.
 
 import { PointList } from "./point-list.js";
 
 const START_KEY = "liaam-studio:start";
 
 export class PointsPanel {
-  /** onstart(): pictures begin otherwise from now on; onedit(): the template is to be edited. */
+  /** onstart(): the start of new pictures has changed; onedit(): edit the template. */
   constructor({ ui, commands, onstart, onedit }) {
     const { h, button, segmented } = ui;
     this.list = new PointList(ui, (index, adds) => commands.chooseFromList(index, adds));
     this.tally = h("span", { class: "muted small grow" });
     const small = (label, icon, shortcut, onclick) =>
       button(label, { icon, iconOnly: true, small: true, kind: "ghost", shortcut, onclick });
-    this.hideButton = small("Visible or not", "eye-off", "V", () => commands.toggleInvisible());
-    this.removeButton = small("Take the place away", "trash", "Delete", () => commands.removeChosen());
+    this.hideButton = small("Visible or invisible", "eye-off", "V", () => commands.toggleInvisible());
+    this.removeButton = small("Clear position", "trash", "Delete", () => commands.removeChosen());
     this.startChoice = segmented(
-      "How pictures without points begin",
+      "Start of pictures without points",
       [
-        { value: "layout", label: "Mean shape", title: "Begin with the mean of what is done" },
-        { value: "click", label: "Click each", title: "Place the points one after another" },
+        { value: "layout", label: "Mean shape", title: "Start with the mean shape of the done pictures" },
+        { value: "click", label: "Click each", title: "Click the points one after another" },
       ],
       localStorage.getItem(START_KEY) ?? "layout",
       (value) => {
@@ -33,7 +33,7 @@ export class PointsPanel {
       onclick: onedit,
     });
     const title = h("h2", { class: "panel-title" }, "Points");
-    const begin = h("span", { class: "small muted grow" }, "Begin with");
+    const begin = h("span", { class: "small muted grow" }, "Start with");
     this.elements = [
       h(
         "section",
@@ -50,7 +50,7 @@ export class PointsPanel {
     ];
   }
 
-  /** How pictures without points begin: "layout" or "click". */
+  /** Start of pictures without points: "layout" or "click". */
   get start() {
     return this.startChoice.value;
   }
@@ -60,7 +60,6 @@ export class PointsPanel {
     this.mark(marking);
   }
 
-  /** Show which points are chosen. */
   mark({ selection, active }) {
     this.list.mark(selection, active);
     this.hideButton.disabled = this.removeButton.disabled = selection.size === 0;

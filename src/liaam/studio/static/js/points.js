@@ -1,5 +1,5 @@
-// Points of a picture, as values: every function returns new arrays and changes none. A point is [x, y] in pixels of
-// the picture, or null where it is not placed. Nothing here knows of the page.
+// Points of a picture as immutable values: every function returns new arrays. A point is [x, y] in pixels of the
+// picture, or null if it is not placed. This module is independent of the page.
 
 export const NONE = Object.freeze([]);
 
@@ -9,7 +9,7 @@ export const indicesOf = (points) => points.map((_, index) => index);
 export const placed = (points) => indicesOf(points).filter((index) => isPlaced(points[index]));
 export const missing = (points) => indicesOf(points).filter((index) => !isPlaced(points[index]));
 
-/** To a hundredth of a pixel: finer than a hand, and files stay readable. */
+/** Round to a hundredth of a pixel, finer than a person can place a point. */
 export const rounded = ([x, y]) => [Math.round(x * 100) / 100, Math.round(y * 100) / 100];
 
 export function place(points, index, xy) {
@@ -29,7 +29,7 @@ function change(points, indices, update) {
 
 export const move = (points, indices, dx, dy) => change(points, indices, ([x, y]) => rounded([x + dx, y + dy]));
 
-/** Turn by `angle` (radians, clockwise on the screen) and scale by `factor`, about `centre`. */
+/** Rotate by `angle` (radians, clockwise on the screen) and scale by `factor` about `centre`. */
 export function turn(points, indices, centre, angle, factor = 1) {
   const [cos, sin] = [factor * Math.cos(angle), factor * Math.sin(angle)];
   return change(points, indices, ([x, y]) => {
@@ -61,8 +61,8 @@ export function inBox(points, [x0, y0, x1, y1]) {
   });
 }
 
-/** The placed point nearest to xy within `radius`, or -1. Of equals the selected one wins, so that a point that was
- *  chosen can be dragged off another that it lies on. */
+/** The placed point nearest to xy within `radius`, or -1. Points in `preferred` count as closer, so that a selected point
+ *  can be dragged off another one. */
 export function nearest(points, xy, radius, preferred = new Set()) {
   let best = -1;
   let least = radius;
@@ -74,7 +74,7 @@ export function nearest(points, xy, radius, preferred = new Set()) {
   return best;
 }
 
-/** The first point without a place after `index`, going round; -1 if all are placed. */
+/** The first missing point after `index`, cyclically; -1 if all are placed. */
 export function nextMissing(points, index = -1) {
   for (let step = 1; step <= points.length; step++) {
     const i = (index + step + points.length) % points.length;
@@ -83,8 +83,8 @@ export function nextMissing(points, index = -1) {
   return -1;
 }
 
-/** The least-squares similarity that takes `from` to `to`, over points placed in both: {a, b, x, y} with
- *  x' = a x - b y + x0 and y' = b x + a y + y0; a shift only with one common point, null without any. */
+/** The least-squares similarity that maps `from` to `to`, over points placed in both: {a, b, x, y} maps (u, v) to
+ *  (a u - b v + x, b u + a v + y). With one common point it is a translation; without any it is null. */
 export function similarity(from, to) {
   const both = indicesOf(from).filter((i) => isPlaced(from[i]) && isPlaced(to[i]));
   if (both.length === 0) return null;
@@ -103,13 +103,13 @@ export function similarity(from, to) {
 
 export const carry = ({ a, b, x, y }, [px, py]) => [a * px - b * py + x, b * px + a * py + y];
 
-/** Where the layout expects each point, given those that are placed. */
+/** Expected position of each point, from the layout and the placed points. */
 export function expected(layout, points) {
   const map = similarity(layout, points);
   return map === null ? layout.map((p) => p && rounded(p)) : layout.map((p) => p && rounded(carry(map, p)));
 }
 
-/** Shift and scale the layout so that it lies in the middle of a picture and fills `share` of it. */
+/** Centre the layout in a picture and scale it to the fraction `share` of its size. */
 export function fitInto(layout, width, height, share = 0.6) {
   const box = bounds(layout);
   if (box === null) return layout;
@@ -119,8 +119,8 @@ export function fitInto(layout, width, height, share = 0.6) {
   return layout.map((p) => p && rounded([width / 2 + scale * (p[0] - cx), height / 2 + scale * (p[1] - cy)]));
 }
 
-/** A layout as it may lie on a picture of width x height: as it is where it fills a part of the picture, else put into
- *  the middle; null where there is none. */
+/** A layout placed on a picture: unchanged if it lies inside and is large enough, otherwise centred; null without a
+ *  layout. */
 export function layoutIn(layout, width, height) {
   const box = layout && bounds(layout);
   if (!box) return null;
@@ -132,8 +132,8 @@ export function layoutIn(layout, width, height) {
 const spread = (points, centre) =>
   Math.sqrt(points.reduce((sum, [x, y]) => sum + (x - centre[0]) ** 2 + (y - centre[1]) ** 2, 0) / points.length);
 
-/** The mean of complete shapes, placed into a picture of width x height as they lie, on average, in theirs: shapes are
- *  aligned first, so that turned heads do not blur the mean.
+/** The mean of complete shapes, placed in a picture at their mean relative position. Shapes are aligned first, so that
+ *  rotations do not blur the mean.
  *  @param {{points: number[][], width: number, height: number}[]} shapes */
 export function meanLayout(shapes, width, height) {
   const whole = shapes.filter((shape) => shape.points.length > 0 && shape.points.every(isPlaced));
@@ -157,13 +157,13 @@ export function meanLayout(shapes, width, height) {
   return move(turned, indicesOf(turned), x * width - middle[0], y * height - middle[1]);
 }
 
-/** Unit normal of the object's axis of symmetry, from the twins that are placed; horizontal where none are. */
+/** Unit normal of the object's axis of symmetry, from placed twins (mirrored points); horizontal without any. */
 export function axisNormal(points, mirror) {
   let [x, y] = [0, 0];
   (mirror ?? []).forEach((twin, i) => {
     if (twin <= i || !isPlaced(points[i]) || !isPlaced(points[twin])) return;
     const [dx, dy] = [points[twin][0] - points[i][0], points[twin][1] - points[i][1]];
-    const sign = x * dx + y * dy < 0 ? -1 : 1; // pairs may be listed either way round
+    const sign = x * dx + y * dy < 0 ? -1 : 1; // pairs may be listed in either order
     x += sign * dx;
     y += sign * dy;
   });
@@ -171,8 +171,8 @@ export function axisNormal(points, mirror) {
   return length < 1e-9 ? [1, 0] : [x / length, y / length];
 }
 
-/** The moves of twins that go with the moves of `indices` from `before` to `after`: each by its partner's move,
- *  mirrored. Points that are moved themselves keep their own move; points on the axis slide along it freely. */
+/** Move the twins of `indices` by the mirrored move from `before` to `after`. Twins that are in `indices` keep their own
+ *  move, and points on the axis move freely. */
 export function withTwins(before, after, indices, mirror) {
   if (!mirror) return after;
   const [nx, ny] = axisNormal(before, mirror);
@@ -189,7 +189,7 @@ export function withTwins(before, after, indices, mirror) {
   return result;
 }
 
-/** Flip left and right: each point goes to where its twin's mirror image lies, about the middle of the points. */
+/** Flip left and right: each point moves to the mirror image of its twin, about the middle of the points. */
 export function flip(points, mirror) {
   const box = bounds(points);
   if (box === null) return points;
@@ -205,7 +205,7 @@ export const flipIndices = (indices, mirror) =>
 
 export function toggle(indices, changed) {
   const result = new Set(indices);
-  const add = !changed.every((i) => result.has(i)); // mixed: all become so, as with any group of switches
+  const add = !changed.every((i) => result.has(i)); // in a mixed selection, switch all on
   for (const i of changed) add ? result.add(i) : result.delete(i);
   return [...result].sort((a, b) => a - b);
 }
@@ -213,7 +213,7 @@ export function toggle(indices, changed) {
 export const samePoint = (p, q) => p === q || (isPlaced(p) && isPlaced(q) && p[0] === q[0] && p[1] === q[1]);
 export const samePoints = (p, q) => p.length === q.length && p.every((point, i) => samePoint(point, q[i]));
 
-/** Whether two contents of a landmark file are the same up to what a file rounds away. */
+/** Whether two contents of a landmark file are equal up to rounding in the file. */
 export function sameMarks(one, other, tolerance = 0.006) {
   const near = (p, q) =>
     !isPlaced(p) || !isPlaced(q)

@@ -1,24 +1,23 @@
-// A light to move over the fitted object, and the picture under it.
+// A light that is moved over the fitted object, and the relit picture.
 
 import { api } from "./api.js";
 import { ballOf, directionAfterKey, directionAt, directionInWords, placeOf } from "./fit-geometry.js";
 import { LatestWins } from "./fit-schedule.js";
 import { button, h, icon } from "./ui.js";
 
-/** Where the light that is first tried comes from: the upper left, as painters have it. */
+/** Initial direction of the light: from the upper left. */
 const FIRST = directionAt([-0.55, -0.5], { x: 0, y: 0, radius: 1 });
 
 const SIZE_WHILE_MOVING = 800;
 const SIZE_AT_REST = 1600;
 
-/** Query of the server for a light. */
 export function lightQuery({ direction: [x, y, z], ambient }, size) {
   return { x: x.toFixed(4), y: y.toFixed(4), z: z.toFixed(4), ambient: ambient.toFixed(3), ...(size ? { size } : {}) };
 }
 
-/** Handle over the picture, ball and ambient slider in the bar; says "change" and "rest" as the light moves. */
+/** The handle over the picture, and the ball and ambient slider in the bar. Events: "change" and "rest". */
 export class Light extends EventTarget {
-  /** ambient: share of light from everywhere that is first tried. */
+  /** ambient: initial fraction of ambient light. */
   constructor(viewer, ambient) {
     super();
     this.viewer = viewer;
@@ -63,14 +62,14 @@ export class Light extends EventTarget {
     this._place();
   }
 
-  /** The object that the light is moved over. */
+  /** Set the shape over which the light is moved. */
   over(shape) {
     this.ball = shape ? ballOf(shape) : null;
     if (!this.ball) this.handle.hidden = true;
     this._place();
   }
 
-  /** The ball's rim and the way from its middle to the light, over the picture. */
+  /** Draw the rim of the ball and a line from its centre to the light. */
   draw(ctx, viewer) {
     if (!this.visible) return;
     const [cx, cy] = viewer.toScreen([this.ball.x, this.ball.y]);
@@ -127,7 +126,7 @@ export class Light extends EventTarget {
     const reset = button("Reset", {
       small: true,
       testid: "light-reset",
-      title: "The light as it was at first",
+      title: "Reset the light",
       onclick: () => {
         Object.assign(this, this.first);
         this._show();
@@ -195,7 +194,7 @@ export class Light extends EventTarget {
   }
 }
 
-/** A matt ball under the light: what its direction means, without looking at the picture. */
+/** Draw a matt ball under the light, to show its direction. */
 export function drawBall(canvas, [lx, ly, lz], ambient) {
   const size = canvas.width;
   const ctx = canvas.getContext("2d");
@@ -216,7 +215,7 @@ export function drawBall(canvas, [lx, ly, lz], ambient) {
   ctx.putImageData(image, 0, 0);
 }
 
-/** Fetches the object under the light: never more than one request is under way, and the newest light wins. */
+/** Fetches the relit picture, with at most one request at a time for the newest light. */
 export class Relighter {
   constructor({ done, failed }) {
     this._asks = new LatestWins(

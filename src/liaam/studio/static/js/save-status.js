@@ -1,18 +1,18 @@
-// The line that says whether all is saved, and what keeps it from being so.
+// The status line of saving.
 
 const TEXTS = {
   saved: "Saved",
   saving: "Saving…",
-  offline: "Not saved – server unreachable, will retry",
-  failing: "Not saved – will retry",
+  offline: "Not saved – server not reachable, retrying",
+  failing: "Not saved – retrying",
   refused: "Not saved",
   conflict: "Not saved – changed elsewhere",
-  draft: "The template is saved with Done",
+  draft: "Press Done to save the template",
 };
 const WRONG = ["offline", "failing", "refused", "conflict"];
 
 export class SaveStatus {
-  /** say(text): to screen readers; ondecide(): a conflict is to be decided. */
+  /** say(text): announce to screen readers; ondecide(): resolve a conflict. */
   constructor({ app, say, ondecide }) {
     const { h, button } = app.ui;
     Object.assign(this, { app, say });
@@ -30,17 +30,17 @@ export class SaveStatus {
     this.element.dataset.state = state;
     this.element.textContent =
       state === "offline" && message
-        ? "Not saved, but kept – open the address that 'liaam studio' printed"
+        ? "Not saved, but kept in the browser – open the address that 'liaam studio' printed"
         : TEXTS[state];
     this.element.title = message || this.element.textContent;
     this.complain(state === "refused" || state === "failing" ? `Not saved: ${message}` : "");
     this.button.hidden = state !== "conflict";
-    // Read out what went wrong and that it is well again, not every save.
+    // Announce problems and their end, not every save.
     if (WRONG.includes(state) && before !== state) this.say(this.element.title);
     if (WRONG.includes(before) && state === "saved") this.say(TEXTS.saved);
   }
 
-  /** Say why nothing is saved, once; it goes when there is nothing to complain about. */
+  /** Show an error message until it is resolved. */
   complain(text) {
     if (text === this.complaint?.text) return;
     this.complaint?.close();

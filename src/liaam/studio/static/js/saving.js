@@ -1,13 +1,13 @@
-// Saving after every change: one request in flight per picture, the latest wins, nothing is lost while the server is
-// away. Knows neither the page nor what points mean: what is saved is {points, invisible}.
+// Saving after every change: one request at a time per picture, with the latest content, which is kept in the browser
+// while the server is unreachable. The content is {points, invisible}. This module is independent of the page.
 
 import { sameMarks } from "./points.js";
 import { carried } from "./template.js";
 
-export const DELAY = 250; // milliseconds from a change to its request
+export const DELAY = 250; // milliseconds between a change and its request
 const RETRY = [1000, 2000, 4000, 8000];
 
-/** What is sent says which file and which template it is made for; a server that tells no revision is not told one. */
+/** Body of a request: the content with the revisions of the file and, if known, of the template. */
 function body({ sent, revision, template }) {
   return template?.revision === undefined
     ? { ...sent, revision }
@@ -16,18 +16,18 @@ function body({ sent, revision, template }) {
 
 const sizeOf = ({ width = null, height = null }) => ({ width, height });
 
-/** Whether two sizes may be of one picture: those that were not told may be. */
+/** Whether two sizes may belong to the same picture; unknown sizes may. */
 const mayBeOne = (a, b) => !a?.width || !b?.width || (a.width === b.width && a.height === b.height);
 
-/** What a picture's landmark file holds, of what the server tells: proposals are not in any file. */
+/** The contents of a picture's landmark file, from the server's answer; proposals are not in a file. */
 export function contentOf({ points, invisible, source }) {
   return source === "file" ? { points, invisible } : { points: points.map(() => null), invisible: [] };
 }
 
-/** Unsaved marks of a folder, kept where a reload finds them. Tabs share the storage, so what is kept says whose it is:
- *  `page` names this page. */
+/** Unsaved marks of a folder in the browser's storage, which survive a reload. Tabs share the storage, so each entry
+ *  contains the name of its `page`. */
 export class Unsaved {
-  /** `folder`: the project's id, as folders of one name are many. */
+  /** `folder`: the project's id, since names of folders are not unique. */
   constructor(storage, folder, page = "") {
     this.storage = storage;
     this.page = page;
@@ -38,7 +38,7 @@ export class Unsaved {
     try {
       this.storage.setItem(this.prefix + name, JSON.stringify({ ...entry, page: this.page }));
     } catch {
-      // A full or forbidden storage must not keep anyone from working; the request is under way all the same.
+      // Ignore a full or forbidden storage; the request is sent in any case.
     }
   }
 
@@ -72,14 +72,14 @@ export class Unsaved {
 const LOCK = "liaam-studio:page:";
 const LAST = "liaam-studio:last-page";
 
-/** This page among the tabs: its name, and which others live. A lock is held for as long as a page lives, so that what
- *  a tab is about to save is not taken for what a dead one left. */
+/** The name of this page, and which other pages are open. Each page holds a lock while it is open, so that its unsaved
+ *  marks are not taken for those of a closed page. */
 export class Page {
   constructor({ locks = globalThis.navigator?.locks, session = sessionStorage } = {}) {
     this.locks = locks;
     this.name = `${Date.now().toString(36)}-${Math.random().toString(36).slice(2)}`;
     try {
-      this.before = session.getItem(LAST); // the page that this tab showed before it was loaded again
+      this.before = session.getItem(LAST); // name of the page in this tab before a reload
       session.setItem(LAST, this.name);
     } catch {
       this.before = null;
@@ -87,7 +87,7 @@ export class Page {
     locks?.request(LOCK + this.name, () => new Promise(() => {})).catch(() => {});
   }
 
-  /** Whether what `page` kept is nobody's any more, and so ours to save. */
+  /** Whether `page` is closed, so that this page saves its unsaved marks. */
   async inherits(page) {
     if (page === this.name || page === this.before || !this.locks) return true;
     const { held } = await this.locks.query();
@@ -95,21 +95,22 @@ export class Page {
   }
 }
 
-/** What an entry is waiting for, worst first: the status line shows the worst of all pictures. */
+/** States of an entry, worst first: the status line shows the worst of all pictures. */
 export const STATES = ["conflict", "refused", "failing", "offline", "saving", "saved"];
 
-/** Answers after which the same again may be taken: none, one that wants the token, and a server that cannot now. */
+/** Whether the request may succeed later, because the server was unreachable or requires its token. */
 const isOffline = ({ status }) => !status || [401, 403, 421].includes(status);
 const isFinal = (error) => error.status >= 400 && error.status < 500 && !isOffline(error);
 
 export class Saver {
   /** @param {object} options
-   *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. It should outlive the page
-   *  (keepalive), so that a flush when the page goes away is enough; what does not land is kept in `unsaved`.
-   *  unsaved: Unsaved; template() -> {names, revision} that marks are made for now;
-   *  onStatus(state, message); onSaved(name, answer); onConflict(name, current); onForeign(name);
-   *  onTemplate(name): the server has another template: give the new one to `template`, then call `rebase`;
-   *  onLost(name, sentence): something that was kept cannot be saved */
+   *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. The request should outlive the page
+   *  (keepalive), so that a flush is enough when the page is closed;
+   *  unsaved: Unsaved; template() -> {names, revision} of the current template;
+   *  onStatus(state, message); onSaved(name, answer); onConflict(name, current);
+   *  onForeign(name): the landmarks were changed elsewhere;
+   *  onTemplate(name): the server has another template: update `template`, then call `rebase`;
+   *  onLost(name, sentence): unsaved marks cannot be saved */
   constructor({
     put,
     unsaved,
@@ -149,7 +150,7 @@ export class Saver {
     return this.entries.get(name);
   }
 
-  /** What the server has now. */
+  /** Record the server's current content. */
   known(name, revision, content, size = null) {
     const entry = this.entry(name);
     entry.revision = revision;
@@ -157,24 +158,24 @@ export class Saver {
     entry.size = size ?? entry.size;
   }
 
-  /** What is not on the server yet, or null. */
+  /** The content that is not on the server yet, or null. */
   pending(name) {
     const entry = this.entries.get(name);
     return entry?.wanted ?? entry?.sent ?? null;
   }
 
-  /** Whether a conflict is about a file that is no longer there. */
+  /** Whether a conflict is about a deleted file. */
   wasDeleted(name) {
     return this.entry(name).deleted;
   }
 
-  /** Whether something of this picture is not on the server yet. */
+  /** Whether a picture has unsaved content. */
   isDirty(name) {
     const entry = this.entries.get(name);
     return Boolean(entry && (entry.wanted || entry.sent));
   }
 
-  /** Names of all pictures that have something unsaved. */
+  /** Names of all pictures with unsaved content. */
   get dirty() {
     return [...this.entries.keys()].filter((name) => this.isDirty(name));
   }
@@ -183,7 +184,7 @@ export class Saver {
     return this.dirty.length > 0;
   }
 
-  /** A picture whose conflict waits to be decided, or null. */
+  /** A picture with an unresolved conflict, or null. */
   get conflicted() {
     return [...this.entries].find(([, entry]) => entry.state === "conflict")?.[0] ?? null;
   }
@@ -194,9 +195,9 @@ export class Saver {
     entry.wanted = content;
     entry.template = this.template();
     this.keep(name, entry);
-    if (entry.state === "conflict") return; // the person decides first
+    if (entry.state === "conflict") return; // the user has to decide first
     this.mark(entry, "saving");
-    if (entry.sent) return; // goes when the one in flight is back
+    if (entry.sent) return; // sent after the answer to the running request
     this.schedule(name, entry, this.delay);
   }
 
@@ -258,7 +259,7 @@ export class Saver {
     }
     this.unsaved.delete(name);
     this.mark(entry, "saved");
-    this.settleHeard(name, entry);
+    this.handleHeard(name, entry);
   }
 
   failed(name, entry, error) {
@@ -276,7 +277,7 @@ export class Saver {
       entry.deleted = current.revision === null && entry.revision !== null;
       entry.revision = current.revision;
       entry.saved = contentOf(current);
-      // Our own request may have landed although its answer was lost: then there is nothing to decide.
+      // If only the answer to an earlier request was lost, there is no conflict.
       if (sameMarks(entry.saved, sent)) {
         if (entry.wanted === sent) entry.wanted = null;
         entry.sent = sent;
@@ -288,7 +289,7 @@ export class Saver {
       return;
     }
     if (isFinal(error)) {
-      this.mark(entry, "refused", error.message); // the same again would be refused again
+      this.mark(entry, "refused", error.message); // a retry would be refused, too
       return;
     }
     const wait = RETRY[Math.min(entry.retries, RETRY.length - 1)];
@@ -298,7 +299,7 @@ export class Saver {
     this.schedule(name, entry, wait);
   }
 
-  /** The server answers again. */
+  /** The server is reachable again: retry all. */
   retry() {
     for (const [name, entry] of this.entries) {
       if (entry.state !== "offline" && entry.state !== "failing") continue;
@@ -308,8 +309,8 @@ export class Saver {
     }
   }
 
-  /** After a conflict: "mine" writes ours over theirs, "theirs" forgets ours. */
-  settle(name, which) {
+  /** Resolve a conflict: "mine" overwrites the server's version, "theirs" discards the version of this page. */
+  resolveConflict(name, which) {
     const entry = this.entry(name);
     if (entry.state !== "conflict") return Promise.resolve();
     entry.state = "saving";
@@ -324,25 +325,25 @@ export class Saver {
     return Promise.resolve();
   }
 
-  /** The server says that a picture's landmarks have this revision now. */
+  /** The server reports a new revision of a picture's landmarks. */
   heard(name, revision) {
     const entry = this.entry(name);
     entry.heard = revision;
-    if (!this.isDirty(name)) this.settleHeard(name, entry);
+    if (!this.isDirty(name)) this.handleHeard(name, entry);
   }
 
-  settleHeard(name, entry) {
+  handleHeard(name, entry) {
     const { heard } = entry;
     entry.heard = null;
     if (heard !== null && heard !== entry.revision) this.onForeign(name);
   }
 
-  /** Unsaved marks of a picture were made for another template than there is now: carry them over.
-   *  current: Marks of the picture under the new template; `mapping`: old index or null of each new point, if known. */
+  /** Convert the unsaved marks of a picture to the current template.
+   *  current: the server's marks with that template; `mapping`: old index or null of each new point, if known. */
   rebase(name, current, mapping = null) {
     const entry = this.entry(name);
     const content = this.pending(name);
-    if (!content || entry.sent) return; // what is under way comes back here by its answer
+    if (!content || entry.sent) return; // a running request calls this again through its answer
     const moved = this.carry(name, { wanted: content, saved: entry.saved, template: entry.template }, current, mapping);
     this.known(name, current.revision, contentOf(current), sizeOf(current));
     entry.template = this.template();
@@ -353,7 +354,7 @@ export class Saver {
     this.resume(name, entry, moved, current);
   }
 
-  /** Marks of another template as marks of this one: {wanted, ours}; null where none of them has a place in it. */
+  /** Convert marks of another template to the current one: {wanted, ours}; wanted is null if no point can be converted. */
   carry(name, { wanted, saved, template }, current, mapping = null) {
     const now = contentOf(current);
     const names = this.template()?.names ?? [];
@@ -361,12 +362,12 @@ export class Saver {
     const { content, lost } = move(wanted);
     if (lost.length) {
       const what = lost.length > 3 ? `${lost.length} points` : lost.map((point) => `'${point}'`).join(", ");
-      this.onLost(name, `The template has no ${what} any more, which you had placed in ${name}.`);
+      this.onLost(name, `The template no longer has ${what}, which you had placed in ${name}.`);
     }
     return { wanted: content, ours: content && saved ? sameMarks(move(saved).content ?? now, now) : false };
   }
 
-  /** Save what was taken up, or ask where the server has something else. */
+  /** Save restored marks, or report a conflict if the server's content differs. */
   resume(name, entry, { wanted, ours }, current) {
     if (!wanted || sameMarks(wanted, contentOf(current))) {
       entry.wanted = null;
@@ -386,8 +387,8 @@ export class Saver {
     return wanted;
   }
 
-  /** Take up what an earlier page could not save. `current`: what the server has. Returns the content to show, or
-   *  null where the server has it all. */
+  /** Restore marks that an earlier page could not save. `current`: the server's marks. Returns the content to show, or
+   *  null if there is nothing to restore. */
   restore(name, current) {
     const kept = this.unsaved.get(name);
     const content = contentOf(current);
@@ -398,7 +399,7 @@ export class Saver {
     }
     const entry = this.entry(name);
     if (!mayBeOne(kept.size, current)) {
-      this.onLost(name, `${name} is another picture now: the points that were not saved yet belong to the one before.`);
+      this.onLost(name, `${name} was replaced by another picture: the unsaved points of the earlier one were dropped.`);
       this.unsaved.delete(name);
       return null;
     }
@@ -407,7 +408,7 @@ export class Saver {
     entry.template = now;
     if (another) return this.resume(name, entry, this.carry(name, kept, current), current);
     if (kept.wanted.points?.length !== content.points.length) {
-      this.onLost(name, `Points of ${name} that were not saved yet are of another template, and were given up.`);
+      this.onLost(name, `The unsaved points of ${name} belong to another template and were dropped.`);
       this.unsaved.delete(name);
       return null;
     }

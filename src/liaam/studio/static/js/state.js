@@ -1,10 +1,10 @@
-// What the page knows of the folder, and the server's events that keep it so.
+// The page's copy of the project, updated by the server's events.
 
 import { api, ApiError } from "./api.js";
 
-const LOOK_EVERY = 4000; // milliseconds between two looks at the folder
+const LOOK_EVERY = 4000; // milliseconds between checks of the folder
 
-/** The picture that an address names; none where somebody has written the address by hand, and wrongly. */
+/** The picture named in an address; "" if the address is malformed. */
 export function nameIn(hash) {
   try {
     return decodeURIComponent(hash.slice(1));
@@ -19,14 +19,14 @@ export class State extends EventTarget {
     this.project = null;
     this.current = null;
     this.online = true;
-    this.unsure = false; // whether the server may be another one since: its port may be of another folder now
+    this.unsure = false; // whether another server, for another folder, may have taken over the port
     this._refreshing = null;
     this._again = false;
   }
 
-  /** Read the folder's state, and follow it. */
+  /** Fetch the project and follow its changes. */
   async open() {
-    const wanted = nameIn(location.hash); // before another picture is chosen
+    const wanted = nameIn(location.hash); // before the first picture is selected
     await this.refresh();
     const names = this.project.pictures.map((picture) => picture.name);
     this.select(names.includes(wanted) ? wanted : this._first());
@@ -38,7 +38,7 @@ export class State extends EventTarget {
     return this.project?.pictures.find((picture) => picture.name === name) ?? null;
   }
 
-  /** Fetch the project anew; calls while one is under way become one more. */
+  /** Fetch the project again; calls during a fetch lead to one more. */
   refresh() {
     if (this._refreshing) {
       this._again = true;
@@ -58,12 +58,12 @@ export class State extends EventTarget {
     if (name === this.current) return;
     const before = this.current;
     this.current = name;
-    // The address remembers the picture over a reload.
+    // The address keeps the picture across a reload.
     history.replaceState(null, "", name ? `#${encodeURIComponent(name)}` : location.pathname);
     this._say("select", { name, before });
   }
 
-  /** Select the picture so many places on, among those that can be opened. */
+  /** Select the picture `by` positions further, among those that can be opened. */
   step(by) {
     const names = this.project.pictures.filter((picture) => picture.state !== "broken").map((picture) => picture.name);
     if (!names.length) return;
@@ -71,7 +71,7 @@ export class State extends EventTarget {
     this.select(names[Math.min(Math.max(at + by, 0), names.length - 1)]);
   }
 
-  /** Take over what a save has told of one picture, without fetching all. */
+  /** Update one picture from the answer to a save. */
   update(picture) {
     const at = this.project.pictures.findIndex((other) => other.name === picture.name);
     if (at < 0) return;
@@ -79,7 +79,7 @@ export class State extends EventTarget {
     this._say("project");
   }
 
-  /** What other programs do in the folder comes by no event: look again, cheaply, while the page is seen. */
+  /** Check the folder for changes by other programs, which send no events, while the page is visible. */
   async look() {
     if (document.hidden || this._refreshing || !this.project) return;
     const { stamp } = this.project;
@@ -92,7 +92,7 @@ export class State extends EventTarget {
   }
 
   _watch() {
-    const look = () => this.look().catch(() => {}); // a lost server is told by the events
+    const look = () => this.look().catch(() => {}); // a lost connection is reported by the event stream
     addEventListener("focus", look);
     document.addEventListener("visibilitychange", look);
     setInterval(() => {
@@ -100,10 +100,10 @@ export class State extends EventTarget {
     }, LOOK_EVERY);
   }
 
-  /** Send what was made for this page's folder: `request` is given the folder's id, for the server to refuse it where
-   *  another folder is served at this address by now. The page is then loaded anew, and this rejects. */
+  /** Send a request with the id of the page's folder. If the server now serves another folder, it refuses the request,
+   *  the page is reloaded, and the promise is rejected. */
   async send(request) {
-    if (this.unsure) await this.refresh(); // else at once: the page may be going away
+    if (this.unsure) await this.refresh(); // otherwise send at once, since the page may be closing
     try {
       return await request(this.project.id);
     } catch (error) {
@@ -114,8 +114,8 @@ export class State extends EventTarget {
 
   _take(project) {
     if (this.project && this.project.id !== project.id) {
-      location.reload(); // what is not saved is kept for the folder that it is of
-      throw new ApiError("The studio shows another folder now.", 0);
+      location.reload(); // unsaved marks are kept with the id of their folder
+      throw new ApiError("The studio now serves another folder.", 0);
     }
     this.unsure = false;
     this.project = project;
@@ -150,7 +150,7 @@ export class State extends EventTarget {
       lost = true;
       this.unsure = true;
       this._online(false);
-      // A browser gives up for good where the answer was an error: a server started anew has another token.
+      // A browser does not reconnect after an error status, such as from a new server with another token.
       if (source.readyState === EventSource.CLOSED) setTimeout(() => this._follow(), 2000);
     });
     source.addEventListener("project", () => this.refresh().catch(() => {}));

@@ -1,4 +1,4 @@
-// The folder's pictures at the left: what state each is in, and which one is open.
+// The list of the folder's pictures on the left, with the state of each.
 
 import { api } from "./api.js";
 import { h, icon, segmented } from "./ui.js";
@@ -22,7 +22,7 @@ export function mountStrip(root, state) {
   const items = new Map(); // name -> {element, key}
   const count = h("p", { class: "small muted", "aria-live": "polite" });
   const list = h("ul", { class: "strip-list", role: "listbox", tabindex: "0", "aria-label": "Pictures", dataset: { testid: "strip" } });
-  const choice = segmented("Which pictures", [
+  const choice = segmented("Filter", [
     { value: "all", label: "All" },
     { value: "todo", label: "To do" },
     { value: "done", label: "Done" },
@@ -62,10 +62,10 @@ export function mountStrip(root, state) {
       role: "option",
       id: `strip-${encodeURIComponent(picture.name)}`,
       title: picture.error ?? picture.name,
-      "aria-label": `${picture.name}, ${describe(picture)}${picture.rank === 1 ? ", teaches the model most" : ""}`,
+      "aria-label": `${picture.name}, ${describe(picture)}${picture.rank === 1 ? ", helps the model most" : ""}`,
       dataset: { name: picture.name, state: picture.state },
     }, h("span", { class: "strip-face" }, face,
-      picture.rank === 1 && h("span", { class: "strip-next", title: "Teaches the model most" }, icon("spark", 12))),
+      picture.rank === 1 && h("span", { class: "strip-next", title: "Helps the model most" }, icon("spark", 12))),
     h("span", { class: "strip-text" },
       h("span", { class: "strip-name", style: { display: "block" } }, picture.name),
       h("span", { class: "strip-state" }, h("span", { class: `dot ${picture.state}` }), describe(picture))));
@@ -75,7 +75,7 @@ export function mountStrip(root, state) {
     const pictures = shown();
     const all = (state.project?.pictures ?? []).filter((picture) => picture.state !== "broken");
     const done = all.filter((picture) => picture.state === "done").length;
-    count.textContent = all.length ? `${done} of ${all.length} done` : "no pictures yet";
+    count.textContent = all.length ? `${done} of ${all.length} done` : "No pictures yet";
     const kept = new Set(pictures.map((picture) => picture.name));
     for (const [name, { element }] of items) if (!kept.has(name)) { element.remove(); items.delete(name); }
     pictures.forEach((picture, i) => {

@@ -1,4 +1,4 @@
-// What is drawn over the picture while the template is made.
+// Drawing of a template while it is edited.
 
 import { AxisGrip } from "./axis-grip.js";
 import { COLOURS, drawFrame, drawMarks, drawNames, drawPaths } from "./drawing.js";
@@ -17,7 +17,7 @@ export function drawDrafting(ctx, viewer, tool, drafting) {
   if (!tool.gesture) drawFrame(ctx, viewer, points, drafting.framed());
 }
 
-/** From the path's last point to the pointer: what a click would draw. */
+/** Draw the line that a click would add, from the path's last point to the pointer. */
 function drawNextLine(ctx, viewer, draft, at) {
   const last = draft.points[draft.contours[draft.path]?.indices.at(-1)];
   if (!last) return;

@@ -1,4 +1,4 @@
-// The editor of the template over one picture: its parts put together, files that it begins with, and saving it.
+// The editor of the template over a picture: connects its parts, loads files, and saves the template.
 
 import { Drafting } from "./drafting.js";
 import { KeptDraft } from "./kept-draft.js";
@@ -10,8 +10,8 @@ import * as drafts from "./template.js";
 export class TemplateEditor {
   /**
    * @param {object} parts
-   *  app, viewer; onchange(): something changed, draw again; say(text): to screen readers;
-   *  onsave({template, mapping, points, isFresh}): save; oncancel(): leave without.
+   *  app, viewer; onchange(): something changed, draw again; say(text): announce to screen readers;
+   *  onsave({template, mapping, points, isFresh}): save; oncancel(): leave without saving.
    */
   constructor({ app, viewer, onchange, say, onsave, oncancel }) {
     Object.assign(this, { app, viewer, onchange, onsave, oncancel });
@@ -47,18 +47,17 @@ export class TemplateEditor {
   get isChanging() {
     return this.doc.saved !== null && this.history.canUndo;
   }
-  /** Whether something was made here that is not saved. */
+  /** Whether there are unsaved changes. */
   get hasChanges() {
     return this.doc.saved === null ? this.started : this.history.canUndo;
   }
 
-  /** What to do next, in a sentence. */
   get prompt() {
-    if (this.doc.layingOut) return "Put the points in place: drag the frame's handles, then single points";
+    if (this.doc.layingOut) return "Move the points into place: drag the frame's handles, then single points";
     if (!this.started) return "Click the first point of your template on this picture";
     return this.draft.path < 0
-      ? "Click where the next path begins"
-      : "Click the next point of this path – C closes it, N begins another";
+      ? "Click the first point of the next path"
+      : "Click the next point of this path – C closes it, N starts another";
   }
 
   changed() {
@@ -71,17 +70,17 @@ export class TemplateEditor {
     drawDrafting(ctx, this.viewer, tool, this.doc);
   }
 
-  // Beginning -------------------------------------------------------------------------------------------------------
+  // Starting --------------------------------------------------------------------------------------------------------
 
-  /** Edit `template` (null: make a new one, or go on with one) with its points at `points` on the picture. */
+  /** Edit `template` with its points at `points` on the picture, or, if it is null, a new or stored draft. */
   start(template, points) {
-    if (template) this.kept.set(null); // a template that came from elsewhere makes a draft void
+    if (template) this.kept.set(null); // a saved template invalidates the draft of a new one
     this.parts.showMirror(false);
     this.doc.start(template, points, template ? null : (this.kept.get() ?? drafts.EMPTY));
     this.changed();
   }
 
-  /** The template is another now: what was made becomes a change of that one. */
+  /** The saved template has changed: turn the draft into a change of the new one. */
   rebase(template) {
     this.kept.set(null);
     this.doc.rebase(template);
@@ -94,10 +93,10 @@ export class TemplateEditor {
       const address = `${api.url("template/file")}?name=${encodeURIComponent(file.name)}`;
       const template = await api.upload(address, file);
       const box = bounds(template.points ?? []);
-      if (box === null) throw new Error(`${file.name} has no points; choose another file.`);
+      if (box === null) throw new Error(`${file.name} has no points: choose another file.`);
       const lies = box[0] >= -1 && box[1] >= -1 && box[2] <= width && box[3] <= height;
       const large = Math.max((box[2] - box[0]) / width, (box[3] - box[1]) / height) > 0.2;
-      // Often the file is this very picture's; points that fit are left where they are.
+      // The file often belongs to this picture, so points that fit are left unchanged.
       const points = lies && large ? template.points : fitInto(template.points, width, height);
       this.doc.load(
         file.name,
@@ -122,7 +121,7 @@ export class TemplateEditor {
       return;
     }
     const mapping = saved && drafts.rearranges(draft, saved.names.length) ? draft.origins : null;
-    // As it is now: while the person is asked, the template may be changed elsewhere.
+    // Taken now, because the template may be changed elsewhere while the dialog is open.
     const revision = saved ? saved.revision : null;
     const work = { template: { ...drafts.templateOf(draft), revision }, mapping, points: draft.points, isFresh };
     if (mapping && !(await this.agreed())) return;
@@ -138,7 +137,7 @@ export class TemplateEditor {
     }
   }
 
-  /** Whether the person wants landmark files to be rewritten. */
+  /** Ask whether landmark files may be rewritten. */
   async agreed() {
     const files = this.app.state.project.pictures.filter(
       (picture) => picture.placed > 0 && picture.state !== "proposed",
@@ -154,7 +153,7 @@ export class TemplateEditor {
       this.oncancel();
       return;
     }
-    const sure = () => this.app.confirm("Start over?", "All points of the new template go away.", "Start over");
+    const sure = () => this.app.confirm("Start over?", "All points of the new template will be deleted.", "Start over");
     if (this.started && !(await sure())) return;
     this.kept.set(null);
     this.start(null, null);
@@ -162,7 +161,7 @@ export class TemplateEditor {
 
   // Keys ------------------------------------------------------------------------------------------------------------
 
-  /** Act on a key; gives whether it meant something. */
+  /** Handle a key; return whether it was handled. */
   key(event) {
     const { doc } = this;
     if (event.ctrlKey || event.metaKey || event.altKey) return false;

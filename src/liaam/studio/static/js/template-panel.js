@@ -1,10 +1,10 @@
-// The panel beside the picture while the template is made: what to do next, its points and paths, and to be done.
+// The panel beside the picture while the template is edited: instructions, points, paths, and Done.
 
 import { TemplatePaths } from "./template-paths.js";
 import { TemplatePoints } from "./template-points.js";
 
 export class TemplatePanel {
-  /** onload(file): begin with a landmark file; ondone(); onleave(). */
+  /** onload(file): start with a landmark file; ondone(); onleave(). */
   constructor({ ui, drafting, onload, ondone, onleave }) {
     const { h, button, icon } = ui;
     Object.assign(this, { h, drafting });
@@ -18,7 +18,7 @@ export class TemplatePanel {
       dataset: { testid: "template-load" },
       onchange: () => this.file.files[0] && onload(this.file.files[0]),
     });
-    const from = "Load from a landmark file";
+    const from = "Load a landmark file";
     this.loadLabel = h("label", { class: "button", for: "template-file" }, icon("upload"), from);
     this.pathButton = button("New path", {
       icon: "path",
@@ -40,7 +40,7 @@ export class TemplatePanel {
       shortcut: "X",
       pressed: false,
       onclick: () => this.toggleMirror(),
-      title: "Each point gets a twin on the other side of the line",
+      title: "Add a mirrored point on the other side of the line with each point",
     });
     this.flipButton = button("Flip", {
       icon: "swap",
@@ -83,7 +83,7 @@ export class TemplatePanel {
     this.refresh();
   }
 
-  /** What can be done now, and what to do next. */
+  /** Update the buttons and the instructions. */
   refresh() {
     const { draft, saved, layingOut } = this.drafting;
     this.heading.textContent = saved ? "Edit the template" : "Start with a template";
@@ -110,22 +110,22 @@ export class TemplatePanel {
     if (saved) {
       return [
         muted(
-          "Click the picture to add points. Shift-click a point to run the path through it. Other pictures change when you press Done.",
+          "Click the picture to add points. Shift-click a point to connect the path to it. Other pictures change when you press Done.",
         ),
       ];
     }
     if (draft.names.length) {
       return [
         muted(
-          "Clicking goes on with the path; a click on its first point closes it. Shift-click a point to run the path through it. Names can be changed below, now or later.",
+          "Click to continue the path, or click its first point to close it. Shift-click a point to connect the path to it. You can change names below, now or later.",
         ),
       ];
     }
     const what =
-      "Which points will be marked on every picture? Click them on this one, along each outline in turn – clicking goes on with the path.";
+      "Which points will be placed on every picture? Click them on this picture, one contour after another. Each click continues the path.";
     return [
       h("p", {}, what),
-      muted("Or take them from a file that has them (.pts, .ljson, .asf …):"),
+      muted("Or load them from a landmark file (.pts, .ljson, .asf …):"),
       h("div", {}, this.file, this.loadLabel),
     ];
   }
@@ -138,7 +138,7 @@ export class TemplatePanel {
     this.mirrorButton.setAttribute("aria-pressed", String(on));
   }
 
-  /** Nothing can be saved while something is. */
+  /** Disable Done while the template is being saved. */
   setBusy(busy) {
     this.busy = busy;
     if (busy) this.refresh();

@@ -1,4 +1,4 @@
-// The template's paths: which is being drawn, which are closed, to go on with them and to delete them.
+// The list of the template's paths, to continue, close or delete them.
 
 export class TemplatePaths {
   constructor({ h, button }, drafting) {
@@ -31,7 +31,7 @@ export class TemplatePaths {
           onclick: () => drafting.setClosed(k, !closed),
         }),
       !current &&
-        button(`Go on with ${label.toLowerCase()}`, {
+        button(`Continue ${label.toLowerCase()}`, {
           icon: "edit",
           iconOnly: true,
           small: true,

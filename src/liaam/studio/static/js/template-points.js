@@ -1,4 +1,4 @@
-// The template's points with their names to type in, to drag into another order, and to delete.
+// The list of the template's points, to rename, reorder or delete them.
 
 export class TemplatePoints {
   constructor({ h, button }, drafting) {
@@ -24,13 +24,12 @@ export class TemplatePoints {
       row.gone.setAttribute("aria-label", `Delete ${names[i]}`);
       const twin = draft.mirror[i];
       row.twin.textContent = twin === i ? "" : `⇄ ${twin + 1}`;
-      row.twin.title = twin === i ? "" : `Twin: ${names[twin]}`;
+      row.twin.title = twin === i ? "" : `Mirrored point: ${names[twin]}`;
     });
     this.element.dataset.empty = names.length ? "" : "No points yet";
     this.mark();
   }
 
-  /** Show which points are chosen. */
   mark() {
     const { selection, active } = this.drafting;
     this.rows.forEach((row, i) => row.element.classList.toggle("chosen", selection.has(i)));
@@ -101,7 +100,7 @@ export class TemplatePoints {
     if (event.type === "pointerup" && over >= 0) this.drafting.shift(from, over);
   }
 
-  /** In a name: up, down and Enter go to another one; with Alt the point goes along. */
+  /** In a name, up, down and Enter go to another one; with Alt they move the point. */
   key(event, i) {
     const step = { ArrowUp: -1, ArrowDown: 1 }[event.key];
     const go = event.key === "Enter" ? 1 : step;

@@ -1,8 +1,9 @@
-// The landmark template as a value: which points there are, what they are called, which paths run through them, which
-// are twins. Every function gives a new draft and changes none.
+// The landmark template as an immutable value: points, names, paths and symmetry. Every function returns a new draft. The
+// twin of a point is its mirrored point.
 //
-// A draft is {names, points, contours: [{indices, closed}], mirror: twin of each point (itself if none), origins: index of each
-//  point in the saved template or null, path: the contour that clicks continue or -1, twinPath: its mirror image or -1}
+// A draft is {names, points, contours: [{indices, closed}], mirror: twin of each point (itself if none), origins: index
+//  of each point in the saved template or null, path: the contour that clicks continue or -1, twinPath: its mirror image
+//  or -1}
 
 import { axisNormal, bounds, indicesOf, rounded } from "./points.js";
 
@@ -16,7 +17,7 @@ export const EMPTY = Object.freeze({
   twinPath: -1,
 });
 
-/** A draft of a saved template; `points` where they lie on the picture, or null for its own layout. */
+/** A draft of a saved template with its `points` on the picture, or null for its own layout. */
 export function draftOf(template, points = null) {
   return {
     names: template.names.slice(),
@@ -51,8 +52,8 @@ function extend(contours, path, index) {
 
 const twinsOf = (indices, mirror) => indices.map((i) => mirror[i]);
 
-/** Add a point to the current path, and its twin across `axis` (x of a vertical line) where one is given; closer to
- *  the axis than `tolerance` it lies on it and is its own twin. */
+/** Add a point to the current path and, if `axis` (x of a vertical line) is given, its twin. A point closer to the axis
+ *  than `tolerance` is placed on it and is its own twin. */
 export function addPoint(draft, xy, { axis = null, tolerance = 0 } = {}) {
   const onAxis = axis !== null && Math.abs(xy[0] - axis) <= tolerance;
   const index = draft.names.length;
@@ -65,13 +66,12 @@ export function addPoint(draft, xy, { axis = null, tolerance = 0 } = {}) {
   next = appended(next, [2 * axis - xy[0], xy[1]]);
   next.mirror = next.mirror.map((twin, i) => (i === index ? index + 1 : i === index + 1 ? index : twin));
   if (next.twinPath >= 0) return { ...next, contours: extend(next.contours, next.twinPath, index + 1) };
-  // The mirrored path begins with the twins of what the path has so far.
+  // The mirrored path starts with the twins of the path's points.
   const indices = twinsOf(next.contours[next.path].indices, next.mirror);
   return { ...next, contours: [...next.contours, { indices, closed: false }], twinPath: next.contours.length };
 }
 
-/** Where the axis of symmetry is on a picture of that width: half-way between twins, in the middle of points without
- *  twins, or in the middle of the picture. */
+/** x of the axis of symmetry: half-way between twins, or else in the middle of the points or of the picture. */
 export function axisOf({ names, points, mirror }, width) {
   const box = bounds(points);
   const pairs = indicesOf(mirror).filter((i) => mirror[i] > i);
@@ -81,7 +81,7 @@ export function axisOf({ names, points, mirror }, width) {
   return pairs.reduce((sum, i) => sum + (points[i][0] + points[mirror[i]][0]) / 2, 0) / pairs.length;
 }
 
-/** A path and its mirror image as they are kept: one path where they meet on the axis, two where they do not. */
+/** Join a path and its mirror image: one path if they meet on the axis, otherwise two. */
 export function joined(path, twin, closed) {
   const shares = (i) => path[i] === twin[i];
   const [starts, ends] = [shares(0), shares(path.length - 1)];
@@ -95,7 +95,7 @@ export function joined(path, twin, closed) {
   ];
 }
 
-/** End the current path; the next click begins another. */
+/** End the current path; the next click starts another. */
 export function newPath(draft, closed = false) {
   if (draft.path < 0) return draft;
   const { indices } = draft.contours[draft.path];
@@ -109,7 +109,6 @@ export function newPath(draft, closed = false) {
 
 export const closePath = (draft) => newPath(draft, true);
 
-/** Go on with a path that was ended. */
 export function continuePath(draft, path) {
   const ended = newPath(draft);
   const contour = draft.contours[path];
@@ -118,7 +117,7 @@ export function continuePath(draft, path) {
   return { ...ended, contours: ended.contours.map((c, k) => (k === at ? { ...c, closed: false } : c)), path: at };
 }
 
-/** Run the current path through a point that is there already; a path goes through a point once. */
+/** Connect the current path to an existing point; a path contains a point once. */
 export function connect(draft, index) {
   if (draft.contours[draft.path]?.indices.includes(index)) return draft;
   if (draft.path < 0)
@@ -143,7 +142,7 @@ export function rename(draft, index, name) {
   return { ...draft, names: draft.names.map((old, i) => (i === index ? name : old)) };
 }
 
-/** The draft with its points in another order: order[new index] = old index; points left out are deleted. */
+/** The draft with reordered points: order[new index] = old index; other points are deleted. */
 export function arranged(draft, order) {
   const now = new Map(order.map((old, i) => [old, i]));
   const pick = (list) => order.map((old) => list[old]);
@@ -151,7 +150,7 @@ export function arranged(draft, order) {
     const left = indices.filter((i) => now.has(i)).map((i) => now.get(i));
     return { indices: left, closed: closed && left.length > 2 };
   });
-  // A path being drawn may be of one point; any other needs two.
+  // The current path may have one point; all others need two.
   const alive = kept.map((contour, k) => contour.indices.length > (k === draft.path || k === draft.twinPath ? 0 : 1));
   const place_ = (k) => (k < 0 || !alive[k] ? -1 : alive.slice(0, k).filter(Boolean).length);
   return {
@@ -180,20 +179,20 @@ export function reorder(draft, from, to) {
   return arranged(draft, order);
 }
 
-/** What is wrong with a draft, in a sentence; null where it can be saved. */
+/** What is wrong with a draft; null if it can be saved. */
 export function fault(draft) {
   if (draft.names.length < 3)
-    return `A template needs at least three points; there ${draft.names.length === 1 ? "is one" : `are ${draft.names.length || "none"}`} so far.`;
+    return `A template needs at least three points: add ${3 - draft.names.length} more.`;
   const blank = draft.names.findIndex((name) => !name.trim());
-  if (blank >= 0) return `Point ${blank + 1} has no name; give it one.`;
-  const twice = draft.names.find((name, i) => draft.names.findIndex((other) => other.trim() === name.trim()) !== i);
-  if (twice !== undefined) return `Two points are called '${twice}'; names have to differ.`;
+  if (blank >= 0) return `Point ${blank + 1} has no name: enter one.`;
+  const duplicate = draft.names.find((name, i) => draft.names.findIndex((other) => other.trim() === name.trim()) !== i);
+  if (duplicate !== undefined) return `Two points have the name '${duplicate}': rename one.`;
   const lost = draft.points.findIndex((point) => !point);
-  if (lost >= 0) return `'${draft.names[lost]}' has no place; click it on the picture or delete it.`;
+  if (lost >= 0) return `'${draft.names[lost]}' is not placed: click its position on the picture, or delete it.`;
   return null;
 }
 
-/** As the server keeps it. */
+/** The template of a draft, as JSON for the server. */
 export function templateOf(draft) {
   const { names, points, contours, mirror } = newPath(draft);
   return {
@@ -204,8 +203,8 @@ export function templateOf(draft) {
   };
 }
 
-/** Index in the template before of each point of the present one, null where it is new: by their names. Points that
- *  kept their place while others were called otherwise are the same, so a template that was only renamed maps too. */
+/** Old index of each point of the current template, null for a new one, by names. If names only changed in place, points
+ *  are matched by position. */
 export function mappingByNames(before, now) {
   const was = now.map((name) => before.indexOf(name));
   const stays = (old, i) => old === i || (old < 0 && !now.includes(before[i]));
@@ -214,10 +213,11 @@ export function mappingByNames(before, now) {
 }
 
 /**
- * Marks of another template as marks of the present one.
- * content: {points, invisible}; before: names of its template, or null where they are not known; now: names of the
- * present one; current: the picture's marks on the server, which fill in points that are new.
- * Gives {content, lost: names of placed points that the present template lacks}; content null: nothing is known.
+ * Convert marks of another template to the current one.
+ * content: {points, invisible}; before: names of its template, or null if unknown; now: names of the current one;
+ * current: the picture's marks on the server, used for new points.
+ * Returns {content, lost: names of placed points that the current template lacks}; content is null if the names are
+ * unknown.
  */
 export function carried(content, before, now, current, mapping = null) {
   if (!before && !mapping) return { content: null, lost: content.points.map((_, i) => `point ${i + 1}`) };
@@ -232,7 +232,7 @@ export function carried(content, before, now, current, mapping = null) {
   return { content: { points, invisible }, lost: gone.map((i) => before?.[i] ?? `point ${i + 1}`) };
 }
 
-/** A draft of the template `before` (null: of none) as one of `now`, which it became elsewhere meanwhile. */
+/** Convert a draft of the template `before` (null: none) to a draft of `now`. */
 export function rebased(draft, before, now) {
   const moved = before ? mappingByNames(before.names, now.names) : [];
   const origins = draft.origins.map((origin, i) => {
@@ -242,20 +242,20 @@ export function rebased(draft, before, now) {
   return { ...draft, origins: origins.map((origin, i) => (origins.indexOf(origin) === i ? origin : null)) };
 }
 
-/** Whether saved landmark files have to be rewritten. */
+/** Whether landmark files must be rewritten. */
 export function rearranges(draft, count) {
   return draft.origins.length !== count || draft.origins.some((origin, i) => origin !== i);
 }
 
-/** What saving does to the files, in words. */
+/** Description of the effect of saving on the landmark files. */
 export function changes(draft, count) {
   const kept = draft.origins.filter((origin) => origin !== null);
   const [added, deleted] = [draft.origins.length - kept.length, count - kept.length];
   const moved = kept.some((origin, i) => i > 0 && origin < kept[i - 1]);
   const points = (number) => `${number} ${number === 1 ? "point" : "points"}`;
   return [
-    deleted > 0 && `${points(deleted)} will be deleted, with the places they have`,
-    added > 0 && `${points(added)} will be new and missing in the other pictures until placed there`,
-    moved && "the order of the points changes",
+    deleted > 0 && `${points(deleted)} will be deleted`,
+    added > 0 && `${points(added)} will be added, and will be missing in the other pictures`,
+    moved && "the order of the points will change",
   ].filter(Boolean);
 }

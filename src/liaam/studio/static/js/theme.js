@@ -1,5 +1,5 @@
-// Light or dark: as a person has chosen on this machine, else as the system says. Read before the page is drawn, or it
-// would flash; so this is no module, which would wait until the page is there.
+// The theme, light or dark: the user's choice, or else the system's. This is not a module, because it must run before
+// the page is drawn, to avoid a flash.
 
 (() => {
   const KEY = "liaam-theme";
@@ -10,7 +10,7 @@
     try {
       return localStorage.getItem(KEY);
     } catch {
-      return null; // without storage a choice lives as long as the page
+      return null; // without storage, the choice is lost with the page
     }
   }
 

@@ -1,8 +1,8 @@
-// Making elements, and the controls that all tabs share.
+// Elements and controls shared by all tabs.
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** Make an element: h("button", {class: "button", onclick: f, "aria-label": "…", dataset: {testid: "x"}}, "text", child). */
+/** Create an element: h("button", {class: "button", onclick: f, "aria-label": "…", dataset: {testid: "x"}}, "text", child). */
 export function h(tag, props = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(props ?? {})) {
@@ -18,7 +18,7 @@ export function h(tag, props = {}, ...children) {
   return element;
 }
 
-/** Paths of the icons, on a grid of 24, drawn with a line of 2. */
+/** Paths of the icons on a 24 x 24 grid, with a line width of 2. */
 const ICONS = {
   undo: "M9 14 4 9l5-5M4 9h10a6 6 0 0 1 0 12h-3",
   redo: "m15 14 5-5-5-5M20 9H10a6 6 0 0 0 0 12h3",
@@ -58,7 +58,7 @@ const ICONS = {
   spark: "M12 3l2 6 6 2-6 2-2 6-2-6-6-2 6-2z",
 };
 
-/** An icon as an SVG that screen readers pass over. */
+/** An icon as an SVG that is hidden from screen readers. */
 export function icon(name, size = 16) {
   const svg = document.createElementNS(SVG, "svg");
   const path = document.createElementNS(SVG, "path");
@@ -72,8 +72,8 @@ export function icon(name, size = 16) {
 }
 
 /**
- * A button. kind: "primary", "danger", "ghost"; small; pressed: true or false for toggles; iconOnly: the label is for
- * screen readers and the tooltip; shortcut: shown in the tooltip; testid.
+ * A button. kind: "primary", "danger", "ghost"; small; pressed: true or false for toggles; iconOnly: show the label only
+ * to screen readers and in the tooltip; shortcut: shown in the tooltip; testid.
  */
 export function button(label, options = {}) {
   const { icon: picture, onclick, kind = "", shortcut, small, pressed, iconOnly, disabled, title, testid, ...others } = options;
@@ -96,7 +96,7 @@ export function button(label, options = {}) {
   );
 }
 
-/** A row of choices of which one holds: [{value, label, title}]; returns {element, value (get, set)}. */
+/** A row of radio buttons: [{value, label, title}]; returns {element, value (get, set)}. */
 export function segmented(label, choices, value, onchange) {
   const buttons = choices.map((choice) =>
     h("button", { type: "button", role: "radio", title: choice.title, dataset: { value: choice.value } }, choice.label),
@@ -135,8 +135,8 @@ export function segmented(label, choices, value, onchange) {
 }
 
 /**
- * Open a modal dialog; actions: [{label, kind, value, testid}]. Gives the chosen action's value, or null where it was
- * closed. body: element or text.
+ * Open a modal dialog; actions: [{label, kind, value, testid}]; body: element or text. Resolves to the value of the
+ * chosen action, or null if the dialog was closed.
  */
 export function dialog(title, body, actions = [{ label: "Close", value: null }], { wide = false } = {}) {
   return new Promise((resolve) => {
@@ -150,24 +150,23 @@ export function dialog(title, body, actions = [{ label: "Close", value: null }],
       h("div", { class: "dialog-foot" }, actions.map(({ label, kind, value, testid }) =>
         button(label, { kind, testid, onclick: () => close(value) }))),
     );
-    // Keys of the work behind it must not act.
+    // Do not trigger keys of the page behind the dialog.
     box.addEventListener("keydown", (event) => event.stopPropagation());
     box.addEventListener("close", () => { box.remove(); resolve(chosen); });
     document.body.append(box);
     box.showModal();
-    // A long body begins at its beginning, wherever the focus is.
+    // Show the beginning of a long body, regardless of the focus.
     box.querySelector(".dialog-foot .primary, .dialog-foot button")?.focus({ preventScroll: true });
     box.scrollTop = 0;
     box.querySelector(".dialog-body").scrollTop = 0;
   });
 }
 
-/** Ask before something that cannot be undone. */
+/** Ask for confirmation of an action that cannot be undone. */
 export async function confirm(title, text, action, kind = "danger") {
   return (await dialog(title, text, [{ label: "Cancel", value: false }, { label: action, kind, value: true, testid: "confirm" }])) === true;
 }
 
-/** Let the browser save what an address gives. */
 export function download(address) {
   const link = h("a", { href: address, download: "" });
   document.body.append(link);
@@ -175,7 +174,7 @@ export function download(address) {
   link.remove();
 }
 
-/** Say something at the bottom of the page; errors stay until they are closed. Gives a function that takes it away. */
+/** Show a message at the bottom of the page; errors stay until they are closed. Returns a function that removes it. */
 export function toast(message, kind = "info") {
   const box = document.getElementById("toasts");
   const text = message instanceof Error ? message.message : String(message);
@@ -188,14 +187,14 @@ export function toast(message, kind = "info") {
   return () => item.remove();
 }
 
-/** Whether keys belong to a field that is being typed into. */
+/** Whether the event's target is a text field. */
 export function isTyping(event) {
   const target = event.target;
   return target instanceof HTMLElement
     && (target.isContentEditable || target.matches("textarea, select, input:not([type=range], [type=checkbox], [type=radio], [type=button])"));
 }
 
-/** Call a function at most once a frame, with the newest arguments. */
+/** Call a function at most once per frame, with the newest arguments. */
 export function perFrame(work) {
   let waiting = null;
   return (...args) => {

@@ -1,12 +1,12 @@
-// A picture to zoom and pan, with layers drawn over it and a tool that may take the pointer.
+// A picture with zoom and pan, layers drawn over it, and a tool that handles the pointer.
 //
-// Landmark coordinates have (0, 0) at the centre of the top-left pixel; the canvas has it at that pixel's corner.
+// Landmark coordinates have (0, 0) at the centre of the top-left pixel; canvas coordinates at its corner.
 
 import { button, h } from "./ui.js";
 
-const LARGEST = 64; // screen pixels for one of the picture
-const EASE = 0.0016; // zoom per pixel of wheel
-const SHARP_FROM = 3; // from this zoom on, pixels are shown as squares
+const LARGEST = 64; // maximum zoom, screen pixels per picture pixel
+const EASE = 0.0016; // zoom per pixel of the wheel
+const SHARP_FROM = 3; // zoom from which pixels are shown as squares
 
 export class Viewer extends EventTarget {
   constructor(container, { label = "Picture" } = {}) {
@@ -17,14 +17,14 @@ export class Viewer extends EventTarget {
     this.source = null;
     this.width = this.height = 0;
     this.scale = 1;
-    this.left = this.top = 0; // where the picture's corner is, css pixels
+    this.left = this.top = 0; // position of the picture's corner, css pixels
     this._layers = [];
     this._pointers = new Map();
     this._taken = null;
     this._fitted = true;
     this._waiting = false;
     this._space = false;
-    this._scaled = null; // {canvas, view}: the picture as it was last shown
+    this._scaled = null; // {canvas, view}: cached scaled picture
     this._zoomText = h("span", { class: "number", "aria-hidden": "true" }, "100 %");
     container.classList.add("viewer");
     container.append(this.canvas, h("div", { class: "viewer-zoom", role: "group", "aria-label": "Zoom" },
@@ -38,7 +38,7 @@ export class Viewer extends EventTarget {
     this._resize();
   }
 
-  /** Show a picture; width and height are those of landmark coordinates, the source may be of any resolution. */
+  /** Show a picture; width and height are those of landmark coordinates, the source may have any resolution. */
   setPicture(source, width = 0, height = 0) {
     const same = width === this.width && height === this.height;
     if (same && source === this.source) return;
@@ -49,13 +49,12 @@ export class Viewer extends EventTarget {
     this.redraw();
   }
 
-  /** Show the same picture in another guise; the view stays. */
+  /** Replace the source of the picture; the view stays. */
   setSource(source) {
     this.source = source;
     this.redraw();
   }
 
-  /** Show all of the picture. */
   fit() {
     this._fitted = true;
     const { w, h } = this._size();
@@ -67,7 +66,7 @@ export class Viewer extends EventTarget {
     this._changed();
   }
 
-  /** Show a box [x0, y0, x1, y1] of the picture, with room around it. */
+  /** Show a box [x0, y0, x1, y1] of the picture with a margin. */
   show([x0, y0, x1, y1], room = 0.3) {
     const { w, h } = this._size();
     const width = (x1 - x0) * (1 + 2 * room), height = (y1 - y0) * (1 + 2 * room);
@@ -100,7 +99,7 @@ export class Viewer extends EventTarget {
     this._changed();
   }
 
-  /** Take over another viewer's view (of a picture of the same size). */
+  /** Set the view to that of another viewer with a picture of the same size. */
   setView({ scale, left, top }, silent = false) {
     Object.assign(this, { scale, left, top, _fitted: false });
     this._changed(silent);
@@ -114,19 +113,19 @@ export class Viewer extends EventTarget {
     return [this.left + this.scale * (x + 0.5), this.top + this.scale * (y + 0.5)];
   }
 
-  /** Picture coordinates of an event, or of [cx, cy] in the canvas. */
+  /** Picture coordinates of an event or of [cx, cy] in the canvas. */
   toImage(place) {
     const [cx, cy] = Array.isArray(place) ? place : this.place(place);
     return [(cx - this.left) / this.scale - 0.5, (cy - this.top) / this.scale - 0.5];
   }
 
-  /** Where an event is in the canvas, css pixels. */
+  /** Position of an event in the canvas, css pixels. */
   place(event) {
     const box = this.canvas.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   }
 
-  /** Where a landmark is on the page, for tests and tooltips. */
+  /** Position of a landmark on the page, for tests and tooltips. */
   toClient(point) {
     const box = this.canvas.getBoundingClientRect();
     const [x, y] = this.toScreen(point);
@@ -151,7 +150,7 @@ export class Viewer extends EventTarget {
     });
   }
 
-  /** Keys of the view; gives whether the key was taken. */
+  /** Handle a key of the view; return whether it was handled. */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
     const keys = { "+": () => this.zoomBy(1.3), "=": () => this.zoomBy(1.3), "-": () => this.zoomBy(1 / 1.3), 0: () => this.fit() };
@@ -171,7 +170,7 @@ export class Viewer extends EventTarget {
     this.canvas.width = Math.round(w * ratio);
     this.canvas.height = Math.round(h * ratio);
     if (this._fitted) this.fit();
-    // At once: a canvas that was resized is blank until it is drawn.
+    // Draw at once, because a resized canvas is blank.
     this._draw();
   }
 
@@ -182,7 +181,7 @@ export class Viewer extends EventTarget {
   }
 
   _draw() {
-    if (!this.canvas.clientWidth) return; // in a tab that is not open: drawn when it opens, by its new size
+    if (!this.canvas.clientWidth) return; // in a hidden tab; drawn when the tab is opened and resized
     const ctx = this.canvas.getContext("2d");
     const ratio = this.canvas.width / (this.canvas.clientWidth || 1);
     ctx.setTransform(1, 0, 0, 1, 0, 0);
@@ -197,13 +196,13 @@ export class Viewer extends EventTarget {
     }
   }
 
-  /** The picture as this view shows it is kept: to scale it takes longer than all that is drawn over it. */
+  /** Draw the picture from a cached scaled copy, because scaling takes longer than all other drawing. */
   _drawPicture(ctx, ratio) {
     const { width, height } = this.canvas;
     const view = [this.source, this.left, this.top, this.scale, this.width, this.height, ratio, width, height];
     if (!view.every((value, i) => value === this._scaled?.view[i])) {
       const canvas = this._scaled?.canvas ?? document.createElement("canvas");
-      Object.assign(canvas, { width, height }); // clears it, too
+      Object.assign(canvas, { width, height }); // also clears it
       const scaled = canvas.getContext("2d");
       scaled.setTransform(ratio, 0, 0, ratio, 0, 0);
       scaled.imageSmoothingEnabled = this.scale < SHARP_FROM;
@@ -217,7 +216,7 @@ export class Viewer extends EventTarget {
     ctx.restore();
   }
 
-  // Pointers: the tool is asked first; what it does not take pans, and two fingers zoom.
+  // Pointers go to the tool first; otherwise they pan, and two fingers zoom.
 
   _listen() {
     const canvas = this.canvas;
@@ -249,9 +248,9 @@ export class Viewer extends EventTarget {
     try {
       this.canvas.setPointerCapture(event.pointerId);
     } catch {
-      // A pointer that is gone already cannot be captured.
+      // The pointer may have been released already.
     }
-    if (this._pointers.size === 2) { // a second finger: no longer the tool's
+    if (this._pointers.size === 2) { // a second finger ends the tool's gesture
       if (this._taken != null) this.tool?.cancel?.(event);
       this._taken = null;
       return;
@@ -310,7 +309,7 @@ function canvasCursor(canvas, cursor) {
   if (canvas.style.cursor !== cursor) canvas.style.cursor = cursor;
 }
 
-// What tabs draw over pictures. Lines have a dark rim so that they are seen on any picture.
+// Drawing over pictures. Lines have a dark rim to be visible on any picture.
 
 const CHI = Math.sqrt(-2 * Math.log(1 - 0.95)); // radius of a 95 % ellipse, standard deviations
 
@@ -326,7 +325,7 @@ function stroked(ctx, colour, width, dash = []) {
   ctx.setLineDash([]);
 }
 
-/** Draw contours; parts that run through a point without place are left out. */
+/** Draw contours without the segments at missing points. */
 export function drawContours(ctx, viewer, points, contours, { colour = "#ffd166", width = 1.6, dash = [] } = {}) {
   ctx.beginPath();
   for (const { indices, closed } of contours) {
@@ -344,7 +343,7 @@ export function drawContours(ctx, viewer, points, contours, { colour = "#ffd166"
   stroked(ctx, colour, width, dash);
 }
 
-/** Draw points: hollow where invisible, ringed where selected. */
+/** Draw points: hollow if invisible, with a ring if selected. */
 export function drawPoints(ctx, viewer, points, options = {}) {
   const { colour = "#ffd166", radius = 4, selected = new Set(), invisible = new Set(), hovered = -1 } = options;
   points.forEach((point, i) => {
@@ -383,7 +382,7 @@ export function drawMesh(ctx, viewer, points, triangles, { colour = "rgb(255 255
   ctx.stroke();
 }
 
-/** Draw the ellipses that hold 95 % of each landmark's probability. */
+/** Draw the 95 % confidence ellipse of each landmark. */
 export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1ff", width = 1.3 } = {}) {
   points.forEach((point, i) => {
     const covariance = covariances?.[i];
@@ -396,7 +395,7 @@ export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1
   });
 }
 
-/** Radii and turn of the ellipse that holds 95 % of a Gaussian with covariance [[a, b], [b, c]]. */
+/** Radii and angle of the 95 % confidence ellipse of a Gaussian with covariance [[a, b], [b, c]]. */
 export function ellipse([[a, b], [, c]]) {
   const middle = (a + c) / 2;
   const spread = Math.hypot((a - c) / 2, b);
