@@ -569,18 +569,18 @@ def test_the_command(run, world, expected, tmp_path, monkeypatch):
     options = ["-m", "grey", "--init", world.settings.init, "--iterations", 30, "--jobs", 1, "-o", tmp_path / "r.csv"]
     code, out, err = run("batch", world.model, "-", "--list", tmp_path / "list.txt", *options)
     assert code == 0
-    assert "13 pictures done" in out
+    assert "13 images done" in out
     assert "13 rows: 9 converged, 4 error" in out
-    assert "4 pictures could not be fitted; the column 'message' says why" in err
+    assert "4 images could not be fitted; see the column 'message'" in err
     assert rows_of(tmp_path / "r.csv") == expected
     assert "nothing to do" in run("batch", world.model, f"{world.pictures}/**", *options)[1]
     options[-1] = tmp_path / "zero.csv"
-    for said in ("1 picture done", "nothing to do"):
+    for said in ("1 image done", "nothing to do"):
         code, out, err = run("batch", world.model, world.pictures / "zero.png", *options)
         assert (code, said in out, "1 row: 1 error" in out) == (1, True, True)
-        assert "1 picture could not be fitted" in err
+        assert "1 image could not be fitted" in err
     code, _, err = run("batch", world.model, *options)
-    assert (code, "no pictures: name" in err) == (1, True)
+    assert (code, "no images: give" in err) == (1, True)
     code, _, err = run("batch", world.model, "--list", tmp_path / "none.txt", *options)
     assert (code, "none.txt does not exist" in err) == (1, True)
 

@@ -159,7 +159,7 @@ def test_fit_all_numbers_what_it_finds(run, portraits, model_file, tmp_path):
 def test_fit_says_when_a_search_is_in_doubt(run, model_file, tmp_path, rng):
     write_image(tmp_path / "noise.png", rng.integers(0, 256, (120, 150, 3), dtype=np.uint8))
     _, _, err = run("fit", model_file, tmp_path / "noise.png", "-m", "igo", "-o", tmp_path / "o")
-    assert "noise.png: it is doubtful that the search found the object" in err
+    assert "noise.png: the search may have found something else" in err
     assert json.loads((tmp_path / "o" / "noise.json").read_text())["search_doubtful"] is True
     code, _, err = run("fit", model_file, tmp_path / "noise.png", "--all", "-o", tmp_path / "o")
     assert code == 1
@@ -205,7 +205,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{missing}", "-o", "m"), "missing"),
         (("train", "{empty}", "-o", "m"), "no image"),
         (("train", "{portraits}", "-o", "{empty}/no/m"), "does not exist"),
-        (("train", "{portraits}", "-o", "m", "--variance", "lots"), "give a share such as 0.98"),
+        (("train", "{portraits}", "-o", "m", "--variance", "lots"), "give a fraction such as 0.98"),
         (("train", "{portraits}", "-o", "m", "--prior", "rough"), "there are sample, shrunk, smooth"),
         (("train", "{portraits}", "-o", "m", "--response", "film"), "'srgb', 'linear' or a gamma"),
         (("train", "{portraits}", "-o", "m", "--diagonal", "3"), "16 to 2000"),
@@ -221,7 +221,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("fit", "{model}", "{image}", "--init", "1,2"), "four numbers"),
         (("fit", "{model}", "{image}", "--init", "900,900,950,980"), "outside the image"),
         (("fit", "{model}", "{image}", "--init", "50,50,20,90"), "is empty"),
-        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "--all"), "leave one of them out"),
+        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "--all"), "use only one of them"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "there are soft-li, grey, rgb, li"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is a file"),
     ],

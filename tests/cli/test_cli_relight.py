@@ -73,18 +73,18 @@ def test_a_start_for_each_picture(relight, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--flat", "--light", "0,0,1"), "--flat and --light are different lights"),
-        (("--light", "0,0,1", "--like", "other.png"), "--light and --like are different lights"),
+        (("--flat", "--light", "0,0,1"), "--flat and --light cannot be combined"),
+        (("--light", "0,0,1", "--like", "other.png"), "--light and --like cannot be combined"),
         (("--light", "0,0,0"), "not all 0"),
         (("--light", "1,nan,0"), "give 3 numbers"),
         (("--light", "1,2"), "give 3 numbers"),
         (("--light", "0,0,1", "--ambient", "1.5"), "from 0 .only the lamp. to 1"),
         (("--light", "0,0,1", "--ambient", "nan"), "from 0 .only the lamp. to 1"),
-        (("--ambient", "0.5"), "--ambient goes with a lamp"),
-        (("--like-init", "1,2,3"), "--like-init says where"),
-        (("-o", "lit.png"), "lit.png is one of the pictures to be read"),
-        (("--like", "other.png", "-o", "other.png"), "other.png is one of the pictures"),
-        (("-o", "lit.txt"), "name of a picture, such as lit.png"),
+        (("--ambient", "0.5"), "--ambient needs a lamp"),
+        (("--like-init", "1,2,3"), "--like-init needs --like"),
+        (("-o", "lit.png"), "lit.png is one of the input images"),
+        (("--like", "other.png", "-o", "other.png"), "other.png is one of the input images"),
+        (("-o", "lit.txt"), "name of an image file, such as lit.png"),
         (("-o", "nowhere/a.png"), "nowhere does not exist"),
         (("-m", "grey"), "method grey does not fit a log-RGB appearance"),
         (("--like", "gone.png"), "gone.png"),
@@ -118,8 +118,8 @@ def test_grey_models_are_refused(run, files, head_model, tmp_path):
     replace(head_model, views={MESH: grey}).save(tmp_path / "grey.liaam")
     code, _, err = run("relight", tmp_path / "grey.liaam", files / "lit.png", "-o", tmp_path / "out.png")
     assert code == 1
-    assert "grey.liaam: the model is of grey pictures" in err
-    assert "train on colour pictures" in err
+    assert "grey.liaam: the model was trained on grey images" in err
+    assert "train on colour images" in err
 
 
 def test_a_fit_that_fails_is_told_and_the_picture_written(run, files, tmp_path, rng):

@@ -134,7 +134,7 @@ def test_grey_frames_keep_their_shading_and_only_a_grey_video_is_told(run, model
             writer.write({"g": grey, "c": np.asarray, "b": lambda image: np.full_like(image, 90)}[kind](scene.image))
     options = () if kinds[0] == "b" else ("--init", "18,40,100,150")
     code, _, err = run("track", model_file, path, "--shading-free", fresh, *options)
-    assert (f"{path} as it was: the video is grey" in " ".join(err.split())) == (code == 1) == ("c" not in kinds)
+    assert (f"an unchanged copy of {path}" in " ".join(err.split())) == (code == 1) == ("c" not in kinds)
     changed = [np.abs(a.astype(int) - b).mean() > 1.5 for a, b in zip(frames_of(path), frames_of(fresh), strict=True)]
     assert changed[:2] == [kind == "c" for kind in kinds[:2]]  # what fades is still a little coloured once compressed
 
@@ -245,12 +245,12 @@ def test_processes_write_the_same_file(run, model_file, clip, tmp_path, in_stret
         (("{clip}", "--start", "500"), "has only 24 frames"),
         (("{clip}", "-o", "t.json"), "ends in .csv or .npz"),
         (("{clip}", "--video", "t.gif"), "a video's name ends in"),
-        (("{clip}", "--video", "{clip}"), "is the video to be read"),
+        (("{clip}", "--video", "{clip}"), "is the input video"),
         (("{clip}", "--video", "a.mp4", "--shading-free", "a.mp4"), "the same name"),
         (("{clip}", "-o", "none/t.csv"), "does not exist"),
-        (("{clip}", "-o", "{own}"), "is no track"),
-        (("{clip}", "--video", "own.mp4"), "own.mp4 exists and is no video"),
-        (("{clip}", "--shading-free", "own.mp4"), "own.mp4 exists and is no video"),
+        (("{clip}", "-o", "{own}"), "is not a track"),
+        (("{clip}", "--video", "own.mp4"), "own.mp4 exists and is not a video"),
+        (("{clip}", "--shading-free", "own.mp4"), "own.mp4 exists and is not a video"),
         (("{clip}", "-m", "grey", "--shading-free", "s.mp4"), "no shading can be taken off"),
         (("{clip}", "-m", "magic"), "'magic' does not exist"),
         (("{clip}", "--init", "nowhere.pts"), "there is no such file"),

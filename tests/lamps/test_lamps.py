@@ -300,6 +300,6 @@ def test_lamps_are_made_drawn_and_trained_with(run, folder, tmp_path):
 def test_slips_are_told(run, folder, tmp_path):
     assert "ends in .lamps" in run("lamps", folder, "-o", tmp_path / "heads.png")[2]
     assert "--training-lamp" in run("lamps", folder, "-o", tmp_path / "heads.lamps")[2]
-    assert "--image is for lamps" in run("show", tmp_path / "m.liaam", "--image", folder / "head2-day.png")[2]
+    assert "--image works with lamp" in run("show", tmp_path / "m.liaam", "--image", folder / "head2-day.png")[2]
     code, _, err = run("train", folder, "-o", tmp_path / "m.liaam", "--lamps", tmp_path / "none.lamps")
     assert (code, "does not exist; make one with 'liaam lamps" in err) == (1, True)

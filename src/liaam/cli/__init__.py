@@ -1,1 +1,1 @@
-"""The command line: thin. Everything it does is a call that Python users have too."""
+"""The command line, a thin layer over the Python API."""

@@ -1,4 +1,4 @@
-"""The command ``liaam batch``: it reads options, runs, and prints what came out."""
+"""The command ``liaam batch``."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -20,43 +20,45 @@ def batch(
     pictures: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="PICTURES...",
-            help="Folders, patterns in quotation marks such as 'images/**', files, or - for a list on standard input.",
+            metavar="IMAGES...",
+            help="Folders, quoted patterns such as 'images/**', files, or - to read paths from standard input.",
         ),
     ] = None,
-    listed: Annotated[Path | None, typer.Option("--list", help="File with the path of a picture in each line.")] = None,
+    listed: Annotated[Path | None, typer.Option("--list", help="File with one image path per line.")] = None,
     init: Annotated[
         str | None,
         typer.Option(
-            help="Where to start: a box x0,y0,x1,y1 or x,y,size for all; a folder with a landmark or .box file for "
-            "each picture; or 'beside' for such files beside the pictures. Searched for if left out."
+            help="Where to start: a box x0,y0,x1,y1 or x,y,size for all images; a folder with a landmark or .box file "
+            "for each image; or 'beside' for such files next to the images. By default the object is searched for."
         ),
     ] = None,
-    method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "soft-li",
+    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
     rotations: RotationsOption = "upright",
-    iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
+    iterations: Annotated[int, typer.Option(help="Maximum number of iterations at each blur level.", min=0)] = 50,
     camera_file: Annotated[
         Path | None,
-        typer.Option("--camera", help="Camera file of the pictures' camera, if not the training camera's."),
+        typer.Option("--camera", help="Camera file, if the images come from another camera than the training images."),
     ] = None,
     response: Annotated[
-        str | None, typer.Option(help="Response of the pictures' camera, if not the training camera's.")
+        str | None, typer.Option(help="Camera response, if it differs from the training camera's.")
     ] = None,
-    covariance: Annotated[bool, typer.Option(help="Whether rows hold the covariance of each landmark.")] = True,
-    jobs: Annotated[int | None, typer.Option(help="Worker processes; one per core if left out.", min=1)] = None,
+    covariance: Annotated[bool, typer.Option(help="Write the covariance of each landmark.")] = True,
+    jobs: Annotated[
+        int | None, typer.Option(help="Number of worker processes. By default one per core.", min=1)
+    ] = None,
     chunk: Annotated[
-        int | None, typer.Option(help="Pictures that a worker does at a time; 16 if left out, or fewer.", min=1)
+        int | None, typer.Option(help="Images per work item. By default 16, or fewer if there are few images.", min=1)
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler, whose workers then do the work.")
+        str | None, typer.Option(help="Address of a Dask scheduler; its workers then fit the images.")
     ] = None,
     restart: Annotated[
-        bool, typer.Option("--restart", help="Begin anew where there are results of other settings.")
+        bool, typer.Option("--restart", help="Start over, and discard results of other settings.")
     ] = False,
 ) -> None:
-    """Fit a model to any number of pictures, on all cores or a cluster; writes a table with a row for each.
+    """Fit a model to many images, on all cores or a cluster, and write a table with one row per image.
 
-    A batch that was stopped, by whatever, goes on where it was when the same command is given again.
+    If a batch is interrupted, run the same command again to resume it.
     """
     from liaam.batch import Settings, run_batch
     from liaam.batch.run import in_words
@@ -66,47 +68,47 @@ def batch(
     camera = None if camera_file is None else load_camera(camera_file)
     settings = Settings(method, init, iterations, camera, response, covariance, rotations)
     closed: list[str] = []
-    with ExitStack() as files, progress_bar() as tell:
+    with ExitStack() as files, progress_bar() as progress:
         summary = run_batch(
             model_file,
-            named_pictures(pictures or [], listed, files, closed.append),
+            input_paths(pictures or [], listed, files, closed.append),
             output,
             settings,
             jobs=jobs,
             chunk=chunk,
             scheduler=scheduler,
             restart=restart,
-            progress=tell,
+            progress=progress,
         )
     if not summary.fitted:
-        say(f"{output} is complete; there is nothing to do")
+        say(f"{output} is complete; nothing to do")
     else:
         rate = summary.fitted / summary.seconds
-        say(f"{output}: {_count(summary.fitted, 'picture')} done in {summary.seconds:.0f} s, {rate:.1f} a second")
+        say(f"{output}: {_count(summary.fitted, 'image')} done in {summary.seconds:.0f} s, {rate:.1f} per second")
     say(f"{_count(summary.total, 'row')}: {in_words(summary.statuses)}")
     for folder in sorted(set(closed)):
-        complain(f"{folder} cannot be read, so it is passed over: check the rights")
+        complain(f"skipped {folder}: it cannot be read; check its permissions")
     if errors := summary.statuses.get(ERROR, 0):
-        complain(f"{_count(errors, 'picture')} could not be fitted; the column 'message' says why")
+        complain(f"{_count(errors, 'image')} could not be fitted; see the column 'message'")
     if errors == summary.total:
         raise typer.Exit(1)
 
 
-def named_pictures(
+def input_paths(
     sources: list[str], listed: Path | None, files: ExitStack, on_closed: Callable[[str], object]
 ) -> Iterator[str]:
-    """Pictures of all arguments and lists, one after the other."""
+    """Iterate over the image paths of all arguments and lists."""
     from liaam.batch import find_pictures, listed_pictures
     from liaam.io.files import existing_file
 
     if not sources and listed is None:
-        raise LiaamError("no pictures: name a folder, a pattern such as 'images/**', files, or a --list")
+        raise LiaamError("no images: give a folder, a pattern such as 'images/**', files, or --list FILE")
     named = [
         listed_pictures(sys.stdin.buffer) if source == "-" else find_pictures(source, on_closed=on_closed)
         for source in sources
     ]
     if listed is not None:
-        path = existing_file(listed, LiaamError, "list of pictures")
+        path = existing_file(listed, LiaamError, "list of images")
         named.append(listed_pictures(files.enter_context(path.open("rb"))))
     return chain(*named)
 

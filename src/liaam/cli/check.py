@@ -1,4 +1,4 @@
-"""The command ``liaam check``: landmarks that were labelled by another rule than in the other pictures."""
+"""The command ``liaam check``: find images whose landmarks follow another convention than the rest."""
 
 from collections import defaultdict
 from pathlib import Path
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from liaam.datasets.label_faults import LabelFault
     from liaam.io import Landmarks
 
-TOLD = 3
-"""Faults that training tells before it refers to ``liaam check``."""
+MAX_WARNINGS = 3
+"""Faults that ``liaam train`` prints before it refers to ``liaam check``."""
 
 
 def check(
@@ -27,22 +27,22 @@ def check(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="Folder for a picture of each fault, and landmarks in the order of the others."
+            "--output", "-o", help="Folder for an image of each fault, and for landmarks in the corrected order."
         ),
     ] = None,
 ) -> None:
-    """Look for landmarks that were exchanged, run backwards, or lie far off, beside the other pictures.
+    """Find landmarks that are swapped, in reverse order, or far from where the other images have them.
 
-    Nothing in the folder is changed. Ends with status 1 where something is found.
+    Changes nothing in the folder. The exit status is 1 if faults are found.
     """
     data = read_folder(folder, images, recursive)
-    whole = without_missing(data)
-    if len(whole) < len(data):
-        complain(f"not looked at, since landmarks are missing: {len(data) - len(whole)} of {len(data)}")
-    with progress_bar() as tell:
-        faults = faults_by_sample(whole, tell)
+    complete = complete_samples(data)
+    if len(complete) < len(data):
+        complain(f"skipped {len(data) - len(complete)} of {len(data)} images with missing landmarks")
+    with progress_bar() as progress:
+        faults = faults_by_sample(complete, progress)
     if not faults:
-        say("no faults found, of those that single pictures have")
+        say("no faults found in single images")
         return
     table = table_of("image", "landmarks")
     for sample, own in faults:
@@ -54,69 +54,69 @@ def check(
     raise typer.Exit(1)
 
 
-def without_missing(data: "Dataset") -> "list[Sample]":
-    """Samples all of whose landmarks are there."""
+def complete_samples(data: "Dataset") -> "list[Sample]":
+    """Return the samples without missing landmarks."""
     return [sample for sample in data if not sample.landmarks.missing.any()]
 
 
-def faults_by_sample(samples: "list[Sample]", tell: Progress) -> "list[tuple[Sample, list[LabelFault]]]":
-    """Samples with faults, and theirs; none may have missing landmarks."""
+def faults_by_sample(samples: "list[Sample]", progress: Progress) -> "list[tuple[Sample, list[LabelFault]]]":
+    """Return each sample that has faults, with its faults. No sample may have missing landmarks."""
     from liaam.datasets.label_faults import find_label_faults
 
     found: dict[int, list[LabelFault]] = defaultdict(list)
-    for fault in find_label_faults([sample.landmarks.points for sample in samples], tell):
+    for fault in find_label_faults([sample.landmarks.points for sample in samples], progress):
         found[fault.picture].append(fault)
     return [(samples[i], own) for i, own in found.items()]
 
 
 def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[LabelFault]]]") -> None:
-    """Write a picture of each sample with faults, and its landmarks in the order of the others."""
+    """Write an overlay of each sample with faults, and its landmarks in the corrected order."""
     from liaam.io import make_folder, write_image
     from liaam.plotting import overlay_of_faults
 
     if output.resolve().is_relative_to(folder.resolve()):
-        raise LiaamError(f"{output} is in the folder that is checked; give another with -o: nothing in it is changed")
-    mended = 0
+        raise LiaamError(f"{output} is inside the folder to check, which is never changed; give another folder with -o")
+    reordered = 0
     for sample, own in faults:
         place = output / sample.name
         make_folder(place.parent)
         for fault in own:
             if fault.is_order:
-                write_mended(place, fault.mended_landmarks(sample.landmarks))
-                mended += 1
+                write_reordered(place, fault.mended_landmarks(sample.landmarks))
+                reordered += 1
         try:
             picture = overlay_of_faults(sample.read_image(), sample.landmarks.points, own)
-        except LiaamError as error:  # the landmarks are what counts
+        except LiaamError as error:  # the landmarks are written without the overlay
             complain(str(error))
             continue
         write_image(place.with_name(f"{place.name}_faults.png"), picture)
-    said = f"; {mended} with landmarks in the other order, to take over where you agree" if mended else ""
-    say(f"written to {output}: pictures of what was found{said}")
+    said = f", and {reordered} landmark files in the corrected order to review" if reordered else ""
+    say(f"written to {output}: an image of each fault{said}")
 
 
-def write_mended(place: Path, landmarks: "Landmarks") -> None:
-    """Write landmarks to a place without ending, in a format that holds all of them, and never over others."""
+def write_reordered(place: Path, landmarks: "Landmarks") -> None:
+    """Write landmarks to `place` plus a suffix whose format can hold them. Never overwrite a file."""
     from liaam.io import write_landmarks
 
     ending = ".ljson" if landmarks.contours or landmarks.names or landmarks.invisible else ".pts"
     file = place.with_name(f"{place.name}{ending}")
     if file.exists():
-        raise LiaamError(f"{file} is there already and is not written over; give an empty folder with -o")
+        raise LiaamError(f"{file} already exists and is not overwritten; give an empty folder with -o")
     write_landmarks(file, landmarks)
 
 
 def warn_of_faults(data: "Dataset", folder: Path) -> None:
-    """Tell of landmarks in another order than those of the other pictures, before a model learns it."""
+    """Warn, before training, about landmarks in another order than in the other images."""
     from liaam.datasets.label_faults import LEAST_PICTURES
 
-    whole = without_missing(data)
-    if len(whole) < LEAST_PICTURES:
+    complete = complete_samples(data)
+    if len(complete) < LEAST_PICTURES:
         return
-    with progress_bar() as tell:
-        faults = faults_by_sample(whole, tell)
-    told = [(sample, fault) for sample, own in faults for fault in own if fault.is_order]
-    for sample, fault in told[:TOLD]:
+    with progress_bar() as progress:
+        faults = faults_by_sample(complete, progress)
+    found = [(sample, fault) for sample, own in faults for fault in own if fault.is_order]
+    for sample, fault in found[:MAX_WARNINGS]:
         complain(f"{sample.name}: {fault.message}")
-    if told:
-        more = f"and {len(told) - TOLD} more; " if len(told) > TOLD else ""
-        complain(f"{more}the model learns them so; 'liaam check' on {folder} shows them and the other order")
+    if found:
+        more = f"and {len(found) - MAX_WARNINGS} more; " if len(found) > MAX_WARNINGS else ""
+        complain(f"{more}training uses them as they are; run 'liaam check {folder}' to see and fix them")

@@ -1,4 +1,4 @@
-"""``liaam demo``."""
+"""The command ``liaam demo``."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,11 +11,11 @@ from liaam.cli.terminal import console, progress_bar, say, table_of
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the figure.")] = Path("liaam-demo"),
 ) -> None:
-    """Train on simulated portraits under one light, fit under another: grey and RGB drift, LI holds."""
+    """Train on simulated portraits under one light and fit four methods under another light."""
     from liaam.demo import run_demo
 
-    with progress_bar() as tell:
-        rows, start_error = run_demo(output, tell)
+    with progress_bar() as progress:
+        rows, start_error = run_demo(output, progress)
     table = table_of("method", "error (px)", "status", "theta")
     table.add_row("start", f"{start_error:.2f}", "", "")
     for row in rows:

@@ -1,4 +1,4 @@
-"""``liaam fit``: fits to pictures, and what is written of them."""
+"""The command ``liaam fit``."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli.inputs import DOUBT, RotationsOption, camera_for, read_init, unique_stems
+from liaam.cli.inputs import LOW_SCORE, RotationsOption, camera_for, read_init, unique_stems
 from liaam.cli.terminal import cell, complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError
 
@@ -23,35 +23,38 @@ def fit(
         str | None,
         typer.Option(
             help="Where to start: a box x0,y0,x1,y1 around the landmarks; a centre and the box's diagonal x,y,size; "
-            "a landmark file; or a folder with a landmark file for each image. Searched for if left out."
+            "a landmark file; or a folder with a landmark file per image. By default the object is searched for."
         ),
     ] = None,
     every: Annotated[
-        bool, typer.Option("--all", help="Fit every object that the search finds; results are numbered NAME_1 and on.")
+        bool, typer.Option("--all", help="Fit every object that the search finds; results are NAME_1, NAME_2 ...")
     ] = False,
-    method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "soft-li",
+    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
     rotations: RotationsOption = "upright",
-    iterations: Annotated[int, typer.Option(help="Iterations at most, at each sharpness.", min=0)] = 50,
-    history: Annotated[bool, typer.Option("--history", help="Also write each iteration's cost and shape.")] = False,
+    iterations: Annotated[int, typer.Option(help="Maximum number of iterations at each blur level.", min=0)] = 50,
+    history: Annotated[
+        bool, typer.Option("--history", help="Also write the cost and shape of each iteration.")
+    ] = False,
     ellipses: Annotated[
-        bool, typer.Option("--ellipses", help="Draw the ellipse that holds each landmark with 95 % probability.")
+        bool, typer.Option("--ellipses", help="Draw the 95 % confidence ellipse of each landmark.")
     ] = False,
     camera_file: Annotated[
-        Path | None, typer.Option("--camera", help="Camera file of these images' camera, if not the training camera's.")
+        Path | None,
+        typer.Option("--camera", help="Camera file, if the images come from another camera than the training images."),
     ] = None,
     response: Annotated[
-        str | None, typer.Option(help="Response of these images' camera, if not the training camera's.")
+        str | None, typer.Option(help="Camera response, if it differs from the training camera's.")
     ] = None,
 ) -> None:
-    """Fit a model to images; writes landmarks (.pts, .csv, .json) and an overlay picture for each."""
+    """Fit a model to images. Writes landmarks (.pts, .csv, .json) and an overlay image for each."""
     from liaam.fitting import Fitter, SolverOptions
     from liaam.io import make_folder
     from liaam.model import load_model
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
 
     if every and init is not None:
-        raise LiaamError("--all searches for all objects, and --init says where one is; leave one of them out")
+        raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
     options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
     camera = camera_for(images, camera_file, response, model.camera)
     fitter = Fitter(model, method, options, camera=camera, rotations=rotations)
@@ -59,21 +62,21 @@ def fit(
     table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
     advice: dict[str, list[str]] = {}
     failed = 0
-    writing = Writing(output, history, ellipses)
+    outputs = Outputs(output, history, ellipses)
 
     def results_of(named: tuple[Path, str]) -> "list[FitResult] | LiaamError":
         try:
-            return fit_file(fitter, named[0], init, every, writing, named[1])
+            return fit_file(fitter, named[0], init, every, outputs, named[1])
         except LiaamError as error:
             return error
 
     threads = min(len(images), all_cores())
-    # The search of a single picture may have all cores.
-    with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as tell:
-        tell(0, len(images), images[0].name)
+    # With a single image, its search may use all cores.
+    with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
+        progress(0, len(images), images[0].name)
         done = in_order(results_of, zip(images, unique_stems(images), strict=True), threads)
         for i, (image, results) in enumerate(zip(images, done, strict=True), 1):
-            tell(i, len(images), image.name)
+            progress(i, len(images), image.name)
             if isinstance(results, LiaamError):
                 failed += 1
                 complain(f"error: {results}")
@@ -84,7 +87,7 @@ def fit(
                     failed += 1
                     advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
                 if result.place_doubtful:
-                    advice.setdefault(DOUBT, []).append(image.name)
+                    advice.setdefault(LOW_SCORE, []).append(image.name)
     if table.row_count:
         console.print(table)
         say(f"written to {output}")
@@ -95,7 +98,7 @@ def fit(
 
 
 def row_of(result: "FitResult") -> tuple[str, ...]:
-    """Start, status, quality, typical error of a landmark, iterations and angle of a fit, for the table."""
+    """Return the table row of a fit: start, status, quality, median landmark error, iterations and theta."""
     import numpy as np
 
     start = "given" if result.found is None else f"found, {result.found.score:.2f}"
@@ -106,8 +109,8 @@ def row_of(result: "FitResult") -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Writing:
-    """Where results of fits go, and what is written beside landmarks and picture."""
+class Outputs:
+    """Output folder and optional outputs."""
 
     folder: Path
     history: bool = False
@@ -115,43 +118,43 @@ class Writing:
 
 
 def fit_file(
-    fitter: "Fitter", image: Path, init: str | None, every: bool, writing: Writing, stem: str
+    fitter: "Fitter", image: Path, init: str | None, every: bool, outputs: Outputs, stem: str
 ) -> "list[FitResult]":
-    """Fit one image file, from the start that is given, the one that is found, or all of these."""
+    """Fit one image file from `init`, from the start that the search finds, or from `every` start it finds."""
     from liaam.io import read_image
 
     if not every:
-        refuse_to_overwrite(writing.folder, stem)
+        refuse_to_overwrite(outputs.folder, stem)
         pixels = read_image(image)
         start = None if init is None else read_init(init, image, pixels.shape[1::-1])
-        return [fit_one(fitter, pixels, start, image, writing, stem)]
+        return [fit_one(fitter, pixels, start, image, outputs, stem)]
     pixels = read_image(image)
     found = fitter.find_all(pixels, name=image.name)
     stems = [f"{stem}_{i}" for i in range(1, len(found) + 1)]
     for name in stems:
-        refuse_to_overwrite(writing.folder, name)
-    return [fit_one(fitter, pixels, start, image, writing, name) for start, name in zip(found, stems, strict=True)]
+        refuse_to_overwrite(outputs.folder, name)
+    return [fit_one(fitter, pixels, start, image, outputs, name) for start, name in zip(found, stems, strict=True)]
 
 
-def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, writing: Writing, stem: str) -> "FitResult":
-    """Fit one object of an image and write what belongs to it."""
+def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, outputs: Outputs, stem: str) -> "FitResult":
+    """Fit one object in an image and write the results."""
     from liaam.io import Contour, Landmarks, write_fit, write_image
     from liaam.plotting import overlay
 
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
     contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
-    write_fit(writing.folder, stem, Landmarks(result.landmarks, contours), result.to_dict() | {"image": image.name})
-    drawn = result.landmark_covariances if writing.ellipses else None
-    write_image(writing.folder / f"{stem}_fit.png", overlay(pixels, result.landmarks, model, covariances=drawn))
-    if writing.history:
-        write_history(writing.folder / f"{stem}_history.csv", result)
+    write_fit(outputs.folder, stem, Landmarks(result.landmarks, contours), result.to_dict() | {"image": image.name})
+    drawn = result.landmark_covariances if outputs.ellipses else None
+    write_image(outputs.folder / f"{stem}_fit.png", overlay(pixels, result.landmarks, model, covariances=drawn))
+    if outputs.history:
+        write_history(outputs.folder / f"{stem}_history.csv", result)
     return result
 
 
 def refuse_to_overwrite(output: Path, stem: str) -> None:
-    """Complain if landmarks that no fit has written would be lost (a person's own annotations, say)."""
-    if (output / f"{stem}_fit.png").exists():  # an earlier fit's results may be renewed
+    """Raise if a file that no earlier fit wrote would be overwritten, such as manual annotations."""
+    if (output / f"{stem}_fit.png").exists():  # results of an earlier fit may be replaced
         return
     for suffix in (".pts", ".csv", ".json"):
         if (output / f"{stem}{suffix}").exists():
@@ -161,7 +164,7 @@ def refuse_to_overwrite(output: Path, stem: str) -> None:
 
 
 def write_history(path: Path, result: "FitResult") -> None:
-    """Write one row per accepted iteration: level, cost, theta, and all landmarks."""
+    """Write one row per accepted iteration: level, cost, theta and all landmarks."""
     import numpy as np
 
     from liaam.io import write_text_atomically

@@ -1,4 +1,4 @@
-"""The command ``liaam lamps``, and what other commands do with lamps."""
+"""The command ``liaam lamps``, and helpers for lamps that other commands share."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from liaam.photometry import Response
 
 LAMPS_SUFFIX = ".lamps"
-"""Of files of lamps."""
+"""Suffix of lamp files."""
 
 TrainingLampOption = Annotated[
     str | None,
     typer.Option(
         "--training-lamp",
-        help="Which lamp, of those in the pictures' names, is the light of the pictures to train on, such as 07.",
+        help="Lamp, as written in the image names, that lights the training images, such as 07.",
     ),
 ]
 
@@ -30,21 +30,21 @@ def lamps(
     folder: Annotated[
         Path,
         typer.Argument(
-            help="Folder of landmarked images of a few objects, each in the light of training and under other lamps "
-            "without having moved, named by object and lamp: 037-07, 037-00, 037-03 ..."
+            help="Folder of landmarked images of a few objects, each under the training light and, without moving, "
+            "under other lamps. Names give object and lamp: 037-07, 037-00, 037-03 ..."
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help=f"File to write, such as faces{LAMPS_SUFFIX}.")],
     training_lamp: TrainingLampOption = None,
     recursive: RecursiveOption = False,
 ) -> None:
-    """Learn what lamps do from a few objects, for 'liaam train --lamps' on other folders; no picture is kept.
+    """Learn the effect of lamps from a few objects, for 'liaam train --lamps'. The file stores no image.
 
-    What each does to plain grey is drawn beside the file; 'liaam show' draws it on any landmarked picture.
+    Also draws the effect of each lamp on plain grey. 'liaam show' draws it on a landmarked image.
     """
     check_output(output)
     if output.suffix.lower() != LAMPS_SUFFIX:
-        raise LiaamError(f"{output}: a file of lamps ends in {LAMPS_SUFFIX}, such as {output.stem}{LAMPS_SUFFIX}")
+        raise LiaamError(f"{output}: a lamp file ends in {LAMPS_SUFFIX}, such as {output.stem}{LAMPS_SUFFIX}")
     learnt = read_lamps(folder, training_lamp, recursive)
     learnt.save(output)
     say(f"{output}: {len(learnt)} lamps for objects with {len(learnt.mean)} landmarks")
@@ -56,18 +56,18 @@ def lamps(
 def read_lamps(
     source: Path, training_lamp: str | None = None, recursive: bool = False, response: "Response" = "srgb"
 ) -> "Lamps":
-    """Lamps of a file, or learnt from a folder."""
+    """Load lamps from a file, or learn them from a folder."""
     from liaam.lamps import learn_lamps, load_lamps
 
     if not source.is_dir():
         return load_lamps(source)
     data = read_folder(source, None, recursive)
-    with progress_bar() as tell:
-        return learn_lamps(data, training_lamp, response=response, progress=tell)
+    with progress_bar() as progress:
+        return learn_lamps(data, training_lamp, response=response, progress=progress)
 
 
 def draw_lamps(lamps: "Lamps", path: Path, picture: "Sample | None" = None) -> None:
-    """Write a picture of a sample under lamps, or of plain grey."""
+    """Write a figure of a sample, or of plain grey, under each lamp."""
     from liaam.plotting import figure_of_lamps, save_figure
 
     shown = () if picture is None else (picture.read_image(), picture.landmarks.points)

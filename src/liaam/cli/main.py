@@ -1,4 +1,4 @@
-"""The commands of ``liaam``, put together."""
+"""The command line ``liaam`` with all its commands."""
 
 from typing import Annotated
 
@@ -26,7 +26,7 @@ app.add_typer(calibrate, name="calibrate")
 
 
 def version(show: bool) -> None:
-    """Print the version and stop."""
+    """Print the version and exit."""
     if show:
         say(f"liaam {__version__}")
         raise typer.Exit
@@ -35,12 +35,12 @@ def version(show: bool) -> None:
 @app.callback()
 def root(
     _version: Annotated[
-        bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version and stop.")
+        bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Fit deformable models of faces and other objects to colour images under any light."""
 
 
 def main() -> None:
-    """Run the command line; errors become one line and an exit status."""
+    """Run the command line. Print an error as one line and exit with a non-zero status."""
     run_app(app)

@@ -1,4 +1,4 @@
-"""``liaam show``, ``info`` and ``methods``: what models hold and methods do."""
+"""The commands ``liaam show``, ``liaam info`` and ``liaam methods``."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,25 +17,25 @@ if TYPE_CHECKING:
 
 
 def show(
-    file: Annotated[Path, typer.Argument(help="Model of 'liaam train', or lamps of 'liaam lamps'.")],
+    file: Annotated[Path, typer.Argument(help="Model file of 'liaam train', or lamp file of 'liaam lamps'.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Picture to write; beside the file if left out.")
+        Path | None, typer.Option("--output", "-o", help="Figure to write. By default beside the input file.")
     ] = None,
     image: Annotated[
         Path | None,
-        typer.Option(help="Lamps: picture to draw them on, with landmarks beside it; plain grey if left out."),
+        typer.Option(help="For lamps: image to draw them on, with landmarks beside it. By default plain grey."),
     ] = None,
 ) -> None:
-    """Draw a model: mean, mesh, and what its shape and appearance modes do. Or lamps: a picture under all of them."""
+    """Draw a model (mean, mesh, shape and appearance modes), or the effect of each lamp in a lamp file."""
     from liaam.io.files import existing_file
 
     lit = file.suffix.lower() == LAMPS_SUFFIX
     if image is not None and not lit:
-        raise LiaamError("--image is for lamps; a model is drawn by itself")
-    existing_file(file, LiaamError, "model or file of lamps")
+        raise LiaamError("--image works with lamp files only; leave it out to draw a model")
+    existing_file(file, LiaamError, "model or lamp file")
     path = output or file.with_name(f"{file.stem}_{'lamps' if lit else 'model'}.png")
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise LiaamError(f"{path}: give a picture file that ends in .png, .svg or .pdf")
+        raise LiaamError(f"{path}: give a name that ends in .png, .svg or .pdf")
     if lit:
         draw_lamps(read_lamps(file), path, None if image is None else read_sample(image))
     else:
@@ -59,14 +59,14 @@ def info(
 
 
 def count_modes(model: "AAM") -> str:
-    """Shape modes, and those of views with others than the mesh."""
+    """Describe the number of shape modes, and that of views where it differs."""
     counts = {name: len(view.shape_model.modes) for name, view in model.views.items()}
     others = [f"{count} of {name}" for name, count in counts.items() if count != len(model.shape_model.modes)]
     return f"{len(model.shape_model.modes)}" + (f" ({', '.join(others)})" if others else "")
 
 
 def describe(model: "AAM", path: Path) -> dict[str, str]:
-    """Facts of a model in words."""
+    """Describe a model as labels and texts."""
     import numpy as np
 
     appearances = model.levels[-1].appearances
@@ -85,13 +85,13 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
 
 
 def _copies(model: "AAM") -> str:
-    """Copies of the images that a model has learnt from, too."""
+    """Describe the mirrored or relit copies among the training images."""
     more = model.n_textures - model.n_images
-    return f", and {more} copies of them, mirrored or under other lamps" if more > 0 else ""
+    return f" and {more} copies, mirrored or under other lamps" if more > 0 else ""
 
 
 def describe_camera(camera: "CameraModel") -> str:
-    """What is known of a camera, in a line."""
+    """Describe a camera in one line."""
     import numpy as np
 
     error = "assumed" if camera.theta_deviation is None else f"± {np.rad2deg(camera.theta_deviation):.2f}°"
@@ -106,11 +106,11 @@ def methods() -> None:
     from liaam.fitting.losses import LOSSES
     from liaam.fitting.methods import NOISE_SUFFIX
 
-    table = table_of("method", "compares", "what it is")
+    table = table_of("method", "compares", "description")
     for method in METHODS.values():
         table.add_row(method.name, f"{method.encoding}, {method.metric}", method.summary)
     console.print(table)
     say(
-        f"Any of them stands occlusion with one of {', '.join(f'+{name}' for name in LOSSES)}, such as grey+tukey; "
-        f"those of logarithms weigh pixels by the picture's noise with +{NOISE_SUFFIX}, such as li+{NOISE_SUFFIX}."
+        f"For occlusion, add a robust loss to any method, as in grey+tukey: {', '.join(f'+{n}' for n in LOSSES)}. "
+        f"Methods on logarithms can also weight pixels by image noise: +{NOISE_SUFFIX}, as in li+{NOISE_SUFFIX}."
     )

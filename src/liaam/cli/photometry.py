@@ -1,4 +1,4 @@
-"""The commands of photometry: ``liaam calibrate``, ``liaam invariant`` and ``liaam register``."""
+"""The commands ``liaam calibrate``, ``liaam invariant`` and ``liaam register``."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,71 +31,69 @@ if TYPE_CHECKING:
     from liaam.photometry import CameraModel
 
 calibrate = typer.Typer(
-    help="Find out what light invariance needs to know of a camera: its angle, response, vignetting and noise. "
-    "Writes a small file for '--camera' of train, fit, invariant and register, and a picture to check it by.",
+    help="Calibrate a camera: its angle, response, vignetting and noise. "
+    "Writes a camera file for --camera of train, fit, invariant and register, and an image to check it.",
     no_args_is_help=True,
 )
 
-Pictures = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Pictures of one camera.")]
+Pictures = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Images of one camera.")]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Camera file to write.")]
 Start = Annotated[
     Path | None,
-    typer.Option("--camera", help="Camera file to start from: what is not estimated here is kept from it."),
+    typer.Option("--camera", help="Camera file to start from. Keeps its values that are not estimated here."),
 ]
 ResponseOption = Annotated[
     str | None,
-    typer.Option("--response", help="Response: srgb, linear, or a gamma; that of --camera, or srgb, if left out."),
+    typer.Option("--response", help="Response: srgb, linear, or a gamma. By default that of --camera, or else srgb."),
 ]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Write the angle even if no physical camera has it, or its minimum is doubtful.")
+    bool, typer.Option("--trust", help="Write the angle even if it is not physical or its minimum is uncertain.")
 ]
-Align = Annotated[
-    bool, typer.Option("--align/--no-align", help="Bring the pictures into the frame of the first one beforehand.")
-]
+Align = Annotated[bool, typer.Option("--align/--no-align", help="Align the images with the first one.")]
 FreeBalance = Annotated[
     bool,
     typer.Option(
         "--free-balance",
-        help="The pictures' white balance differs: count only what changes from place to place.",
+        help="The images differ in white balance: use only changes that vary across the image.",
     ),
 ]
 CAMERA_FILE = Path("camera.json")
 
 FAR = 0.04
-"""Movement, as a share of the picture's size, that deserves a word: perhaps the scene is not flat."""
+"""Movement, as a fraction of the image size, above which to warn that the scene may not be flat."""
 
 
 @calibrate.command()
 def spectral(
     peaks: Annotated[
-        str | None, typer.Option(help="Wavelengths of the red, green and blue sensors' peaks, nm: 610,540,450.")
+        str | None, typer.Option(help="Peak wavelengths of the red, green and blue sensors in nm: 610,540,450.")
     ] = None,
     curves: Annotated[
-        Path | None, typer.Option(help="CSV file of sensitivities: columns wavelength_nm, R, G, B.")
+        Path | None, typer.Option(help="CSV file of sensitivities, with columns wavelength_nm, R, G, B.")
     ] = None,
     output: Output = CAMERA_FILE,
     start: Start = None,
     trust: Trust = False,
 ) -> None:
-    """Angle from the sensors' spectra: from peak wavelengths (Wien's law), or from measured sensitivities."""
+    """Angle from peak wavelengths (Wien's approximation) or measured sensitivities of the sensors."""
     from liaam.calibration import read_sensitivities, theta_from_peaks, theta_from_sensitivities
 
     check_camera_output(output, start)
     if (peaks is None) == (curves is None):
-        raise CameraError("give either --peaks 610,540,450 or --curves FILE.csv")
+        raise CameraError("give one of --peaks 610,540,450 and --curves FILE.csv")
     if peaks is not None:
         red, green, blue = numbers_in(peaks, 3, "--peaks").tolist()
         estimate, source = theta_from_peaks((red, green, blue)), f"peaks at {peaks} nm"
     else:
         assert curves is not None
         estimate, source = theta_from_sensitivities(*read_sensitivities(curves)), f"sensitivities of {curves.name}"
-    conclude_angle(estimate, starting_camera(start), f"spectral, {source}", output, trust)
+    finish_angle(estimate, starting_camera(start), f"spectral, {source}", output, trust)
 
 
 @calibrate.command()
 def pair(
-    first: Annotated[Path, typer.Argument(metavar="A", help="Picture of a scene under one light.")],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Picture of the same scene under another light.")],
+    first: Annotated[Path, typer.Argument(metavar="A", help="Image of a scene under one light.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Image of the same scene under another light.")],
     output: Output = CAMERA_FILE,
     start: Start = None,
     response: ResponseOption = None,
@@ -103,7 +101,7 @@ def pair(
     free_balance: FreeBalance = False,
     trust: Trust = False,
 ) -> None:
-    """Angle from two pictures of one scene under lights of different colour."""
+    """Angle from two images of one scene under lights of different colour."""
     angle_of_scene([first, second], output, start, response, align, free_balance, trust)
 
 
@@ -117,7 +115,7 @@ def scene(
     free_balance: FreeBalance = False,
     trust: Trust = False,
 ) -> None:
-    """Angle from several pictures of one scene under lights of different colour."""
+    """Angle from several images of one scene under lights of different colour."""
     angle_of_scene(images, output, start, response, align, free_balance, trust)
 
 
@@ -130,7 +128,7 @@ def angle_of_scene(
     free_balance: bool,
     trust: bool,
 ) -> None:
-    """Read, align, estimate, and write what belongs to it."""
+    """Read and align the images, estimate the angle, and write the camera file and the check image."""
     from liaam.calibration import theta_from_scene
 
     check_camera_output(output, start, paths)
@@ -139,19 +137,15 @@ def angle_of_scene(
     if align:
         from liaam.calibration import STILL, align_pictures
 
-        with progress_bar() as tell:
-            aligned = align_pictures(pictures, camera, names=[p.name for p in paths], progress=tell)
+        with progress_bar() as progress:
+            aligned = align_pictures(pictures, camera, names=[p.name for p in paths], progress=progress)
         pictures, masks = list(aligned.pictures), aligned.masks
         moved = max(aligned.moved)
-        say(
-            f"aligned: moved by up to {moved:.1f} pixels at the corners"
-            if moved > STILL
-            else "the pictures are aligned"
-        )
+        say(f"aligned: the corners moved by up to {moved:.1f} pixels" if moved > STILL else "the images are aligned")
         if moved > FAR * max(pictures[0].shape[:2]):
-            complain("they moved far: a homography suits flat or far scenes only; check the picture that is written")
+            complain("large movement: a homography fits only flat or distant scenes; check the written image")
     estimate = theta_from_scene(pictures, camera, free_balance=free_balance, masks=masks)
-    camera = conclude_angle(estimate, camera, f"scene, {names_of(paths)}", output, trust)
+    camera = finish_angle(estimate, camera, f"scene, {names_of(paths)}", output, trust)
     write_check(output, pictures, paths, camera)
 
 
@@ -162,28 +156,28 @@ def chart(
         list[str] | None,
         typer.Option(
             help="Centres of the chart's four corner patches, clockwise from the first patch: x0,y0,x1,y1,x2,y2,x3,y3. "
-            "Once for all pictures, or once for each in their order."
+            "Give it once for all images, or once per image in the same order."
         ),
     ] = None,
     patches: Annotated[
         list[Path] | None,
-        typer.Option(help="CSV file of patches, a row x0,y0,x1,y1 each; once for all pictures, or once for each."),
+        typer.Option(help="CSV file with a row x0,y0,x1,y1 per patch. Give it once for all images, or once per image."),
     ] = None,
-    rows: Annotated[int, typer.Option(help="Rows of the chart.", min=2)] = 4,
-    columns: Annotated[int, typer.Option(help="Columns of the chart.", min=2)] = 6,
+    rows: Annotated[int, typer.Option(help="Number of rows in the chart.", min=2)] = 4,
+    columns: Annotated[int, typer.Option(help="Number of columns in the chart.", min=2)] = 6,
     output: Output = CAMERA_FILE,
     start: Start = None,
     response: ResponseOption = None,
     free_balance: FreeBalance = False,
     trust: Trust = False,
 ) -> None:
-    """Angle from pictures of a colour chart under lights of different colour; no alignment is needed."""
+    """Angle from images of a colour chart under lights of different colour; they need no alignment."""
     from liaam.calibration import chart_patches, theta_from_chart
 
     check_camera_output(output, start, images)
     if (corners is None) == (patches is None):
         raise CameraError(
-            "give either --corners (the centres of the chart's four corner patches) or --patches FILE.csv"
+            "give one of --corners (the centres of the chart's four corner patches) and --patches FILE.csv"
         )
     if corners:
         quads = [chart_patches(numbers_in(text, 8, "--corners").reshape(4, 2), rows, columns) for text in corners]
@@ -191,23 +185,23 @@ def chart(
         quads = [read_patches(path) for path in patches or []]
     camera, pictures = read_pictures(images, start, response, at_least=2)
     if len(quads) not in (1, len(images)):
-        raise CameraError(f"{len(quads)} charts for {len(images)} pictures: give one for all, or one for each")
+        raise CameraError(f"{len(quads)} charts for {len(images)} images: give one for all, or one per image")
     quads = quads * len(images) if len(quads) == 1 else quads
     estimate = theta_from_chart(pictures, quads, camera, free_balance=free_balance)
-    camera = conclude_angle(estimate, camera, f"chart, {names_of(images)}", output, trust)
+    camera = finish_angle(estimate, camera, f"chart, {names_of(images)}", output, trust)
     write_check(output, pictures, images, camera, quads)
 
 
 @calibrate.command()
 def image(
-    picture: Annotated[Path, typer.Argument(metavar="IMAGE", help="A picture with shadows.")],
+    picture: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image with shadows.")],
     output: Output = CAMERA_FILE,
     start: Start = None,
     response: ResponseOption = None,
     kind: Annotated[Literal["quadratic", "shannon"], typer.Option(help="Entropy to minimise.")] = "quadratic",
     trust: Trust = False,
 ) -> None:
-    """Angle from one picture with shadows (entropy minimisation): a last resort that often cannot be trusted."""
+    """Angle from one image with shadows, by entropy minimisation. A last resort, often unreliable."""
     from liaam.calibration import theta_from_image
 
     check_camera_output(output, start, [picture])
@@ -217,7 +211,7 @@ def image(
         say(f"theta {degrees(estimate.theta)}: {estimate.message}")
         write_camera(replace(camera, theta=estimate.theta, theta_deviation=None), output, f"image, {picture.name}")
     else:
-        camera = conclude_angle(estimate, camera, f"image, {picture.name}", output, trust)
+        camera = finish_angle(estimate, camera, f"image, {picture.name}", output, trust)
     write_check(output, [pixels], [picture], replace(camera, theta=estimate.theta))
 
 
@@ -225,15 +219,18 @@ def image(
 def faces(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
     images: Pictures,
-    init: Annotated[str, typer.Option(help="Where to start, as for 'liaam fit'.")],
+    init: Annotated[str, typer.Option(help="Where to start; see 'liaam fit'.")],
     method: Annotated[
-        str, typer.Option("--method", "-m", help="li-pcs: one camera for all; li-pc: the model has another one.")
+        str,
+        typer.Option(
+            "--method", "-m", help="li-pcs: the model's camera took the images; li-pc: another camera took them."
+        ),
     ] = "li-pcs",
     output: Output = CAMERA_FILE,
     start: Start = None,
     trust: Trust = False,
 ) -> None:
-    """Angle pooled over fits of a model to many pictures, under lights other than the training light."""
+    """Angle pooled over fits of a model to many images under lights other than the training light."""
     from liaam.calibration import theta_from_fits
     from liaam.fitting import Fitter
     from liaam.io import read_image
@@ -241,17 +238,17 @@ def faces(
 
     check_camera_output(output, start)
     if not method.startswith("li-pc"):
-        raise CameraError(f"--method {method}: only li-pcs and li-pc estimate the camera's angle")
+        raise CameraError(f"--method {method} does not estimate the camera angle; use li-pcs or li-pc")
     model = load_model(model_file)
-    # One camera for all is the model's; another one is not known to have its vignetting or noise.
+    # With li-pc, the vignetting and noise of the model's camera do not apply.
     camera = camera_for(images, start, None, model.camera if method.startswith("li-pcs") else None)
     fitter, results = Fitter(model, method, camera=camera), []
-    with progress_bar() as tell:
+    with progress_bar() as progress:
         for i, path in enumerate(images):
-            tell(i, len(images), path.name)
+            progress(i, len(images), path.name)
             pixels = read_image(path)
             results.append(fitter.fit(pixels, read_init(init, path, pixels.shape[1::-1]), path.name))
-    conclude_angle(theta_from_fits(results), camera, f"faces, {len(images)} fits with {method}", output, trust)
+    finish_angle(theta_from_fits(results), camera, f"faces, {len(images)} fits with {method}", output, trust)
 
 
 @calibrate.command("response")
@@ -259,16 +256,16 @@ def response_command(
     images: Pictures,
     exposures: Annotated[
         str | None,
-        typer.Option(help="Exposures of the pictures relative to each other, such as 1,2,4 (from the shutter times)."),
+        typer.Option(help="Relative exposures of the images, such as 1,2,4 (from the shutter times)."),
     ] = None,
     vignetting: Annotated[
-        bool, typer.Option("--vignetting", help="Also estimate vignetting; the pictures have to overlap, not coincide.")
+        bool, typer.Option("--vignetting", help="Also estimate vignetting. The images must overlap but not coincide.")
     ] = False,
     align: Align = True,
     output: Output = CAMERA_FILE,
     start: Start = None,
 ) -> None:
-    """Response, and with --vignetting the light's falloff, from pictures of one scene at different exposures."""
+    """Response, and with --vignetting also vignetting, from images of one scene at different exposures."""
     from liaam.calibration import calibrate_response
     from liaam.plotting.photometry import figure_of_response, save_figure
 
@@ -279,32 +276,32 @@ def response_command(
     if align:
         from liaam.calibration import homographies_between
 
-        with progress_bar() as tell:
-            homographies = homographies_between(pictures, camera, names=[p.name for p in images], progress=tell)
+        with progress_bar() as progress:
+            homographies = homographies_between(pictures, camera, names=[p.name for p in images], progress=progress)
     found = calibrate_response(pictures, exposures=ratios, homographies=homographies, vignetting=vignetting)
     say(found.message)
     if not found.observable:
-        raise CameraError("nothing was written: these pictures do not tell the response")
+        raise CameraError("nothing was written: these images do not determine the response")
     lens = found.vignetting
     if vignetting:
         say(corner_sentence(lens))
     known = lens.coefficients if lens.observable else camera.vignetting
     if camera.theta_deviation is not None or camera.noise is not None:
-        say("the file's angle and noise were estimated under another response: estimate them again")
+        say("the angle and noise in the file were estimated with another response: estimate them again")
     camera = replace(camera, response=found.response, vignetting=known, theta_deviation=None, noise=None)
     write_camera(camera, output, f"response, {names_of(images)}: {found.message}")
     save_figure(figure_of_response(camera), check_picture(output))
-    say(f"{check_picture(output)}: the response beside sRGB, to look at")
+    say(f"{check_picture(output)}: the response beside sRGB, for checking")
 
 
 @calibrate.command("vignetting")
 def vignetting_command(
-    picture: Annotated[Path, typer.Argument(metavar="IMAGE", help="Picture of an evenly lit, plain surface.")],
+    picture: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image of an evenly lit, plain surface.")],
     output: Output = CAMERA_FILE,
     start: Start = None,
     response: ResponseOption = None,
 ) -> None:
-    """Vignetting from one picture of an evenly lit white wall or paper."""
+    """Vignetting from one image of an evenly lit white wall or paper."""
     from liaam.calibration import vignetting_from_flat_field
 
     check_camera_output(output, start, [picture])
@@ -312,17 +309,17 @@ def vignetting_command(
     found = vignetting_from_flat_field(pixels, camera.response)
     say(corner_sentence(found))
     if not found.observable:
-        raise CameraError("nothing was written: this picture does not tell the vignetting")
+        raise CameraError("nothing was written: this image does not determine the vignetting")
     write_camera(
         replace(camera, vignetting=found.coefficients), output, f"vignetting, {picture.name}: {corner_sentence(found)}"
     )
 
 
 def corner_sentence(lens: "VignettingEstimate") -> str:
-    """What is known of the light's falloff."""
+    """Describe a vignetting estimate in a sentence."""
     if not lens.observable:
         return f"vignetting: {lens.message}"
-    return f"{lens.corner:.0%} ± {lens.corner_error:.0%} of the light arrives in the corners. {lens.message}"
+    return f"the corners receive {lens.corner:.0%} ± {lens.corner_error:.0%} of the light. {lens.message}"
 
 
 @calibrate.command("noise")
@@ -330,13 +327,13 @@ def noise_command(
     images: Pictures,
     flat: Annotated[
         list[str] | None,
-        typer.Option(help="Box x0,y0,x1,y1 around a plain, evenly lit surface; may be repeated for others."),
+        typer.Option(help="Box x0,y0,x1,y1 around a plain, evenly lit surface; may be repeated."),
     ] = None,
     output: Output = CAMERA_FILE,
     start: Start = None,
     response: ResponseOption = None,
 ) -> None:
-    """Noise from plain surfaces (--flat), from two pictures of one scene under one light, or from one picture."""
+    """Noise from plain surfaces (--flat), from two images of one scene under one light, or from one image."""
     import numpy as np
 
     from liaam.calibration import noise_from_flat, noise_from_image, noise_from_pair
@@ -351,23 +348,23 @@ def noise_command(
     elif len(pictures) == 1:
         found = noise_from_image(pictures[0], camera.response)
     else:
-        raise CameraError(f"{len(pictures)} pictures without --flat: give two of one scene under one light, or one")
+        raise CameraError(f"{len(pictures)} images without --flat: give two of one scene under one light, or one")
     say(found.message)
     if not found.observable:
-        raise CameraError("nothing was written: these pictures do not tell the noise")
+        raise CameraError("nothing was written: these images do not determine the noise")
     write_camera(replace(camera, noise=found.noise), output, f"noise, {names_of(images)}: {found.message}")
 
 
-def conclude_angle(
+def finish_angle(
     estimate: "AngleEstimate", camera: "CameraModel", source: str, output: Path, trust: bool
 ) -> "CameraModel":
-    """Say what was found, and write the camera; an angle that cannot be told is not guessed."""
+    """Print the estimate and write the camera. Raise if the angle is not observable."""
     if not estimate.observable:
         raise CameraError(f"nothing was written: {estimate.message}")
     if not estimate.physical and not trust:
         raise CameraError(
             f"nothing was written: theta {degrees(estimate.theta)} ± {degrees(estimate.standard_error)}; "
-            f"{estimate.message} (--trust writes it nonetheless)"
+            f"{estimate.message} (--trust writes it anyway)"
         )
     low, high = estimate.interval
     say(f"theta {degrees(estimate.theta)} ± {degrees(estimate.standard_error, 2)}")
@@ -391,7 +388,7 @@ def write_check(
     camera: "CameraModel",
     patches: Sequence["np.ndarray"] | None = None,
 ) -> None:
-    """Write the pictures beside their invariant images, for people to see whether the light is gone."""
+    """Write a figure of the images beside their invariant images, to check that the light is removed."""
     from liaam.photometry import invariant_image
     from liaam.plotting.photometry import figure_of_invariants, save_figure
 
@@ -402,28 +399,30 @@ def write_check(
     )
     path = check_picture(output)
     save_figure(figure, path)
-    say(f"{path}: the pictures and their invariant images, which should look alike")
+    say(f"{path}: the images and their invariant images, which should look alike")
 
 
 def invariant(
     images: Pictures,
-    theta: Annotated[float | None, typer.Option(help="Angle of the camera, degrees; 122 for an unknown one.")] = None,
+    theta: Annotated[float | None, typer.Option(help="Camera angle in degrees; 122 for an unknown camera.")] = None,
     camera_file: Annotated[Path | None, typer.Option("--camera", help="Camera file of 'liaam calibrate'.")] = None,
     response: ResponseOption = None,
     sweep: Annotated[
-        bool, typer.Option("--sweep", help="Also a strip of invariant images over theta with the entropy's curve.")
+        bool, typer.Option("--sweep", help="Also draw invariant images over theta, and the entropy curve.")
     ] = False,
     compare: Annotated[
-        bool, typer.Option("--compare", help="Also a table of how well the pictures agree (registered, of one size).")
+        bool, typer.Option("--compare", help="Also compare the images, which must be registered and of one size.")
     ] = False,
-    block: Annotated[int, typer.Option(help="For --compare: average this many pixels across first.", min=1)] = 2,
+    block: Annotated[
+        int, typer.Option(help="For --compare: average blocks of this many pixels across first.", min=1)
+    ] = 2,
     dark: Annotated[
-        float, typer.Option(help="For --compare: stored value, of 255, below which pixels say nothing.", min=0, max=250)
+        float, typer.Option(help="For --compare: ignore pixels whose value, of 255, is lower.", min=0, max=250)
     ] = 8.0,
-    mask: Annotated[Path | None, typer.Option(help="For --compare: picture that is white where pixels count.")] = None,
+    mask: Annotated[Path | None, typer.Option(help="For --compare: image that is white where pixels count.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-invariant"),
 ) -> None:
-    """Write the invariant image of pictures: .png to look at, .tif (float) and .npy to compute with."""
+    """Write the invariant image of each image: .png for viewing, .tif (float) and .npy for computing."""
     import numpy as np
 
     from liaam.io import make_folder, write_bytes_atomically, write_image
@@ -433,15 +432,15 @@ def invariant(
     camera, pictures = read_pictures(images, camera_file, response)
     if theta is not None:
         if not 0 <= theta <= 360:
-            raise LiaamError(f"--theta {theta:g}: give the camera's angle in degrees; cameras lie in 90 to 135")
+            raise LiaamError(f"--theta {theta:g}: give the camera angle in degrees, usually between 90 and 135")
         camera = replace(camera, theta=float(np.deg2rad(theta)))
-    # Before anything is written: pictures that cannot be compared are a mistake.
-    seen_by_all = average_pictures(pictures, images, camera, block, dark / 255.0, mask) if compare else None
+    # Fail before writing anything if the images cannot be compared.
+    averages = average_pictures(pictures, images, camera, block, dark / 255.0, mask) if compare else None
     make_folder(output)
     stems = unique_stems(images)
-    with progress_bar() as tell:
+    with progress_bar() as progress:
         for i, (path, stem, pixels) in enumerate(zip(images, stems, pictures, strict=True)):
-            tell(i, len(images), path.name)
+            progress(i, len(images), path.name)
             values = invariant_image(pixels, camera, name=path.name)
             seen = float(np.isfinite(values).mean())
             if seen < 0.1:
@@ -452,13 +451,13 @@ def invariant(
             write_bytes_atomically(with_npy, npy_bytes(values))
             if sweep:
                 save_figure(figure_of_sweep(pixels, camera), output / f"{stem}_sweep.png")
-    if seen_by_all is not None:
-        compare_pictures(pictures, images, seen_by_all, output)
+    if averages is not None:
+        compare_pictures(pictures, images, averages, output)
     say(f"written to {output}, at theta {degrees(camera.theta)}")
 
 
 def npy_bytes(values: "np.ndarray") -> bytes:
-    """Contents of a .npy file."""
+    """Return the content of a .npy file."""
     import io
 
     import numpy as np
@@ -476,7 +475,7 @@ def average_pictures(
     dark: float,
     mask_file: Path | None,
 ) -> "Averaged":
-    """Average registered pictures in blocks, where a mask's file is white."""
+    """Average registered images in blocks, where the mask image is white."""
     from liaam.calibration import averaged
     from liaam.io import read_image
     from liaam.photometry.encoding import stored_values
@@ -486,7 +485,7 @@ def average_pictures(
 
 
 def compare_pictures(pictures: Sequence["np.ndarray"], paths: Sequence[Path], seen: "Averaged", output: Path) -> None:
-    """Write and print how well invariant images agree, each with each, with log-grey beside them."""
+    """Write and print the pairwise correlations of invariant images and of log grey."""
     import numpy as np
 
     from liaam.calibration import agreement
@@ -495,7 +494,7 @@ def compare_pictures(pictures: Sequence["np.ndarray"], paths: Sequence[Path], se
 
     found = agreement(seen)
     lines = ["first,second,invariant,log_grey,share"]
-    table = table_of("first", "second", "invariant", "log grey", "share of pixels")
+    table = table_of("first", "second", "invariant", "log grey", "fraction of pixels")
     for pair_ in found:
         names = paths[pair_.first].name, paths[pair_.second].name
         lines.append(f"{names[0]},{names[1]},{pair_.invariant:.6f},{pair_.log_grey:.6f},{pair_.share:.6f}")
@@ -509,17 +508,17 @@ def compare_pictures(pictures: Sequence["np.ndarray"], paths: Sequence[Path], se
 
 
 def register_command(
-    first: Annotated[Path, typer.Argument(metavar="A", help="Picture whose frame is kept.")],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Picture to bring into the frame of A.")],
+    first: Annotated[Path, typer.Argument(metavar="A", help="Reference image.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Image to align with A.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Picture to write; B_registered.png if left out.")
+        Path | None, typer.Option("--output", "-o", help="Image to write. By default B_registered.png.")
     ] = None,
-    method: Annotated[str | None, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = None,
+    method: Annotated[str | None, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = None,
     group: Annotated[str, typer.Option("--warp", help="homography, affine, similarity or translation.")] = "homography",
     camera_file: Annotated[Path | None, typer.Option("--camera", help="Camera file of 'liaam calibrate'.")] = None,
     response: ResponseOption = None,
 ) -> None:
-    """Align two pictures of a plane (or a far scene) by a homography, whatever the light in each."""
+    """Align two images of a flat or distant scene, even under different lights."""
     import json
 
     from liaam.io import write_image, write_text_atomically
@@ -544,7 +543,7 @@ def register_command(
 
 
 def degrees(angle: float, digits: int = 1) -> str:
-    """Angle for people."""
+    """Format an angle, given in radians, in degrees."""
     import math
 
     return f"{math.degrees(angle):.{digits}f}°"

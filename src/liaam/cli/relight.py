@@ -1,11 +1,11 @@
-"""The command for relighting: thin. Everything it does is a call that Python users have too."""
+"""The command ``liaam relight``."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli.inputs import DOUBT, camera_for, check_output, numbers_in, read_init, refuse_inputs
+from liaam.cli.inputs import LOW_SCORE, camera_for, check_output, numbers_in, read_init, refuse_inputs
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 
@@ -16,50 +16,50 @@ if TYPE_CHECKING:
 
 def relight(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
-    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="Picture to relight.")],
+    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image to relight.")],
     flat: Annotated[
-        bool, typer.Option("--flat", help="Under the light of training, without shading; so if no light is given.")
+        bool, typer.Option("--flat", help="Show the object under the training light, without shading (default).")
     ] = False,
     light: Annotated[
         str | None,
         typer.Option(
             metavar="X,Y,Z",
-            help="Under a lamp in this direction: x to the right, y down, z to the viewer; 0,0,1 is in front.",
+            help="Show it under a lamp in this direction: x right, y down, z towards the viewer; 0,0,1 is frontal.",
         ),
     ] = None,
     like: Annotated[
-        Path | None, typer.Option(metavar="OTHER", help="Under the light of another picture of such an object.")
+        Path | None, typer.Option(metavar="OTHER", help="Show it under the light of another image of such an object.")
     ] = None,
     ambient: Annotated[
-        float | None, typer.Option(help="With --light: share of light from everywhere, 0 to 1 (0.25 if left out).")
+        float | None, typer.Option(help="With --light: fraction of ambient light, 0 to 1. By default 0.25.")
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Picture to write; IMAGE_flat.png or IMAGE_relit.png if left out."),
+        typer.Option("--output", "-o", help="Image to write. By default IMAGE_flat.png or IMAGE_relit.png."),
     ] = None,
     init: Annotated[
         str | None,
         typer.Option(
-            help="Where the object is: a box x0,y0,x1,y1, a centre and the box's diagonal x,y,size, a landmark file, "
-            "or a folder of them. Searched for if left out."
+            help="Where to start: a box x0,y0,x1,y1; a centre and the box's diagonal x,y,size; a landmark file; or a "
+            "folder of them. By default the object is searched for."
         ),
     ] = None,
-    like_init: Annotated[str | None, typer.Option("--like-init", help="Where it is in OTHER; as --init.")] = None,
+    like_init: Annotated[str | None, typer.Option("--like-init", help="As --init, for OTHER.")] = None,
     method: Annotated[
-        str, typer.Option("--method", "-m", help="How to fit: soft-li, or one that fits log-RGB, such as li.")
+        str, typer.Option("--method", "-m", help="Fitting method: soft-li, or one on log-RGB such as li.")
     ] = "soft-li",
     camera_file: Annotated[
         Path | None,
-        typer.Option("--camera", help="Camera file of these pictures' camera, if not the training camera's."),
+        typer.Option("--camera", help="Camera file, if the images come from another camera than the training images."),
     ] = None,
     response: Annotated[
-        str | None, typer.Option(help="Response of these pictures' camera, if not the training camera's.")
+        str | None, typer.Option(help="Camera response, if it differs from the training camera's.")
     ] = None,
 ) -> None:
-    """Show the object of a picture under the light of training, under a lamp, or under another picture's light."""
+    """Show the object in an image under the training light, a lamp, or the light of another image."""
     direction = check_lights(flat, light, like, ambient, like_init)
     output = output or Path(f"{image.stem}_{'relit' if light or like else 'flat'}.png")
-    check_picture_name(output)
+    check_image_name(output)
     refuse_inputs([output], [path for path in (image, like) if path is not None])
 
     from liaam.fitting import Fitter
@@ -68,22 +68,23 @@ def relight(
     from liaam.relighting.relighter import AMBIENT, check_ambient, unit_direction
 
     if direction is not None:
-        unit_direction(direction)  # it may refuse: before the work
+        unit_direction(direction)  # raise before any work
         check_ambient(AMBIENT if ambient is None else ambient)
     model = load_model(model_file)
     if not model.is_colour:
         raise LiaamError(
-            f"{model_file}: the model is of grey pictures, and shading is told by colours; train on colour pictures"
+            f"{model_file}: the model was trained on grey images, and estimating shading needs colour; train on colour "
+            "images"
         )
     camera = camera_for([path for path in (image, like) if path is not None], camera_file, response, model.camera)
     fitter = Fitter(model, method, camera=camera)
-    with progress_bar() as tell:
-        tell(0, 2, image.name)
-        relighter, result = taken_apart(fitter, image, init)
+    with progress_bar() as progress:
+        progress(0, 2, image.name)
+        relighter, result = fit_relighter(fitter, image, init)
         results = {image.name: result}
         if like is not None:
-            tell(1, 2, like.name)
-            other, results[like.name] = taken_apart(fitter, like, like_init)
+            progress(1, 2, like.name)
+            other, results[like.name] = fit_relighter(fitter, like, like_init)
             picture = relighter.like(other)
         elif direction is not None:
             picture = relighter.under(direction, AMBIENT if ambient is None else ambient)
@@ -98,28 +99,28 @@ def relight(
 def check_lights(
     flat: bool, light: str | None, like: Path | None, ambient: float | None, like_init: str | None
 ) -> "tuple[float, ...] | None":
-    """Complain about several lights at once and about options of another; gives the lamp's direction, if any."""
+    """Return the direction of the lamp, if any. Raise if options contradict each other."""
     given = [name for name, is_given in (("--flat", flat), ("--light", light), ("--like", like)) if is_given]
     if len(given) > 1:
-        raise LiaamError(f"{' and '.join(given)} are different lights; give one of them")
+        raise LiaamError(f"{' and '.join(given)} cannot be combined; give one of them")
     if ambient is not None and light is None:
-        raise LiaamError("--ambient goes with a lamp; add its direction with --light, or leave --ambient out")
+        raise LiaamError("--ambient needs a lamp; add its direction with --light, or leave --ambient out")
     if like_init is not None and like is None:
-        raise LiaamError("--like-init says where the object is in the picture of --like; add that, or leave it out")
+        raise LiaamError("--like-init needs --like OTHER; add it, or leave --like-init out")
     return None if light is None else tuple(numbers_in(light, 3, "--light"))
 
 
-def check_picture_name(output: Path) -> None:
-    """Complain about a name that no picture can have."""
+def check_image_name(output: Path) -> None:
+    """Raise if a colour image cannot be written under a name."""
     from liaam.io import IMAGE_SUFFIXES
 
     check_output(output)
-    if output.suffix.lower() not in IMAGE_SUFFIXES or output.suffix.lower() == ".pgm":  # that is grey
-        raise LiaamError(f"{output}: give the name of a picture, such as {output.stem}.png")
+    if output.suffix.lower() not in IMAGE_SUFFIXES or output.suffix.lower() == ".pgm":  # grey only
+        raise LiaamError(f"{output}: give the name of an image file, such as {output.stem}.png")
 
 
-def taken_apart(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Relighter, FitResult]":
-    """Fit a picture, and take its light off."""
+def fit_relighter(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Relighter, FitResult]":
+    """Fit an image and estimate its shading."""
     from liaam.io import read_image
     from liaam.relighting import Relighter
 
@@ -130,15 +131,15 @@ def taken_apart(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Religh
 
 
 def report(results: "dict[str, FitResult]") -> bool:
-    """Say which fits may be wrong; gives whether one is."""
+    """Warn about fits that may be wrong. Return whether any failed."""
     import numpy as np
 
     for name, result in results.items():
         if not result.status.ok:
             complain(f"{name}: {result.status}: {result.message}")
         if result.place_doubtful:
-            complain(f"{name}: {DOUBT}")
+            complain(f"{name}: {LOW_SCORE}")
         elif np.isnan(result.quality):
-            place = "" if result.found is None else f", the search's score {result.found.score:.2f}"
-            complain(f"{name}: quality unknown{place}: the model was trained without leaving pictures out; look at it")
+            place = "" if result.found is None else f", search score {result.found.score:.2f}"
+            complain(f"{name}: quality unknown{place}: the model has no calibrated quality; check the result")
     return any(not result.status.ok for result in results.values())

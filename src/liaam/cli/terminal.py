@@ -1,4 +1,4 @@
-"""What commands print with: plain lines, complaints, tables and a progress bar."""
+"""Terminal output of the commands: lines, tables, progress bars, and errors."""
 
 import io
 import os
@@ -18,38 +18,38 @@ from liaam.errors import LiaamError
 from liaam.progress import Progress
 
 console = Console()
-complaints = Console(stderr=True)
+error_console = Console(stderr=True)
 
 INTERRUPTED = 130
-"""Exit status after a Ctrl-C, as of a shell: 128 and the signal's number."""
+"""Exit status after Ctrl-C, as in a shell: 128 plus the number of the signal."""
 
-TURNING = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
-"""Classes of the characters that turn the direction of writing (Unicode Standard Annex 9)."""
+BIDIRECTIONAL = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
+"""Bidirectional classes of the characters that change the writing direction (Unicode Standard Annex 9)."""
 
 
 def plain(text: str) -> str:
-    """Text without what a terminal obeys: a file's name or a model's may hold anything.
+    """Escape control characters, which the names of files and models may hold.
 
-    Control characters, those that turn the direction of writing, and halves of characters are shown as escapes.
+    Also escapes characters that change the writing direction, and lone surrogates.
     """
-    return "".join(ascii(letter)[1:-1] if _is_obeyed(letter) else letter for letter in text)
+    return "".join(ascii(letter)[1:-1] if _is_control(letter) else letter for letter in text)
 
 
-def _is_obeyed(letter: str) -> bool:
+def _is_control(letter: str) -> bool:
     if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp"):
         return letter not in "\n\t"
-    return unicodedata.bidirectional(letter) in TURNING
+    return unicodedata.bidirectional(letter) in BIDIRECTIONAL
 
 
 def cell(text: str) -> str:
-    """Text for a table, as it is: brackets are no markup."""
+    """Return the text of a table cell, in which brackets are not markup."""
     return escape(plain(text))
 
 
 class _Commands(TyperGroup):
-    """Commands; what a person typed is repeated in complaints without what a terminal obeys.
+    """Command group whose error messages repeat arguments without control characters.
 
-    A Ctrl-C becomes one line and exit status 130.
+    Ctrl-C prints one line and exits with status 130.
     """
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
@@ -78,7 +78,7 @@ def _plain_complaints() -> Iterator[None]:
 
 
 def make_app(**options: Any) -> typer.Typer:
-    """Make a command line with subcommands, as all of ours are; further ``options`` go to typer."""
+    """Make a command line with subcommands. Pass `options` to typer."""
     return typer.Typer(
         cls=_Commands,
         no_args_is_help=True,
@@ -90,8 +90,8 @@ def make_app(**options: Any) -> typer.Typer:
 
 
 def run_app(app: typer.Typer) -> None:
-    """Run a command line; errors become one line and an exit status."""
-    for stream in (sys.stdout, sys.stderr):  # a terminal without × or θ gets a ? instead of a traceback
+    """Run a command line. Print an error as one line and exit with a non-zero status."""
+    for stream in (sys.stdout, sys.stderr):  # print ? where the terminal cannot show × or θ
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
@@ -99,38 +99,38 @@ def run_app(app: typer.Typer) -> None:
     except LiaamError as error:
         complain(f"error: {error}")
         sys.exit(1)
-    except OSError as error:  # a name that no file can have, missing rights, a disk that is full or gone
+    except OSError as error:  # an invalid name, missing permissions, a full or removed disk
         complain(f"error: {_sentence_of(error)}")
         sys.exit(1)
 
 
 def _sentence_of(error: OSError) -> str:
-    """Say what the system has refused, and of which file."""
+    """Describe a system error and the file it concerns."""
     name = "" if error.filename is None else os.fsdecode(error.filename)
     shown = f"{name[:60]}...: " if len(name) > 255 else f"{name}: " if name else ""
-    return f"{shown}{error.strerror or error}; check the name, the rights and the free space"
+    return f"{shown}{error.strerror or error}; check the name, the permissions and the free space"
 
 
 def say(text: str) -> None:
-    """Print plain text (no markup: file names hold brackets)."""
+    """Print a line of plain text, without markup, since file names may hold brackets."""
     console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def complain(text: str) -> None:
-    """Print to standard error."""
-    complaints.print(plain(text), markup=False, highlight=False, soft_wrap=True)
+    """Print a line of plain text to standard error."""
+    error_console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def table_of(*header: str) -> Table:
-    """Give an empty table in the style of all commands."""
+    """Make an empty table in the style of all commands."""
     return Table(*header, box=None, header_style="bold")
 
 
 @contextmanager
 def progress_bar(counted: bool = True) -> Iterator[Progress]:
-    """Show a bar, with the time that remains; it appears on terminals only and leaves nothing behind.
+    """Show a temporary progress bar with the remaining time, on terminals only.
 
-    Steps that are not things to be counted are told as a share.
+    Show counts if `counted`, or else a percentage.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
@@ -143,10 +143,10 @@ def progress_bar(counted: bool = True) -> Iterator[Progress]:
         TimeRemainingColumn(),
         TextColumn("{task.description}", markup=False),
     )
-    with Bar(*columns, console=complaints, transient=True, disable=not complaints.is_terminal) as bar:
+    with Bar(*columns, console=error_console, transient=True, disable=not error_console.is_terminal) as bar:
         task = bar.add_task("")
 
-        def tell(done: int, total: int, what: str) -> None:
+        def report(done: int, total: int, what: str) -> None:
             bar.update(task, completed=done, total=total, description=plain(what))
 
-        yield tell
+        yield report

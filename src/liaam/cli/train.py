@@ -1,4 +1,4 @@
-"""``liaam train``."""
+"""The command ``liaam train``."""
 
 import math
 from dataclasses import replace
@@ -23,66 +23,67 @@ def train(
     variance: Annotated[
         str,
         typer.Option(
-            help="Share of the variance to keep (0.98), a whole number of modes (12), or 'auto': as many as make "
-            "left-out pictures likeliest."
+            help="Fraction of the shape variance to keep (0.98), a number of modes (12), or 'auto' to maximise the "
+            "likelihood of left-out images."
         ),
     ] = "0.98",
     appearance_variance: Annotated[
-        str | None, typer.Option(help="The same for the appearance; if left out as --variance, and 0.85 for soft-li.")
+        str | None, typer.Option(help="The same for appearance. By default as --variance, but 0.85 for soft-li.")
     ] = None,
     prior: Annotated[
         list[str] | None,
         typer.Option(
-            help="What shapes may look like besides those of the pictures: sample (nothing else), smooth (smooth "
-            "deformations too), or shrunk (variances of shapes left out); for one of the model's views alone as "
-            "surroundings=sample (soft-li, the default method) or mesh=smooth (all others). Repeatable. If left out "
-            "sample, and smooth for soft-li unless all of the variance is kept or there are more than 200 landmarks."
+            help="Estimator of the shape covariance: sample; smooth (adds smooth deformations); or shrunk (eigenvalues "
+            "from left-out shapes). Prefix a view to set it alone: surroundings=sample (for soft-li) or mesh=smooth "
+            "(for other methods). May be repeated. By default sample, and smooth for soft-li unless all variance is "
+            "kept or there are more than 200 landmarks."
         ),
     ] = None,
-    diagonal: Annotated[float, typer.Option(help="Size of the object in the model, pixels across its box.")] = 150.0,
+    diagonal: Annotated[float, typer.Option(help="Diagonal of the object's box in the model, in pixels.")] = 150.0,
     camera_file: Annotated[
         Path | None,
-        typer.Option("--camera", help="Camera file of 'liaam calibrate': angle, response, vignetting, noise."),
+        typer.Option("--camera", help="Camera file of 'liaam calibrate' (angle, response, vignetting, noise)."),
     ] = None,
     theta: Annotated[
-        float | None, typer.Option(help="Angle of the training camera, degrees; 122 for an unknown one.")
+        float | None, typer.Option(help="Angle of the training camera in degrees; 122 for an unknown camera.")
     ] = None,
     response: Annotated[
-        str | None, typer.Option(help="Camera response: srgb (unless a camera is given), linear, or a gamma.")
+        str | None, typer.Option(help="Camera response: srgb (default without --camera), linear, or a gamma.")
     ] = None,
     lamps: Annotated[
         Path | None,
         typer.Option(
-            help="Learn from the pictures as other lamps would show them, too: a file of 'liaam lamps', or a folder "
-            "of a few objects under various lamps, named by object and lamp, such as 037-00."
+            help="Also train on the images as relit by other lamps: a file of 'liaam lamps', or a folder of a few "
+            "objects under several lamps, named by object and lamp, such as 037-00."
         ),
     ] = None,
     training_lamp: TrainingLampOption = None,
     copies: Annotated[
         int | None,
         typer.Option(
-            help="Copies of each picture under other lamps, every other one mirrored where the object is symmetric "
-            "(without --lamps one that is mirrored); 0 for none."
+            help="Copies of each image under other lamps; every second copy is mirrored if the object is symmetric. "
+            "Without --lamps one mirrored copy. 0 for none."
         ),
     ] = None,
     leave_out: Annotated[
         bool,
         typer.Option(
-            help="Leave pictures out in turn and fit them, to learn how far fits can be trusted; takes twice as long."
+            help="Fit left-out images to calibrate the quality and covariance of later fits. Doubles the time."
         ),
     ] = True,
-    name: Annotated[str | None, typer.Option(help="What the model shows, for 'liaam info'.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the model, for 'liaam info'.")] = None,
 ) -> None:
     """Train a model on a folder of landmarked images.
 
-    Landmarks: .pts, .asf, .tem, .ljson, .csv beside each image, or one dlib .xml, COCO .json or .csv for all.
+    Landmarks: a .pts, .asf, .tem, .ljson or .csv file beside each image, or one dlib .xml, COCO .json or .csv file
+    for all.
     """
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
     from liaam.training import train as train_model
 
     if theta is not None and not 60 <= theta <= 180:
-        raise LiaamError(f"--theta {theta:g}: give the camera's angle in degrees; cameras lie in 90 to 135")
+        raise LiaamError(f"--theta {theta:g}: give the camera angle in degrees, usually between 90 and 135")
     options = {
         "variance": parse_variance(variance),
         "appearance_variance": None if appearance_variance is None else parse_variance(appearance_variance),
@@ -90,7 +91,7 @@ def train(
     check_output(output)
     if output.exists() and output.suffix.lower() in {*IMAGE_SUFFIXES, *LANDMARK_SUFFIXES}:
         raise LiaamError(
-            f"{output} is an image or landmark file; name the model otherwise, such as {folder.name}.liaam"
+            f"{output} is an image or landmark file; give another name for the model, such as {folder.name}.liaam"
         )
     data = read_folder(folder, images, recursive)
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
@@ -98,7 +99,7 @@ def train(
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
     light = None if lamps is None else read_lamps(lamps, training_lamp, recursive, camera.response)
     warn_of_faults(data, folder)
-    with progress_bar(counted=False) as tell:
+    with progress_bar(counted=False) as progress:
         model = train_model(
             data,
             camera=camera,
@@ -108,7 +109,7 @@ def train(
             copies=copies,
             name=name or folder.name,
             leave_out=leave_out,
-            progress=tell,
+            progress=progress,
             **options,
         )
     model.save(output)
@@ -118,15 +119,15 @@ def train(
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
-        f"left-out bound: even a perfect fit to a new picture is {bound:.1f} pixels off "
+        f"left-out bound: even a perfect fit to a new image has an error of {bound:.1f} pixels "
         f"({bound / model.diagonal:.1%} of the object's size)"
     )
     if leave_out and view.reliability is None:
-        complain("too few fits to pictures left out were right to tell right fits from wrong ones: give more pictures")
+        complain("fits have no calibrated quality: too few fits to left-out images were right; train on more images")
 
 
 def parse_prior(given: list[str]) -> dict[str, str] | None:
-    """Read priors of views: ``smooth`` for all, or ``mesh=smooth`` for one; None where nothing is given."""
+    """Parse priors of views: ``smooth`` for all views, ``mesh=smooth`` for one. Return None if there are none."""
     from liaam.model import VIEWS
 
     priors = {}
@@ -137,10 +138,10 @@ def parse_prior(given: list[str]) -> dict[str, str] | None:
 
 
 def parse_variance(text: str) -> float | int | Literal["auto"]:
-    """Read a share (with a point: 0.98, 1.0), a count (without: 12), or ``auto``."""
+    """Parse a fraction (with a point: 0.98, 1.0), a count (without: 12), or ``auto``."""
     if text.strip() == "auto":
         return "auto"
     try:
         return int(text) if text.strip().isdigit() else float(text)
     except ValueError:
-        raise LiaamError(f"variance {text!r}: give a share such as 0.98, a whole number of modes, or 'auto'") from None
+        raise LiaamError(f"variance {text!r}: give a fraction such as 0.98, a number of modes, or 'auto'") from None

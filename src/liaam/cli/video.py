@@ -1,4 +1,4 @@
-"""The command for videos: thin. Everything it does is a call that Python users have too."""
+"""The command ``liaam track``."""
 
 import signal
 import threading
@@ -27,64 +27,61 @@ if TYPE_CHECKING:
 
 def track(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
-    video: Annotated[str, typer.Argument(metavar="VIDEO", help="Video file, or the number of a camera (0).")],
+    video: Annotated[str, typer.Argument(metavar="VIDEO", help="Video file, or a camera number such as 0.")],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="Landmarks of every frame, .csv or .npz; VIDEO_track.csv if no output is named."
-        ),
+        typer.Option("--output", "-o", help="Landmarks of every frame, .csv or .npz. By default VIDEO_track.csv."),
     ] = None,
     annotated: Annotated[
-        Path | None, typer.Option("--video", help="Video with the landmarks drawn in to write, such as out.mp4.")
+        Path | None, typer.Option("--video", help="Video to write with the landmarks drawn in, such as out.mp4.")
     ] = None,
     shading_free: Annotated[
         Path | None,
-        typer.Option("--shading-free", help="Video with the object under the light of training to write."),
+        typer.Option("--shading-free", help="Video to write with the object under the training light."),
     ] = None,
     init: Annotated[
         str | None,
         typer.Option(
-            help="Where the object is in the first frame: a box x0,y0,x1,y1, a centre and the box's diagonal x,y,size, "
-            "or a landmark file. Searched for if left out."
+            help="Where the object is in the first frame: a box x0,y0,x1,y1; a centre and the box's diagonal x,y,size; "
+            "or a landmark file. By default the object is searched for."
         ),
     ] = None,
     start: Annotated[int, typer.Option(help="First frame, counted from 0.", min=0)] = 0,
-    end: Annotated[int | None, typer.Option(help="Frame to stop before.", min=1)] = None,
-    frames: Annotated[int | None, typer.Option(help="Frames to track at most; instead of --end.", min=1)] = None,
-    method: Annotated[str, typer.Option("--method", "-m", help="How to compare; see 'liaam methods'.")] = "soft-li",
-    smooth: Annotated[
-        bool, typer.Option(help="Smooth the landmarks over time, as far as their covariance lets them.")
-    ] = True,
+    end: Annotated[int | None, typer.Option(help="Stop before this frame.", min=1)] = None,
+    frames: Annotated[int | None, typer.Option(help="Maximum number of frames; instead of --end.", min=1)] = None,
+    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
+    smooth: Annotated[bool, typer.Option(help="Smooth the landmarks over time, weighted by their covariance.")] = True,
     review: Annotated[
         int | None,
         typer.Option(
-            help="Frames from one fit from the mean shape to the next, which puts a track right that has gone astray: "
-            "fewer are slower; 0 for none, 48 if left out.",
+            help="Refit from the mean shape every so many frames, to correct a track that has drifted. Fewer frames "
+            "are slower; 0 for never. By default 48.",
             min=0,
         ),
     ] = None,
     ellipses: Annotated[
-        bool, typer.Option("--ellipses", help="Draw the ellipse that holds each landmark with 95 % probability.")
+        bool, typer.Option("--ellipses", help="Draw the 95 % confidence ellipse of each landmark.")
     ] = False,
     camera_file: Annotated[
-        Path | None, typer.Option("--camera", help="Camera file of the video's camera, if not the training camera's.")
+        Path | None,
+        typer.Option("--camera", help="Camera file, if the video comes from another camera than the training images."),
     ] = None,
     response: Annotated[
-        str | None, typer.Option(help="Response of the video's camera, if not the training camera's.")
+        str | None, typer.Option(help="Camera response, if it differs from the training camera's.")
     ] = None,
     jobs: Annotated[
         int | None,
         typer.Option(
             "--jobs",
             "-j",
-            help="Processes that track stretches of a long video side by side; all cores if left out.",
+            help="Worker processes that track parts of a long video in parallel. By default one per core.",
             min=1,
         ),
     ] = None,
 ) -> None:
-    """Track an object through a video; writes landmarks, and videos with them or without the shading.
+    """Track an object through a video. Writes landmarks, and on request videos with landmarks or without shading.
 
-    Ctrl-C stops, and what was done until then is written.
+    Ctrl-C stops after the current frame and keeps the results so far.
     """
     from liaam.io import VideoReader
     from liaam.model import load_model
@@ -101,13 +98,13 @@ def track(
     tracker = Tracker(model, method, camera, options)
     counts, reader = Counts(), VideoReader(source, start, stop)
     task = Task(reader, tracker, start, stop, init, jobs)
-    with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as tell:
+    with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as progress:
         sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
         pictures = annotated is not None or shading_free is not None
-        follow(task, sinks, counts, tell, stopped, pictures=pictures, fits=shading_free is not None)
+        follow(task, sinks, counts, progress, stopped, pictures=pictures, fits=shading_free is not None)
     report(counts, [path for path in (output, annotated, shading_free) if path is not None])
     if stopped():
-        complain(f"stopped after {counts.n} frames; they are written")
+        complain(f"stopped after {counts.n} frames; their results are written")
         raise typer.Exit(INTERRUPTED)
     faults = [fault for fault in (task.fault, counts.all_grey and all_grey(shading_free, reader.name)) if fault]
     for fault in faults:
@@ -117,12 +114,12 @@ def track(
 
 
 Sink = Callable[["VideoFrame", "TrackedFrame", "FitResult | None"], None]
-"""Takes a frame, what was found in it, and the fit."""
+"""Takes a frame, its tracking result and its fit."""
 
 
 @dataclass
 class Counts:
-    """What has come of the frames so far."""
+    """Statistics of the frames so far."""
 
     statuses: Counter = field(default_factory=Counter)
     qualities: list[float] = field(default_factory=list)
@@ -134,17 +131,17 @@ class Counts:
 
     @property
     def n(self) -> int:
-        """Frames done."""
+        """Number of frames."""
         return sum(self.statuses.values())
 
     @property
     def n_tracked(self) -> int:
-        """Frames with landmarks."""
+        """Number of frames with landmarks."""
         return self.n - len(self.lost)
 
     @property
     def all_grey(self) -> bool:
-        """Whether shading was to be taken off, and all frames with the object were grey."""
+        """Whether shading removal failed on every frame with the object because all are grey."""
         return self.n_grey > 0 and not self.n_unshaded
 
     def add(self, frame: "TrackedFrame") -> None:
@@ -157,26 +154,26 @@ class Counts:
 
 
 def source_of(video: str) -> Path | int:
-    """A file, or a camera where a number is no file's name."""
+    """Return a file's path, or a camera's number if no file has that name."""
     return int(video) if video.isascii() and video.isdigit() and not Path(video).exists() else Path(video)
 
 
 def stop_of(start: int, end: int | None, frames: int | None) -> int | None:
-    """Frame to stop before."""
+    """Return the frame to stop before, if any."""
     if end is not None and frames is not None:
-        raise VideoError("--end and --frames both say where to stop; give one of them")
+        raise VideoError("--end and --frames both set the last frame; give one of them")
     if end is not None and end <= start:
         raise VideoError(f"--end {end} is not after --start {start}; frames count from 0")
     return start + frames if frames is not None else end
 
 
 def default_output(source: Path | int) -> Path:
-    """Name of the track where none is given."""
+    """Return the default path of the track."""
     return Path(f"camera{source}_track.csv" if isinstance(source, int) else f"{source.stem}_track.csv")
 
 
 def check_outputs(output: Path | None, annotated: Path | None, shading_free: Path | None, source: Path | int) -> None:
-    """Complain about outputs before the work, not after it."""
+    """Raise, before any work, if an output cannot be written."""
     from liaam.io.video import check_video_name, is_video
     from liaam.tracking.files import check_track_name, is_track
 
@@ -187,17 +184,17 @@ def check_outputs(output: Path | None, annotated: Path | None, shading_free: Pat
         if path is not None:
             check_video_name(path)
     if len({path.resolve() for path in paths}) < len(paths):
-        raise LiaamError(f"{paths[0]}: two outputs have the same name; give each its own")
+        raise LiaamError(f"{paths[0]}: two outputs have the same name; give different names")
     if isinstance(source, Path) and source.resolve() in {path.resolve() for path in paths}:
-        raise LiaamError(f"{source} is the video to be read; give the output another name")
+        raise LiaamError(f"{source} is the input video; give the output another name")
     for path in (annotated, shading_free):
         if path is not None and path.exists() and not is_video(path):
-            raise LiaamError(f"{path} exists and is no video; give another name to keep it")
+            raise LiaamError(f"{path} exists and is not a video; give another name to keep it")
     if output is None:
         return
     check_track_name(output)
     if output.exists() and not is_track(output):
-        raise LiaamError(f"{output} exists and is no track; give another name with -o to keep it")
+        raise LiaamError(f"{output} exists and is not a track; give another name with -o to keep it")
 
 
 def open_sinks(
@@ -210,14 +207,14 @@ def open_sinks(
     ellipses: bool,
     counts: Counts,
 ) -> list[Sink]:
-    """Open what was asked for, and nothing else; each is closed by ``files``. Videos are drawn and written aside."""
+    """Open the requested outputs; `files` closes them. Videos are drawn and written in background threads."""
     from liaam.io import video_writer
     from liaam.tracking.aside import aside
     from liaam.tracking.files import track_writer
     from liaam.tracking.shading import ShadingRemover
 
     sinks: list[Sink] = []
-    remover = None if shading_free is None else ShadingRemover(tracker.fitter)  # it may refuse: before files are made
+    remover = None if shading_free is None else ShadingRemover(tracker.fitter)  # may raise: before files are created
     if output is not None:
         track_file = files.enter_context(track_writer(output, tracker.model.n_points))
         sinks.append(lambda _, tracked, __: track_file.write(tracked))
@@ -231,7 +228,7 @@ def open_sinks(
 
 
 def drawing(writer: Any, model: "AAM", ellipses: bool) -> Sink:
-    """Give what writes annotated frames."""
+    """Return a function that writes annotated frames."""
     from liaam.plotting.video import annotated
 
     def write(frame: "VideoFrame", tracked: "TrackedFrame", _result: "FitResult | None") -> None:
@@ -243,7 +240,7 @@ def drawing(writer: Any, model: "AAM", ellipses: bool) -> Sink:
 
 
 def unshading(writer: Any, remover: Any, counts: Counts) -> Sink:
-    """Give what writes frames without shading; those without the object, and grey ones, as they are."""
+    """Return a function that writes frames without shading. Grey frames and those without the object stay as is."""
     from liaam.tracking import TrackStatus
 
     def write(frame: "VideoFrame", tracked: "TrackedFrame", result: "FitResult | None") -> None:
@@ -254,7 +251,7 @@ def unshading(writer: Any, remover: Any, counts: Counts) -> Sink:
             try:
                 fresh = remover.remove(frame.image, result, tracked.landmarks)
                 counts.n_unshaded += 1
-            except MethodError:  # grey: a whole video, or one that fades
+            except MethodError:  # a grey frame
                 counts.n_grey += 1
         writer.write(fresh, frame.time)
 
@@ -262,15 +259,15 @@ def unshading(writer: Any, remover: Any, counts: Counts) -> Sink:
 
 
 def all_grey(path: Path | None, name: str) -> str:
-    """What is wrong with a shading-free video of which all frames are as they were."""
+    """Describe why no frame of a shading-free video has its shading removed."""
     return (
-        f"{path} shows {name} as it was: the video is grey (three equal channels) wherever the object was found, and "
-        "shading is told by colours; give a colour video"
+        f"{path} is an unchanged copy of {name}: every frame with the object is grey (three equal channels), and "
+        "estimating shading needs colour; give a colour video"
     )
 
 
 def caption_of(tracked: "TrackedFrame") -> str:
-    """One line about a frame."""
+    """Describe a frame in one line."""
     parts = [f"{tracked.index}", f"{tracked.time:.2f} s", str(tracked.status)]
     if tracked.ok and tracked.quality == tracked.quality:  # not NaN
         parts.append(f"quality {tracked.quality:.2f}")
@@ -279,7 +276,7 @@ def caption_of(tracked: "TrackedFrame") -> str:
 
 @dataclass
 class Task:
-    """What is tracked, and by what."""
+    """A video to track and its tracker."""
 
     reader: "VideoReader"
     tracker: "Tracker"
@@ -288,13 +285,13 @@ class Task:
     init: str | None
     jobs: int | None
     fault: str = ""
-    """What is wrong with the video, in the end."""
+    """Fault of the video that stopped reading, if any."""
 
     def __post_init__(self) -> None:
         self.tracker.name = self.reader.name
 
-    def set_out(self, size: tuple[int, int]) -> None:
-        """Tell the tracker where the object is, in a first frame of a size (width, height), if anybody said."""
+    def set_start(self, size: tuple[int, int]) -> None:
+        """Set the tracker's start from ``--init``, for frames of size (width, height)."""
         if self.init is not None:
             self.tracker.init = read_init(self.init, Path(self.reader.name), size)
 
@@ -306,18 +303,18 @@ def follow(
     task: Task,
     sinks: Sequence[Sink],
     counts: Counts,
-    tell: Progress,
+    progress: Progress,
     stopped: Callable[[], bool],
     *,
     pictures: bool,
     fits: bool,
 ) -> None:
-    """Track all frames and hand each to what was asked for."""
+    """Track all frames and pass each to the sinks."""
     stretches = stretches_of(task)
     if len(stretches) > 1:
-        seen = side_by_side(task, stretches, tell, stopped, pictures, fits)
+        seen = side_by_side(task, stretches, progress, stopped, pictures, fits)
     else:
-        seen = one_by_one(task, tell, stopped)
+        seen = one_by_one(task, progress, stopped)
     with closing(seen):
         for frame, tracked, result in seen:
             counts.add(tracked)
@@ -326,7 +323,7 @@ def follow(
 
 
 def stretches_of(task: Task) -> "list[Stretch]":
-    """Parts of a video that can be tracked side by side: of a long file that can be entered in its middle."""
+    """Cut a video into parts to track in parallel; empty unless it is a long file that can be read from its middle."""
     from liaam.fitting.search import is_searchable
     from liaam.io.video import can_enter
     from liaam.tracking.stretches import cut
@@ -338,16 +335,16 @@ def stretches_of(task: Task) -> "list[Stretch]":
     return stretches if len(stretches) > 1 and can_enter(reader.name, stretches[1].start) else []
 
 
-def one_by_one(task: Task, tell: Progress, stopped: Callable[[], bool]) -> Generator[Seen, None, None]:
-    """Track frame by frame: a camera, or a short video."""
+def one_by_one(task: Task, progress: Progress, stopped: Callable[[], bool]) -> Generator[Seen, None, None]:
+    """Track a camera or a short video frame by frame."""
     reader, tracker, pace = task.reader, task.tracker, Pace()
     with reader:
         for n, frame in enumerate(reader, 1):
             if n == 1:
-                task.set_out(frame.image.shape[1::-1])
+                task.set_start(frame.image.shape[1::-1])
             tracked = tracker.update(frame.image, frame.time, frame.index)
             yield frame, tracked, tracker.result
-            tell(n, reader.n_frames or n, f"{pace(n):.1f} frames/s, {tracked.status}")
+            progress(n, reader.n_frames or n, f"{pace(n):.1f} frames/s, {tracked.status}")
             if stopped():
                 return
     task.fault = reader.fault
@@ -356,12 +353,12 @@ def one_by_one(task: Task, tell: Progress, stopped: Callable[[], bool]) -> Gener
 def side_by_side(
     task: Task,
     stretches: "list[Stretch]",
-    tell: Progress,
+    progress: Progress,
     stopped: Callable[[], bool],
     pictures: bool,
     fits: bool,
 ) -> Generator[Seen, None, None]:
-    """Track stretches of a long video in processes; frames come without their picture unless pictures are wanted."""
+    """Track parts of a long video in parallel. The frames hold images only if `pictures`."""
     import numpy as np
 
     from liaam.io import VideoFrame, VideoReader
@@ -371,11 +368,11 @@ def side_by_side(
     reader, tracker, pace = task.reader, task.tracker, Pace()
     if task.init is not None:
         with VideoReader(reader.name, task.start, task.start + 1) as beginning:
-            task.set_out(next(iter(beginning)).image.shape[1::-1])
+            task.set_start(next(iter(beginning)).image.shape[1::-1])
     job = TrackJob(tracker, reader.name, fits)
     nothing, total = np.empty((0, 0, 3), np.uint8), reader.n_frames or 0
     tracked = track_stretches(
-        job, stretches, task.jobs or all_cores(), lambda n: tell(n, total, f"{pace(n):.1f} frames/s"), stopped
+        job, stretches, task.jobs or all_cores(), lambda n: progress(n, total, f"{pace(n):.1f} frames/s"), stopped
     )
     with ExitStack() as open_:
         shown = by_number(iter(open_.enter_context(reader))) if pictures else None
@@ -383,12 +380,12 @@ def side_by_side(
             task.fault = task.fault or stretch.fault
             for found, result in stretch.frames:
                 yield shown(found.index) if shown else VideoFrame(found.index, found.time, nothing), found, result
-                if pictures and stopped():  # to draw what is tracked already would take its time
+                if pictures and stopped():  # do not spend time on drawing what is already tracked
                     return
 
 
 def by_number(frames: "Iterator[VideoFrame]") -> "Callable[[int], VideoFrame]":
-    """Go through frames to that of a number, or else the next one, or the last."""
+    """Return a function that advances to the frame of a number, or the next one there is, or the last."""
     frame = next(frames)
 
     def at(number: int) -> "VideoFrame":
@@ -401,13 +398,13 @@ def by_number(frames: "Iterator[VideoFrame]") -> "Callable[[int], VideoFrame]":
 
 
 class Pace:
-    """Frames per second, of late."""
+    """Recent rate in frames per second."""
 
     def __init__(self) -> None:
         self._seen: deque = deque([(monotonic(), 0)], maxlen=60)
 
     def __call__(self, n: int) -> float:
-        """Take note that so many are done."""
+        """Update with the number of frames done and return the rate."""
         self._seen.append((monotonic(), n))
         (before, fewer), (now, more) = self._seen[0], self._seen[-1]
         return (more - fewer) / max(now - before, 1e-9)
@@ -415,36 +412,34 @@ class Pace:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
-    """Take the first Ctrl-C for a wish to stop after this frame, so that files are closed well; a second one does not
-    wait for what is still to be written.
-    """
-    wished = threading.Event()
-    if threading.current_thread() is not threading.main_thread():  # only it may take signals
-        yield wished.is_set
+    """Stop after the current frame on a first Ctrl-C, so that files are closed; stop at once on a second one."""
+    requested = threading.Event()
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may handle signals
+        yield requested.is_set
         return
     before = signal.getsignal(signal.SIGINT)
 
-    def wish(*_: object) -> None:
-        if wished.is_set():  # the second one; what is open is closed in peace
+    def request_stop(*_: object) -> None:
+        if requested.is_set():  # ignore further ones while files are closed
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             raise KeyboardInterrupt
-        wished.set()
+        requested.set()
 
-    signal.signal(signal.SIGINT, wish)
+    signal.signal(signal.SIGINT, request_stop)
     try:
-        yield wished.is_set
+        yield requested.is_set
     finally:
         signal.signal(signal.SIGINT, before)
 
 
 def report(counts: Counts, outputs: Sequence[Path]) -> None:
-    """Say what came out."""
+    """Print a summary of the track."""
     import numpy as np
 
     from liaam.evaluation import ranges_of
 
     seconds = max(monotonic() - counts.began, 1e-9)
-    table = table_of("frames", "with landmarks", "lost", "found anew", "corrected", "quality", "frames/s")
+    table = table_of("frames", "with landmarks", "lost", "found again", "corrected", "quality", "frames/s")
     known = [quality for quality in counts.qualities if np.isfinite(quality)]
     again = max(0, counts.statuses["found"] - 1)
     quality = f"{np.median(known):.2f}" if known else "–"
@@ -457,6 +452,6 @@ def report(counts: Counts, outputs: Sequence[Path]) -> None:
         return
     reasons = ", ".join(f"{status or 'not searched'} {n}" for status, n in counts.fits.most_common())
     complain(
-        f"lost in frames {ranges_of(counts.lost)} (last fits: {reasons}): look at them with --video; if the object is "
-        "there, say with --init where it is in the first frame, or train on frames like these"
+        f"lost in frames {ranges_of(counts.lost)} (last fits: {reasons}): check them with --video; if the object is "
+        "visible, give its place in the first frame with --init, or train on frames like these"
     )
