@@ -228,7 +228,7 @@ BAD = [
     ("a.pts", "{\n1 1 1\n}", "point 1 holds 3 values ('1 1 1')"),
     ("a.pts", "{\n1 1\n1\n}", "point 2 holds 1 values"),
     ("a.pts", "{\n1 one\n}", "'one' in point 1 is not a number"),
-    ("a.pts", "{\n1,5 2\n}", "decimals take a point"),
+    ("a.pts", "{\n1,5 2\n}", "decimal points, as in 12.5"),
     ("a.pts", "{\n1 1_000\n}", "'1_000' in point 1 is not a number"),
     ("a.pts", "{\n1 inf\n}", "'inf' in point 1 is not a number"),
     ("a.pts", "{\n1 nan\n}", "landmark 1 (counting from 1) has only one of x and y"),
@@ -271,7 +271,7 @@ BAD = [
     ("a.xml", DLIB[:-40], "is not complete XML"),
     ("a.xml", "<dataset><images/></dataset>", "has no image with landmarks"),
     ("a.xml", DLIB.replace("x='90'", "x='ninety'"), "'ninety' in part '0' of image 'a.jpg' is not a number"),
-    ("a.xml", DLIB.replace("name='2' x='3'", "name='0' x='3'"), "part '0' of image 'a.jpg' is there twice"),
+    ("a.xml", DLIB.replace("name='2' x='3'", "name='0' x='3'"), "part '0' of image 'a.jpg' occurs twice"),
     ("a.xml", DLIB.replace("width='20'", "width='wide'"), "'wide' in a box of image 'a.jpg'"),
     ("a.xml", '<!DOCTYPE d [<!ENTITY a "aaaa">]><d>&a;</d>', "not safe to read"),
     ("a.xml", '<!DOCTYPE d [<!ENTITY a "aaaa">]><d>&a;</d>'.encode("utf-16"), "not safe to read"),
@@ -301,8 +301,8 @@ BAD = [
     ("a.csv", "x,y\n1,\n", "line 2 has only one of x and y"),
     ("a.csv", "x,y\n1,two\n", "'two' in line 2 is not a number"),
     ("a.csv", 'x,y\n1,"2\n' + "2" * 200_000, "is not a CSV table"),
-    ("a.txt", "1 2\n", "has the ending '.txt', which is no known landmark format: use .pts (300-W points)"),
-    ("a", "1 2\n", "has the ending ''"),
+    ("a.txt", "1 2\n", "has the extension '.txt', not that of a landmark format: use .pts (300-W points)"),
+    ("a", "1 2\n", "has the extension ''"),
 ]
 
 
@@ -342,7 +342,7 @@ def test_read_collection_of_one_image_s_file(tmp_path: Path) -> None:
         ([], {}, "n > 0"),
         ("ab", {}, "not numbers"),
         ([[1, NAN]], {}, "only one of x and y"),
-        ([[1, math.inf]], {}, "infinity"),
+        ([[1, math.inf]], {}, "infinite"),
         ([[1, 2]], {"names": ("a", "b")}, "2 names for 1 landmarks"),
         ([[1, 2]], {"contours": (Contour((0, 1)),)}, "names landmark 1"),
         ([[1, 2]], {"contours": (Contour((-1, 0)),)}, "names landmark -1"),
@@ -370,13 +370,13 @@ def test_landmarks_are_a_frozen_copy() -> None:
 def test_what_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(LandmarkError, match=r"\.tem is only read\. Use \.pts, \.ljson, \.csv"):
         write_landmarks(tmp_path / "a.tem", np.zeros((1, 2)))
-    with pytest.raises(LandmarkError, match="no known landmark format"):
+    with pytest.raises(LandmarkError, match="not that of a landmark format"):
         write_landmarks(tmp_path / "a.doc", np.zeros((1, 2)))
     with pytest.raises(LandmarkError, match="shape"):
         write_landmarks(tmp_path / "a.pts", np.zeros((2, 3)))
     with pytest.raises(LandmarkError, match=r"does not exist\. Make it first"):
         write_landmarks(tmp_path / "no" / "a.pts", np.zeros((1, 2)))
-    with pytest.raises(LandmarkError, match=r"only \.csv takes many"):
+    with pytest.raises(LandmarkError, match=r"only \.csv holds many"):
         write_collection(tmp_path / "a.pts", {})
     with pytest.raises(LandmarkError, match="there are no landmarks"):
         write_collection(tmp_path / "a.csv", {})

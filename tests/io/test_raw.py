@@ -181,7 +181,7 @@ def test_a_sensor_of_four_colours_is_refused(fake, dng):
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        (lambda fake: fake.LibRawFileUnsupportedError(b"Unsupported"), "is no RAW file that LibRaw 0.22.0 knows"),
+        (lambda fake: fake.LibRawFileUnsupportedError(b"Unsupported"), "is not a RAW file that LibRaw 0.22.0 can read"),
         (lambda fake: RuntimeError(b"Input/output error"), r"is damaged or cut short (Input/output error)"),
         (lambda fake: ValueError("strange"), r"is damaged or cut short (strange)"),
         (lambda fake: ValueError(), r"is damaged or cut short ()"),
@@ -221,7 +221,7 @@ def test_a_missing_or_empty_file_is_told_before_rawpy_is_missed(tmp_path, monkey
 
 
 def test_raw_files_are_not_written(tmp_path):
-    with pytest.raises(ImageError, match="is no known ending"):
+    with pytest.raises(ImageError, match="is not a known extension"):
         write_image(tmp_path / "a.dng", np.zeros((8, 8, 3), np.uint16))
 
 
@@ -294,7 +294,7 @@ def test_pictures_are_upright(tmp_path, orientation, shape):
 def test_truncated_files_are_noticed(tmp_path, kept):
     path = written(tmp_path, even(0.5, 0.25, 0.1))
     path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
-    assert "cut short" in refusal(path) or "is no RAW file" in refusal(path)
+    assert "cut short" in refusal(path) or "is not a RAW file" in refusal(path)
 
 
 @pytest.mark.usefixtures("libraw")
@@ -307,12 +307,12 @@ def test_the_last_byte_counts(tmp_path):
 @pytest.mark.usefixtures("libraw")
 def test_what_is_no_raw_file_is_told(tmp_path):
     (tmp_path / "text.dng").write_text("these are the notes of a photographer\n" * 40)
-    assert "is no RAW file" in refusal(tmp_path / "text.dng")
+    assert "is not a RAW file" in refusal(tmp_path / "text.dng")
     write_image(tmp_path / "a.png", np.zeros((16, 16, 3), np.uint8))
     (tmp_path / "a.png").rename(tmp_path / "a.nef")
-    assert "is no RAW file" in refusal(tmp_path / "a.nef")
+    assert "is not a RAW file" in refusal(tmp_path / "a.nef")
     (tmp_path / "zeros.cr2").write_bytes(bytes(5000))
-    assert "is no RAW file" in refusal(tmp_path / "zeros.cr2")
+    assert "is not a RAW file" in refusal(tmp_path / "zeros.cr2")
 
 
 @pytest.mark.usefixtures("libraw")

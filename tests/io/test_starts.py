@@ -29,10 +29,10 @@ def test_reads_numbers_files_and_folders(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("nowhere", "--init nowhere: there is no such file or folder, and it is no box"),
+        ("nowhere", "--init nowhere: there is no such file or folder, and it is neither a box"),
         ("1,2", "--init 1,2: give four numbers .* not 2"),
-        ("{folder}", r"anna.png: .* holds no landmark file for it \(anna.pts or the like\)"),
-        ("{folder}/words.box", r"words.box: it is no box"),
+        ("{folder}", r"anna.png: .* holds no landmark file for it; add one such as anna.pts"),
+        ("{folder}/words.box", r"words.box: it is neither a box"),
         ("{folder}/five.box", r"five.box: give four numbers .* not 5"),
         ("{folder}/empty.box", r"empty.box is empty"),
     ],
@@ -63,5 +63,5 @@ def test_a_start_that_may_not_be_looked_at_is_told(monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "stat", forbidden)
-    with pytest.raises(StartError, match=r"secret/anna.pts cannot be looked at \(Permission denied\)"):
+    with pytest.raises(StartError, match=r"secret/anna.pts cannot be read \(Permission denied\)"):
         check_start("secret/anna.pts")

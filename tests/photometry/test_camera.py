@@ -198,6 +198,6 @@ def test_what_is_no_file_on_disk_is_refused_before_it_is_read(tmp_path, kind):
     elif kind == "large":
         with path.open("wb") as file:
             file.truncate(10**8)
-    message = {"large": "more than the", "long name": "name too long"}.get(kind, "is not an ordinary file")
+    message = {"large": "more than the", "long name": "name too long"}.get(kind, "is not a regular file")
     with pytest.raises(CameraError, match=f"(?i){message}"):
         load_camera(path)

@@ -1,4 +1,4 @@
-"""Reading and writing: images, videos, landmark files, and files in general that are either complete or not there."""
+"""Reading and writing of images, videos and landmark files. All files are written atomically."""
 
 from liaam.io.atomic import atomic_path, write_bytes_atomically, write_text_atomically
 from liaam.io.files import make_folder

@@ -1,7 +1,7 @@
-"""Write files so that they are either complete or not there: temporary file, fsync, rename over the target.
+"""Atomic writing of files: write a temporary file, fsync, then rename it over the target.
 
-A temporary file is locked while it is written, and the system takes the lock off when the process ends, however it
-ends. So a temporary file without a lock was left by a process that was killed; :func:`sweep` removes it.
+A temporary file is locked while it is written. The system releases the lock when the process ends, however it ends, so
+an unlocked temporary file was left by a killed process; :func:`sweep` removes it.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ _swept: set[Path] = set()
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Iterator[Path]:
-    """Give a temporary path to write to; it becomes `path` when the block ends without an error.
+    """Yield a temporary path that is renamed to `path` if the block ends without an error.
 
-    The temporary file lies in the folder of the target (a rename is only atomic within one file system) and
-    keeps its suffix, since many writers choose the format by it. A symbolic link is written through.
+    The temporary file is in the target's folder, because a rename is atomic only within one file system. It keeps
+    the suffix, because many writers choose the format by it. A symbolic link is followed.
 
     Parameters
     ----------
     path : path-like
         The file to make or to replace.
     error : type of LiaamError, optional
-        The class of error to raise when the disk refuses.
+        The class of error to raise if writing fails.
 
     Yields
     ------
@@ -56,11 +56,11 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
     Raises
     ------
     LiaamError
-        Of class `error`, if the folder is missing, or writing fails; the target is then as it was before.
+        Of class `error`, if the folder is missing or writing fails. The target is then unchanged.
     """
     target = Path(os.path.realpath(path))
     if target.is_dir():
-        raise error(f"{path} cannot be written: it is a folder. Give the name of a file.")
+        raise error(f"{path} cannot be written: it is a folder. Give a file name.")
     if not target.parent.is_dir():
         raise error(f"{path} cannot be written: the folder {target.parent} does not exist. Make it first.")
     if target.parent not in _swept:
@@ -72,21 +72,21 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
             _publish(temp, target)
     except OSError as fault:
         reason = fault.strerror or fault
-        raise error(f"{path} cannot be written ({reason}): check the rights and the free space.") from fault
+        raise error(f"{path} cannot be written ({reason}): check the permissions and the free space.") from fault
 
 
 def write_bytes_atomically(path: str | os.PathLike[str], data: bytes, error: type[LiaamError] = LiaamError) -> None:
-    """Write `data` to `path`, all or nothing (see :func:`atomic_path`)."""
+    """Write `data` to `path` atomically (see :func:`atomic_path`)."""
     with atomic_path(path, error) as temp:
         temp.write_bytes(data)
 
 
 def write_text_atomically(path: str | os.PathLike[str], text: str, error: type[LiaamError] = LiaamError) -> None:
-    """Write `text` to `path` as UTF-8 with the line ends it has, all or nothing (see :func:`atomic_path`)."""
+    """Write `text` to `path` atomically as UTF-8, with its line ends unchanged (see :func:`atomic_path`)."""
     try:
         data = text.encode("utf-8")
     except UnicodeEncodeError as fault:
-        raise error(f"{path} cannot be written ({fault}): rename what has that character in its name.") from fault
+        raise error(f"{path} cannot be written ({fault}): rename what contains that character.") from fault
     write_bytes_atomically(path, data, error)
 
 
@@ -163,7 +163,7 @@ def _made(temp: Path) -> int:
 
 
 def _publish(temp: Path, target: Path) -> None:
-    """Force `temp` to the disk and rename it over `target`."""
+    """Flush `temp` to disk and rename it over `target`."""
     if target.exists():
         shutil.copymode(target, temp)
     descriptor = os.open(temp, os.O_RDWR)
@@ -176,7 +176,7 @@ def _publish(temp: Path, target: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the rename itself durable, where the system can open a folder (not on Windows)."""
+    """Flush the rename to disk, on systems that can open a folder (not Windows)."""
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

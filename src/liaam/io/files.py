@@ -1,4 +1,4 @@
-"""What readers of files share: finding them, saying why one cannot be found, natural order, cells of tables."""
+"""Helpers shared by file readers: existence checks with suggestions, natural sort order, parsing of cells."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from liaam.errors import LiaamError
 
 
 def natural_key(text: str) -> list[Any]:
-    """Give a sort key under which ``img2`` comes before ``img10``, whatever the case of the letters."""
-    words = re.split(r"([0-9]+)", text.casefold())  # every other one is a number, of any length: int has a limit
+    """Return a case-insensitive sort key that puts ``img2`` before ``img10``."""
+    words = re.split(r"([0-9]+)", text.casefold())  # every second one is a number, perhaps too long for int
     numbers = ((len(digits), digits) for digits in (word.lstrip("0") for word in words[1::2]))
     return [*chain.from_iterable(zip(words[::2], numbers, strict=False)), words[-1]]
 
 
 def is_number(text: str) -> bool:
-    """Whether a cell of a table holds a finite number."""
+    """Return whether a table cell holds a finite number."""
     try:
         return math.isfinite(float(text))
     except ValueError:
@@ -29,21 +29,21 @@ def is_number(text: str) -> bool:
 
 
 def writable(text: str) -> str:
-    """Give a text without halves of surrogate pairs, which JSON may hold and no file or terminal can."""
+    """Replace lone surrogates, which JSON may hold but files and terminals cannot encode."""
     return text.encode("utf-8", "replace").decode("utf-8")
 
 
 def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:
-    """Check that a file is there and not empty.
+    """Check that a file exists and is not empty.
 
     Parameters
     ----------
     path : path-like
-        The file asked for.
+        The file to check.
     error : type of LiaamError
         The class of error to raise.
     kind : str
-        What the file should be, for the message: "image", "landmark file" ...
+        Kind of file for the message, such as "image" or "landmark file".
 
     Returns
     -------
@@ -58,32 +58,32 @@ def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: s
     path = Path(path)
     try:
         if path.is_dir():
-            os.scandir(path).close()  # fails where it may not be read, which is what there is to say then
+            os.scandir(path).close()  # report missing permissions first
             raise error(f"{path} is a folder; give the name of one {kind} inside it.")
         if not path.exists():
             raise error(f"{path} does not exist. {_closest(path)}")
-        if not path.is_file():  # a pipe or a device could block for ever
-            raise error(f"{path} is not an ordinary file: give one on disk.")
+        if not path.is_file():  # reading a pipe or a device could block
+            raise error(f"{path} is not a regular file: give a file on disk.")
         if path.stat().st_size == 0:
             raise error(f"{path} is empty (0 bytes): copy or export it again.")
     except OSError as fault:
-        raise error(f"{path} cannot be read ({fault.strerror or fault}): check the name and the rights.") from fault
+        raise error(f"{path} cannot be read ({fault.strerror or fault}): check the name and permissions.") from fault
     return path
 
 
 def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:
-    """Read a whole file of at most `limit` bytes; a fault is raised as `error`."""
+    """Read a file of at most `limit` bytes. Raise `error` if that fails."""
     try:
         size = path.stat().st_size
         if size > limit:
             raise error(f"{path} has {size:,} bytes, more than the {limit:,} allowed: split it into smaller files.")
         return path.read_bytes()
     except OSError as fault:
-        raise error(f"{path} cannot be read ({fault.strerror or fault}): check the rights on the file.") from fault
+        raise error(f"{path} cannot be read ({fault.strerror or fault}): check its permissions.") from fault
 
 
 def _closest(path: Path) -> str:
-    """Say which files of the folder have a similar name."""
+    """Suggest files in the same folder with a similar name."""
     if not path.parent.is_dir():
         return f"The folder {path.parent} does not exist either: check the path."
     names = [entry.name for entry in path.parent.iterdir() if entry.name != path.name]
@@ -94,12 +94,12 @@ def _closest(path: Path) -> str:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results, or say why it cannot be."""
+    """Create a folder for results and its parents, if missing."""
     if folder.is_file():
-        raise LiaamError(f"{folder} is a file, so the folder cannot be made; give another with -o")
+        raise LiaamError(f"{folder} is a file, so the folder cannot be created; give another folder with -o")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise LiaamError(
-            f"{folder}: the folder cannot be made ({error.strerror or error}); give another with -o"
+            f"{folder}: the folder cannot be created ({error.strerror or error}); give another folder with -o"
         ) from error

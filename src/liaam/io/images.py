@@ -1,9 +1,8 @@
-"""Read and write still images as RGB arrays, without touching the values that the file holds.
+"""Read and write still images as RGB arrays with their stored values.
 
-Pillow decodes what has 8 bits per channel and notices files that were cut short; OpenCV decodes what is
-deeper (16-bit and float), which Pillow would reduce to 8 bits. The header is read, and the size checked,
-before anything is decoded. The format is recognised by content, not by the name's ending, but for RAW files, which
-have a module of their own.
+Pillow decodes files with 8 bits per channel and detects truncated ones. OpenCV decodes 16-bit and float files, which
+Pillow would reduce to 8 bits. The size in the header is checked before decoding. The format is recognised by content,
+not by suffix, except for RAW files (:mod:`liaam.io.raw`).
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from liaam.io.pixels import MAX_PIXELS, as_three_channels, check_size
 from liaam.io.raw import is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
-"""Endings (lower case) of the image files that can be read and written; those without loss come first."""
+"""Suffixes (lower case) of the image files that can be read and written, lossless ones first."""
 
 _MAX_BYTES = 4_000_000_000
 _SIGNATURES = (
@@ -63,7 +62,7 @@ _EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of 
 
 @dataclass(frozen=True)
 class _Header:
-    """What the first bytes of an image file say, before its orientation is applied."""
+    """Header of an image file; width and height are as stored, before the orientation is applied."""
 
     kind: str
     width: int
@@ -71,15 +70,15 @@ class _Header:
     bits: int = 8
     orientation: int = 1
     fault: str = ""
-    """Why the pixels cannot be decoded although the header can be read."""
+    """Why the pixels cannot be decoded, or empty."""
     maximum: int = 255
-    """PNM only: the value that stands for white."""
+    """PNM only: the value of white."""
     offset: int = 0
-    """PNM only: where the pixels begin, in bytes."""
+    """PNM only: offset of the pixels in bytes."""
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) as a person sees the image: orientations 5 to 8 lie on their side."""
+        """(width, height) after the orientation is applied; orientations 5 to 8 swap them."""
         if self.orientation >= 5:
             return self.height, self.width
         return self.width, self.height
@@ -91,24 +90,24 @@ def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np
     Parameters
     ----------
     path : path-like
-        A PNG, JPEG, TIFF, BMP, PPM or PGM file, of which a TIFF file's first page is read; or, by its ending, a RAW
-        file (see :func:`liaam.io.read_raw`), whose values are linear.
+        A PNG, JPEG, TIFF (first page), BMP, PPM or PGM file, or a RAW file, recognised by its suffix. RAW values are
+        linear (see :func:`liaam.io.read_raw`).
     max_pixels : int, optional
-        Images with more pixels are refused before they are decoded.
+        Larger images are rejected before decoding.
 
     Returns
     -------
     np.ndarray
         (height, width, 3) uint8, uint16 or float32, in RGB order. The response is not changed and colour
-        profiles are not applied. A grey image has three equal channels; transparency is dropped; palettes and
-        CMYK are converted; the image is turned upright by its EXIF orientation. 64-bit floats become float32,
-        NaN stays. PPM and PGM values are scaled so that white is 255 or 65535.
+        profiles are not applied. A grey image has three equal channels. Transparency is dropped, palettes and
+        CMYK are converted, and the EXIF orientation is applied. 64-bit floats become float32, and NaN is kept. PPM
+        and PGM values are scaled so that white is 255 or 65535.
 
     Raises
     ------
     ImageError
-        If the file is missing, a folder, empty, cut short, damaged, not an image of these formats, has more
-        than `max_pixels`, or holds values that have no place here (32-bit integers, signed integers ...).
+        If the file is missing, a folder, empty, truncated, damaged or in another format, has more than `max_pixels`
+        pixels, or holds values of an unsupported type, such as 32-bit or signed integers.
     """
     if is_raw(path):
         return read_raw(path, max_pixels)
@@ -117,13 +116,13 @@ def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np
 
 
 def read_preview(path: str | os.PathLike[str], size: int, max_pixels: int = MAX_PIXELS) -> np.ndarray:
-    """Read an image to look at; a JPEG file may come at a half, a quarter or an eighth of its size, and much sooner.
+    """Read an image for display. A JPEG may be decoded faster at a half, a quarter or an eighth of its size.
 
     Parameters
     ----------
     path : path-like
     size : int
-        Neither side of what comes is shorter than this, unless the image's is.
+        Minimum length of both sides of the result, unless the image is smaller.
     max_pixels : int, optional
 
     Returns
@@ -143,15 +142,15 @@ def read_preview(path: str | os.PathLike[str], size: int, max_pixels: int = MAX_
 
 
 def decode_image(data: bytes, name: str = "image", max_pixels: int = MAX_PIXELS) -> np.ndarray:
-    """Decode the bytes of an image file, but for RAW; see :func:`read_image`.
+    """Decode the bytes of an image file, except RAW files; see :func:`read_image`.
 
     Parameters
     ----------
     data : bytes
     name : str
-        What to call the image in errors.
+        Name of the image in errors.
     max_pixels : int, optional
-        Images with more pixels are refused before they are decoded.
+        Larger images are rejected before decoding.
 
     Returns
     -------
@@ -168,17 +167,17 @@ def decode_image(data: bytes, name: str = "image", max_pixels: int = MAX_PIXELS)
 
 
 def encoded_size(data: bytes, name: str = "image") -> tuple[int, int]:
-    """Give (width, height) of the bytes of an image file as :func:`image_size` does; only its header is read."""
+    """Return (width, height) of an image file given as bytes, as :func:`image_size` does for a path."""
     return _header_of(io.BytesIO(data), name).size
 
 
 def is_image(data: bytes) -> bool:
-    """Tell by its first bytes whether a file is of a format that :func:`read_image` reads, RAW apart."""
+    """Return whether the first bytes are those of a format that :func:`read_image` reads, except RAW."""
     return _kind_of(data[:16]) is not None
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Read only the header of an image: its (width, height) in pixels, upright by its EXIF orientation.
+    """Return (width, height) of an image in pixels, after its EXIF orientation, from the header only.
 
     Raises
     ------
@@ -191,7 +190,7 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def _checked_file(path: str | os.PathLike[str], max_pixels: int) -> tuple[Path, _Header]:
-    """Header of a file whose pixels can and may be decoded."""
+    """Return the header of a file after checking that its pixels can be decoded."""
     path = existing_file(path, ImageError, "image")
     header = _read_header(path)
     _check_header(path, header, max_pixels)
@@ -205,7 +204,7 @@ def _check_header(path: Path | str, header: _Header, max_pixels: int) -> None:
 
 
 def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
-    """Write an image in the format of the name's ending; nothing half-written is left if it fails.
+    """Write an image atomically, in the format of the suffix.
 
     Parameters
     ----------
@@ -219,7 +218,7 @@ def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
     Raises
     ------
     ImageError
-        If the ending, the shape or the type of the values cannot be written, or the disk refuses.
+        If the suffix, the shape or the type cannot be written, or writing fails.
     """
     path = Path(path)
     array = np.asarray(array)
@@ -234,32 +233,32 @@ def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
 
 
 def _read_header(path: Path) -> _Header:
-    """Read kind, size and depth of a file without decoding a pixel."""
+    """Read kind, size and depth of a file without decoding pixels."""
     try:
         with path.open("rb") as file:
             return _header_of(file, path)
     except OSError as fault:
-        raise ImageError(f"{path} cannot be read ({fault.strerror}): check the rights on the file.") from fault
+        raise ImageError(f"{path} cannot be read ({fault.strerror}): check its permissions.") from fault
 
 
 def _header_of(file: Any, path: Path | str) -> _Header:
-    """Read kind, size and depth from an open file, or bytes, without decoding a pixel."""
+    """Read kind, size and depth from an open file without decoding pixels."""
     try:
         kind = _kind_of(file.read(16))
         if kind is None:
             raise ImageError(
-                f"{path} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image, whatever its name says: "
-                "open it in an image program and save it as PNG."
+                f"{path} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: open it in an image program and save it as "
+                "PNG."
             )
         file.seek(0)
         header = _HEADER_READERS[kind](file)
     except ImageError:
         raise
     except OSError as fault:
-        if fault.errno is not None:  # of the disk, not of Pillow
+        if fault.errno is not None:  # raised by the system, not by Pillow
             raise
         raise _damaged(path, fault) from fault
-    except Exception as fault:  # Pillow's parsers meet bad bytes with errors of any class
+    except Exception as fault:  # Pillow's parsers raise many classes on bad bytes
         raise _damaged(path, fault) from fault
     if header.width < 1 or header.height < 1:
         raise _damaged(path, f"a size of {header.width} x {header.height} pixels")
@@ -267,7 +266,7 @@ def _header_of(file: Any, path: Path | str) -> _Header:
 
 
 def _kind_of(start: bytes) -> str | None:
-    """Format by the first 16 bytes, None for one that is not read here."""
+    """Return the format by the first 16 bytes, or None if unknown."""
     return next((kind for signature, kind in _SIGNATURES if start.startswith(signature)), None)
 
 
@@ -278,7 +277,7 @@ def _damaged(path: Path | str, fault: object) -> ImageError:
 
 
 def _open_pillow(file: Any, kind: str) -> Any:
-    """Open with the one reader of this kind: Image.open tries others, and has its own limit on the size."""
+    """Open with Pillow's reader of this kind. Image.open would try others and apply its own size limit."""
     from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, PpmImagePlugin, TiffImagePlugin
 
     readers = {
@@ -310,7 +309,7 @@ def _bmp_header(file: Any) -> _Header:
 
 
 def _png_header(file: Any) -> _Header:
-    """Read the chunks directly: Pillow decodes the pixels to look for an eXIf chunk behind them."""
+    """Read the chunks directly, because Pillow decodes the pixels to find an eXIf chunk after them."""
     from PIL import Image
 
     width, height, bits = struct.unpack(">IIB", file.read(25)[16:])  # IHDR always comes first
@@ -325,7 +324,7 @@ def _png_header(file: Any) -> _Header:
 
 
 def _png_chunks(file: Any, n_bytes: int) -> dict[bytes, tuple[int, int]]:
-    """Give the offset and size of the data of each kind of chunk, of the chunks that are whole."""
+    """Return the offset and size of the data of each kind of chunk that is complete."""
     chunks: dict[bytes, tuple[int, int]] = {}
     offset = 8
     while offset + 12 <= n_bytes and b"IEND" not in chunks:
@@ -358,7 +357,7 @@ def _pnm_header(file: Any) -> _Header:
 
 
 def _tiff_header(file: Any) -> _Header:
-    """Read the tags directly: Pillow refuses to open a float RGB file at all."""
+    """Read the tags directly, because Pillow cannot open a float RGB file."""
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
     start = file.read(8)
@@ -378,22 +377,22 @@ def _tiff_header(file: Any) -> _Header:
 
 
 def _tiff_fault(tags: Any, n_bytes: int) -> str:
-    """Say what keeps the pixels from being decoded as they are stored; empty if nothing does."""
+    """Describe why the pixels cannot be decoded; empty if they can."""
     for offsets, counts in _EXTENTS:
         pairs = zip(tags.get(offsets, ()), tags.get(counts, ()), strict=False)
         if any(offset + count > n_bytes for offset, count in pairs):
-            return "is cut short (its pixels end before the file should): copy it again."
+            return "is cut short (it ends before its pixels do): copy it again."
     bits = set(tags.get(_BITS, (1,)))
     if max(bits) <= 8:
         return ""
     kinds = {(depth, form) for depth in bits for form in tags.get(_FORMAT, (1,))}
     if kinds not in ({(16, 1)}, {(32, 3)}, {(64, 3)}):
-        return "holds neither 8- or 16-bit unsigned integers nor 32-bit floats: convert it to one of these."
+        return "does not hold 8- or 16-bit unsigned integers or 32-bit floats: convert it to one of these."
     n_samples = tags.get(_SAMPLES, 1)
     if n_samples not in (1, 3, 4) or tags.get(_PHOTOMETRIC) not in (1, 2):
         return "is not a grey or RGB image: convert it to RGB."
     if n_samples > 1 and tags.get(_PLANAR, 1) != 1:
-        return "keeps its channels in separate planes: save it with interleaved channels."
+        return "stores its channels in separate planes: save it with interleaved channels."
     return ""
 
 
@@ -419,31 +418,31 @@ def _decode(path: Path | str, data: bytes, header: _Header, preview: int | None 
 
 
 def _decode_shallow(path: Path | str, data: bytes, header: _Header, preview: int | None = None) -> np.ndarray:
-    """Decode what has at most 8 bits per channel, and notice when it was cut short."""
+    """Decode an image with at most 8 bits per channel, and detect truncation."""
     try:
         image = _open_pillow(io.BytesIO(data), header.kind)
         if preview is not None:
-            image.draft(None, (preview, preview))  # does something for JPEG only
+            image.draft(None, (preview, preview))  # affects JPEG only
         image.load()
         array = _rgb_of(image)
     except MemoryError:
         raise
-    except Exception as fault:  # Pillow's decoders meet bad bytes with errors of any class
+    except Exception as fault:  # Pillow's decoders raise many classes on bad bytes
         raise _damaged(path, fault) from fault
     return _upright(array, header)
 
 
 ROWS_AT_ONCE = 256
-"""Rows of a picture that are converted at a time: Pillow's conversions take several times the picture's memory."""
+"""Rows converted at a time, because Pillow's conversions take several times the image's memory."""
 
 
 def _rgb_of(image: Any) -> np.ndarray:
-    """Pixels of a Pillow image, (h, w, 3) uint8."""
+    """Convert a Pillow image to (h, w, 3) uint8."""
     width, height = image.size
     array = np.empty((height, width, 3), np.uint8)
     for top in range(0, height, ROWS_AT_ONCE):
         strip = image.crop((0, top, width, min(top + ROWS_AT_ONCE, height)))
-        if "transparency" in image.info:  # a palette with transparency has no direct way to RGB
+        if "transparency" in image.info:  # a palette with transparency cannot be converted to RGB directly
             strip = strip.convert("RGBA")
         array[top : top + strip.height] = strip.convert("RGB")
     return array
@@ -453,7 +452,7 @@ def _decode_deep(path: Path | str, data: bytes, header: _Header) -> np.ndarray:
     """Decode 16-bit PNG, and 16-bit and float TIFF."""
     import cv2
 
-    if header.kind == "PNG":  # OpenCV may fill what is missing with zeros; Pillow says that it is missing
+    if header.kind == "PNG":  # detect truncation with Pillow, because OpenCV may fill missing pixels with zeros
         _decode_shallow(path, data, header)
     try:
         array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -472,7 +471,7 @@ def _decode_deep_pnm(path: Path | str, data: bytes, header: _Header) -> np.ndarr
     n_channels = 3 if data[1:2] == b"6" else 1
     n_values = header.width * header.height * n_channels
     if len(data) - header.offset < 2 * n_values:
-        raise _damaged(path, f"{2 * n_values} bytes of pixels promised, {len(data) - header.offset} there")
+        raise _damaged(path, f"{2 * n_values} bytes of pixels expected, {len(data) - header.offset} found")
     values = np.frombuffer(data, ">u2", n_values, header.offset).astype(np.float64)
     scaled = np.rint(np.minimum(values, header.maximum) * (65535 / header.maximum)).astype(np.uint16)
     array = scaled.reshape(header.height, header.width, n_channels)
@@ -480,7 +479,7 @@ def _decode_deep_pnm(path: Path | str, data: bytes, header: _Header) -> np.ndarr
 
 
 def _upright(array: np.ndarray, header: _Header) -> np.ndarray:
-    """Apply the EXIF orientation, except to TIFF, where both decoders have done so."""
+    """Apply the EXIF orientation, except to TIFF, where both decoders already did."""
     if header.kind == "TIFF" or header.orientation == 1:
         return array
     if header.orientation >= 5:
@@ -493,11 +492,11 @@ def _upright(array: np.ndarray, header: _Header) -> np.ndarray:
 
 
 def _check_writable(path: Path, array: np.ndarray) -> str:
-    """Give the suffix in lower case, if this array can be written under it."""
+    """Return the suffix in lower case after checking that it can hold this array."""
     suffix = path.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:
         raise ImageError(
-            f"{path} cannot be written: '{path.suffix}' is no known ending. Use {', '.join(IMAGE_SUFFIXES)}."
+            f"{path} cannot be written: '{path.suffix}' is not a known extension. Use {', '.join(IMAGE_SUFFIXES)}."
         )
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or array.size == 0:
         raise ImageError(
@@ -510,14 +509,14 @@ def _check_writable(path: Path, array: np.ndarray) -> str:
         )
     if array.dtype == np.float32 and suffix not in _FLOAT_SUFFIXES:
         raise ImageError(
-            f"{path} cannot be written: {suffix} holds no float32 values. Use .tiff, or convert the array to uint8."
+            f"{path} cannot be written: {suffix} cannot hold float32. Use .tiff, or convert the array to uint8."
         )
     if array.dtype == np.uint16 and suffix not in _DEEP_SUFFIXES:
         raise ImageError(
-            f"{path} cannot be written: {suffix} holds no 16-bit values. Use .png, or convert the array to uint8."
+            f"{path} cannot be written: {suffix} cannot hold 16 bits. Use .png, or convert the array to uint8."
         )
     if suffix == ".pgm" and array.ndim == 3:
-        raise ImageError(f"{path} cannot be written: .pgm holds grey images only. Use .ppm or .png for colour.")
+        raise ImageError(f"{path} cannot be written: .pgm is for grey images. Use .ppm or .png for colour.")
     return suffix
 
 

@@ -1,4 +1,4 @@
-"""What readers of pictures share: the largest size, and three channels of one."""
+"""Helpers shared by image readers."""
 
 from pathlib import Path
 
@@ -7,11 +7,11 @@ import numpy as np
 from liaam.errors import ImageError
 
 MAX_PIXELS = 200_000_000
-"""Default limit on width x height: larger images are refused before they are decoded."""
+"""Default limit on width x height. Larger images are rejected before decoding."""
 
 
 def check_size(path: Path | str, width: int, height: int, max_pixels: int) -> None:
-    """Refuse an image of too many pixels."""
+    """Raise if an image has too many pixels."""
     if width * height > max_pixels:
         raise ImageError(
             f"{path} has {width} x {height} pixels, more than the {max_pixels:,} allowed: "
@@ -20,5 +20,5 @@ def check_size(path: Path | str, width: int, height: int, max_pixels: int) -> No
 
 
 def as_three_channels(grey: np.ndarray) -> np.ndarray:
-    """Give a grey image (h, w) three equal channels."""
+    """Stack a grey image (h, w) to three equal channels (h, w, 3)."""
     return np.repeat(grey[:, :, None], 3, axis=2)

@@ -1,6 +1,6 @@
-"""Read RAW files of cameras as the sensor saw the light: linear, and alike for all pictures of a camera.
+"""Read camera RAW files as linear sensor values, with the same processing for all images.
 
-LibRaw decodes them, through the optional package rawpy. Everything that would depend on the picture is switched off.
+The optional package rawpy (LibRaw) decodes them. All processing that depends on the image content is off.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from liaam.io.files import existing_file
 from liaam.io.pixels import MAX_PIXELS, as_three_channels, check_size
 
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
-"""Endings (lower case) of the RAW files that can be read. They are told by name: many are TIFF files inside, whose
-first page is a thumbnail."""
+"""Suffixes (lower case) of RAW files. They are recognised by name, because many are TIFF files whose first page is a
+thumbnail."""
 
 
 def is_raw(path: str | os.PathLike[str]) -> bool:
-    """Tell by its ending whether a file is a RAW file, so that its response is "linear" whatever the camera's is.
+    """Return whether a file is a RAW file, with linear values, by its suffix.
 
     Examples
     --------
@@ -37,21 +37,21 @@ def is_raw(path: str | os.PathLike[str]) -> bool:
 def read_raw(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS, half_size: bool = False) -> np.ndarray:
     """Read a RAW file as linear light.
 
-    The channels are the sensor's own: no colour matrix mixes them, which the theory of light invariance would not
-    survive, and one gain multiplies all three. So a picture looks greenish; but no channel clips before its sensor
-    does, photon noise grows alike in all, and the invariant does not mind fixed gains. Black is 0 and the sensor's
-    white level 65535 in every picture: left to itself, LibRaw takes the brightest pixel of a bright picture for
-    white. Missing colours are interpolated linearly; finer methods presuppose channels that are balanced.
+    The channels are the sensor's own. No colour matrix mixes them, because that would break the light invariance.
+    There is no white balance, so images look greenish, but fixed gains do not affect the invariant. No channel clips
+    before its sensor does, and photon noise scales equally in all channels. Black is 0 and the sensor's white level is
+    65535 in every image; by default LibRaw would use the brightest pixel of a bright image as white. Demosaicing is
+    linear, because finer methods assume balanced channels.
 
     Parameters
     ----------
     path : path-like
-        A file with one of the endings `RAW_SUFFIXES`.
+        A file with a suffix in `RAW_SUFFIXES`.
     max_pixels : int, optional
-        Files with more pixels are refused before they are decoded.
+        Larger images are rejected before decoding.
     half_size : bool
-        Make one pixel of each 2 x 2 cell of the sensor instead of interpolating: nothing is invented, and the
-        noise of neighbours is independent.
+        Combine each 2 x 2 cell of the sensor into one pixel instead of interpolating. The noise of neighbours is then
+        independent.
 
     Returns
     -------
@@ -61,8 +61,8 @@ def read_raw(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS, half_si
     Raises
     ------
     ImageError
-        If rawpy is not installed, or the file is missing, too large, no RAW file, cut short, damaged, or of a sensor
-        with four colours.
+        If rawpy is not installed, or the file is missing, too large, truncated, damaged, not a RAW file, or from a
+        sensor with four colours.
     """
     with _opened(path) as (rawpy, raw):
         check_size(Path(path), *_upright_size(raw), max_pixels)
@@ -84,18 +84,18 @@ def read_raw(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS, half_si
         return as_three_channels(image[:, :, 0])
     if image.shape[2] != 3:
         raise ImageError(
-            f"{path} is of a sensor with {image.shape[2]} colours, and three are needed: convert it to a 16-bit TIFF."
+            f"{path} is from a sensor with {image.shape[2]} colours, not three: convert it to a 16-bit TIFF."
         )
     return image
 
 
 def raw_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Read only the header of a RAW file: the picture's (width, height) in pixels, upright.
+    """Return (width, height) of a RAW file in pixels, upright, from the header only.
 
     Raises
     ------
     ImageError
-        If rawpy is not installed, or the file is missing or no RAW file.
+        If rawpy is not installed, or the file is missing or not a RAW file.
     """
     with _opened(path) as (_, raw):
         return _upright_size(raw)
@@ -103,7 +103,7 @@ def raw_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 @contextmanager
 def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
-    """Open a RAW file, with rawpy beside it; its faults are raised as ImageError."""
+    """Yield rawpy and an opened RAW file. Raise its errors as ImageError."""
     path = existing_file(path, ImageError, "RAW file")
     try:
         rawpy = importlib.import_module("rawpy")  # optional
@@ -118,15 +118,15 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
         raise
     except rawpy.LibRawFileUnsupportedError as fault:
         raise ImageError(
-            f"{path} is no RAW file that LibRaw {'.'.join(map(str, rawpy.libraw_version))} knows, whatever its name "
-            "says: convert it to DNG, or install a newer rawpy."
+            f"{path} is not a RAW file that LibRaw {'.'.join(map(str, rawpy.libraw_version))} can read: convert it to "
+            "DNG, or install a newer rawpy."
         ) from fault
-    except Exception as fault:  # LibRaw meets bad bytes with errors of many classes
+    except Exception as fault:  # LibRaw raises many classes on bad bytes
         reason = fault.args[0].decode() if fault.args and isinstance(fault.args[0], bytes) else fault
         raise ImageError(f"{path} is damaged or cut short ({reason}): copy it again from the camera.") from fault
 
 
 def _upright_size(raw: Any) -> tuple[int, int]:
-    """(width, height) of the picture that will come out; LibRaw gives the sensor's, and how it was turned."""
+    """Return (width, height) of the decoded image. LibRaw gives the sensor's size and its rotation."""
     sizes = raw.sizes
     return (sizes.iheight, sizes.iwidth) if sizes.flip in (5, 6) else (sizes.iwidth, sizes.iheight)

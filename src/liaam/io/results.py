@@ -1,4 +1,4 @@
-"""Results of fits: landmarks as .pts and .csv, everything a program wants as .json."""
+"""Write fit results: landmarks as .pts and .csv, and all values as .json."""
 
 import json
 import math
@@ -11,18 +11,18 @@ from liaam.io.landmarks import Landmarks, write_landmarks
 
 
 def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict) -> list[Path]:
-    """Write a fit's landmarks and facts.
+    """Write the landmarks and values of a fit.
 
     Parameters
     ----------
     folder : Path
-        Exists.
+        An existing folder.
     stem : str
         File name without suffix.
     landmarks : Landmarks
-        Pixels, centre of the top-left pixel at (0, 0).
+        In pixels, with (0, 0) at the centre of the top-left pixel.
     facts : dict
-        What else to say in the .json; numbers that are not finite become null.
+        Further entries of the .json file. Numbers that are not finite become null.
 
     Returns
     -------
@@ -37,13 +37,13 @@ def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict) -> lis
 
 
 def fit_text(landmarks: Landmarks, facts: dict) -> str:
-    """Give the text of a fit's .json file; see :func:`write_fit`."""
+    """Return the text of a fit's .json file; see :func:`write_fit`."""
     content = {**facts, "landmarks": landmarks.points}
     return json.dumps(_plain(content), indent=1, allow_nan=False) + "\n"
 
 
 def _plain(value: object) -> object:
-    """Turn arrays and numbers into what JSON knows."""
+    """Convert arrays and numbers to JSON types."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""Where fits of image files start, as people say it: numbers, a landmark file, or a folder with a file for each."""
+"""Parse the start of a fit: numbers, a landmark file, or a folder with a file per image."""
 
 import errno
 import stat
@@ -9,10 +9,10 @@ from liaam.io.files import existing_file, read_bytes
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
 
 _SHOWN = 100
-"""Characters of a start that a message shows."""
+"""Maximum number of characters of a start shown in a message."""
 
 BOX_SUFFIX = ".box"
-"""Ending of a text file that holds a box x0,y0,x1,y1 or x,y,size, as detectors give them."""
+"""Suffix of a text file that holds a detector's box, x0,y0,x1,y1 or x,y,size."""
 
 
 def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | list[float]:
@@ -21,8 +21,8 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
     Parameters
     ----------
     text : str
-        A box ``x0,y0,x1,y1``; a centre and a size ``x,y,size``; a landmark file, or a text file ``.box`` of such
-        numbers; or a folder that holds such a file of the image's name.
+        A box ``x0,y0,x1,y1``; a centre and a size ``x,y,size``; a landmark file; a text file ``.box`` with such
+        numbers; or a folder that holds such a file with the image's name.
     image : Path
     size : (int, int)
         Width and height of the image.
@@ -36,13 +36,13 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
     if path is not None:
         return _read(path, size)
     if _kind(text) == "folder":
-        raise StartError(f"{image.name}: {Path(text)} holds no landmark file for it ({image.stem}.pts or the like)")
+        raise StartError(f"{image.name}: {Path(text)} holds no landmark file for it; add one such as {image.stem}.pts")
     shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
     return _numbers(text, f"--init {shown}: there is no such file or folder, and it")
 
 
 def start_file(text: str, image: Path) -> Path | None:
-    """File that the start of an image is read from; None if it is no file, or if none is there."""
+    """Return the file that holds the start of an image, or None if there is no such file."""
     path, kind = Path(text), _kind(text)
     if kind == "folder":
         candidates = (path / f"{image.stem}{suffix}" for suffix in (*LANDMARK_SUFFIXES, BOX_SUFFIX))
@@ -51,13 +51,13 @@ def start_file(text: str, image: Path) -> Path | None:
 
 
 def check_start(text: str) -> None:
-    """Complain about a start that is none for any image: no file or folder, and no numbers either."""
+    """Raise if a text cannot be a start for any image: not a file, a folder, or numbers."""
     if not _kind(text):
         read_start(text, Path(), (1, 1))
 
 
 def _kind(text: str) -> str:
-    """Tell whether a text is the name of a file or a folder; "" if it is neither, or longer than a name can be."""
+    """Return "file", "folder" or "other" for an existing path, or else ""."""
     try:
         mode = Path(text).stat().st_mode
     except (FileNotFoundError, NotADirectoryError, ValueError):
@@ -65,9 +65,7 @@ def _kind(text: str) -> str:
     except OSError as fault:
         if fault.errno == errno.ENAMETOOLONG:
             return ""
-        raise StartError(
-            f"--init: {text} cannot be looked at ({fault.strerror or fault}): check the rights on it"
-        ) from fault
+        raise StartError(f"--init: {text} cannot be read ({fault.strerror or fault}): check its permissions") from fault
     return "folder" if stat.S_ISDIR(mode) else "file" if stat.S_ISREG(mode) else "other"
 
 
@@ -82,7 +80,7 @@ def _numbers(text: str, what: str) -> list[float]:
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        raise StartError(f"{what} is no box x0,y0,x1,y1 and no x,y,size either") from None
+        raise StartError(f"{what} is neither a box x0,y0,x1,y1 nor x,y,size") from None
     if len(numbers) not in (3, 4):
         raise StartError(
             f"{what.partition(':')[0]}: give four numbers x0,y0,x1,y1 (a box) or three x,y,size, not {len(numbers)}"

@@ -1,7 +1,7 @@
 """Read and write videos, and read cameras, frame by frame.
 
-PyAV (FFmpeg) decodes, on a thread of its own a few frames ahead, and is loaded when the first video is opened: it is
-optional. Frames are RGB with 8 bits, upright. A file is either written whole or not there.
+The optional package PyAV (FFmpeg) decodes in a background thread, a few frames ahead. Frames are 8-bit RGB, upright.
+Files are written atomically.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from liaam.io.atomic import atomic_path
 from liaam.io.files import existing_file
 
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
-"""Endings (lower case) of the video files that can be written; whatever FFmpeg decodes can be read."""
+"""Suffixes (lower case) of the video files that can be written. Reading accepts all formats that FFmpeg decodes."""
 
 AHEAD = 16
-"""Frames that are decoded ahead."""
+"""Number of frames decoded ahead."""
 
 AHEAD_LIVE = 2
-"""The same of a camera, whose older frames are dropped instead when nobody takes them."""
+"""The same for a camera, whose older frames are dropped if the reader is slow."""
 
 SOUGHT = 100
-"""First frame from which on a file is entered at a key frame instead of decoded from its beginning."""
+"""From this start frame on, seek to a key frame instead of decoding from the beginning."""
 
 _REORDERED = 32
-"""Frames by which a video's pieces lie before or behind their place in time, at most, in codecs in use."""
+"""Maximum number of frames by which common codecs store packets out of display order."""
 
 DEFAULT_RATE = Fraction(25)
-"""Frames per second where a file does not say."""
+"""Frames per second of files that do not specify a rate."""
 
 _ENCODERS = (("libx264", {"crf": "18", "preset": "veryfast"}), ("mpeg4", {"qscale": "3"}))
 _WEB_ENCODERS = (("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6"}),)
 _WAIT, _PATIENCE = 0.2, 5.0
-_TICKS = 60000  # per second, of what is written: a whole number of them for each frame of all usual rates
-_LEAST_STEP = _TICKS // 1000  # some files tell times apart by milliseconds
+_TICKS = 60000  # time base of written files, a multiple of all usual frame rates
+_LEAST_STEP = _TICKS // 1000  # some formats store times in milliseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class VideoFrame:
     Attributes
     ----------
     index : int
-        Number in the video, from 0.
+        Frame number in the video, from 0.
     time : float
-        Seconds since its beginning.
+        Seconds since the beginning of the video.
     image : (h, w, 3) uint8
     """
 
@@ -68,37 +68,37 @@ class VideoFrame:
 
 
 class VideoReader:
-    """The frames of a video file or a camera, decoded on a thread a few frames ahead.
+    """Iterator over the frames of a video file or a camera, decoded a few frames ahead in a background thread.
 
     Parameters
     ----------
     source : path-like or int
-        A file, or the number of a camera (0 is the first).
+        A file, or a camera number (0 is the first).
     start, stop : int, optional
-        First frame, and the one after the last; all if left out.
+        First frame, and the one after the last. By default all frames.
 
     Attributes
     ----------
     name : str
-        What to call it.
+        Name of the source, for messages.
     rate : Fraction
         Frames per second.
     n_frames : int or None
-        How many frames will come as far as the file tells; None if it does not, and for a camera.
+        Expected number of frames; None for a camera or if the file does not specify it.
     announces : bool
-        Whether the file itself tells how many frames it has.
+        Whether the file specifies its number of frames.
     live : bool
-        Whether it is a camera.
+        Whether the source is a camera.
     ended : bool
-        Once all frames have come: whether the source ended, and not at ``stop``.
+        After the last frame: whether the source ended, rather than reading stopped at ``stop``.
     fault : str
-        Once all frames have come: what is wrong with the file, such as that it is cut short; empty for a sound one.
+        After the last frame: the fault of the file, such as that it is cut short; empty if there is none.
 
     Raises
     ------
     VideoError
-        If PyAV is not installed, or the source is missing, no video, or has no frame in that range; or if frames are
-        asked for outside of a ``with`` block.
+        If PyAV is not installed, if the source is missing, not a video, or has no frame in that range, or if frames are
+        requested outside a ``with`` block.
 
     Examples
     --------
@@ -136,16 +136,16 @@ class VideoReader:
     def __exit__(self, *_: object) -> None:
         self._closed.set()
         self._thread.join(_PATIENCE)
-        if not self._thread.is_alive():  # a camera that has stalled may not be closed under its reader
+        if not self._thread.is_alive():  # do not close a stalled camera while the thread reads it
             self._source.close()
 
     def __iter__(self) -> Iterator[VideoFrame]:
-        """Give the frames, once: a second loop goes on where the first one stopped."""
+        """Iterate over the frames once. A second loop continues where the first one stopped."""
         while not self._all_given:
             if self._thread.ident is None or self._closed.is_set():
                 raise VideoError(
-                    f"{self.name}: frames come inside of a with block only; write 'with VideoReader(...) as video:' "
-                    "around the loop"
+                    f"{self.name}: frames can be read only inside a with block; write 'with VideoReader(...) as "
+                    "video:' around the loop"
                 )
             item = self._queue.get()
             if isinstance(item, VideoFrame):
@@ -162,11 +162,11 @@ class VideoReader:
     def _why_nothing(self) -> str:
         seen = self._source.n_seen
         if seen > self._source.n_damaged:
-            return f"{self.name} has only {seen} frames, so there is none from {self._start} on; start sooner"
-        return f"{self.name} holds no frame that can be decoded: it is damaged, or cut short; export it again"
+            return f"{self.name} has only {seen} frames, so none from frame {self._start} on; choose an earlier start"
+        return f"{self.name} has no frame that can be decoded: it is damaged or cut short; export it again"
 
     def _decode(self) -> None:
-        """Put all frames into the queue, then None; or the error there was."""
+        """Put all frames into the queue, then None or the error raised."""
         try:
             if self._start >= SOUGHT and isinstance(self._source, _File) and not self.live:
                 self._source.skip_to(self._start)
@@ -188,7 +188,7 @@ class VideoReader:
                 self._queue.put(item, timeout=_WAIT)
                 return
             except queue.Full:
-                if self.live:  # the newest picture counts
+                if self.live:  # prefer the newest frame
                     self._drop()
 
     def _drop(self) -> None:
@@ -199,7 +199,7 @@ class VideoReader:
 
 
 class _File:
-    """A video file through PyAV: gives (seconds, function that gives the picture) for each frame."""
+    """A video file through PyAV. Iterates over (seconds, function that returns the image)."""
 
     def __init__(self, path: str | os.PathLike[str]):
         av = _pyav(f"{path} is a video")
@@ -208,12 +208,12 @@ class _File:
             self.container = av.open(str(self.path), metadata_errors="replace")
         except av.error.FFmpegError as fault:
             raise VideoError(
-                f"{path} is no video that FFmpeg can open ({fault.strerror}): it is of another kind, or cut short "
-                "before its index; export it again, as .mp4 say"
+                f"{path} is not a video that FFmpeg can open ({fault.strerror}): it has another format or is cut short "
+                "before its index; export it again, for example as .mp4"
             ) from fault
         if not self.container.streams.video or self.container.format.name == "tty":  # FFmpeg takes text for a terminal
             self.container.close()
-            raise VideoError(f"{path} holds no moving picture: give a video file")
+            raise VideoError(f"{path} has no video stream: give a video file")
         self._begin(av, self.container.streams.video[0])
 
     def _begin(self, av: Any, stream: Any) -> None:
@@ -226,14 +226,14 @@ class _File:
         self.reformatter = av.video.reformatter.VideoReformatter()
 
     def _announced(self, stream: Any) -> tuple[int | None, int]:
-        """Frames to be shown and pieces to be read, as far as the file tells: a trimmed .mp4 hides some of them."""
+        """Return the number of frames and of packets that the file announces. A trimmed .mp4 hides some frames."""
         entries = getattr(stream, "index_entries", ()) if "mp4" in self.container.format.name else ()  # of PyAV 16 on
         if not stream.frames or not entries:
             return stream.frames or None, stream.frames
         return sum(not entry.is_discard for entry in entries) or None, min(stream.frames, len(entries))
 
     def skip_to(self, start: int) -> None:
-        """Go to the last key frame well before a frame, where the file tells which that is; else stay."""
+        """Seek to the last key frame well before a frame, if the file's packet times allow it."""
         pieces, times = [], []
         try:
             pieces = self._pieces(start + 4 * _REORDERED)
@@ -241,11 +241,11 @@ class _File:
             if any(time is None for time, _ in pieces) or len(set(times)) < len(times):
                 return
             _, first = self._next_times()
-            times = times[times.index(first) :] if first in times else []  # those before lack what they need
+            times = times[times.index(first) :] if first in times else []  # earlier ones cannot be decoded
             if len(times) <= start:
                 self._reopen()
                 return
-            # Sooner than needed: what is shown just before a key frame may be stored behind it, and lack what it needs.
+            # Seek earlier: frames shown just before a key frame may be stored after it and not be decodable.
             sooner = times[max(0, start - _REORDERED)]
             self.container.seek(sooner, stream=self.stream)
             stored, shown = self._next_times()
@@ -254,20 +254,20 @@ class _File:
             stored = shown = None
         order = [time for time, _ in pieces]
         if stored not in order or shown not in times or times.index(shown) >= start:
-            self._reopen()  # it goes elsewhere than it says
+            self._reopen()  # the seek went elsewhere
             return
         self.n_seen, self.begun = times.index(shown), float(times[0] * self.stream.time_base)
         self.n_read = order.index(stored)
 
     def _pieces(self, count: int) -> list[tuple[int | None, bool]]:
-        """Time of the first pieces of the file in their order, and whether they are shown; nothing is decoded."""
+        """Return the time of the first packets in stored order, and whether they are shown, without decoding."""
         av = _pyav(f"{self.path} is a video")
         with av.open(str(self.path), metadata_errors="replace") as container:
             pieces = (piece for piece in container.demux(container.streams.video[0]) if piece.size)
             return [(piece.pts, not piece.is_discard) for piece in islice(pieces, count)]
 
     def _next_times(self) -> tuple[int | None, int | None]:
-        """Times of the next piece, and of the first frame that comes of it and those after; None where none comes."""
+        """Return the times of the next packet and of the next decoded frame, None where there is none."""
         stored = None
         for packet in self.container.demux(self.stream):
             stored = packet.pts if stored is None else stored
@@ -290,13 +290,13 @@ class _File:
                     stamp = float(self.n_seen / self.rate) if frame.time is None else float(frame.time)
                     first = stamp if first is None else first
                     seconds = stamp - first
-                    # Some files (.avi) number frames in the order of decoding; time does not run backwards.
+                    # Some files (.avi) have times in decoding order; keep times increasing.
                     last = seconds = seconds if seconds > last else last + float(1 / self.rate)
                     self.n_seen += 1
                     yield seconds, lambda frame=frame: self._picture(frame)
         except self.errors as fault:
             self.fault = (
-                f"{self.path} is damaged after frame {self.n_seen} ({fault.strerror}); what comes before was read"
+                f"{self.path} is damaged after frame {self.n_seen} ({fault.strerror}); only earlier frames were read"
             )
             return
         if not self.n_damaged and self.n_read < self.n_packets:
@@ -309,15 +309,15 @@ class _File:
             return packet.decode()
         except self.errors:
             self.n_damaged += 1
-            self.n_seen += 1  # so that frames have the same numbers from wherever they are counted
+            self.n_seen += 1  # keep frame numbers independent of the start frame
             return []
 
     @property
     def damage(self) -> str:
-        """What is known of damaged pieces so far; empty if there were none."""
+        """Describe the damaged packets so far; empty if there are none."""
         if not self.n_damaged:
             return ""
-        return f"{self.path} is damaged: {self.n_damaged} pieces of it could not be decoded and are missing"
+        return f"{self.path} is damaged: {self.n_damaged} packets could not be decoded and are missing"
 
     def _picture(self, frame: Any) -> np.ndarray:
         picture = self.reformatter.reformat(frame, format="rgb24").to_ndarray()
@@ -362,7 +362,7 @@ class _Capture:
         while True:
             there, picture = self.capture.read()
             if not there:
-                self.fault = "the camera gave no more pictures; is it still plugged in?"
+                self.fault = "the camera sends no more images; check that it is still connected"
                 return
             self.n_seen += 1
             yield monotonic() - begun, lambda picture=picture: np.ascontiguousarray(picture[..., ::-1])
@@ -372,26 +372,26 @@ class _Capture:
 
 
 def _open_camera(number: int) -> _Device | _Capture:
-    """Open a camera by PyAV's v4l2 where that works, or else by OpenCV."""
+    """Open a camera through PyAV's v4l2 if that works, or else through OpenCV."""
     if Path(f"/dev/video{number}").exists():
         try:
             return _Device(number)
-        except Exception:  # no PyAV, or a driver that it does not get on with: OpenCV may do
+        except Exception:  # PyAV is missing or does not support the driver: try OpenCV
             pass
     capture = _quiet_capture(number)
     if capture.is_open:
         return capture
     capture.close()
     there = sorted(path.name.removeprefix("video") for path in Path("/dev").glob("video[0-9]*"))
-    others = f"there are {', '.join(there)}" if there else "this machine shows none"
+    others = f"available: {', '.join(there)}" if there else "no camera found"
     raise VideoError(
-        f"camera {number} cannot be opened ({others}): plug one in, close other programs that use it, and check that "
-        "you may read it; or give a video file"
+        f"camera {number} cannot be opened ({others}): connect it, close other programs that use it, and check its "
+        "permissions; or give a video file"
     )
 
 
 def _quiet_capture(number: int) -> _Capture:
-    """Open by OpenCV, which would otherwise print its own words about a missing camera."""
+    """Open a camera through OpenCV without its warnings about a missing camera."""
     import cv2
 
     log = getattr(getattr(cv2, "utils", None), "logging", None)
@@ -406,13 +406,13 @@ def _quiet_capture(number: int) -> _Capture:
 
 
 class VideoWriter:
-    """Takes the frames of a video that is being written; see :func:`video_writer`."""
+    """Encoder for the frames of a video; see :func:`video_writer`."""
 
     def __init__(self, container: Any, path: Path, rate: Fraction):
         self._container, self._path, self._rate = container, path, rate
         self._stream: Any = None
         self._size = (0, 0)
-        # An .avi has a place for each frame of its rate, and none for times.
+        # An .avi has a fixed rate and stores no times.
         self._timed = path.suffix.lower() != ".avi"
         self._base = Fraction(1, _TICKS) if self._timed else 1 / rate
         self._begun: float | None = None
@@ -425,12 +425,12 @@ class VideoWriter:
         Parameters
         ----------
         image : (h, w, 3) uint8
-            Brought to the size of the first frame.
+            Resized to the size of the first frame.
         time : float, optional
-            Seconds, such as :attr:`VideoFrame.time`, counted from those of the first frame that has a time; one frame
-            of the rate after the frame before if left out or NaN. An ``.avi`` keeps to its rate.
+            Seconds, such as :attr:`VideoFrame.time`, relative to the first frame that has a time. If left out or NaN,
+            the frame follows the previous one at the given rate. An ``.avi`` ignores times.
         """
-        import av  # there: the container is its
+        import av
 
         if not self.n_frames:
             self._begin(image.shape[:2])
@@ -440,7 +440,7 @@ class VideoWriter:
         self.n_frames, self._last = self.n_frames + 1, frame.pts
 
     def _stamp(self, time: float | None) -> int:
-        """When to show the next frame, in units of the stream's time base; later than the one before."""
+        """Return the time of the next frame in units of the time base, later than that of the previous one."""
         if not self._timed:
             return self.n_frames
         step = round(_TICKS / self._rate)
@@ -474,30 +474,30 @@ class VideoWriter:
     def finish(self) -> None:
         """Write what the encoder still holds."""
         if not self.n_frames:
-            raise VideoError(f"{self._path}: there was no frame to write")
+            raise VideoError(f"{self._path}: there is no frame to write; write at least one")
         self._container.mux(self._stream.encode())
 
 
 @contextmanager
 def video_writer(path: str | os.PathLike[str], rate: Fraction | float = DEFAULT_RATE) -> Iterator[VideoWriter]:
-    """Write a video; the file is there once the block has ended without an error.
+    """Write a video. The file is created when the block ends without an error.
 
     Parameters
     ----------
     path : path-like
-        Ends in one of :data:`VIDEO_SUFFIXES`. H.264, but for ``.webm`` (VP9).
+        Has a suffix in :data:`VIDEO_SUFFIXES`. The codec is H.264, or VP9 for ``.webm``.
     rate : Fraction or float
         Frames per second.
 
     Yields
     ------
     VideoWriter
-        Its ``write(image, time=None)`` takes (h, w, 3) uint8, and seconds where frames do not come evenly.
+        Its ``write(image, time=None)`` takes (h, w, 3) uint8, and a time in seconds if frames are not evenly spaced.
 
     Raises
     ------
     VideoError
-        If the ending is none of these, PyAV is missing, the disk refuses, or there was no frame.
+        If the suffix is unknown, PyAV is missing, writing fails, or there is no frame.
     """
     path = Path(path)
     check_video_name(path)
@@ -510,13 +510,13 @@ def video_writer(path: str | os.PathLike[str], rate: Fraction | float = DEFAULT_
 
 
 def check_video_name(path: Path) -> None:
-    """Complain about the name of a video that cannot be written."""
+    """Raise if the suffix is not that of a video that can be written."""
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise VideoError(f"{path}: a video's name ends in {', '.join(VIDEO_SUFFIXES)}, such as {path.stem}.mp4")
 
 
 def can_enter(path: str | os.PathLike[str], start: int) -> bool:
-    """Tell whether a file can be read from about a frame on, without decoding all that comes before."""
+    """Return whether a file can be read from a frame on without decoding all earlier frames."""
     file = _File(path)
     try:
         file.skip_to(start)
@@ -526,7 +526,7 @@ def can_enter(path: str | os.PathLike[str], start: int) -> bool:
 
 
 def is_video(path: Path) -> bool:
-    """Tell whether a file is a video, as far as its beginning shows."""
+    """Return whether a file can be opened as a video."""
     _pyav(f"{path} is a video")
     try:
         _File(path).close()
@@ -541,9 +541,9 @@ def _encoder(path: Path) -> tuple[str, dict[str, str]]:
     choice = _WEB_ENCODERS if path.suffix.lower() == ".webm" else _ENCODERS
     for name, options in choice:
         if name in av.codecs_available:
-            # An .avi has no place for the order in which frames that refer to later ones are shown.
+            # An .avi cannot store B-frames, which are shown in another order than decoded.
             return name, {**options, "bf": "0"} if path.suffix.lower() == ".avi" else options
-    raise VideoError(f"{path}: this PyAV has no encoder for it ({choice[0][0]}); install PyAV's own wheel, or try .mp4")
+    raise VideoError(f"{path}: this PyAV lacks the encoder {choice[0][0]}; install PyAV from PyPI, or try .mp4")
 
 
 def _pyav(what: str) -> Any:
@@ -551,5 +551,5 @@ def _pyav(what: str) -> Any:
         return importlib.import_module("av")  # optional
     except ImportError as error:
         raise VideoError(
-            f'{what}, and PyAV, which reads and writes them, is not installed: pip install "liaam[video]"'
+            f'{what}, but PyAV, which reads and writes videos, is not installed: pip install "liaam[video]"'
         ) from error

@@ -1,7 +1,7 @@
-"""Landmark files: one module per format, and the registry that finds it by the name's ending.
+"""Landmark files: one module per format, and a registry of formats by suffix.
 
-Every format is converted to liaam's convention (pixel centres that count from 0); how, is said at the top
-of the format's module.
+Every format is converted to liaam's convention, pixel centres counted from 0. The docstring of each format's module
+describes the conversion.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ class Format:
     """A landmark file format."""
 
     title: str
-    """What people call it."""
+    """Name of the format."""
     parse: Callable[[Path, str], Parsed] | None = None
-    """From a path (for the messages) and the file's text to landmarks, or to those of many images."""
+    """Parse a path (for messages) and the file's text into landmarks of one or many images."""
     parse_with_size: Callable[[Path, str, tuple[float, float] | None], Landmarks] | None = None
-    """The same, where the image's (width, height) is needed."""
+    """The same for formats that need the image's (width, height)."""
     dump: Callable[[Landmarks], str] | None = None
-    """To the file's text; None if the format is only read."""
+    """Format landmarks as the file's text; None if the format is read-only."""
     dump_collection: Callable[[Mapping[str, Landmarks]], str] | None = None
-    """To the text of a file of many images."""
+    """Format the landmarks of many images as the file's text."""
     may_be_collection: bool = False
     """Whether one file can hold many images."""
 
@@ -69,10 +69,10 @@ FORMATS: dict[str, Format] = {
     ".xml": Format("dlib imglab", dlib_xml.parse, may_be_collection=True),
     ".json": Format("COCO keypoints", coco.parse, may_be_collection=True),
 }
-"""The formats by ending, in the order in which they are preferred where an image has several files."""
+"""Formats by suffix, in order of preference where an image has several files."""
 
 LANDMARK_SUFFIXES = tuple(FORMATS)
-"""Endings (lower case) of the landmark files that can be read, the preferred first."""
+"""Suffixes (lower case) of the landmark files that can be read, in order of preference."""
 
 
 def read_landmarks(path: str | os.PathLike[str], image_size: tuple[float, float] | None = None) -> Landmarks:
@@ -81,20 +81,20 @@ def read_landmarks(path: str | os.PathLike[str], image_size: tuple[float, float]
     Parameters
     ----------
     path : path-like
-        A file of one of `LANDMARK_SUFFIXES`. A file of many images is read if it holds exactly one.
+        A file with a suffix in `LANDMARK_SUFFIXES`. A file for many images must hold exactly one.
     image_size : tuple of float, optional
-        (width, height) of the image in pixels; needed for ``.asf``.
+        (width, height) of the image in pixels; required for ``.asf``.
 
     Returns
     -------
     Landmarks
-        Points in pixels, (0, 0) at the centre of the top-left pixel, NaN where missing.
+        Points in pixels, with (0, 0) at the centre of the top-left pixel; NaN where missing.
 
     Raises
     ------
     LandmarkError
-        If the file is missing, empty, cut short, of an unknown ending, contradicts itself, holds what is
-        not a number, or holds several images.
+        If the file is missing, empty, cut short, inconsistent, has an unknown suffix, holds invalid numbers, or holds
+        several images.
     """
     parsed = parse_landmark_file(path, image_size)
     if isinstance(parsed, Landmarks):
@@ -102,8 +102,7 @@ def read_landmarks(path: str | os.PathLike[str], image_size: tuple[float, float]
     if len(parsed) > 1:
         some = ", ".join(list(parsed)[:3])
         raise LandmarkError(
-            f"{path} holds the landmarks of {len(parsed)} images ({some} ...): "
-            "use read_collection, or load the folder that holds it."
+            f"{path} holds the landmarks of {len(parsed)} images ({some} ...): use read_collection, or load its folder."
         )
     return next(iter(parsed.values()))
 
@@ -114,12 +113,12 @@ def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
     Returns
     -------
     dict of str to Landmarks
-        By the image's file name as the file gives it.
+        Landmarks by image file name, as written in the file.
 
     Raises
     ------
     LandmarkError
-        As :func:`read_landmarks`, or if the file is of one image and does not name it.
+        As :func:`read_landmarks`, or if the file holds one unnamed image.
     """
     suffix = _suffix(Path(path))
     parsed = parse_landmark_file(path) if FORMATS[suffix].may_be_collection else None
@@ -129,7 +128,7 @@ def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
 
 
 def parse_landmark_file(path: str | os.PathLike[str], image_size: tuple[float, float] | None = None) -> Parsed:
-    """Read a landmark file into `Landmarks`, or into a dict of them if the file names its images.
+    """Read a landmark file as `Landmarks`, or as a dict of them if the file names its images.
 
     Raises
     ------
@@ -142,7 +141,7 @@ def parse_landmark_file(path: str | os.PathLike[str], image_size: tuple[float, f
 
 
 def parse_landmark_data(name: str, data: bytes, image_size: tuple[float, float] | None = None) -> Parsed:
-    """Read what a landmark file of some name holds, as :func:`parse_landmark_file` does; no file is touched.
+    """Parse the content of a landmark file in memory, as :func:`parse_landmark_file` does.
 
     Raises
     ------
@@ -162,21 +161,21 @@ def _parse(path: Path, suffix: str, text: str, image_size: tuple[float, float] |
 
 
 def write_landmarks(path: str | os.PathLike[str], landmarks: Landmarks | np.ndarray) -> None:
-    """Write the landmarks of one image as ``.pts``, ``.csv`` or ``.ljson``, all or nothing.
+    """Write the landmarks of one image atomically as ``.pts``, ``.csv`` or ``.ljson``.
 
-    Contours and what is invisible survive only in ``.ljson``; names in ``.ljson`` and ``.csv``.
+    Only ``.ljson`` stores contours and invisible landmarks. Only ``.ljson`` and ``.csv`` store names.
 
     Parameters
     ----------
     path : path-like
-        Its ending chooses the format.
+        Its suffix determines the format.
     landmarks : Landmarks or np.ndarray
-        Or (n, 2) points in pixels, (0, 0) at the centre of the top-left pixel, NaN where missing.
+        An array holds (n, 2) points in pixels, with (0, 0) at the centre of the top-left pixel; NaN where missing.
 
     Raises
     ------
     LandmarkError
-        If the ending cannot be written, the points are not valid, or the disk refuses.
+        If the format cannot be written, the points are invalid, or writing fails.
     """
     dump = FORMATS[_suffix(Path(path))].dump
     if dump is None:
@@ -188,18 +187,18 @@ def write_landmarks(path: str | os.PathLike[str], landmarks: Landmarks | np.ndar
 
 
 def write_collection(path: str | os.PathLike[str], collection: Mapping[str, Landmarks]) -> None:
-    """Write the landmarks of many images, by file name, as one ``.csv``, all or nothing.
+    """Write the landmarks of many images, by file name, atomically as one ``.csv``.
 
     Raises
     ------
     LandmarkError
-        If the ending is not ``.csv``, there is nothing to write, or the disk refuses.
+        If the suffix is not ``.csv``, there is nothing to write, or writing fails.
     """
     dump = FORMATS[_suffix(Path(path))].dump_collection
     if dump is None:
-        raise LandmarkError(f"{path} cannot be written: only .csv takes many images. Use that ending.")
+        raise LandmarkError(f"{path} cannot be written: only .csv holds many images. Use that extension.")
     if not collection:
-        raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give at least one image's.")
+        raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
     write_text_atomically(path, dump(collection), LandmarkError)
 
 
@@ -207,5 +206,5 @@ def _suffix(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         known = ", ".join(f"{ending} ({form.title})" for ending, form in FORMATS.items())
-        raise LandmarkError(f"{path} has the ending '{path.suffix}', which is no known landmark format: use {known}.")
+        raise LandmarkError(f"{path} has the extension '{path.suffix}', not that of a landmark format: use {known}.")
     return suffix

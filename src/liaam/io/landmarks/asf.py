@@ -1,9 +1,8 @@
 """``.asf`` of the AAM-API (IMM face databases): fractions of the image's width and height, y downwards.
 
-x is multiplied by the width and y by the height (not by width - 1), as the AAM-API does, and the result is
-taken as a pixel centre that counts from 0. So (0, 0) is the centre of the top-left pixel, and the file
-alone does not give pixels: the image's size is needed. Connectivity (``connects from``, ``connects to``)
-becomes contours, and the host image named on the last line is kept.
+x is multiplied by the width and y by the height (not by width - 1), as the AAM-API does. The result is a pixel centre
+counted from 0, so (0, 0) is the centre of the top-left pixel. The conversion needs the image's size. Connectivity
+(``connects from``, ``connects to``) becomes contours, and the host image named on the last line is kept.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from pathlib import Path
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import Landmarks, chain_edges, make_landmarks, parse_count, parse_number
 
-_N_COLUMNS = 7  # path, type, x, y, point, from, to; the user's columns after them are optional
+_N_COLUMNS = 7  # path, type, x, y, point, from, to; further columns are optional
 
 
 def parse(path: Path, text: str, image_size: tuple[float, float] | None) -> Landmarks:
@@ -22,16 +21,16 @@ def parse(path: Path, text: str, image_size: tuple[float, float] | None) -> Land
     Parameters
     ----------
     path : Path
-        For the messages.
+        For messages.
     text : str
-        What the file holds.
+        Content of the file.
     image_size : tuple of float or None
         (width, height) of the image in pixels.
 
     Raises
     ------
     LandmarkError
-        If `image_size` is None, a line is not as it should be, or the counts do not agree.
+        If `image_size` is None, a line is invalid, or the counts differ.
     """
     if image_size is None:
         raise LandmarkError(
@@ -71,5 +70,5 @@ def _landmarks(path: Path, rows: list[list[str]], size: tuple[float, float], hos
 def _index(path: Path, token: str, n_points: int) -> int:
     index = parse_count(path, token, "a point")
     if index >= n_points:
-        raise LandmarkError(f"{path} names point {index}, but has points 0 to {n_points - 1}: correct its numbers.")
+        raise LandmarkError(f"{path} names point {index}, but has points 0 to {n_points - 1}: correct the numbers.")
     return index

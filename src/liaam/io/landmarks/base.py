@@ -1,7 +1,7 @@
-"""Landmarks in memory, and what the readers of all landmark formats share.
+"""The class `Landmarks`, and helpers shared by the readers of all landmark formats.
 
-Inside liaam a landmark is (x, y) = (column, row) in pixels, with (0, 0) at the centre of the top-left pixel;
-a missing landmark is (NaN, NaN). Each format's module converts from and to its own convention.
+In liaam a landmark is (x, y) = (column, row) in pixels, with (0, 0) at the centre of the top-left pixel.
+A missing landmark is (NaN, NaN). Each format's module converts from and to its own convention.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from liaam.errors import LandmarkError
 from liaam.io.files import read_bytes
 
 MAX_BYTES = 500_000_000
-"""Landmark files larger than this are refused before they are read."""
+"""Size limit of landmark files, in bytes."""
 
 _MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "?", "-"})
 
@@ -28,9 +28,9 @@ class Contour:
     """A line through landmarks, such as an eyelid or the jaw."""
 
     indices: tuple[int, ...]
-    """Landmarks along the line, counted from 0; the first is not repeated at the end of a closed line."""
+    """Landmarks along the line, counted from 0. A closed line does not repeat the first."""
     closed: bool = False
-    """Whether the last landmark is joined to the first."""
+    """Whether the last landmark is connected to the first."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,19 +40,19 @@ class Landmarks:
     Raises
     ------
     LandmarkError
-        If the points are not (n, 2), are infinite or half missing, or a contour or the names do not fit them.
+        If the points are not (n, 2), infinite or half missing, or if a contour or the names do not match them.
     """
 
     points: np.ndarray
     """(n, 2) float64, read-only: x, y in pixels; a missing landmark is (NaN, NaN)."""
     contours: tuple[Contour, ...] = ()
-    """Lines through the landmarks, as far as the file tells."""
+    """Lines through the landmarks, if the file has them."""
     names: tuple[str, ...] = ()
     """One name per landmark, or empty."""
     image_name: str | None = None
-    """The image's file name as the landmark file gives it, if it does."""
+    """The image's file name, if the landmark file gives it."""
     invisible: tuple[int, ...] = ()
-    """Landmarks whose place is known though something hides them, ascending; only ``.ljson`` keeps them."""
+    """Occluded landmarks with known positions, ascending. Only ``.ljson`` stores them."""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)
@@ -66,7 +66,7 @@ class Landmarks:
         if wrong:
             raise LandmarkError(
                 f"landmark {wrong[0]} (counting from 0) is marked invisible, but there are {len(points)} landmarks: "
-                "correct the marks."
+                "correct the indices."
             )
 
     def __len__(self) -> int:
@@ -77,12 +77,12 @@ class Landmarks:
 
     @property
     def missing(self) -> np.ndarray:
-        """(n,) bool: which landmarks are missing."""
+        """(n,) bool mask of missing landmarks."""
         return np.isnan(self.points[:, 0])
 
 
 def _checked_points(points: Any) -> np.ndarray:
-    """Give the points as a read-only (n, 2) float64 copy."""
+    """Return the points as a read-only (n, 2) float64 copy."""
     try:
         points = np.array(points, dtype=np.float64)
     except (TypeError, ValueError) as fault:
@@ -96,7 +96,7 @@ def _checked_points(points: Any) -> np.ndarray:
             f"landmark {half[0] + 1} (counting from 1) has only one of x and y: give both, or leave out both."
         )
     if np.isinf(points).any():
-        raise LandmarkError("a landmark lies at infinity: give finite pixels, or NaN for a missing one.")
+        raise LandmarkError("a landmark is infinite: give finite pixels, or NaN for a missing one.")
     points.setflags(write=False)
     return points
 
@@ -121,7 +121,7 @@ def make_landmarks(
     image_name: str | None = None,
     invisible: Iterable[int] = (),
 ) -> Landmarks:
-    """Make `Landmarks`, and name the file in the message if they are not valid."""
+    """Make `Landmarks`, with the file's name in the error if they are invalid."""
     try:
         return Landmarks(points, tuple(contours), tuple(names), image_name, tuple(invisible))
     except LandmarkError as fault:
@@ -129,12 +129,12 @@ def make_landmarks(
 
 
 def read_text(path: Path) -> str:
-    """Read a text file as UTF-8 (or UTF-16 with its mark, or Latin-1), and refuse what is not text."""
+    """Read a text file as UTF-8, UTF-16 with a byte order mark, or Latin-1. Raise if it is binary."""
     return decode_text(path, read_bytes(path, LandmarkError, MAX_BYTES))
 
 
 def decode_text(path: Path, data: bytes) -> str:
-    """Decode what a file holds as :func:`read_text` does; `path` is for the messages."""
+    """Decode a file's content as :func:`read_text` does; `path` is for messages."""
     binary = LandmarkError(f"{path} is not a text file, so not a landmark file: export the landmarks again.")
     encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
     try:
@@ -151,19 +151,19 @@ def decode_text(path: Path, data: bytes) -> str:
 
 
 def _has_control_characters(data: bytes) -> bool:
-    """Tell binary data, in which control characters abound, from text in an old encoding."""
+    """Return whether data hold control characters, as binary files do and text does not."""
     return len(data.translate(None, bytes(set(range(32)) - set(b"\t\n\f\r")))) < len(data)
 
 
 def parse_count(path: Path, token: str, what: str) -> int:
-    """Parse a whole number, not negative."""
+    """Parse a non-negative integer."""
     if not (token.isascii() and token.isdigit() and len(token) <= 18):
         raise LandmarkError(f"{path}: '{_short(token)}' is not a number of {what}: export the file again.")
     return int(token)
 
 
 def parse_number(path: Path, token: str, where: str) -> float:
-    """Parse one coordinate; NaN for the usual words for a missing one."""
+    """Parse one coordinate, NaN for the usual words for a missing value."""
     token = token.strip()
     if token.lower() in _MISSING_WORDS:
         return math.nan
@@ -173,7 +173,7 @@ def parse_number(path: Path, token: str, where: str) -> float:
         value = math.inf
     if not math.isfinite(value):
         raise LandmarkError(
-            f"{path}: '{_short(token)}' in {where} is not a number: correct it (decimals take a point, as in 12.5)."
+            f"{path}: '{_short(token)}' in {where} is not a number: correct it (decimal points, as in 12.5)."
         )
     return value
 
@@ -187,7 +187,7 @@ def parse_pair(path: Path, line: str, where: str) -> tuple[float, float]:
 
 
 def check_number(path: Path, value: Any, where: str) -> float:
-    """Check one coordinate from JSON: a number, or null for a missing one."""
+    """Check one coordinate from JSON, a number or null for a missing value."""
     if value is None:
         return math.nan
     try:
@@ -200,7 +200,7 @@ def check_number(path: Path, value: Any, where: str) -> float:
 
 
 def parse_json(path: Path, text: str) -> Any:
-    """Parse JSON, with a message for people."""
+    """Parse JSON. Raise LandmarkError if it is invalid."""
     import json
 
     try:
@@ -219,7 +219,7 @@ def _short(text: str, length: int = 40) -> str:
 
 
 def contour_of(indices: Sequence[int], closed: bool) -> Contour | None:
-    """Make a contour; a repeated first point closes it, and a lone point is none."""
+    """Make a contour. A repeated first point closes it; a single point gives None."""
     if len(indices) > 2 and indices[0] == indices[-1]:
         indices, closed = indices[:-1], True
     if len(set(indices)) < 2:
@@ -240,8 +240,8 @@ def edges_of(contours: Iterable[Contour]) -> list[tuple[int, int]]:
 def chain_edges(edges: Iterable[tuple[int, int]]) -> tuple[Contour, ...]:
     """Join edges into contours, the inverse of `edges_of` for contours that do not touch.
 
-    Lines end at loose ends and where three or more edges meet; what has no end is closed. Repeated edges
-    count once, and an edge from a landmark to itself says nothing.
+    Lines end at loose ends and where three or more edges meet; lines without ends are closed. Repeated edges
+    count once, and edges from a landmark to itself are ignored.
     """
     neighbours = _neighbours(edges)
     used: set[frozenset[int]] = set()

@@ -1,10 +1,9 @@
 """COCO keypoints (``.json``): 0-indexed pixels, x to the right and y downwards.
 
-The data format of COCO says "a 0-indexed location x, y" for keypoints; annotators clicked on whole pixels,
-so the numbers are taken as pixel centres, without a shift of half a pixel. A keypoint of visibility 0 is
-missing (1, hidden but labelled, is there). One file holds many images; of several annotations of an image,
-the one with the largest area is taken. The category's keypoint names become the names, its skeleton (pairs
-that count from 1) the contours.
+COCO defines keypoints as "a 0-indexed location x, y". Annotators clicked on whole pixels, so the numbers are taken as
+pixel centres, without a shift of half a pixel. A keypoint of visibility 0 is missing; one of visibility 1 (labelled
+but hidden) is not. One file holds many images. Of several annotations of an image, the one with the largest area is
+used. The category's keypoint names become the names, and its skeleton (pairs counted from 1) the contours.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
     Raises
     ------
     LandmarkError
-        If it is not JSON, not COCO, has no keypoints, or keypoints that are not triples of numbers.
+        If the file is not JSON, not COCO, has no keypoints, or has keypoints that are not triples of numbers.
     """
     content = parse_json(path, text)
     try:
@@ -72,11 +71,11 @@ def _area(path: Path, annotation: Any) -> float:
 
 
 def _lines(path: Path, category: Any) -> _Lines:
-    """Give the names of a category's keypoints, and their contours."""
+    """Return the names of a category's keypoints, and their contours."""
     what = "the skeleton of a category"
     edges = [tuple(check_number(path, number, what) for number in edge) for edge in category.get("skeleton") or ()]
     if not all(len(edge) == 2 and all(number.is_integer() for number in edge) for edge in edges):
-        raise LandmarkError(f"{path}: {what} is no list of pairs of keypoints' numbers: export it again.")
+        raise LandmarkError(f"{path}: {what} is not a list of pairs of keypoint numbers: export it again.")
     names = tuple(map(str, category.get("keypoints") or ()))
     return names, chain_edges((int(start) - 1, int(end) - 1) for start, end in edges)
 
@@ -85,7 +84,7 @@ def _landmarks(path: Path, annotation: Any, lines: _Lines, image: str) -> Landma
     values = annotation["keypoints"]
     if len(values) % 3:
         raise LandmarkError(
-            f"{path}: image '{image}' has {len(values)} keypoint values, not x, y, v for each: correct it."
+            f"{path}: image '{image}' has {len(values)} keypoint values, not x, y, v per keypoint: correct it."
         )
     numbers = [check_number(path, value, f"the keypoints of image '{image}'") for value in values]
     triples = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)

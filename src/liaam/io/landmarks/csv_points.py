@@ -1,9 +1,8 @@
-"""Plain ``.csv`` in liaam's own convention: pixel centres that count from 0, x to the right and y downwards.
+"""Plain ``.csv`` in liaam's own convention: pixel centres counted from 0, x to the right and y downwards.
 
-The first line names the columns: ``x``, ``y``, and if wanted ``name`` (of the landmark) and ``image`` (its
-file name; the file then holds many images). Other columns are ignored. The order of the rows is the order
-of the landmarks; an empty x and y is a missing landmark. Columns may also be separated by semicolons
-(numbers may then have decimal commas, as European spreadsheets write them) or tabs.
+The first line names the columns: ``x``, ``y``, and optionally ``name`` (of the landmark) and ``image`` (file name; the
+file then holds many images). Other columns are ignored. Rows are in the order of the landmarks, and empty x and y mean
+a missing landmark. The separator may also be a tab or a semicolon; with semicolons, numbers may have decimal commas.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _Rows = list[tuple[int, dict[str, str]]]
 
 
 def parse(path: Path, text: str) -> Landmarks | dict[str, Landmarks]:
-    """Parse the text of a CSV file: one image's landmarks, or those of many where a column names the image.
+    """Parse the text of a CSV file: landmarks of one image, or of many images if a column names the image.
 
     Raises
     ------
@@ -38,20 +37,20 @@ def parse(path: Path, text: str) -> Landmarks | dict[str, Landmarks]:
 
 
 def dump(landmarks: Landmarks) -> str:
-    """Give the text of a CSV file with one image's landmarks."""
+    """Return the text of a CSV file with one image's landmarks."""
     names = ["name"] if landmarks.names else []
     return _join([["x", "y", *names], *_cells(landmarks, bool(names))])
 
 
 def dump_collection(collection: Mapping[str, Landmarks]) -> str:
-    """Give the text of a CSV file with the landmarks of many images, by file name."""
+    """Return the text of a CSV file with the landmarks of many images, by file name."""
     named = any(landmarks.names for landmarks in collection.values())
     rows = [[image, *cells] for image, landmarks in collection.items() for cells in _cells(landmarks, named)]
     return _join([["image", "x", "y", *(["name"] if named else [])], *rows])
 
 
 def _table(path: Path, text: str) -> tuple[list[str], _Rows]:
-    """Split the text into the names of the columns and the rows, each with its line's number."""
+    """Split the text into column names and rows with line numbers."""
     first = text.lstrip().splitlines()[0]
     delimiter = next((mark for mark in ",;\t" if mark in first), ",")
     reader = csv.reader(io.StringIO(text.lstrip(), newline=""), delimiter=delimiter)
@@ -61,7 +60,7 @@ def _table(path: Path, text: str) -> tuple[list[str], _Rows]:
     except csv.Error as fault:
         raise LandmarkError(f"{path} is not a CSV table ({fault}): export it again.") from fault
     if "x" not in header or "y" not in header:
-        raise LandmarkError(f"{path} has no columns x and y: its first line must name the columns, such as x,y.")
+        raise LandmarkError(f"{path} has no columns x and y: name the columns in the first line, such as x,y.")
     if not cells:
         raise LandmarkError(f"{path} has no rows under its header; it may be cut short: export it again.")
     for number, row in cells:
@@ -96,5 +95,5 @@ def _cells(landmarks: Landmarks, named: bool) -> list[list[str]]:
 
 def _join(rows: Iterable[list[str]]) -> str:
     buffer = io.StringIO(newline="")
-    csv.writer(buffer).writerows(rows)  # with \r\n, without which a \r in a name would not be quoted
+    csv.writer(buffer).writerows(rows)  # lines end in \r\n, so that a \r in a name is quoted
     return buffer.getvalue()

@@ -1,8 +1,8 @@
-"""dlib ``imglab`` data sets (``.xml``): pixel centres that count from 0, x to the right and y downwards.
+"""dlib ``imglab`` data sets (``.xml``): pixel centres counted from 0, x to the right and y downwards.
 
-One file holds many images. The landmarks are the ``part`` elements of a box; of several boxes in an image
-the largest that has parts is taken. Parts are put in the natural order of their names (1, 2, ... 10), over
-all the images of the file; a part that an image lacks is missing there.
+One file holds many images. The landmarks are the ``part`` elements of a box. Of several boxes in an image, the largest
+one with parts is used. Parts are in natural order of their names (1, 2, ... 10) over all images. If an image lacks a
+part, that landmark is missing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from liaam.io.landmarks.base import Landmarks, make_landmarks, parse_number
 _Parts = dict[str, tuple[float, float]]
 
 _MOST_MISSING = 20
-"""Parts that images lack, for each that is there, beyond which names cannot be meant as they are."""
+"""Maximum ratio of missing to present parts; above it the part names must be wrong."""
 
 
 def parse(path: Path, text: str) -> dict[str, Landmarks]:
@@ -27,18 +27,18 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
     Raises
     ------
     LandmarkError
-        If it is not complete XML, declares a document type or entities, or has no landmarks.
+        If the file is not complete XML, declares a document type or entities, or has no landmarks.
     """
     chosen: dict[str, tuple[float, _Parts]] = {}
     for image in _root(path, text).iter("image"):
         name = image.get("file", "")
-        for box in image.iterfind("box"):  # its own: those of images within it would be looked at again and again
+        for box in image.iterfind("box"):  # direct children only, so that nested images do not repeat the work
             parts = _parts(path, name, box)
             area = _area(path, name, box)
             if parts and area > chosen.get(name, (-math.inf, {}))[0]:
                 chosen[name] = (area, parts)
     if not chosen:
-        raise LandmarkError(f"{path} has no image with landmarks (part elements in a box): check that it is imglab's.")
+        raise LandmarkError(f"{path} has no image with landmarks (part elements in a box): export it again.")
     names = sorted({name for _, parts in chosen.values() for name in parts}, key=natural_key)
     _check_shared(path, names, chosen)
     absent = (math.nan, math.nan)
@@ -49,7 +49,7 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
 
 
 def _root(path: Path, text: str) -> Any:
-    """Parse XML that can neither define entities nor read other files."""
+    """Parse XML. Reject documents that could define entities or read other files."""
     from xml.etree import ElementTree
 
     lower = text.lower()
@@ -64,12 +64,12 @@ def _root(path: Path, text: str) -> Any:
 
 
 def _check_shared(path: Path, names: list[str], chosen: dict[str, tuple[float, _Parts]]) -> None:
-    """Refuse images with parts of their own each: all would be filled up with the others' as missing."""
+    """Raise if images share hardly any part names, because nearly all landmarks would be missing."""
     n_there = sum(len(parts) for _, parts in chosen.values())
     if len(names) * len(chosen) > _MOST_MISSING * n_there:
         raise LandmarkError(
-            f"{path}: its {len(chosen)} images have hardly any of the {len(names)} part names in common: give a part "
-            "the same name in all images."
+            f"{path}: its {len(chosen)} images share hardly any of the {len(names)} part names: give a part the same "
+            "name in all images."
         )
 
 
@@ -78,7 +78,7 @@ def _parts(path: Path, image: str, box: Any) -> _Parts:
     for part in box.iterfind("part"):
         where = f"part '{part.get('name')}' of image '{image}'"
         if part.get("name") in parts:
-            raise LandmarkError(f"{path}: {where} is there twice: remove one of them.")
+            raise LandmarkError(f"{path}: {where} occurs twice: remove one of them.")
         parts[part.get("name", "")] = (
             parse_number(path, part.get("x", ""), where),
             parse_number(path, part.get("y", ""), where),

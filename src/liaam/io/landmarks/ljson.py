@@ -1,8 +1,8 @@
-"""menpo ``.ljson``: points are [y, x], pixel centres that count from 0; ``null`` for a missing one.
+"""menpo ``.ljson``: points are [y, x], pixel centres counted from 0; ``null`` for a missing one.
 
-Versions 2 and 3 are read (3 with one group of landmarks), version 2 is written. Connectivity becomes
-contours by joining its edges. Labels in menpo name sets of landmarks; where each landmark has a label of
-its own, these are the landmarks' names. A further label ``invisible`` holds those that something hides.
+Versions 2 and 3 are read (3 with one group of landmarks), and version 2 is written. The edges of the connectivity are
+joined into contours. Labels in menpo name sets of landmarks. If each landmark has its own label, the labels become the
+landmarks' names. A further label ``invisible`` holds the occluded landmarks.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def parse(path: Path, text: str) -> Landmarks:
     Raises
     ------
     LandmarkError
-        If it is not JSON, of another version, holds several groups, or its points are not pairs of numbers.
+        If the file is not JSON, has another version, holds several groups, or its points are not pairs of numbers.
     """
     group = _group(path, parse_json(path, text))
     try:
@@ -45,7 +45,7 @@ def parse(path: Path, text: str) -> Landmarks:
 
 
 def dump(landmarks: Landmarks) -> str:
-    """Give the text of a version 2 ``.ljson`` file."""
+    """Return the text of a version 2 ``.ljson`` file."""
     points = [[None, None] if x != x else [y, x] for x, y in landmarks.points.tolist()]
     body: dict[str, Any] = {"points": points}
     edges = edges_of(landmarks.contours)
@@ -79,11 +79,11 @@ def _group(path: Path, content: Any) -> Any:
 
 
 def _labels(landmarks: Landmarks) -> list[dict[str, Any]]:
-    """Label each named landmark; otherwise all of them as one, which menpo demands where there are edges."""
+    """Label each named landmark, or else all together, because menpo requires a label if there are edges."""
     hidden = [{"label": _INVISIBLE, "mask": list(landmarks.invisible)}] if landmarks.invisible else []
     if landmarks.names:
         return [{"label": name, "mask": [index]} for index, name in enumerate(landmarks.names)] + hidden
-    if not landmarks.contours and not hidden:  # a label for some demands one for the rest, too
+    if not landmarks.contours and not hidden:  # menpo requires that labels cover all landmarks
         return []
     return [{"label": _ALL, "mask": list(range(len(landmarks)))}, *hidden]
 
@@ -92,17 +92,17 @@ _Mask = tuple[str, list[int]]
 
 
 def _split(masks: list[_Mask], n_points: int) -> tuple[list[_Mask], list[int]]:
-    """Tell the label of invisible landmarks from the others; a landmark may have that word for a name."""
+    """Separate the label of invisible landmarks from the others. "invisible" may also be a landmark's name."""
     at = [i for i, (label, _) in enumerate(masks) if label == _INVISIBLE]
     if not at or _names(masks, n_points):
         return masks, []
     others = masks[: at[-1]] + masks[at[-1] + 1 :]
-    # What is written beside it for one landmark without a name is no name.
+    # `_labels` writes the label "all" for a single landmark without a name.
     return ([] if others == [(_ALL, [0])] else others), masks[at[-1]][1]
 
 
 def _names(masks: list[_Mask], n_points: int) -> tuple[str, ...]:
-    """Give the labels as names, if each landmark has exactly one of its own."""
+    """Return the labels as names, if each landmark has exactly one label of its own."""
     by_index = {mask[0]: label for label, mask in masks if len(mask) == 1}
     if len(masks) != n_points or set(by_index) != set(range(n_points)):
         return ()

@@ -1,7 +1,7 @@
-"""300-W ``.pts``: pixel centres that count from 1, so that (1, 1) is the centre of the top-left pixel.
+"""300-W ``.pts``: pixel centres counted from 1, so that (1, 1) is the centre of the top-left pixel.
 
-One is subtracted on reading and added on writing. A missing landmark is written ``nan nan``. The format has
-no place for contours or names.
+Reading subtracts one and writing adds one. A missing landmark is written ``nan nan``. The format does not store
+contours or names.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import Landmarks, make_landmarks, parse_count, parse_pair
 
-_COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would try all ways to share blanks
+_COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would backtrack
 _COMMENT = re.compile(r"(#|//|%).*")
 
 
@@ -22,13 +22,12 @@ def parse(path: Path, text: str) -> Landmarks:
     Raises
     ------
     LandmarkError
-        If the braces are missing, a line is not two numbers, or the header's count is not the number of
-        lines.
+        If the braces are missing, a line is not two numbers, or the header's count is wrong.
     """
     text = "\n".join(_COMMENT.sub("", line) for line in text.splitlines())
     header, brace, rest = text.partition("{")
     if not brace:
-        raise LandmarkError(f"{path} has no '{{' before its points, so it is no 300-W .pts file: export it again.")
+        raise LandmarkError(f"{path} has no '{{' before its points, so it is not a 300-W .pts file: export it again.")
     body, brace, _ = rest.partition("}")
     lines = [line for line in body.splitlines() if line.strip()]
     count = _COUNT.search(header)
@@ -44,6 +43,6 @@ def parse(path: Path, text: str) -> Landmarks:
 
 
 def dump(landmarks: Landmarks) -> str:
-    """Give the text of a ``.pts`` file."""
+    """Return the text of a ``.pts`` file."""
     lines = [f"{x + 1!r} {y + 1!r}" for x, y in landmarks.points.tolist()]
     return "\n".join(["version: 1", f"n_points: {len(lines)}", "{", *lines, "}", ""])

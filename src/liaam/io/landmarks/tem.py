@@ -1,10 +1,9 @@
 """WebMorph / Psychomorph ``.tem``: pixels of the template's image from its top-left, y downwards.
 
-The numbers are taken as pixel centres that count from 0, without a shift; neither program documents whether
-its origin is the centre or the corner of the first pixel, and its landmarks are placed by hand to about a
-pixel. Line templates (a count, then for each line 0 open or 1 closed, the number of points and their
-indices from 0) become contours; a line whose last point is its first is closed, and one that stays on one
-point is dropped.
+The numbers are taken as pixel centres counted from 0, without a shift. Neither program documents whether its origin is
+the centre or the corner of the first pixel, and landmarks are placed by hand to about a pixel. Line templates become
+contours: a count, then for each line 0 (open) or 1 (closed), the number of points and their indices from 0. A line
+that ends at its first point is closed, and a line with only one distinct point is dropped.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ def parse(path: Path, text: str) -> Landmarks:
     Raises
     ------
     LandmarkError
-        If there are fewer points or lines than promised, or something is not a number.
+        If there are fewer points or lines than announced, or a value is not a number.
     """
     lines = [line for line in text.splitlines() if line.strip()]
     count = parse_count(path, lines[0].strip(), "points")
