@@ -1,4 +1,4 @@
-"""The demo: train on simulated portraits under one light, fit under a hard lateral one."""
+"""The demo: train on simulated portraits under one light and fit under a hard lateral light."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +45,7 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
     Parameters
     ----------
     folder : Path
-        Exists or is made.
+        Created if missing.
     progress : callable, optional
         Called with (done, total, what).
 
@@ -57,13 +57,13 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
     """
     from liaam.datasets.scenes import Expression, Head, Pose, lateral, make_set, render
 
-    make_folder(folder)  # before the work, not after it
+    make_folder(folder)  # raise before any work
     tell = progress or (lambda done, total, what: None)
     total = N_TRAINING + 3
     head = Head(5)
     training = []
     for i in range(N_TRAINING):
-        tell(i, total, "rendering training pictures")
+        tell(i, total, "rendering training images")
         training += make_set(1, head=head, seed=i)
     test = render(head, Pose(yaw=0.06, x=3.0), Expression(smile=0.3, mouth_open=0.15), lights=lateral("left"), seed=99)
     tell(N_TRAINING, total, "training")
@@ -82,12 +82,12 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
 
 
 def scene_landmarks(scene: "Scene") -> Landmarks:
-    """Landmarks of a simulated scene with their contours."""
+    """Return the landmarks of a simulated scene with their contours."""
     return Landmarks(scene.landmarks, tuple(Contour(tuple(i), c) for i, c in scene.contours))
 
 
 def disturbed(truth: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Mean shape near the truth: shifted, turned and scaled as a rough click would be."""
+    """Place the mean shape near the truth with an error in position, rotation and scale, as a rough click has."""
     rough = align(mean, truth)(mean)
     centre = rough.mean(axis=0)
     return 1.06 * (rough - centre) @ rotation(np.deg2rad(4.0)).T + centre + [5.0, -4.0]

@@ -1,6 +1,6 @@
-"""Errors raised for bad input: each names the thing, the fault and the remedy.
+"""Errors for invalid input. Each message names the file or argument, the fault and the remedy.
 
-A fit that fails is a value (:class:`liaam.fitting.FitResult` with a ``status``), not an exception.
+A failed fit does not raise. It returns a :class:`liaam.fitting.FitResult` with a ``status``.
 """
 
 
@@ -9,11 +9,11 @@ class LiaamError(Exception):
 
 
 class ImageError(LiaamError):
-    """An image cannot be read, or cannot serve the purpose (grey for a colour method, too small ...)."""
+    """An image cannot be read or used, for example because it is too small or grey for a colour method."""
 
 
 class LandmarkError(LiaamError):
-    """A landmark file cannot be read, or its points do not fit the image or each other."""
+    """A landmark file cannot be read, or its points do not match the image or each other."""
 
 
 class TrainingError(LiaamError):
@@ -21,19 +21,19 @@ class TrainingError(LiaamError):
 
 
 class ModelFileError(LiaamError):
-    """A model file is missing, cut short, of another version, or not a liaam model."""
+    """A model file is missing, cut short, from another version, or not a liaam model."""
 
 
 class StartError(LiaamError):
-    """The start of a fit (shape, box, or point and size) makes no sense for this model and image."""
+    """The start of a fit (shape, box, or point and size) is invalid for this model and image."""
 
 
 class MethodError(LiaamError):
-    """A method, encoding or option of that name does not exist or cannot be used here."""
+    """A method, encoding or option does not exist or cannot be used here."""
 
 
 class CameraError(LiaamError):
-    """A camera file cannot be read or written, or a camera cannot be calibrated from this material."""
+    """A camera file cannot be read or written, or a camera cannot be calibrated from these data."""
 
 
 class VideoError(LiaamError):

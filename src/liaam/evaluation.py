@@ -1,4 +1,4 @@
-"""Measures of how well landmarks were found, and how numbers are told."""
+"""Error measures of landmarks, and formatting of numbers."""
 
 from collections.abc import Sequence
 
@@ -6,9 +6,9 @@ import numpy as np
 
 
 def point_error(shape: np.ndarray, truth: np.ndarray) -> float:
-    """Mean distance of corresponding (n, 2) landmarks, pixels.
+    """Mean distance between corresponding (n, 2) landmarks, in pixels.
 
-    Landmarks that the truth does not have (NaN) are left out; a shape that is not finite is infinitely wrong.
+    Landmarks missing in `truth` (NaN) are ignored. The error is infinite if `shape` is not finite.
     """
     return float(np.mean(_distances(shape, truth)))
 
@@ -22,33 +22,33 @@ def _distances(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def median_error(shape: np.ndarray, truth: np.ndarray) -> float:
-    """Median distance of corresponding (n, 2) landmarks, pixels: half of them are nearer. See :func:`point_error`."""
+    """Median distance between corresponding (n, 2) landmarks, in pixels. See :func:`point_error`."""
     return float(np.median(_distances(shape, truth)))
 
 
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:
-    """Root mean square distance of corresponding (n, 2) landmarks, pixels: what a covariance speaks of."""
+    """Root mean square distance between corresponding (n, 2) landmarks, in pixels. Compare it with covariances."""
     return root_mean_square(_distances(shape, truth))
 
 
 def inter_ocular_distance(shape: np.ndarray, left_eye: slice, right_eye: slice) -> float:
-    """Distance between the centres of two eyes' landmarks (IOD), pixels."""
+    """Inter-ocular distance (IOD): distance between the centres of both eyes' landmarks, in pixels."""
     return float(np.linalg.norm(shape[left_eye].mean(axis=0) - shape[right_eye].mean(axis=0)))
 
 
 def nme(shape: np.ndarray, truth: np.ndarray, normaliser: float) -> float:
-    """Normalised mean error: mean point-to-point distance as a share of a length such as the IOD."""
+    """Normalised mean error: mean point-to-point distance divided by a length such as the IOD."""
     return point_error(shape, truth) / normaliser
 
 
 def cumulative_errors(errors: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Cumulative error distribution (CED): share of errors at or below each limit; NaN counts as failure."""
+    """Cumulative error distribution (CED): fraction of errors at or below each limit. NaN counts as failure."""
     errors = np.sort(np.where(np.isfinite(errors), errors, np.inf))
     return np.searchsorted(errors, limits, side="right") / max(len(errors), 1)
 
 
 def error_statistics(errors: np.ndarray) -> dict[str, float | None]:
-    """Median, 90th percentile and root mean square; NaN counts as failure, what is not finite becomes None."""
+    """Median, 90th percentile and root mean square. NaN counts as infinite; infinite results become None."""
     errors = np.asarray(errors, dtype=np.float64)
     errors = np.where(np.isfinite(errors), errors, np.inf)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -61,34 +61,34 @@ def error_statistics(errors: np.ndarray) -> dict[str, float | None]:
 
 
 def roc_area(right: np.ndarray, wrong: np.ndarray) -> float:
-    """Chance that a right fit has a higher quality than a wrong one, ties counted half; NaN without both."""
+    """Area under the ROC curve of the quality for right and wrong fits. NaN if either is empty."""
     if not len(right) or not len(wrong):
         return np.nan
     return float(np.mean(right[:, None] > wrong) + 0.5 * np.mean(right[:, None] == wrong))
 
 
 def root_mean_square(values) -> float:
-    """Root mean square of numbers."""
+    """Root mean square of values."""
     return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))
 
 
 def finite_or_none(value: float) -> float | None:
-    """Give a number as JSON knows it: None for what is not finite."""
+    """Return a number for JSON, None if it is not finite."""
     return float(value) if np.isfinite(value) else None
 
 
 def or_dash(value: float | None, style: str = ".3f") -> str:
-    """Give a number in a format, a dash where there is none."""
+    """Format a number, or return a dash for None."""
     return "–" if value is None else format(value, style)
 
 
 def angle_difference(angle: float, truth: float) -> float:
-    """Angle minus truth, brought to (-pi, pi], radians."""
+    """Difference of two angles, wrapped to (-pi, pi], in radians."""
     return float(np.pi - (np.pi - (angle - truth)) % (2 * np.pi))
 
 
 def ranges_of(numbers: Sequence[int], most: int = 8) -> str:
-    """Write sorted numbers as ranges, the first few."""
+    """Format sorted numbers as ranges, at most `most` of them."""
     ranges: list[list[int]] = []
     for number in numbers:
         if ranges and number == ranges[-1][1] + 1:
@@ -96,7 +96,7 @@ def ranges_of(numbers: Sequence[int], most: int = 8) -> str:
         else:
             ranges.append([number, number])
     shown = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in ranges[:most])
-    return shown + (f" and {len(ranges) - most} more stretches" if len(ranges) > most else "")
+    return shown + (f" and {len(ranges) - most} more ranges" if len(ranges) > most else "")
 
 
 def finite_list(values: np.ndarray) -> list:

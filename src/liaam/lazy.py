@@ -6,17 +6,16 @@ from importlib import import_module
 
 
 def attach(package: str, homes: Mapping[str, Sequence[str]]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Give the ``__getattr__`` and ``__dir__`` of a package (PEP 562).
+    """Make the ``__getattr__`` and ``__dir__`` of a package (PEP 562).
 
     Parameters
     ----------
     package : str
-        Its name.
+        Name of the package.
     homes : mapping of str to sequence of str
-        Submodules, and the names that each defines. A name may not be that of a submodule: importing the submodule
-        elsewhere would hide it.
+        Names that each submodule defines. None may be the name of a submodule, which would hide it once imported.
     """
-    assert not {name for names in homes.values() for name in names} & set(homes), "a name is that of its module"
+    assert not {name for names in homes.values() for name in names} & set(homes), "a name equals that of a submodule"
     home = {name: module for module, names in homes.items() for name in names}
 
     def get(name: str) -> object:

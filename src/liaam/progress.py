@@ -1,4 +1,4 @@
-"""How calls that may take long tell how far they are."""
+"""Progress reports of long calls."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -6,25 +6,25 @@ from contextlib import contextmanager
 from time import perf_counter
 
 Progress = Callable[[int, int, str], None]
-"""What long calls are given to tell how far they are: called with (done, total, what)."""
+"""Callback for the progress of long calls, called with (done, total, what)."""
 
 PATIENCE = 2.0
-"""Seconds before a bar appears that nobody has asked for."""
+"""Seconds before a progress bar appears by default."""
 
 
 @contextmanager
 def progress_bar(what: str, total: int | None, show: bool | None = None) -> Iterator[Callable[[int], None]]:
-    """Show on standard error how many are done and what time is left; gives a function to call with the number done.
+    """Show a progress bar with the remaining time on standard error. Yield a function to call with the number done.
 
     Parameters
     ----------
     what : str
-        What is counted, such as ``pictures``.
+        Name of the items, such as ``images``.
     total : int or None
-        How many there are; None if nobody knows.
+        Number of items; None if unknown.
     show : bool or None
-        True: from the beginning; where there is no terminal, a line at the end. False: never. None: on a terminal, once
-        it takes more than two seconds; it leaves nothing behind.
+        True: show it from the start; without a terminal, print one line at the end. False: never. None: show it
+        temporarily, on a terminal only, after :data:`PATIENCE` seconds.
     """
     if show is False or (show is None and not sys.stderr.isatty()):
         yield lambda done: None
@@ -46,7 +46,7 @@ def progress_bar(what: str, total: int | None, show: bool | None = None) -> Iter
 
 class _Bar:
     def __init__(self, what: str, total: int | None) -> None:
-        # Heavy: imported when first needed.
+        # Slow to import.
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar

@@ -1,4 +1,4 @@
-"""Work in many processes or threads: started safely, bounded in what is under way, ended with their parent."""
+"""Work in processes or threads with a bounded number of items in progress. Workers end with their parent."""
 
 import multiprocessing
 import os
@@ -19,31 +19,31 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 AHEAD = 2
-"""Items under way for each worker: one that it does, and the next."""
+"""Items in progress per worker: the current one and the next."""
 
 BEHIND = 8
-"""Items for each thread that may wait, done or not, for one before them that takes long (:func:`in_order`)."""
+"""Items per thread, finished or not, that may wait for a slow one before them (:func:`in_order`)."""
 
 TICK = 0.1
-"""Seconds after which :func:`in_order` looks up from waiting."""
+"""Seconds between calls of `tick` while :func:`in_order` waits."""
 
 
-class WorkerDied(Exception, Generic[Item]):  # noqa: N818 (it tells what happened; callers say what to do about it)
-    """A worker process died (killed, out of memory, or crashed by what it did).
+class WorkerDied(Exception, Generic[Item]):  # noqa: N818 (an event for callers to handle)
+    """A worker process died: it was killed, ran out of memory or crashed.
 
     Attributes
     ----------
     items : list
-        What was under way and gave no result; one of these may be why.
+        Items in progress without a result; one of them may be the cause.
     """
 
     def __init__(self, items: list[Item]) -> None:
-        super().__init__(f"a worker process died with {len(items)} items under way")
+        super().__init__(f"a worker process died with {len(items)} items in progress")
         self.items = items
 
 
 def all_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -55,27 +55,27 @@ def in_workers(
     prepare: Callable[..., object] | None = None,
     inherited: tuple = (),
 ) -> Generator[tuple[Item, Result], None, None]:
-    """Do items in worker processes; they come in the order in which they finish.
+    """Process items in worker processes. Yield (item, result) in order of completion.
 
-    However many items there are, each worker has one at a time.
+    Each worker has one item at a time.
 
     Parameters
     ----------
     perform : callable
-        From an item to its result; at the top of a module, or a ``functools.partial`` of such.
+        Function from an item to its result, at the top level of a module, or a ``functools.partial`` of one.
     items : iterable
-        Picklable.
+        Picklable items.
     jobs : int
-        Worker processes.
+        Number of worker processes.
     prepare : callable, optional
-        What each worker does once, before its first item.
+        Called once in each worker before its first item.
     inherited : tuple
-        Arguments of ``prepare`` that can only be given to a process as it starts, such as shared memory; small.
+        Arguments of ``prepare`` that can only be passed to a process when it starts, such as shared memory.
 
     Raises
     ------
     WorkerDied
-        Once all that was finished has been given.
+        After all finished items are yielded.
     """
     rest = iter(items)
     first = list(islice(rest, jobs))
@@ -89,7 +89,7 @@ def in_workers(
             for message in (*before, (item,)):
                 worker.pipe.send(message)
             busy[worker.pipe] = worker
-        except OSError:  # a broken pipe: it is dead already
+        except OSError:  # a broken pipe: the worker has died
             lost.append(item)
 
     try:
@@ -106,14 +106,14 @@ def in_workers(
                 except (EOFError, OSError):
                     lost.append(done)
                     continue
-                for item in islice(rest, 0 if lost else 1):  # before the result is looked at: the worker goes on
+                for item in islice(rest, 0 if lost else 1):  # the worker continues before its result is handled
                     give(worker, item)
                 if not ok:
                     raise result
                 yield done, result
         if lost:
             raise WorkerDied(lost)
-    except BaseException:  # also a Ctrl-C: nobody waits for what the workers have in hand
+    except BaseException:  # including Ctrl-C: discard the items in progress
         for worker in workers:
             worker.process.kill()
         raise
@@ -173,16 +173,16 @@ def _answer(perform: Callable[[Item], Result], item: Item) -> tuple[bool, Result
 def flow(
     submit: Callable[[Item], "Future[Result]"], items: Iterable[Item], room: Callable[[], int]
 ) -> Iterator[tuple[Item, "Future[Result]"]]:
-    """Keep a bounded number of items under way; gives each with its finished future.
+    """Keep a bounded number of items in progress. Yield each with its finished future.
 
     Parameters
     ----------
     submit : callable
-        Starts an item. The first ones are started deaf to Ctrl-C, and with them the processes that do them.
+        Starts an item. The first items, and the processes they start, ignore Ctrl-C.
     items : iterable
-        Read only as far as there is room.
+        Consumed only while there is room.
     room : callable
-        Says how many may be under way now.
+        Returns how many items may be in progress now.
     """
     rest, under_way = iter(items), {}
 
@@ -195,18 +195,18 @@ def flow(
         for future in wait(under_way, return_when=FIRST_COMPLETED).done:
             item = under_way.pop(future)
             if not future.cancelled() and future.exception() is None:
-                fill()  # first, so that workers go on while this process sees to the result
+                fill()  # first, so that workers continue while this process handles the result
             yield item, future
         fill()
 
 
 @contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
-    """Hold a Ctrl-C back for a moment, so that processes started meanwhile do not hear it, then or later.
+    """Block Ctrl-C for a moment, so that processes started meanwhile ignore it, then and later.
 
-    It reaches all processes of a terminal, but is for the one that can say something about it.
+    Ctrl-C reaches all processes of a terminal, but only the parent handles it.
     """
-    if not hasattr(signal, "pthread_sigmask"):  # Windows, where workers are deaf once they have started
+    if not hasattr(signal, "pthread_sigmask"):  # Windows, where workers ignore it once they have started
         yield
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -217,7 +217,7 @@ def deaf_to_interrupts() -> Iterator[None]:
 
 
 def _start() -> None:
-    """Make this worker deaf to Ctrl-C, and end when its parent is killed; it would wait for more work for ever."""
+    """Make this worker ignore Ctrl-C and exit when its parent dies; otherwise it would wait for work for ever."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -225,9 +225,9 @@ def _start() -> None:
 
 
 def in_threads(perform: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Do items side by side in threads of this process, as many as OpenCV may have; results in the items' order.
+    """Process items in parallel threads, as many as OpenCV may use. Return the results in the items' order.
 
-    For work that lets go of the interpreter: kernels, and what OpenCV does. Under :func:`one_thread`, one by one.
+    For work that releases the GIL, such as kernels and OpenCV functions. Under :func:`one_thread` it is sequential.
     """
     import cv2
 
@@ -245,11 +245,11 @@ def in_order(
     *,
     tick: Callable[[], object] = lambda: None,
 ) -> Generator[Result, None, None]:
-    """Do items in threads of this process; results come in the items' order, as soon as those before them are there.
+    """Process items in threads. Yield results in the items' order, as soon as all earlier ones are finished.
 
-    For work that lets go of the interpreter. Items are taken one by one, in the caller's thread: ``AHEAD`` for each
-    thread are under way at most, and ``BEHIND`` with those that wait for one before them. If an item fails, or the
-    caller stops (by a Ctrl-C, say), no other is begun, and those that threads have in hand are waited for.
+    For work that releases the GIL. The caller's thread consumes the items one by one. At most ``AHEAD`` items per
+    thread are in progress, and at most ``BEHIND`` including finished ones that wait for an earlier item. If an item
+    fails or the caller stops, for example by Ctrl-C, no further item starts, and running ones are completed.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def in_order(
     items : iterable
     threads : int
     tick : callable
-        Called now and then while nothing else happens.
+        Called regularly while waiting.
     """
     rest, kept = iter(items), deque[Future[Result]]()
     pool = ThreadPoolExecutor(threads, "liaam", _hold_this_thread)
@@ -272,7 +272,7 @@ def in_order(
             if kept[0].done():
                 yield kept.popleft().result()
             else:
-                # Not for ever: on some systems a Ctrl-C does not end a wait.
+                # With a timeout, because on some systems Ctrl-C does not interrupt a wait.
                 wait([*under_way, *begun], TICK, FIRST_COMPLETED)
                 tick()
     finally:
@@ -280,14 +280,14 @@ def in_order(
 
 
 def _hold_this_thread() -> None:
-    """Hold OpenMP to one thread for this thread, which has a number of its own."""
+    """Limit OpenMP to one thread in this thread; the limit is per thread."""
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(limits=1, user_api="openmp")
 
 
 class _Hold:
-    """A setting of the process that several threads may hold at once: the last of them to let go restores it."""
+    """A process-wide setting that several threads may hold at once. The last one to release it restores it."""
 
     def __init__(self, take: Callable[[], Callable[[], object]]) -> None:
         self._take, self._turn, self._holders = take, threading.Lock(), 0
@@ -295,7 +295,7 @@ class _Hold:
 
     def __enter__(self) -> None:
         with self._turn:
-            restore = self._take()  # by each: somebody may have changed it meanwhile
+            restore = self._take()  # each time, because other code may have changed the setting
             if not self._holders:
                 self._restore = restore
             self._holders += 1
@@ -308,7 +308,7 @@ class _Hold:
 
 
 def _take_blas() -> Callable[[], object]:
-    import scipy.linalg  # noqa: F401 (it brings a BLAS of its own, which has to be there to be held)
+    import scipy.linalg  # noqa: F401 (loads its own BLAS, which must be loaded to be limited)
     from threadpoolctl import threadpool_limits
 
     return threadpool_limits(limits=1).restore_original_limits
@@ -327,9 +327,9 @@ _blas, _opencv = _Hold(_take_blas), _Hold(_take_opencv)
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Hold BLAS and OpenMP to one thread: the matrices of a fit are too small for more, which wait in loops.
+    """Limit BLAS and OpenMP to one thread, for the whole process.
 
-    Sums then come in one order wherever they are made. It holds for the whole process.
+    The matrices of a fit are too small for more threads, which would busy-wait. Sums then have a fixed order.
     """
     with _blas:
         yield
@@ -337,6 +337,6 @@ def one_blas_thread() -> Iterator[None]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Hold BLAS, OpenMP and OpenCV to one thread: workers leave each other's cores alone."""
+    """Limit BLAS, OpenMP and OpenCV to one thread, so that workers do not compete for cores."""
     with _opencv, _blas:
         yield

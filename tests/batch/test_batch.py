@@ -37,7 +37,7 @@ from setups import train_on
 SIZE = (160, 120)
 N_PICTURES = 9
 FAULTS = {
-    "text.jpg": (b"hello, I am no picture", "whatever its name says"),
+    "text.jpg": (b"hello, I am no picture", "is not a PNG, JPEG, TIFF, BMP, PPM or PGM image"),
     "zero.png": (b"", "is empty"),
     "cut.png": (None, "cut short"),
     "cut.jpg": (b"\xff\xd8\xff\xe0\x00\x10JFIF", "damaged or cut short"),
@@ -143,13 +143,13 @@ def test_paths_stay_as_named(world, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("source", "message"),
-    [("nowhere", "does not exist"), ("empty", "there is no picture"), ("empty/**/*.png", "there is no picture")],
+    [("nowhere", "does not exist"), ("empty", "no images"), ("empty/**/*.png", "no images")],
 )
 def test_a_source_without_pictures_is_an_error_and_leaves_nothing(world, tmp_path, source, message):
     (tmp_path / "empty").mkdir()
     with pytest.raises(LiaamError, match=message):
         batch_of(world, tmp_path / "r.csv", str(tmp_path / source))
-    with pytest.raises(LiaamError, match="no picture to fit"):
+    with pytest.raises(LiaamError, match="no image to fit"):
         batch_of(world, tmp_path / "r.csv", [])
     assert files_beside(tmp_path / "r.csv") == ["empty"]
 
@@ -283,7 +283,7 @@ def fitted(monkeypatch):
 
 def test_a_stopped_batch_goes_on(world, expected, tmp_path, fitted):
     output = tmp_path / "r.csv"
-    with pytest.raises(KeyboardInterrupt, match=r"4 of 13 pictures are kept in .*r\.csv\.parts; the same command"):
+    with pytest.raises(KeyboardInterrupt, match=r"4 of 13 images are finished.*r\.csv\.parts; run the same command"):
         batch_of(world, output, chunk=2, progress=stop_at(4))
     assert files_beside(output) == ["r.csv.parts"]
     summary = batch_of(world, output)
@@ -294,7 +294,7 @@ def test_a_stopped_batch_goes_on(world, expected, tmp_path, fitted):
 
 
 def test_ctrl_c_stops_workers(world, expected, tmp_path):
-    with pytest.raises(KeyboardInterrupt, match="the same command goes on"):
+    with pytest.raises(KeyboardInterrupt, match="run the same command again to resume"):
         batch_of(world, tmp_path / "r.csv", jobs=2, chunk=1, progress=stop_at(3))
     assert not multiprocessing.active_children()
     batch_of(world, tmp_path / "r.csv", jobs=2)
@@ -394,7 +394,7 @@ def test_other_settings_are_refused(world, tmp_path, stopped):
 
 def test_a_batch_that_has_done_nothing_leaves_nothing(world, expected, tmp_path, monkeypatch):
     output, other = tmp_path / "r.csv", Settings("rgb", world.settings.init, 30)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt, match="no picture is done yet"):
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt, match="no image is finished yet"):
         patch.setattr(Job, "row", lambda job, path: stop_at(0)(0, 0, ""))
         batch_of(world, output)
     assert files_beside(output) == []
@@ -412,7 +412,7 @@ def test_a_batch_that_has_done_nothing_leaves_nothing(world, expected, tmp_path,
 
 
 def test_two_batches_on_one_output_are_refused(world, tmp_path):
-    with Journal(tmp_path / "r.csv.parts"), pytest.raises(LiaamError, match="another batch works on the same output"):
+    with Journal(tmp_path / "r.csv.parts"), pytest.raises(LiaamError, match="is in use by another batch"):
         batch_of(world, tmp_path / "r.csv")
     batch_of(world, tmp_path / "r.csv")
 
@@ -420,10 +420,10 @@ def test_two_batches_on_one_output_are_refused(world, tmp_path):
 def test_a_damaged_journal_says_how_to_go_on(world, tmp_path):
     (tmp_path / "r.csv.parts").mkdir()
     (tmp_path / "r.csv.parts" / "journal.sqlite").write_bytes(b"nonsense" * 1000)
-    with pytest.raises(LiaamError, match=r"remove .* and begin anew"):
+    with pytest.raises(LiaamError, match=r"remove .* and start again"):
         batch_of(world, tmp_path / "r.csv")
     (tmp_path / "s.csv.parts").write_text("mine")
-    with pytest.raises(LiaamError, match=r"s\.csv\.parts is no folder"):
+    with pytest.raises(LiaamError, match=r"s\.csv\.parts is a file"):
         batch_of(world, tmp_path / "s.csv")
     assert (tmp_path / "s.csv.parts").read_text() == "mine"
 
@@ -505,13 +505,13 @@ def test_a_picture_that_kills_workers_of_a_cluster_is_a_row(world, cluster):
 def test_a_scheduler_that_is_not_there_is_an_error(world, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(cluster_module, "PATIENCE", 0.5)
-    with pytest.raises(LiaamError, match="no scheduler answers there"):
+    with pytest.raises(LiaamError, match="no scheduler answers"):
         batch_of(world, tmp_path / "r.csv", jobs=None, scheduler="tcp://127.0.0.1:1")
     assert files_beside(tmp_path / "r.csv") == []
     with monkeypatch.context() as patch:
         patch.setattr(cluster_module, "Client", None)  # it would hang when it is thrown away
         for address in ("foo://bar", "nonsense", "tcp://host:1x"):
-            with pytest.raises(LiaamError, match=f"{address}: no scheduler answers there"):
+            with pytest.raises(LiaamError, match=f"{address}: no scheduler answers"):
                 batch_of(world, tmp_path / "r.csv", jobs=None, scheduler=address)
     with pytest.raises(LiaamError, match="leave --jobs out"):
         batch_of(world, tmp_path / "r.csv", jobs=2, scheduler="tcp://127.0.0.1:1")
@@ -614,7 +614,7 @@ def test_a_folder_that_may_not_be_read_is_passed_over_and_named(locked, pattern)
 
 
 def test_a_source_that_may_not_be_read_is_an_error(locked, world, tmp_path):
-    with pytest.raises(LiaamError, match=r"closed cannot be read \(Permission denied\): check the rights"):
+    with pytest.raises(LiaamError, match=r"closed cannot be read \(Permission denied\): check its permissions"):
         batch_of(world, tmp_path / "out.jsonl", locked / "closed")
 
 
@@ -622,7 +622,7 @@ def test_the_command_names_folders_that_may_not_be_read(run, locked, world, tmp_
     options = ["-m", "grey", "--init", world.settings.init, "--jobs", 1, "-o", tmp_path / "out.jsonl"]
     _, out, err = run("batch", world.model, locked, *options)
     assert "1 row: 1" in out
-    assert err.count("cannot be read, so it is passed over") == 2
+    assert err.count("it cannot be read; check its permissions") == 2
     assert [Path(row["path"]).name for row in rows_of(tmp_path / "out.jsonl")] == ["1.png"]
 
 
@@ -684,7 +684,7 @@ def test_a_journal_with_a_damaged_cell_says_how_to_go_on(world, tmp_path, change
     output = tmp_path / f"r{suffix}"
     damage(world, output, change)
     pictures = [world.pictures / "face2.png", world.pictures / "face4.png"]
-    with pytest.raises(LiaamError, match=r"is damaged.*remove .*\.parts and begin anew"):
+    with pytest.raises(LiaamError, match=r"is damaged.*remove .*\.parts and start again"):
         batch_of(world, output, pictures)
     assert not output.exists()
     assert batch_of(world, output, pictures, restart=True).total == 2
@@ -715,5 +715,5 @@ def test_a_journal_whose_own_words_are_no_text_is_damaged(tmp_path):
         pass
     file = tmp_path / "r.parts" / "journal.sqlite"
     file.write_bytes(file.read_bytes().replace(b"facts (text", b"facts \xff(ext"))
-    with pytest.raises(LiaamError, match=r"is damaged.*begin anew"), Journal(tmp_path / "r.parts"):
+    with pytest.raises(LiaamError, match=r"is damaged.*start again"), Journal(tmp_path / "r.parts"):
         pass

@@ -1,10 +1,10 @@
-"""Fit a model to any number of pictures: on all cores or a cluster, resumable, one row per picture.
+"""Fit a model to many images, on all cores or a cluster, resumable, with one table row per image.
 
-:func:`run_batch` lists the pictures in a journal beside the output (:mod:`~liaam.batch.journal`), has chunks of them
-fitted here, in worker processes or by a Dask cluster (:mod:`~liaam.batch.pools`), keeps the rows of each finished chunk
-in the journal, and writes the table at the end (:mod:`~liaam.batch.tables`). Nothing is held in memory but the chunks
-under way, and the table depends on pictures and settings only: not on the number of workers, nor on the order in which
-they finish, nor on stops.
+:func:`run_batch` lists the images in a journal beside the output (:mod:`~liaam.batch.journal`). It fits them in chunks,
+in this process, in worker processes or on a Dask cluster (:mod:`~liaam.batch.pools`), and stores the rows of each
+finished chunk in the journal. At the end it writes the table (:mod:`~liaam.batch.tables`). Only the chunks in progress
+are in memory. The table depends only on images and settings, not on the number of workers, their order or
+interruptions.
 """
 
 from liaam.batch.pictures import find_pictures, listed_pictures

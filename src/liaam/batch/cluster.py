@@ -1,4 +1,4 @@
-"""Chunks on a Dask cluster that is there already. Needs the extra ``cluster``."""
+"""Fit chunks on a running Dask cluster. Needs the extra ``cluster``."""
 
 import threading
 import uuid
@@ -11,28 +11,28 @@ from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 
 from liaam import __version__
-from liaam.batch.pools import Chunk, Finished, deadly
+from liaam.batch.pools import Chunk, Finished, row_of_death
 from liaam.batch.work import Job, KeptRow
 from liaam.errors import LiaamError
 from liaam.workers import AHEAD, flow, one_thread
 
 PATIENCE = 30
-"""Seconds to wait for the scheduler, and for its first worker."""
+"""Timeout in seconds for the scheduler, and for its first worker."""
 
 
 class _Ready(WorkerPlugin):
-    """The job on each worker of the cluster: sent once, and to workers that join later too."""
+    """The job on each worker of the cluster, sent once to all workers, including those that join later."""
 
     def __init__(self, job: Job) -> None:
         self.job, self.version = job, __version__
 
     def setup(self, worker: Worker) -> None:
         if self.version != __version__:
-            raise RuntimeError(f"worker {worker.address} has liaam {__version__}, and this is {self.version}")
+            raise RuntimeError(f"worker {worker.address} has liaam {__version__}, not {self.version}")
         self.turn = threading.Lock()
 
     def rows(self, chunk: Chunk) -> list[KeptRow]:
-        """Do a chunk; threads of one worker take turns, as the hold on BLAS's threads is on the whole process."""
+        """Fit a chunk. The threads of a worker take turns, because the limit on BLAS threads is per process."""
         with self.turn, one_thread():
             return self.job.rows(chunk)
 
@@ -43,39 +43,39 @@ def _fit_chunk(name: str, chunk: Chunk) -> list[KeptRow]:
 
 
 def on_cluster(job: Job, chunks: Iterable[Chunk], address: str) -> Finished:
-    """Do chunks on the workers of a scheduler; those of a worker that is lost are done by another.
+    """Fit chunks on the workers of a scheduler. Another worker takes over the chunks of a lost one.
 
     Raises
     ------
     LiaamError
-        If the scheduler or a first worker cannot be reached, is lost, or has another liaam.
+        If the scheduler or a first worker cannot be reached, is lost, or has another version of liaam.
     """
     with _connected(address) as client, _prepared(client, job) as name:
         executor = client.get_executor(pure=False)
-        alone: list[Chunk] = []  # pictures that were with workers when these died, filled by the first round
+        alone: list[Chunk] = []  # images of chunks whose workers died, filled by the first round
         try:
             for items, room in ((chunks, lambda: _room(client)), (alone, lambda: 1)):
                 for chunk, future in flow(lambda chunk: executor.submit(_fit_chunk, name, chunk), items, room):
                     if future.cancelled():
-                        raise LiaamError(f"{address}: the scheduler is lost; the same command goes on where it stopped")
+                        raise LiaamError(f"{address}: the scheduler is lost; run the same command again to resume")
                     error = future.exception()
                     if error is None:
                         yield chunk, future.result()
                     elif not isinstance(error, KilledWorker):
-                        raise LiaamError(f"{address}: the work fails there ({error}); {_REMEDY}") from error
+                        raise LiaamError(f"{address}: the workers fail ({error}); {_REMEDY}") from error
                     elif items is not alone:
                         alone += [(path,) for path in chunk]
                     else:
-                        yield chunk, [deadly(*chunk)]
+                        yield chunk, [row_of_death(*chunk)]
         finally:
-            executor.shutdown(wait=False)  # takes back what nobody waits for any more
+            executor.shutdown(wait=False)  # cancels pending chunks
 
 
-_REMEDY = f"its workers need liaam {__version__} and this Python's version of distributed"
+_REMEDY = f"they need liaam {__version__} and the same version of distributed as here"
 
 
 def _room(client: Client) -> int:
-    """Chunks that may be under way: enough for the workers that there are now."""
+    """Return how many chunks may be in progress, by the number of workers now."""
     threads: Any = client.nthreads()
     return AHEAD * max(1, sum(threads.values()))
 
@@ -83,15 +83,15 @@ def _room(client: Client) -> int:
 @contextmanager
 def _connected(address: str) -> Iterator[Client]:
     try:
-        # Before there is a Client: one that cannot make sense of its address hangs when it is thrown away.
+        # Check the address first: a Client with an invalid address hangs when it is deleted.
         scheme, place = parse_address(address)
         get_backend(scheme)
         if scheme in ("tcp", "tls"):
             parse_host_port(place)
         client = Client(address, timeout=PATIENCE, set_as_default=False, name="liaam-batch")
-    except (OSError, ValueError, ImportError) as error:  # a time-out is an OSError
+    except (OSError, ValueError, ImportError) as error:  # a timeout is an OSError
         raise LiaamError(
-            f"{address}: no scheduler answers there ({error}); start one with 'dask scheduler' and give the address "
+            f"{address}: no scheduler answers ({error}); start one with 'dask scheduler' and give the address "
             "that it prints, such as tcp://host:8786"
         ) from None
     with client:
@@ -106,12 +106,12 @@ def _connected(address: str) -> Iterator[Client]:
 
 @contextmanager
 def _prepared(client: Client, job: Job) -> Iterator[str]:
-    """Give the job to all workers, once; they know it by the name that is given."""
+    """Send the job to all workers once, and yield the name under which they have it."""
     name = f"liaam-{uuid.uuid4().hex}"
     try:
         client.register_plugin(_Ready(job), name=name)
-    except Exception as error:  # whatever the workers raise
-        raise LiaamError(f"the cluster's workers cannot be made ready ({error}); {_REMEDY}") from error
+    except Exception as error:  # of any class, raised by the workers
+        raise LiaamError(f"the cluster's workers cannot be prepared ({error}); {_REMEDY}") from error
     try:
         yield name
     finally:

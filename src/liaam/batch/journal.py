@@ -1,7 +1,7 @@
-"""What is to be done and what is done, on disk: one SQLite file in a folder beside the output.
+"""Images of a batch and their finished rows, on disk: one SQLite file in a folder beside the output.
 
-Rows are committed chunk by chunk, so that a kill at any point loses no more than the chunks under way. The file stays
-locked while a batch works on it, and the system takes the lock off when the process ends, however it ends.
+Rows are committed per chunk, so a kill loses only the chunks in progress. The file is locked while a batch runs, and
+the system releases the lock when the process ends for any reason.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from typing import Any
 from liaam.errors import LiaamError
 
 PAGE = 1000
-"""Pictures that are read from the journal at a time."""
+"""Number of images read from the journal at a time."""
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS facts (text TEXT NOT NULL);
@@ -39,7 +39,7 @@ ON CONFLICT (place, path) DO UPDATE SET
 
 
 def place_of(path: str) -> bytes:
-    """Sort key of a path: in natural order, 2 before 10, whatever the case of the letters.
+    """Return a sort key of a path for case-insensitive natural order, 2 before 10.
 
     Examples
     --------
@@ -55,7 +55,7 @@ def place_of(path: str) -> bytes:
 
 
 class Journal:
-    """Pictures in their order, and the rows of those that are done.
+    """Images in order, with the rows of those that are finished.
 
     Attributes
     ----------
@@ -67,14 +67,14 @@ class Journal:
         self._file = folder / "journal.sqlite"
         if folder.exists() and not folder.is_dir():
             raise LiaamError(
-                f"{folder} is no folder, and what is done is kept in one of this name; move the file away, or give "
-                "another name with -o"
+                f"{folder} is a file, but the batch needs a folder of this name; move the file, or give another name "
+                "with -o"
             )
         with self._explained():
             folder.mkdir(exist_ok=True)
             self._base = sqlite3.connect(self._file, timeout=0.0, isolation_level=None)
             try:
-                # Exclusive before the first access: then no shared memory is needed, which network disks lack.
+                # Exclusive mode before the first access avoids shared memory, which network disks lack.
                 for pragma in ("locking_mode = EXCLUSIVE", "journal_mode = WAL", "synchronous = NORMAL"):
                     self._base.execute(f"PRAGMA {pragma}").fetchall()
                 self._base.executescript(f"BEGIN EXCLUSIVE; {_TABLES} COMMIT;")
@@ -90,7 +90,7 @@ class Journal:
 
     @property
     def facts(self) -> dict[str, Any] | None:
-        """Settings that the rows were made with; None in a journal that is new."""
+        """Settings of the rows; None in a new journal."""
         found = self._ask("SELECT text FROM facts")
         if not found:
             return None
@@ -103,12 +103,12 @@ class Journal:
         return facts
 
     def check(self) -> None:
-        """Check that all rows are as they were kept.
+        """Check that no row has changed since it was committed.
 
         Raises
         ------
         LiaamError
-            If a byte of them, or how they are found, has changed.
+            If the file is damaged or the digest of a row does not match.
         """
         (found,) = self._ask("PRAGMA integrity_check(1)")
         if found != ("ok",):
@@ -118,20 +118,20 @@ class Journal:
                 raise self.damage("a row has changed")
 
     def restart(self, facts: dict[str, Any]) -> None:
-        """Forget all rows, and note the settings of those to come."""
+        """Delete all rows and store the settings of new ones."""
         with self._change():
             self._base.execute("DELETE FROM pictures")
             self._base.execute("DELETE FROM facts")
             self._base.execute("INSERT INTO facts VALUES (?)", (json.dumps(facts),))
 
     def list(self, pictures: Iterable[str], start_of: Callable[[str], Path | None]) -> None:
-        """Note which pictures there are, each once; rows stay of those whose files are the same still.
+        """Store the list of images without duplicates. Keep the rows of images whose files have not changed.
 
         Parameters
         ----------
         pictures : iterable of str
         start_of : callable
-            Gives the file that the start of a picture is read from, if there is one.
+            Returns the file with the start of an image, or None.
         """
         with self._change():
             self._base.execute("UPDATE pictures SET seen = 0")
@@ -140,7 +140,7 @@ class Journal:
 
     @property
     def total(self) -> int:
-        """Number of pictures."""
+        """Number of images."""
         return self._ask("SELECT count(*) FROM pictures")[0][0]
 
     @property
@@ -154,7 +154,7 @@ class Journal:
         return found
 
     def todo(self, size: int) -> Iterator[tuple[str, ...]]:
-        """Pictures without a row, in chunks, in their order."""
+        """Iterate over images without a row, in order, in chunks of `size`."""
         chunk: list[str] = []
         for (path,) in self._pages("path", "row IS NULL"):
             chunk.append(os.fsdecode(path))
@@ -165,7 +165,7 @@ class Journal:
             yield tuple(chunk)
 
     def keep(self, chunk: Iterable[str], rows: Iterable[tuple[str, str]]) -> None:
-        """Keep (status, row) of each picture of a chunk; they are on disk when this returns."""
+        """Commit (status, row) of each image of a chunk to disk."""
         names = [(path, os.fsencode(path)) for path in chunk]
         entries = [
             (*row, _digest(name, *row), place_of(path), name) for (path, name), row in zip(names, rows, strict=True)
@@ -176,29 +176,29 @@ class Journal:
             )
 
     def rows(self) -> Iterator[str]:
-        """All rows, in the order of the pictures."""
+        """Iterate over all rows in the order of the images."""
         for (row,) in self._pages("row", "row IS NOT NULL"):
             if not isinstance(row, str):
-                raise self.damage("a row is no text")
+                raise self.damage("a row is not text")
             yield row
 
     def digest(self) -> str:
-        """Digest of which pictures there are, of what size and age, and their starts."""
+        """Return a digest of the images and their starts, by path, size and modification time."""
         digest = hashlib.sha256()
         for entry in self._pages("path, state", "TRUE"):
             digest.update(repr(entry).encode())
         return digest.hexdigest()
 
     def remove(self) -> None:
-        """Forget everything: the table is written."""
+        """Delete the journal."""
         self._base.close()
         for path in self.folder.glob("journal.sqlite*"):
             path.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # somebody has put something there
+        with contextlib.suppress(OSError):  # the folder holds other files
             self.folder.rmdir()
 
     def _pages(self, columns: str, which: str) -> Iterator[tuple]:
-        """Read pictures page by page: rows are changed meanwhile, and there may be any number."""
+        """Read images page by page, because there may be many and their rows change meanwhile."""
         last = (b"", b"")
         while True:
             page = self._ask(
@@ -209,23 +209,23 @@ class Journal:
             if not page:
                 return
             if not all(isinstance(key, bytes) for entry in page for key in entry[:2]):
-                raise self.damage("a picture has no name")
+                raise self.damage("an image has no name")
             last = page[-1][:2]
             yield from (entry[2:] for entry in page)
 
     def damage(self, what: object) -> LiaamError:
-        """Say that the journal is damaged, and how to go on."""
+        """Return the error of a damaged journal."""
         return LiaamError(
-            f"{self._file} is damaged, or of another version ({what}): remove {self.folder} and begin anew"
+            f"{self._file} is damaged or from another version ({what}): remove {self.folder} and start again"
         )
 
     def _ask(self, question: str, values: tuple = ()) -> Sequence[tuple]:
-        with self._explained():  # rows may turn out to be damaged when they are fetched
+        with self._explained():  # fetching may fail on damaged rows
             return self._base.execute(question, values).fetchall()
 
     @contextmanager
     def _change(self) -> Iterator[None]:
-        """All of a change or nothing."""
+        """Run the block as one transaction."""
         with self._explained():
             self._base.execute("BEGIN")
             try:
@@ -241,32 +241,32 @@ class Journal:
             yield
         except OSError as error:
             raise LiaamError(
-                f"{self.folder} cannot be written ({error.strerror or error}): check the rights and the free space"
+                f"{self.folder} cannot be written ({error.strerror or error}): check the permissions and the free space"
             ) from error
-        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter of a message that repeats damaged bytes
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter if a message quotes damaged bytes
             if "locked" in str(error):
                 raise LiaamError(
-                    f"{self.folder} is in use: another batch works on the same output; wait for it, or give another "
-                    "name with -o"
+                    f"{self.folder} is in use by another batch with the same output; wait for it, or give another name "
+                    "with -o"
                 ) from None
             raise LiaamError(
-                f"{self._file} cannot be read or written ({error}): check the rights and the free space; if it is "
-                f"damaged, remove {self.folder} and begin anew"
+                f"{self._file} cannot be read or written ({error}): check the permissions and the free space; if it "
+                f"is damaged, remove {self.folder} and start again"
             ) from error
 
 
 def _digest(path: bytes, status: Any, row: Any) -> bytes:
-    """What tells a row from all others; SQLite does not notice if a byte of it changes."""
+    """Digest of a row. SQLite does not notice if a byte of it changes."""
     return hashlib.blake2b(repr((path, status, row)).encode("utf-8", "replace"), digest_size=8).digest()
 
 
 def _entry(start_of: Callable[[str], Path | None], path: str) -> tuple[bytes, bytes, str]:
-    path = re.sub(r"^(\./)+(?=.)", "", re.sub("(?<=.)//+", "/", path))  # normpath would take a link's .. for another
+    path = re.sub(r"^(\./)+(?=.)", "", re.sub("(?<=.)//+", "/", path))  # normpath would resolve .. after a link wrongly
     return place_of(path), os.fsencode(path), json.dumps([_state(Path(path)), _state(start_of(path))])
 
 
 def _state(path: Path | None) -> tuple[int, int] | None:
-    """Size and age of a file; None if it is not there, or hidden from us: its row will say why."""
+    """Return size and modification time of a file; None if it cannot be accessed (its row will report why)."""
     try:
         found = None if path is None else path.stat()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Which pictures: of folders, patterns, files and lists, one at a time, so that there may be any number."""
+"""Iterate over the images of folders, patterns, files and lists."""
 
 import errno
 import fnmatch
@@ -17,49 +17,48 @@ SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
 
 
 def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], object] | None = None) -> Iterator[str]:
-    """Give the paths of pictures.
+    """Iterate over the paths of images.
 
     Parameters
     ----------
     *sources : path-like
-        Folders, of which all pictures are taken, those of sub-folders too; patterns such as ``images/**/left*.png``,
-        where ``**`` stands for any folders; or files, whatever they are called. Hidden files and folders are passed
-        over.
+        Folders, searched with their subfolders; patterns such as ``images/**/left*.png``, where ``**`` matches any
+        folders; or files with any name. Hidden files and folders are skipped.
     on_closed : callable, optional
-        Called with each folder that may not be read and is passed over; if left out, a warning names it.
+        Called with each folder that is skipped because it cannot be read. Default: issue a warning.
 
     Yields
     ------
     str
-        A path, as the source names it.
+        A path, absolute or relative as in the source.
 
     Raises
     ------
     ImageError
-        If a source is not there, may not be read, or is a folder or pattern without pictures.
+        If a source does not exist, cannot be read, or is a folder or pattern without images.
     """
     on_closed = on_closed or _warn
     for source in [os.fspath(source) for source in sources]:
-        if os.path.isdir(source):  # noqa: PTH112 (a str stays one, as people wrote it)
+        if os.path.isdir(source):  # noqa: PTH112 (keeps the text unchanged)
             found = _in_folder(source, on_closed)
         elif glob.has_magic(source) and not os.path.lexists(source):
             found = _of_pattern(source, on_closed)
         else:
             if not os.path.lexists(source):
-                existing_file(source, ImageError, "picture")  # says what is wrong
-            found = iter([source])  # whatever else is wrong with it is said in its row
+                existing_file(source, ImageError, "image")  # raises
+            found = iter([source])  # its row reports other faults
         first = next(found, None)
         if first is None:
             raise ImageError(
-                f"{source}: there is no picture ({', '.join(SUFFIXES[:9])} …); give a folder of pictures, or a pattern "
-                "in quotation marks, such as 'images/**'"
+                f"{source}: no images ({', '.join(SUFFIXES[:9])} …); give a folder of images, or a quoted pattern such "
+                "as 'images/**'"
             )
         yield first
         yield from found
 
 
 def listed_pictures(lines: Iterable[bytes]) -> Iterator[str]:
-    """Give the paths of a list, one in each line; a file that is not there becomes a row that says so."""
+    """Iterate over the paths of a list with one path per line. A missing file becomes a row with an error."""
     for number, line in enumerate(lines):
         path = os.fsdecode(line.removeprefix(b"\xef\xbb\xbf") if number == 0 else line).rstrip("\r\n")
         if path.strip():
@@ -67,28 +66,28 @@ def listed_pictures(lines: Iterable[bytes]) -> Iterator[str]:
 
 
 def _warn(folder: str) -> None:
-    warnings.warn(f"{folder} cannot be read, so it is passed over: check the rights", stacklevel=3)
+    warnings.warn(f"skipped {folder}: it cannot be read; check its permissions", stacklevel=3)
 
 
 def _in_folder(folder: str, on_closed: Callable[[str], object]) -> Iterator[str]:
     try:
         os.scandir(folder).close()
     except OSError as fault:
-        raise ImageError(f"{folder} cannot be read ({fault.strerror or fault}): check the rights") from fault
+        raise ImageError(f"{folder} cannot be read ({fault.strerror or fault}): check its permissions") from fault
     for parent, folders, names in os.walk(folder, onerror=lambda fault: on_closed(fault.filename)):
         folders[:] = [name for name in folders if not name.startswith(".")]
         yield from (os.path.join(parent, name) for name in names if _is_picture(name))  # noqa: PTH118
 
 
 def _of_pattern(pattern: str, on_closed: Callable[[str], object]) -> Iterator[str]:
-    """Pictures of a pattern; each folder is listed once."""
-    parts = pattern.split(os.sep)  # noqa: PTH206 (what the path begins with stays as it is)
+    """Iterate over the images that match a pattern, listing each folder once."""
+    parts = pattern.split(os.sep)  # noqa: PTH206 (keeps the beginning of the path unchanged)
     fixed = [*takewhile(lambda part: not glob.has_magic(part), parts)]
     parts = [part for part in parts[len(fixed) : -1] if part] + parts[-1:]
     todo = [(os.sep.join([*fixed, ""]), {0})]  # noqa: PTH118
     while todo:
         folder, places = todo.pop()
-        # Where the entries of this folder may be in the pattern: after a '**' that stands for no folder, too.
+        # Positions in the pattern that entries of this folder can match; '**' may also match no folder.
         for place in range(len(parts) - 1):
             if place in places and parts[place] == "**":
                 places.add(place + 1)
@@ -120,7 +119,7 @@ def _matches(name: str, part: str) -> bool:
 
 
 def _is_folder(entry: "os.DirEntry[str]") -> bool:
-    """Whether an entry is a folder to look into: a link to a folder that it lies in would lead round and round."""
+    """Whether an entry is a folder to search. A link to a folder that contains it would never end."""
     if not entry.is_dir() or not entry.is_symlink():
         return entry.is_dir()
     here, there = (Path(os.path.realpath(path)) for path in (Path(entry.path).parent, entry.path))

@@ -1,4 +1,4 @@
-"""Who does the chunks: this process, worker processes, or a cluster; all give the same rows."""
+"""Fit chunks in this process or in worker processes, with the same rows."""
 
 from collections.abc import Generator, Iterable, Iterator
 from functools import partial
@@ -13,14 +13,14 @@ Finished = Generator[tuple[Chunk, list[KeptRow]], None, None]
 
 
 def in_turn(job: Job, chunks: Iterable[Chunk]) -> Finished:
-    """Do chunks in this process."""
+    """Fit chunks in this process."""
     with one_thread():
         for chunk in chunks:
             yield chunk, job.rows(chunk)
 
 
 def in_processes(job: Job, chunks: Iterable[Chunk], jobs: int) -> Finished:
-    """Do chunks in worker processes; a picture that kills its worker becomes a row that says so."""
+    """Fit chunks in worker processes. An image that crashes its worker becomes a row with an error."""
     chunks = iter(chunks)
     while True:
         try:
@@ -31,16 +31,16 @@ def in_processes(job: Job, chunks: Iterable[Chunk], jobs: int) -> Finished:
         yield from _one_by_one(job, suspects)
 
 
-def deadly(path: str) -> KeptRow:
-    """Row of a picture whose worker died, all alone with it."""
-    message = f"{path}: the process that read and fitted it died (killed, or out of memory); look at it, or shrink it"
+def row_of_death(path: str) -> KeptRow:
+    """Return the row of an image that crashed its worker."""
+    message = f"{path}: the worker process died (killed or out of memory); check the image, or make it smaller"
     row = failed_row(path, message)
     return kept({**row, "seconds": None})
 
 
 def _one_by_one(job: Job, paths: list[str]) -> Finished:
-    """Find out which picture it was: one worker, one picture at a time."""
-    # The empty chunk tells a worker that cannot even start, which is no picture's fault.
+    """Fit images one at a time with one worker, to find the image that crashes it."""
+    # The empty chunk detects a worker that cannot start, which no image causes.
     rest = iter(paths)
     while True:
         chunks: Iterator[Chunk] = chain([()], ((path,) for path in rest))
@@ -53,7 +53,7 @@ def _one_by_one(job: Job, paths: list[str]) -> Finished:
             (chunk,) = death.items
         if not chunk:
             raise LiaamError(
-                "worker processes cannot start: a script that asks for more than one job needs the usual "
-                "'if __name__ == \"__main__\":'; otherwise the line above says why, and --jobs 1 does without them"
+                "worker processes cannot start: a script that uses more than one job needs "
+                "'if __name__ == \"__main__\":'; for other causes see the line above; --jobs 1 uses no workers"
             )
-        yield chunk, [deadly(*chunk)]
+        yield chunk, [row_of_death(*chunk)]

@@ -1,4 +1,4 @@
-"""A batch from pictures to table, or what is left of one that was stopped."""
+"""Run a batch from images to table, or resume one."""
 
 import hashlib
 import json
@@ -24,25 +24,25 @@ from liaam.progress import Progress
 from liaam.workers import all_cores
 
 CHUNK = 16
-"""Pictures that a worker does at a time, and at most so many of each worker are done again after a kill."""
+"""Images per chunk. After a kill, at most one chunk per worker is fitted again."""
 
 _SHARES = 4
-"""Chunks for each worker that there should be at least, so that none ends long before the others."""
+"""Minimum number of chunks per worker, so that all workers end at about the same time."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a batch came to.
+    """Result of a batch.
 
     Attributes
     ----------
     output : Path
     statuses : dict of str to int
-        Number of pictures by status: those of :class:`liaam.fitting.FitStatus`, and ``error``.
+        Number of images by status: those of :class:`liaam.fitting.FitStatus`, and ``error``.
     fitted : int
-        Pictures that became rows in this run, errors too; the others were done already.
+        Images processed in this run, including errors. The others were finished before.
     seconds : float
-        That this run took to fit them.
+        Time of this run's fits.
     """
 
     output: Path
@@ -52,7 +52,7 @@ class Summary:
 
     @property
     def total(self) -> int:
-        """Number of pictures."""
+        """Number of images."""
         return sum(self.statuses.values())
 
 
@@ -68,31 +68,31 @@ def run_batch(
     restart: bool = False,
     progress: Progress | None = None,
 ) -> Summary:
-    """Fit a model to pictures and write a table, or go on with a batch that was stopped.
+    """Fit a model to images and write a table, or resume an interrupted batch.
 
-    Rows are in the natural order of the pictures' paths. They and the table depend on model, pictures and settings
-    only, but for the column ``seconds``.
+    Rows are in the natural order of the image paths. Except for the column ``seconds``, the table depends only on
+    model, images and settings.
 
     Parameters
     ----------
     model : path-like
         A model file.
     pictures : path-like, or iterable of path-like
-        A folder or pattern (see :func:`find_pictures`); or paths, which are read one by one, and become a row each
-        whether the picture can be read or not.
+        A folder or pattern (see :func:`find_pictures`), or paths. Each path becomes a row, even if the image cannot be
+        read.
     output : path-like
-        The table to write; ends in ``.parquet`` (needs the extra ``batch``), ``.csv`` or ``.jsonl``. Beside it stand
-        ``OUTPUT.json``, a summary, and until it is complete ``OUTPUT.parts``, what is done.
+        The table to write, with suffix ``.parquet`` (needs the extra ``batch``), ``.csv`` or ``.jsonl``. The summary
+        is written to ``OUTPUT.json``. Until the table is complete, ``OUTPUT.parts`` holds the finished rows.
     settings : Settings, optional
     jobs : int, optional
-        Worker processes; one per core if left out. Scripts that ask for more than one need the usual
+        Number of worker processes. By default one per core. Scripts that use more than one need
         ``if __name__ == "__main__"``.
     chunk : int, optional
-        Pictures that a worker does at a time; 16, or fewer where there are few pictures.
+        Images per chunk. By default 16, or fewer if there are few images.
     scheduler : str, optional
-        Address of a Dask scheduler, whose workers then do the work (needs the extra ``cluster``).
+        Address of a Dask scheduler, whose workers then fit the images (needs the extra ``cluster``).
     restart : bool
-        Whether to begin anew where there are results of other settings, or a file that no batch has written.
+        Whether to start over, and replace results of other settings or a file that no batch wrote.
     progress : callable, optional
         Called with (done, total, what).
 
@@ -103,10 +103,10 @@ def run_batch(
     Raises
     ------
     LiaamError
-        The model, the settings or the output make no sense, or another batch works on the same output. A picture that
-        cannot be fitted is no error but a row.
+        If the model, the settings or the output are invalid, or another batch uses the same output. An image that
+        cannot be fitted raises no error; its row has the status ``error``.
     KeyboardInterrupt
-        With a message that says how to go on.
+        With a message on how to resume.
 
     Examples
     --------
@@ -124,20 +124,20 @@ def run_batch(
 
 @dataclass(frozen=True)
 class _Workers:
-    """Who does the work."""
+    """Number and kind of workers."""
 
     jobs: int
     chunk: int | None
     scheduler: str | None
 
     def chunk_for(self, pictures: int) -> int:
-        """Size of a chunk where there is so much to do."""
+        """Return the chunk size for a number of images."""
         return self.chunk or max(1, min(CHUNK, pictures // (_SHARES * self.jobs)))
 
     def do(self, job: Job, chunks: Iterable[Chunk]) -> Finished:
-        """Do chunks, in whatever order."""
+        """Fit chunks, in any order."""
         if self.scheduler is not None:
-            from liaam.batch.cluster import on_cluster  # it needs an optional library
+            from liaam.batch.cluster import on_cluster  # needs an optional library
 
             return on_cluster(job, chunks, self.scheduler)
         return in_turn(job, chunks) if self.jobs == 1 else in_processes(job, chunks, self.jobs)
@@ -147,17 +147,17 @@ def _workers(jobs: int | None, chunk: int | None, scheduler: str | None) -> _Wor
     if min(jobs or 1, chunk or 1) < 1 or 0 in (jobs, chunk):
         raise LiaamError("jobs and chunk must be at least 1")
     if scheduler is not None and jobs is not None:
-        raise LiaamError(f"scheduler {scheduler}: how many jobs there are is told by its workers; leave --jobs out")
+        raise LiaamError(f"scheduler {scheduler}: its workers determine the number of jobs; leave --jobs out")
     if scheduler is not None and find_spec("distributed") is None:
         raise LiaamError(f'scheduler {scheduler}: a cluster needs Dask; run pip install "liaam[cluster]"')
     return _Workers(jobs or all_cores(), chunk, scheduler)
 
 
 def _job_of(model: Path, settings: Settings) -> Job:
-    """Read a model file, and find out before the work whether it can be fitted like that."""
+    """Read a model file, and check before any work that it can be fitted with these settings."""
     from liaam.model import load_model
 
-    load_model(model)  # whose errors name the file
+    load_model(model)  # its errors name the file
     job = Job(model.read_bytes(), settings, str(Path.cwd()))
     job.check()
     return job
@@ -165,14 +165,14 @@ def _job_of(model: Path, settings: Settings) -> Job:
 
 @dataclass(frozen=True)
 class _Batch:
-    """A batch: its output, and what is to be done for it."""
+    """A batch: its output and its job."""
 
     output: Path
     job: Job
 
     @property
     def facts(self) -> dict[str, Any]:
-        """All that decides a row, beside its picture."""
+        """Everything that determines a row, except its image."""
         digest = hashlib.sha256(self.job.model_file).hexdigest()
         return {"liaam": __version__, "model": digest, **self.job.settings.describe()}
 
@@ -180,25 +180,25 @@ class _Batch:
     def parts(self) -> Path:
         return self.output.with_name(f"{self.output.name}.parts")
 
-    def run(self, pictures: Iterable[str], workers: _Workers, restart: bool, tell: Progress) -> Summary:
-        """Do what is not done yet, and write the table."""
+    def run(self, pictures: Iterable[str], workers: _Workers, restart: bool, progress: Progress) -> Summary:
+        """Fit the remaining images and write the table."""
         self._check_output()
         with Journal(self.parts) as journal, _tidy(journal):
             self._take_up(journal, restart)
-            tell(0, 1, "listing pictures")
+            progress(0, 1, "listing images")
             journal.list(pictures, self.job.start_file)
             if not journal.total:
-                raise LiaamError(f"{self.output}: there is no picture to fit; name some, or a folder that holds them")
+                raise LiaamError(f"{self.output}: there is no image to fit; give images, or a folder of images")
             earlier = None if restart else self._complete(journal)
             if earlier is None:
-                summary = self._finish(journal, workers, tell)
+                summary = self._finish(journal, workers, progress)
             else:
                 summary = Summary(self.output, earlier["statuses"])
             journal.remove()
         return summary
 
     def _check_output(self) -> None:
-        """Complain, before the work, about a table that cannot be written."""
+        """Raise, before any work, if the table cannot be written."""
         check_format(self.output)
         if self.output.is_dir() or not self.output.parent.is_dir():
             what = "it is a folder" if self.output.is_dir() else f"the folder {self.output.parent} does not exist"
@@ -207,7 +207,7 @@ class _Batch:
             )
 
     def _check_earlier(self) -> None:
-        """Complain, before the work, about a table that would undo another."""
+        """Raise, before any work, if the table would replace an unrelated file."""
         if not self.output.exists():
             return
         earlier = earlier_summary(self.output)
@@ -219,7 +219,7 @@ class _Batch:
         self._refuse_others(earlier["settings"])
 
     def _take_up(self, journal: Journal, restart: bool) -> None:
-        """Go on with a journal of the same settings, or begin one."""
+        """Resume a journal of the same settings, or start a new one."""
         if not restart:
             before = journal.facts
             if before is not None and journal.statuses:
@@ -236,18 +236,18 @@ class _Batch:
         if changed:
             raise LiaamError(
                 f"{self.output}: an earlier batch had another {', '.join(changed)}; give another name with -o, or add "
-                "--restart to begin anew"
+                "--restart to start over"
             )
 
     def _complete(self, journal: Journal) -> dict[str, Any] | None:
-        """Summary of an earlier batch of the same settings and the very same pictures."""
+        """Return the summary of an earlier batch with the same settings and images, if there is one."""
         earlier = earlier_summary(self.output)
         same = earlier is not None and (earlier["settings"], earlier["pictures"]) == (self.facts, journal.digest())
         return earlier if same else None
 
-    def _finish(self, journal: Journal, workers: _Workers, tell: Progress) -> Summary:
-        summary = self._fit(journal, workers, tell)
-        tell(summary.total, summary.total, f"writing {self.output.name}")
+    def _finish(self, journal: Journal, workers: _Workers, progress: Progress) -> Summary:
+        summary = self._fit(journal, workers, progress)
+        progress(summary.total, summary.total, f"writing {self.output.name}")
         table = Table(self._rows(journal), self.job.model.n_points, self.job.settings.covariance, self.facts)
         write_table(self.output, table)
         facts = {
@@ -260,7 +260,7 @@ class _Batch:
         return summary
 
     def _rows(self, journal: Journal) -> Iterator[ParsedRow]:
-        """All rows, as text and as what it stands for; none may be missing or damaged."""
+        """Iterate over all rows, as text and parsed. Raise if one is damaged or missing."""
         n_rows = 0
         for text in journal.rows():
             row = row_of(text, self.job.model.n_points, self.job.settings.covariance)
@@ -271,11 +271,11 @@ class _Batch:
         if n_rows != journal.total:
             raise journal.damage(f"{journal.total - n_rows} rows are missing")
 
-    def _fit(self, journal: Journal, workers: _Workers, tell: Progress) -> Summary:
-        """Fit what the journal does not hold yet."""
+    def _fit(self, journal: Journal, workers: _Workers, progress: Progress) -> Summary:
+        """Fit the images that have no row in the journal."""
         total, statuses, begin = journal.total, Counter(journal.statuses), perf_counter()
         before = statuses.total()
-        tell(before, total, "starting" if not before else "going on")
+        progress(before, total, "starting" if not before else "resuming")
         chunks = journal.todo(workers.chunk_for(total - before))
         try:
             if before < total:
@@ -285,23 +285,23 @@ class _Batch:
                         statuses.update(status for status, _ in rows)
                         done = statuses.total()
                         rate = (done - before) / (perf_counter() - begin)
-                        tell(done, total, f"{rate:.1f} pictures/s; {in_words(statuses)}")
+                        progress(done, total, f"{rate:.1f} images/s; {in_words(statuses)}")
         except KeyboardInterrupt:
             if not statuses:
-                raise KeyboardInterrupt("stopped: no picture is done yet") from None
-            kept = f"{statuses.total()} of {total} pictures are kept in {self.parts}"
-            raise KeyboardInterrupt(f"stopped: {kept}; the same command goes on from there") from None
+                raise KeyboardInterrupt("stopped: no image is finished yet") from None
+            kept = f"{statuses.total()} of {total} images are finished and kept in {self.parts}"
+            raise KeyboardInterrupt(f"stopped: {kept}; run the same command again to resume") from None
         summary = Summary(self.output, dict(sorted(statuses.items())))
         return replace(summary, fitted=summary.total - before, seconds=perf_counter() - begin)
 
 
 def summary_file(output: Path) -> Path:
-    """File beside a table that says how it was made."""
+    """Return the path of the summary beside a table."""
     return output.with_name(f"{output.name}.json")
 
 
 def earlier_summary(output: Path) -> dict[str, Any] | None:
-    """Summary of the batch that has written a table; None where there is none, or it is damaged or of another table."""
+    """Return the summary of the batch that wrote a table; None if it is missing, damaged or of another table."""
     try:
         summary = json.loads(summary_file(output).read_bytes())
         known = summary["bytes"] == output.stat().st_size
@@ -315,7 +315,7 @@ def earlier_summary(output: Path) -> dict[str, Any] | None:
 
 @contextmanager
 def _tidy(journal: Journal) -> Iterator[None]:
-    """Leave nothing behind when it ends before the first row."""
+    """Remove the journal if the block raises before the first row."""
     try:
         yield
     except BaseException:
@@ -326,7 +326,7 @@ def _tidy(journal: Journal) -> Iterator[None]:
 
 
 def in_words(statuses: dict[str, int]) -> str:
-    """Counts of statuses, the most frequent first."""
+    """Format counts of statuses, most frequent first."""
     ordered = sorted(statuses.items(), key=lambda entry: (-entry[1], entry[0]))
     return ", ".join(f"{number} {status}" for status, number in ordered)
 

@@ -14,7 +14,7 @@ from liaam.errors import LiaamError
 from liaam.io import atomic_path
 
 GROUP = 1000
-"""Rows of a row group of Parquet, which are in memory together."""
+"""Rows per Parquet row group, which are in memory together."""
 
 COLUMNS = {
     "path": "string",
@@ -29,29 +29,29 @@ COLUMNS = {
     "covariance": "list<float32>",
     "seconds": "float32",
 }
-"""Columns and their types. The one that differs from run to run is the last."""
+"""Columns and their types. Only the last one differs between runs."""
 
 _PARTS = {"landmarks": ("x", "y"), "covariance": ("xx", "xy", "yy")}
 
 
 ParsedRow = tuple[str, dict[str, Any]]
-"""A row as JSON, and what it stands for."""
+"""A row as JSON text, and parsed."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """What is written.
+    """Content of a table.
 
     Attributes
     ----------
     rows : iterable of (str, dict)
-        One for each picture: JSON, and what it stands for.
+        JSON text and parsed row, one per image.
     n_points : int
-        Landmarks of the model.
+        Number of landmarks of the model.
     covariance : bool
-        Whether the rows have it.
+        Whether the rows have covariances.
     facts : dict
-        Settings, kept in the file where the format has a place for them.
+        Settings, stored in the file if the format supports it.
     """
 
     rows: Iterable[ParsedRow]
@@ -66,7 +66,7 @@ class Table:
 
 
 def row_of(text: str, n_points: int, covariance: bool) -> dict[str, Any] | None:
-    """Read a row of JSON; None if it is no row that can be written, with all columns, each of its type."""
+    """Parse a row of JSON. Return None unless it has all columns, each of the right type."""
     try:
         row = json.loads(text)
     except (ValueError, RecursionError):
@@ -89,7 +89,7 @@ def _is_cell(value: Any, kind: str, width: int) -> bool:
 
 
 def check_format(output: Path) -> None:
-    """Complain about a format that cannot be written, before the work."""
+    """Raise, before any work, if the format cannot be written."""
     if output.suffix.lower() not in _WRITERS:
         raise LiaamError(f"{output}: give a table that ends in {', '.join(_WRITERS)}")
     if output.suffix.lower() == ".parquet" and find_spec("pyarrow") is None:
@@ -100,7 +100,7 @@ def check_format(output: Path) -> None:
 
 
 def write_table(output: Path, table: Table) -> None:
-    """Write a table in the format of the name's ending, all or nothing."""
+    """Write a table atomically in the format of its suffix."""
     with atomic_path(output) as temp:
         _WRITERS[output.suffix.lower()](temp, table)
 
@@ -116,7 +116,7 @@ def _write_parquet(path: Path, table: Table) -> None:
 
 
 def _write_csv(path: Path, table: Table) -> None:
-    """Flat columns: x0, y0, x1 ... and the covariance xx0, xy0, yy0, xx1 ..."""
+    """Write flat columns: x0, y0, x1 ... and covariances xx0, xy0, yy0, xx1 ..."""
     widths = {name: table.n_points * len(parts) for name, parts in _PARTS.items()}
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""From a picture to its row: the work itself, the same in this process, in a worker, and on a cluster."""
+"""Fit an image and make its row, in this process, in a worker or on a cluster."""
 
 import json
 import os
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
     from liaam.model import AAM
 
 BESIDE = "beside"
-"""Start: the landmark file beside each picture."""
+"""Start from the landmark file beside each image."""
 
 ERROR = "error"
-"""Status of a picture that could not be fitted, beside those of :class:`liaam.fitting.FitStatus`."""
+"""Status of an image that could not be fitted, in addition to those of :class:`liaam.fitting.FitStatus`."""
 
 Row = dict[str, Any]
 KeptRow = tuple[str, str]
-"""Status, and the row as JSON: only what JSON keeps, bit for bit, whether a run was stopped meanwhile or not."""
+"""Status, and the row as JSON text, so that resumed and uninterrupted batches have identical rows."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What decides the rows, beside model and pictures.
+    """Settings that determine the rows, in addition to model and images.
 
     Attributes
     ----------
@@ -44,18 +44,18 @@ class Settings:
         See :data:`liaam.fitting.METHODS`.
     init : str, optional
         Where fits start: a box ``x0,y0,x1,y1`` or ``x,y,size`` for all; a landmark file for all; a folder with a
-        landmark file or ``.box`` file of each picture's name; or ``beside`` for such files beside the pictures. The
-        object is searched for if left out.
+        landmark or ``.box`` file named like each image; or ``beside`` for such files beside the images. By default
+        the object is searched for.
     iterations : int
-        At most, at each sharpness.
+        Maximum number of iterations at each blur level.
     camera : CameraModel, optional
-        Of the pictures, if not the training camera.
+        Camera of the images, if it is not the training camera.
     response : str, optional
-        Of the pictures' camera, if not the training camera's; RAW files are linear unless told otherwise.
+        Response of the images' camera, if it differs from the training camera's. RAW files are linear by default.
     covariance : bool
         Whether rows hold the covariance of each landmark.
     rotations : str
-        How objects that are searched for may lie (:attr:`liaam.fitting.Fitter.rotations`).
+        Orientations to search (:attr:`liaam.fitting.Fitter.rotations`).
     """
 
     method: str = DEFAULT_METHOD
@@ -67,7 +67,7 @@ class Settings:
     rotations: str = "upright"
 
     def describe(self) -> dict[str, Any]:
-        """Settings as JSON knows them."""
+        """Return the settings as JSON types."""
         camera = None if self.camera is None else {**self.camera.describe(), "history": []}
         return {
             "method": self.method,
@@ -82,15 +82,15 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """All that a worker has to know; it travels to workers as it is.
+    """Everything that a worker needs. It is pickled and sent to workers.
 
     Attributes
     ----------
     model_file : bytes
-        Content of the model file: the file itself may be changed meanwhile, and a cluster need not see it.
+        Content of the model file, because the file may change, and a cluster may not have access to it.
     settings : Settings
     folder : str
-        What relative paths are relative to.
+        Folder that relative paths start from.
     """
 
     model_file: bytes
@@ -98,18 +98,18 @@ class Job:
     folder: str
 
     def __reduce__(self) -> tuple:
-        """Travel without what is made of the file."""
+        """Pickle without the cached model and fitters."""
         return type(self), (self.model_file, self.settings, self.folder)
 
     def check(self) -> None:
-        """Find out, before the work, whether model, method and start go together."""
+        """Raise, before any work, if model, method and start do not match."""
         self.fitter(raw=False)
         if self.settings.init not in (None, BESIDE):
             check_start(self.absolute(str(self.settings.init)))
 
     @cached_property
     def model(self) -> "AAM":
-        """The model, read from a file, as all models are."""
+        """The model of `model_file`."""
         from liaam.model import load_model
 
         with tempfile.TemporaryDirectory() as folder:
@@ -118,7 +118,7 @@ class Job:
             return load_model(path)
 
     def fitter(self, raw: bool) -> "Fitter":
-        """What fits RAW files, or other pictures."""
+        """Return the fitter for RAW files, or for other images."""
         return self._raw_fitter if raw else self._fitter
 
     @cached_property
@@ -138,31 +138,31 @@ class Job:
         return Fitter(self.model, settings.method, options, camera=camera, rotations=settings.rotations)
 
     def absolute(self, path: str) -> str:
-        """Path of a file, or the text itself if there is no such file (it may be numbers)."""
+        """Return the absolute path of an existing file, or else the text itself, which may be numbers."""
         there = os.path.join(self.folder, path)  # noqa: PTH118
         return there if os.path.lexists(there) else path
 
     def start_file(self, path: str) -> Path | None:
-        """File that the start of a picture is read from, if there is one."""
+        """Return the file with the start of an image, or None."""
         start = self._start(path)
         try:
             return None if start is None else start_file(start, Path(path))
-        except LiaamError:  # the row will say why
+        except LiaamError:  # the row will report it
             return None
 
     def rows(self, chunk: Iterable[str]) -> list[KeptRow]:
-        """Fit pictures; gives status and row of each."""
+        """Fit images and return the status and row of each."""
         return [kept(self.row(path)) for path in chunk]
 
     def row(self, path: str) -> Row:
-        """Fit one picture. Whatever is wrong with it is said in its row: the others do not suffer."""
+        """Fit one image. Report errors in its row, so that the batch continues."""
         begin = perf_counter()
         try:
             result = self._fit(path)
         except LiaamError as fault:
             row = failed_row(path, self._as_named(str(fault), path))
         except Exception as fault:
-            row = failed_row(path, f"unexpected {type(fault).__name__} ({fault}); please report it with the picture")
+            row = failed_row(path, f"unexpected {type(fault).__name__} ({fault}); please report it with the image")
         else:
             row = _row_of(path, result)
         if not self.settings.covariance:
@@ -177,14 +177,14 @@ class Job:
         return self.fitter(is_raw(picture)).fit(pixels, start, picture.name)
 
     def _start(self, path: str) -> str | None:
-        """Where the fit of a picture starts, as :func:`liaam.io.read_start` knows it."""
+        """Return the start of an image in a form that :func:`liaam.io.read_start` accepts."""
         init = self.settings.init
         if init == BESIDE:
             return str(Path(self.folder, path).parent)
         return None if init is None else self.absolute(init)
 
     def _as_named(self, message: str, path: str) -> str:
-        """Message with the paths of picture and start as they were given, wherever the work was done."""
+        """Replace the absolute paths of image and start in a message by the paths as the user gave them."""
         start = Path(path).parent if self.settings.init == BESIDE else Path(self.settings.init or path)
         named = {str(Path(self.folder, start)): str(start), str(Path(self.folder, path)): path}
         named.pop(os.sep, None)  # it is in all paths
@@ -196,25 +196,25 @@ _job: Job | None = None
 
 
 def prepare(job: Job) -> None:
-    """Make this worker process ready for chunks of a job."""
+    """Set the job of this worker process."""
     global _job
     _job = job
 
 
 def fit_chunk(chunk: tuple[str, ...]) -> list[KeptRow]:
-    """Do a chunk in a worker process."""
+    """Fit a chunk in a worker process."""
     assert _job is not None
     with one_thread():
         return _job.rows(chunk)
 
 
 def kept(row: Row) -> KeptRow:
-    """Status and text of a row."""
+    """Return the status and the JSON text of a row."""
     return row["status"], json.dumps(row, allow_nan=False)
 
 
 def failed_row(path: str, message: str) -> Row:
-    """Row of a picture that could not be fitted."""
+    """Return the row of an image that could not be fitted."""
     row = dict.fromkeys(("quality", "found", "theta_deg", "cost", "iterations", "landmarks", "covariance", "seconds"))
     return {"path": _printable(path), "status": ERROR, "message": _printable(message), **row}
 
@@ -236,7 +236,7 @@ def _row_of(path: str, result: "FitResult") -> Row:
 
 
 def _printable(text: str) -> str:
-    """Text without what no table can hold: bytes of a file name that are no UTF-8."""
+    """Escape bytes of a file name that are not UTF-8."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 
@@ -251,9 +251,9 @@ def _short(value: float | None) -> float | None:
 
 
 def _shorts(values: "np.ndarray") -> list[float | None]:
-    """Values as the shortest decimals that give the same float32."""
+    """Return values as the shortest decimals that give the same float32."""
     import numpy as np
 
-    with np.errstate(over="ignore"):  # beyond float32 is not finite, and becomes None
-        # Not by str: how that prints depends on what other libraries have set.
+    with np.errstate(over="ignore"):  # values beyond float32 become None
+        # str would depend on print options.
         return [_finite(float(np.format_float_scientific(value))) for value in values.ravel().astype(np.float32)]
