@@ -338,7 +338,8 @@ def test_rights_that_are_missing_are_one_line(run, portraits, model_file, monkey
     monkeypatch.setattr("liaam.model.load_model", forbidden)
     status, _, err = run("info", "face.liaam")
     assert status == 1
-    assert err.strip() == "error: secret/face.liaam: Permission denied; check the name, the rights and the free space"
+    remedy = "check the name, the permissions and the free space"
+    assert err.strip() == f"error: secret/face.liaam: Permission denied; {remedy}"
 
 
 WITHOUT_POWERS = """

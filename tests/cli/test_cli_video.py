@@ -238,7 +238,7 @@ def test_processes_write_the_same_file(run, model_file, clip, tmp_path, in_stret
     ("arguments", "complaint"),
     [
         (("{none}",), "none.mp4 does not exist"),
-        (("{model}",), "is no video"),
+        (("{model}",), "is not a video"),
         (("97",), "camera 97 cannot be opened"),
         (("{clip}", "--end", "5", "--frames", "3"), "give one of them"),
         (("{clip}", "--start", "5", "--end", "5"), "not after --start"),
@@ -251,7 +251,7 @@ def test_processes_write_the_same_file(run, model_file, clip, tmp_path, in_stret
         (("{clip}", "-o", "{own}"), "is not a track"),
         (("{clip}", "--video", "own.mp4"), "own.mp4 exists and is not a video"),
         (("{clip}", "--shading-free", "own.mp4"), "own.mp4 exists and is not a video"),
-        (("{clip}", "-m", "grey", "--shading-free", "s.mp4"), "no shading can be taken off"),
+        (("{clip}", "-m", "grey", "--shading-free", "s.mp4"), "cannot remove shading"),
         (("{clip}", "-m", "magic"), "'magic' does not exist"),
         (("{clip}", "--init", "nowhere.pts"), "there is no such file"),
         (("{clip}", "--init", "9000,9000,9100,9100"), "outside the image"),
@@ -280,7 +280,7 @@ def test_pictures_are_those_of_the_number():
 
 def test_ranges_in_words():
     assert ranges_of([1, 2, 3, 7, 9, 10]) == "1–3, 7, 9–10"
-    assert ranges_of(range(0, 40, 2), most=2) == "0, 2 and 18 more stretches"
+    assert ranges_of(range(0, 40, 2), most=2) == "0, 2 and 18 more ranges"
 
 
 def test_a_number_is_a_camera_unless_a_file_has_that_name(tmp_path, monkeypatch):

@@ -192,7 +192,7 @@ def test_a_file_that_ends_early_says_so(head_model, moving, tmp_path):
     job = TrackJob(Tracker(head_model), str(path))
     tracked = list(track_stretches(job, [Stretch(0, 0, 6), Stretch(1, 6, None)], 1))
     assert [frame.index for frame in frames_of(tracked)] == list(range(6))
-    assert "fewer frames than it says" in tracked[-1].fault
+    assert "fewer frames than it announces" in tracked[-1].fault
 
 
 def test_a_worker_that_dies_is_told(job, monkeypatch):
@@ -201,5 +201,5 @@ def test_a_worker_that_dies_is_told(job, monkeypatch):
         yield
 
     monkeypatch.setattr(stretches, "in_workers", dies)
-    with pytest.raises(LiaamError, match=r"frames 8 on died .* --jobs 1"):
+    with pytest.raises(LiaamError, match=r"frames from 8 on died .* --jobs 1"):
         parts(job, jobs=2)

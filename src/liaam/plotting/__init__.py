@@ -1,4 +1,4 @@
-"""Pictures: fits drawn on images, and figures of models, lamps, cameras and videos."""
+"""Overlays of fits on images, and figures of models, lamps, cameras and videos."""
 
 from typing import TYPE_CHECKING
 

@@ -32,25 +32,25 @@ COLOURS = {
     "aia": "#d4a017",
     "igo": "#c2185b",
 }
-"""One colour per method, the same in every figure."""
+"""Colour of each method in all figures."""
 
 LINE_WIDTH = 1.8
 
 
 def base_of(method: str) -> str:
-    """Name of a method without its suffixes (``li`` of ``li+noise``)."""
+    """Return the name of a method without its suffixes (``li`` for ``li+noise``)."""
     return method.partition("+")[0]
 
 
 def colour_of(method: str) -> str:
-    """Colour of a method in figures, suffixes or not; black for one of your own (several: see :data:`OTHERS`)."""
+    """Return the colour of a method, with or without suffixes; dark grey for methods not in :data:`COLOURS`."""
     return COLOURS.get(base_of(method), "#222222")
 
 
 def save_figure(figure: "Figure", *paths: Path, dpi: int = 120) -> None:
     """Write a figure atomically, in the format of each path's suffix, and close it.
 
-    The same figure gives the same bytes: files bear no date, and an SVG's names are not drawn by chance.
+    The output is reproducible: files have no date, and SVG identifiers are not random.
     """
     import matplotlib
     import matplotlib.pyplot as plt
@@ -66,7 +66,7 @@ def save_figure(figure: "Figure", *paths: Path, dpi: int = 120) -> None:
 def subplots(
     rows: int, columns: int, size: tuple[float, float], heights: Sequence[float] | None = None
 ) -> tuple["Figure", np.ndarray]:
-    """Make a figure of a size in inches with a grid of axes, (rows, columns), whatever the display."""
+    """Make a figure, with `size` in inches, and a grid of axes, (rows, columns). It needs no display."""
     import matplotlib
 
     matplotlib.use("Agg", force=False)
@@ -97,7 +97,7 @@ def _draw_shape(axis: "Axes", shape: np.ndarray, model: AAM, colour: str, label:
 
 
 def show_picture(axis: "Axes", image: np.ndarray, title: str) -> None:
-    """Show a picture with a title and no axes."""
+    """Show an image with a title and without axes."""
     axis.imshow(as_picture(image))
     axis.set_title(title, fontsize=10)
     axis.axis("off")
@@ -111,7 +111,7 @@ def figure_of_fits(
     fits: Mapping[str, tuple[np.ndarray, float]],
     model: AAM,
 ) -> "Figure":
-    """One training picture, the start, each method's fit, and the truth.
+    """Draw a training image, the start, and each method's fit with the truth.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ def figure_of_fits(
     model : AAM
     """
     figure, axes = subplots(1, 2 + len(fits), (3.1 * (2 + len(fits)), 4.4))
-    show_picture(axes[0, 0], training, "one of the training pictures")
-    show_picture(axes[0, 1], image, "new picture, hard lateral light: start")
+    show_picture(axes[0, 0], training, "a training image")
+    show_picture(axes[0, 1], image, "new image, hard lateral light: start")
     _draw_shape(axes[0, 1], start, model, "#ffd166")
     for axis, (method, (shape, error)) in zip(axes[0, 2:], fits.items(), strict=True):
         show_picture(axis, image, f"{method}: {error:.1f} px")
@@ -133,7 +133,7 @@ def figure_of_fits(
 
 
 def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
-    """Mean appearance with mesh, and what the first shape and appearance modes do (two standard deviations)."""
+    """Draw the mean appearance, the mesh, and the first shape and appearance modes (two standard deviations)."""
     shape_model, appearance = model.shape_model, model.levels[-1].appearances["value"]
     shown = max(1, min(n_modes, max(len(shape_model.modes), appearance.n_modes)))
     figure, axes = subplots(2, 2 + shown, (2.6 * (2 + shown), 6.0))
@@ -173,7 +173,7 @@ def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:
         moved = mean + sign * step
         if model.contours:
             _draw_shape(axis, moved, model, colour, lw=1.2)
-        else:  # without contours: how far and whither each landmark goes
+        else:  # without contours: draw the displacement of each landmark
             axis.plot(*np.stack([mean, moved]).transpose(2, 0, 1), color=colour, lw=1.2)
             axis.plot(*moved.T, ".", color=colour, ms=4)
     axis.set_title(f"shape mode {i + 1}, −2 and +2 sd", fontsize=10)
@@ -197,25 +197,25 @@ def _show_appearance_mode(axis: "Axes", model: AAM, i: int) -> None:
 
 
 LAMPS_DRAWN, LAMPS_ACROSS = 47, 8
-"""Lamps that are drawn at most, and pictures in a row."""
+"""Maximum number of lamps, and number of images in a row."""
 
 
 def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.ndarray | None = None) -> "Figure":
-    """A picture and what each lamp makes of it.
+    """Draw an image under each lamp.
 
     Parameters
     ----------
     lamps : Lamps
     image : (h, w, 3) array, optional
-        In the light of training; plain grey if left out, under the mean landmarks.
+        Image under the training light. By default plain grey.
     points : (n, 2) float, optional
-        Its landmarks.
+        Landmarks of the image. By default the mean landmarks.
     """
     if image is None or points is None:
         image = np.full((160, 160, 3), 128, np.uint8)
         points = 79.5 + 100.0 * lamps.mean
     shown = range(min(len(lamps), LAMPS_DRAWN))
-    titles = ["light of training", *(lamps.names[i] for i in shown)]
+    titles = ["training light", *(lamps.names[i] for i in shown)]
     lit = [image, *lamps.relit(image, points, shown)]
     pictures: list[tuple[str, np.ndarray | None]] = list(zip(titles, lit, strict=True))
     rows = [pictures[first : first + LAMPS_ACROSS] for first in range(0, len(pictures), LAMPS_ACROSS)]
@@ -226,9 +226,9 @@ def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.nd
 
 
 def figure_of_pictures(rows: Sequence[Mapping[str, np.ndarray | None]], width: float = 2.6) -> "Figure":
-    """Pictures with titles, a row for each mapping; None leaves a gap, and a column without any picture is left out.
+    """Draw images with titles, one row per mapping. None leaves a gap; columns without images are left out.
 
-    ``width`` is that of a picture, inches.
+    `width` is the width of an image in inches.
     """
     shown = [i for i in range(len(rows[0])) if any(list(row.values())[i] is not None for row in rows)]
     first = next(image for image in rows[0].values() if image is not None)

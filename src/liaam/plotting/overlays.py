@@ -1,4 +1,4 @@
-"""Fits drawn on pictures: landmarks, meshes, ellipses, faults."""
+"""Overlays of landmarks, meshes, ellipses and label faults on images."""
 
 from collections.abc import Sequence
 
@@ -10,13 +10,13 @@ from liaam.model import AAM
 
 
 def mesh_edges(triangles: np.ndarray) -> np.ndarray:
-    """Edges of a mesh, each once, (m, 2) int."""
+    """Return the unique edges of a mesh, (m, 2) int."""
     pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     return np.unique(pairs, axis=0)
 
 
 def enlarged(image: np.ndarray) -> tuple[np.ndarray, int]:
-    """Copy of a picture to draw on, (h', w', 3) uint8, and how often its size it has: small ones are enlarged."""
+    """Return a copy of an image to draw on, (h', w', 3) uint8, enlarged if small, and the zoom factor."""
     import cv2
 
     picture = as_picture(image)
@@ -33,30 +33,30 @@ def overlay(
     colour: tuple[int, int, int] = (64, 255, 140),
     covariances: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Draw a fitted shape on its picture.
+    """Draw a fitted shape on its image.
 
     Parameters
     ----------
     image : (h, w, 3) array
     shape : (n, 2) float
-        Landmarks, image pixels.
+        Landmarks in image pixels.
     model : AAM
-        Gives the mesh (drawn faintly) and the contours (drawn strongly).
+        Model with the mesh (drawn transparent) and the contours (drawn opaque).
     colour : (int, int, int)
         RGB of contours and landmarks.
     covariances : (n, 2, 2) float, optional
-        Of the landmarks, image pixels squared: their 95 % ellipses are drawn.
+        Covariances of the landmarks in square pixels, drawn as 95 % confidence ellipses.
 
     Returns
     -------
     (h', w', 3) uint8
-        The picture, small ones enlarged so that the lines do not cover them.
+        The image, enlarged if small so that the lines do not cover it.
     """
     import cv2
 
     picture, zoom = enlarged(image)
     size = float(np.ptp(shape, axis=0).max()) * zoom if np.isfinite(shape).all() else 100.0
-    size = float(np.clip(size, 1.0, 4 * max(picture.shape[:2])))  # a lost fit may be of any size
+    size = float(np.clip(size, 1.0, 4 * max(picture.shape[:2])))  # a failed fit may have any size
     thick = max(1, round(size / 300))
     # OpenCV draws on pixel centres with a fixed-point fraction of 4 bits.
     points = np.clip(np.nan_to_num((shape + 0.5) * zoom - 0.5), -1e6, 1e6)
@@ -80,15 +80,15 @@ def overlay(
 
 
 def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[LabelFault]) -> np.ndarray:
-    """Draw landmarks on their picture, those at fault in red, numbered, with lines to where the others have them.
+    """Draw landmarks on their image, faulty ones in red and numbered, with lines to their expected positions.
 
     Parameters
     ----------
     image : (h, w, 3) array
     points : (n, 2) float
-        Landmarks, image pixels.
+        Landmarks in image pixels.
     faults : sequence of LabelFault
-        Of this picture.
+        Faults of this image.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     whole = np.array(image.shape[1::-1])
     low = np.clip(np.floor(points.min(axis=0) - margin), 0, whole).astype(int)
     high = np.clip(np.ceil(points.max(axis=0) + margin), 0, whole).astype(int)
-    if (high - low < 8).any():  # landmarks of another picture, or of one that was larger
+    if (high - low < 8).any():  # the landmarks are outside the image
         low, high = np.zeros(2, int), whole
     picture, zoom = enlarged(image[low[1] : high[1], low[0] : high[0]])
 

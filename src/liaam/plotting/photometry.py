@@ -1,4 +1,4 @@
-"""Pictures of photometry: invariant images, sweeps over theta, agreement, responses, registrations."""
+"""Figures of invariant images, sweeps over theta, agreement, responses and registrations."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -30,27 +30,27 @@ __all__ = [
 ]
 
 UNSEEN = (34, 40, 66)
-"""Colour of pixels that have no invariant: dark blue, which no grey value can be taken for."""
+"""Colour of pixels without an invariant: dark blue, which differs from all grey values."""
 
 STRETCH = (1.0, 99.0)
-"""Percentiles that become black and white in a picture of an invariant image."""
+"""Percentiles that become black and white in a rendering of an invariant image."""
 
 SWEEP = np.arange(0, 180, 15)
-"""Angles of a sweep's pictures, degrees."""
+"""Angles of a sweep in degrees."""
 
 THUMBNAIL = 240
-"""Pixels across a picture of a sweep."""
+"""Size of the images of a sweep in pixels."""
 
 
 def invariant_picture(values: np.ndarray, limits: tuple[float, float] | None = None) -> np.ndarray:
-    """Make an invariant image one to look at: stretched to grey, dark blue where it says nothing.
+    """Render an invariant image as grey values, with dark blue for missing pixels.
 
     Parameters
     ----------
     values : (h, w) float
-        NaN where there is no value.
+        Invariant image, NaN where missing.
     limits : (float, float), optional
-        Values that become black and white; the 1st and 99th percentile if left out.
+        Values that become black and white. By default the 1st and 99th percentile.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def invariant_picture(values: np.ndarray, limits: tuple[float, float] | None = N
 
 
 def common_limits(images: Sequence[np.ndarray]) -> tuple[float, float] | None:
-    """Limits for a stretch of several invariant images alike."""
+    """Return common limits for rendering several invariant images."""
     values = np.concatenate([image[np.isfinite(image)][::7] for image in images])
     return tuple(np.percentile(values, STRETCH)) if len(values) else None  # type: ignore[return-value]
 
@@ -75,13 +75,13 @@ def common_limits(images: Sequence[np.ndarray]) -> tuple[float, float] | None:
 def figure_of_invariants(
     rows: Mapping[str, tuple[np.ndarray, np.ndarray]], patches: Sequence[np.ndarray] | None = None
 ) -> "Figure":
-    """Pictures beside their invariant images, all stretched alike.
+    """Draw images beside their invariant images, all with the same limits.
 
     Parameters
     ----------
-    rows : mapping of name to (picture (h, w, 3), invariant image (h, w))
+    rows : mapping of name to (image (h, w, 3), invariant image (h, w))
     patches : sequence of (n, 4) or (n, 4, 2) float, optional
-        Patches of each picture, drawn on it.
+        Patches to draw on each image.
     """
     limits = common_limits([values for _, values in rows.values()])
     height, width = next(iter(rows.values()))[0].shape[:2]
@@ -95,7 +95,7 @@ def figure_of_invariants(
 
 
 def brightened(image: np.ndarray) -> np.ndarray:
-    """Picture with its brightest hundredth brought near white if it is dark: linear pictures are."""
+    """Scale a dark image, such as a linear one, so that its 99th percentile is near white."""
     picture = as_picture(image)
     top = float(np.percentile(picture[::4, ::4].max(axis=-1), 99))
     if top >= 160:
@@ -104,13 +104,13 @@ def brightened(image: np.ndarray) -> np.ndarray:
 
 
 def figure_of_sweep(image: np.ndarray, camera: CameraModel) -> "Figure":
-    """Invariant images over theta above the entropy of their values.
+    """Draw invariant images over theta, above the entropy of their values.
 
     Parameters
     ----------
     image : (h, w, 3) uint8, uint16 or float array
     camera : CameraModel
-        Gives the response, and the angle that is marked.
+        Camera with the response, and the angle to mark.
     """
     encoded = log_picture(_thumbnail(image), camera)
     columns = len(SWEEP) // 2
@@ -139,7 +139,7 @@ def _draw_entropy(axis: "Axes", log_rgb: np.ndarray, camera: CameraModel) -> Non
 
 
 def _legend_above(axis: "Axes") -> None:
-    """Put the legend in a line above the axes: beside them it would take width from the pictures."""
+    """Put the legend in a line above the axes, so that it takes no width from the images."""
     entries = len(axis.get_legend_handles_labels()[0])
     axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, frameon=False, fontsize=9)
 
@@ -154,19 +154,19 @@ def _thumbnail(image: np.ndarray) -> np.ndarray:
 
 
 MATRIX = 4
-"""Pictures up to which their invariant images are drawn above the correlations."""
+"""Maximum number of images to draw above the correlations. More are shown as a matrix."""
 
 LOWEST = 0.5
-"""Correlation that a matrix's colours begin with; what is less has one colour."""
+"""Correlation at the lower end of a matrix's colour map."""
 
 NUMBERED = 16
-"""Pictures up to which a matrix has room for numbers."""
+"""Maximum number of images for numbers in the matrix."""
 
 
 def figure_of_agreement(
     pictures: Sequence[np.ndarray], names: Sequence[str], seen: Averaged, found: Sequence[Agreement]
 ) -> "Figure":
-    """Correlations of invariant images and of log-grey for each pair of pictures, below the images themselves."""
+    """Draw the correlations of invariant images and of log grey for each pair of images, below the images."""
     n = len(pictures)
     if n > MATRIX:
         side = max(4.0, 0.36 * n)
@@ -191,7 +191,7 @@ def figure_of_agreement(
         bars.bar_label(drawn, fmt="%.3f", fontsize=8, padding=2)
     bars.set_xticks(places, [f"{pair.first + 1} and {pair.second + 1}" for pair in found])
     lowest = min([0.0, *(getattr(pair, key) for pair in found for key in ("invariant", "log_grey"))])
-    bars.set(ylabel="correlation", ylim=(1.25 * lowest, 1.12), xlabel="pictures")
+    bars.set(ylabel="correlation", ylim=(1.25 * lowest, 1.12), xlabel="images")
     bars.axhline(0.0, color="black", lw=0.8)
     _legend_above(bars)
     bars.spines[["top", "right"]].set_visible(False)
@@ -199,7 +199,7 @@ def figure_of_agreement(
 
 
 def shortened(name: str, most: int = 22) -> str:
-    """Name with its middle left out if it is long: what tells pictures of a series apart stands at the end."""
+    """Shorten a long name in the middle, because the names of a series differ at the end."""
     return name if len(name) <= most else f"{name[: most // 3]}…{name[len(name) - most + most // 3 + 1 :]}"
 
 
@@ -216,21 +216,21 @@ def _draw_matrix(axis: "Axes", n: int, found: Sequence[Agreement], key: str, tit
             axis.text(j, i, text, ha="center", va="center", fontsize=6, color=ink)
     median = np.nanmedian([getattr(pair, key) for pair in found])
     axis.set_title(f"{title}: median {median:z.3f}", fontsize=10)
-    axis.set(xticks=range(n), yticks=range(n), xlabel="picture", ylabel="picture")
+    axis.set(xticks=range(n), yticks=range(n), xlabel="image", ylabel="image")
     axis.set_xticklabels([str(i + 1) for i in range(n)], fontsize=7)
     axis.set_yticklabels([str(i + 1) for i in range(n)], fontsize=7)
     return shown
 
 
 def _correlation_colours():
-    """Colours of correlations; low ones and those that cannot be told have colours of their own."""
+    """Return the colour map of correlations, with extra colours for low and undefined ones."""
     import matplotlib
 
     return matplotlib.colormaps["viridis"].with_extremes(under="#1b1020", bad="#dddddd")
 
 
 def figure_of_response(camera: CameraModel) -> "Figure":
-    """A camera's response beside sRGB, and its vignetting where it has any."""
+    """Draw a camera's response beside sRGB, and its vignetting if known."""
     panels = 2 if camera.vignetting else 1
     figure, axes = subplots(1, panels, (4.5 * panels, 3.6))
     stored = np.linspace(1 / 255, 1, 255)
@@ -242,7 +242,7 @@ def figure_of_response(camera: CameraModel) -> "Figure":
     if camera.vignetting:
         radius = np.linspace(0, 1, 101)
         axes[0, 1].plot(radius, falloff_at(np.square(radius), camera.vignetting), color="#19a979", lw=1.8)
-        axes[0, 1].set(xlabel="distance from the centre, 1 in the corners", ylabel="share of light", ylim=(0, 1.05))
+        axes[0, 1].set(xlabel="distance from the centre, 1 in the corners", ylabel="fraction of light", ylim=(0, 1.05))
         axes[0, 1].set_title("vignetting", fontsize=10)
     for axis in axes[0]:
         axis.spines[["top", "right"]].set_visible(False)
@@ -251,13 +251,13 @@ def figure_of_response(camera: CameraModel) -> "Figure":
 
 
 def checkerboard(a: np.ndarray, b: np.ndarray, fields: int = 8) -> np.ndarray:
-    """Lay fields of two registered pictures side by side like a chessboard: lines run on where they are aligned.
+    """Combine two registered images in a checkerboard pattern: lines continue across fields where they are aligned.
 
     Parameters
     ----------
     a, b : (h, w, 3) arrays
     fields : int
-        Fields along the longer side.
+        Number of fields along the longer side.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Frames of a tracked video to look at."""
+"""Annotated frames of a tracked video."""
 
 from functools import cache
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 GOOD, BAD = (64, 255, 140), (255, 96, 80)
-"""Colours of the dot before the caption."""
+"""Colours of the dot before the caption, for tracked and lost frames."""
 
 
 def annotated(
@@ -30,16 +30,16 @@ def annotated(
     landmarks : (n, 2) float, optional
         None where the object is lost.
     model : AAM
-        Gives mesh and contours.
+        Model with mesh and contours.
     caption : str
-        What to write at the bottom.
+        Text at the bottom.
     covariances : (n, 2, 2) float, optional
-        Their 95 % ellipses are drawn.
+        Covariances of the landmarks, drawn as 95 % confidence ellipses.
 
     Returns
     -------
     (h', w', 3) uint8
-        As :func:`liaam.plotting.overlay`: small frames are enlarged, all by the same factor.
+        The frame, enlarged if small, as by :func:`liaam.plotting.overlay`.
     """
     if landmarks is None:
         picture, _ = enlarged(image)
@@ -49,7 +49,7 @@ def annotated(
 
 
 def captioned(picture: np.ndarray, text: str, colour: tuple[int, int, int]) -> np.ndarray:
-    """Write a line, with a coloured dot before it, on a dark band at the bottom left; changes the picture."""
+    """Write a line of text, after a coloured dot, on a dark band at the bottom left. Modifies `picture`."""
     from PIL import Image, ImageDraw
 
     size = max(11, round(picture.shape[0] / 32))

@@ -1,4 +1,4 @@
-"""Following an object through a video: prediction, loss, search, and smoothing with the fits' covariances."""
+"""Tracking of an object through a video: prediction, loss and search, and smoothing with the fits' covariances."""
 
 from liaam.tracking.tracker import TrackedFrame, Tracker, TrackingOptions, TrackStatus
 from liaam.tracking.video import track_video

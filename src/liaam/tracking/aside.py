@@ -1,4 +1,4 @@
-"""Work on a thread of its own, in order, a few items behind: writing a video while the next frames are tracked."""
+"""Work in a background thread, in order: a video is written while the next frames are tracked."""
 
 import queue
 import threading
@@ -6,31 +6,31 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 WAITING = 8
-"""Items that may wait; whoever brings one more waits for the work."""
+"""Maximum number of waiting items. Adding another one blocks."""
 
 PATIENCE = 0.1
-"""Seconds between two looks at whether the work has failed."""
+"""Seconds between checks whether the work has failed."""
 
 
 @contextmanager
 def aside(work: Callable[..., None]) -> Iterator[Callable[..., None]]:
-    """Do work aside.
+    """Run work in a background thread.
 
     Parameters
     ----------
     work : callable
-        Called with the arguments of each item, one after the other, on another thread.
+        Called with the arguments of each item, in order, in the other thread.
 
     Yields
     ------
     callable
-        Takes the arguments of the next item. All are done once the block has ended; where it ends by an error, those
-        that wait are left undone.
+        Takes the arguments of the next item. The end of the block waits for all items. If the block raises, waiting
+        items are discarded.
 
     Raises
     ------
     BaseException
-        What the work raised, when the next item is brought or the block ends.
+        The error of the work, when the next item is added or the block ends.
     """
     items: queue.Queue[tuple | None] = queue.Queue(WAITING)
     failures: list[BaseException] = []
@@ -68,13 +68,13 @@ def aside(work: Callable[..., None]) -> Iterator[Callable[..., None]]:
         raise
     finally:
         interrupted: BaseException | None = None
-        while not ended.is_set():  # what the work writes to is closed next: never leave while it goes on
+        while not ended.is_set():  # the caller closes the files next: wait until the work has ended
             try:
                 bring(None)
                 if given_up.is_set():
                     _empty(items)
                     items.put(None)
-                ended.wait()  # not for the thread: a join that is interrupted takes it for ended
+                ended.wait()  # rather than join, which an interrupt can end early
             except BaseException as error:  # another Ctrl-C
                 given_up.set()
                 interrupted = error

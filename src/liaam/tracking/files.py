@@ -1,4 +1,4 @@
-"""Tracks as files: .csv, written row by row, and .npz."""
+"""Write tracks to .csv, row by row, or to .npz."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -14,14 +14,13 @@ from liaam.io.atomic import lock
 from liaam.tracking.tracker import TrackedFrame
 
 TRACK_SUFFIXES = (".csv", ".npz")
-"""Endings (lower case) of the files of tracks."""
-
+"""Suffixes (lower case) of track files."""
 
 _HEADER = b"frame,time,status"
 
 
 class TrackWriter(Protocol):
-    """Takes frames one by one."""
+    """Writer of tracked frames."""
 
     def write(self, frame: TrackedFrame) -> None:
         """Add a frame."""
@@ -30,16 +29,15 @@ class TrackWriter(Protocol):
 
 @contextmanager
 def track_writer(path: str | os.PathLike[str], n_points: int) -> Iterator[TrackWriter]:
-    """Write a track as .csv or .npz, by the ending; the file is there once the block has ended without an error.
+    """Write a track as .csv or .npz, by suffix. The file is created when the block ends without an error.
 
-    Rows of a .csv go to disk as they come, in a file beside it that ends in ``.part.csv``: what was done before a
-    crash can be read there.
+    Rows of a .csv are written at once to a file beside it that ends in ``.part.csv``, which remains after a crash.
 
     Parameters
     ----------
     path : path-like
     n_points : int
-        Landmarks of a frame.
+        Number of landmarks per frame.
 
     Yields
     ------
@@ -59,19 +57,19 @@ def track_writer(path: str | os.PathLike[str], n_points: int) -> Iterator[TrackW
 
 
 def check_track_name(path: Path) -> None:
-    """Complain about the name of a track that cannot be written."""
+    """Raise if the suffix is not that of a track file."""
     if path.suffix.lower() not in TRACK_SUFFIXES:
         raise LiaamError(f"{path}: a track's name ends in .csv or .npz, such as {path.stem}.csv")
 
 
 def is_track(path: Path) -> bool:
-    """Tell whether a file is a track that may be written over, as far as its beginning shows."""
+    """Return whether a file begins like a track, so that it may be overwritten."""
     with path.open("rb") as file:
         return file.read(len(_HEADER)) == _HEADER if path.suffix.lower() == ".csv" else file.read(2) == b"PK"
 
 
 def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.ndarray]:
-    """Arrays of a track, one row for each frame: what a .npz holds."""
+    """Return the arrays of a .npz track, with one row per frame."""
     points, squares = (0, n_points, 2), (0, n_points, 2, 2)
 
     def stacked(name: str, empty: tuple[int, ...]) -> np.ndarray:
@@ -100,7 +98,7 @@ class _Collected:
 
 
 class _Table:
-    """Rows of a .csv: facts, then for each landmark x, y, its fitted x and y, and its covariance."""
+    """Writer of .csv rows: frame, status and quality, then x, y, fitted x and y, and covariance of each landmark."""
 
     def __init__(self, file, n_points: int):
         self._file, self.n_rows = file, 0

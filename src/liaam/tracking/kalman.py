@@ -1,9 +1,8 @@
-"""The Kalman filter of a track: positions that move with a velocity which white acceleration changes.
+"""Kalman filter of a track with a white-noise acceleration model, independent of shapes and images.
 
-Nothing here knows of shapes or pictures. Time counts in frames. How far measurements scatter from frame to frame, and
-how strongly each coordinate accelerates, is learnt from the measurements' second differences, in which a steady motion
-cancels out: noise of variance r leaves them a variance of 6 r and a covariance of -4 r with their neighbours, and
-acceleration of density q leaves 2/3 q and 1/6 q.
+Time is in frames. The variance of the measurement noise and the density of the acceleration are estimated from second
+differences of the measurements, in which constant velocity cancels. Noise of variance r contributes 6 r to their
+variance and -4 r to the covariance of neighbours. Acceleration of density q contributes 2/3 q and 1/6 q.
 """
 
 from dataclasses import dataclass, replace
@@ -11,25 +10,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 GATE = 9.0
-"""Square of an innovation, in variances, beyond which the prediction is believed less: three standard deviations."""
+"""Squared innovation, in variances, above which the prediction's covariance is inflated: three standard deviations."""
 
 MEMORY = 25.0
-"""Second differences that the running moments look back on."""
+"""Number of second differences that the running moments average."""
 
 STEADY = 8.0
-"""Second differences that the first guess of the moments counts as."""
+"""Weight of the initial moments, in second differences."""
 
 LEAST_SHARE = 1e-3
-"""Of a fit's covariance that changes from frame to frame at least."""
+"""Minimum fraction of a fit's covariance that changes from frame to frame."""
 
 FIRST_SHARE, FIRST_DRIVE = 0.2, 0.05
-"""First guesses: share of a fit's variance that changes from frame to frame, and density of acceleration as a share of
-the fit's variance. They smooth a little, and are unlearnt in a second."""
+"""Initial values: the fraction of a fit's variance that changes from frame to frame, and the density of acceleration
+divided by the fit's variance. They smooth a little, and lose their influence within a second."""
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Gaussian belief in k positions and their velocities.
+    """Gaussian estimate of k positions and their velocities.
 
     Attributes
     ----------
@@ -46,28 +45,28 @@ class Belief:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of positions and velocities together, (2 k, 2 k) float64."""
+        """Joint covariance of positions and velocities, (2 k, 2 k) float64."""
         return np.block([[self.pp, self.pv], [self.pv.T, self.vv]])
 
 
 def first_belief(position: np.ndarray, noise: np.ndarray, speed: np.ndarray) -> Belief:
-    """Belief after one measurement.
+    """Return the estimate after the first measurement.
 
     Parameters
     ----------
     position : (k,) float
-        Measured.
+        Measured positions.
     noise : (k, k) float
         Covariance of the measurement.
     speed : (k,) float
-        Standard deviation of the velocity, which nothing has been seen of.
+        Prior standard deviation of the velocity.
     """
     k = len(position)
     return Belief(position, np.zeros(k), noise, np.zeros((k, k)), np.diag(np.square(speed)))
 
 
 def predict(belief: Belief, drive: np.ndarray, frames: float = 1.0) -> Belief:
-    """Belief some frames later, nothing seen in between.
+    """Return the estimate some frames later, without measurements in between.
 
     Parameters
     ----------
@@ -75,7 +74,7 @@ def predict(belief: Belief, drive: np.ndarray, frames: float = 1.0) -> Belief:
     drive : (k,) float
         Spectral density of each coordinate's acceleration.
     frames : float
-        How much later.
+        Number of frames.
     """
     t, each = frames, np.arange(len(belief.position))
     pv = belief.pv + t * belief.vv
@@ -88,7 +87,7 @@ def predict(belief: Belief, drive: np.ndarray, frames: float = 1.0) -> Belief:
 
 
 def update(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
-    """Belief after another measurement.
+    """Return the estimate after another measurement.
 
     Parameters
     ----------
@@ -104,7 +103,7 @@ def update(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
         Its ``pp`` is at most ``noise`` and at most the prediction's.
     """
     total = belief.pp + noise
-    # One solution for both gains: rows of positions, then of velocities.
+    # Gains of the positions, then of the velocities.
     gains = np.linalg.solve(total, np.concatenate([belief.pp, belief.pv.T]).T).T
     k, innovation = len(measured), measured - belief.position
     step = gains @ innovation
@@ -119,22 +118,21 @@ def update(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
 
 
 def widened(belief: Belief, measured: np.ndarray, noise: np.ndarray, gate: float = GATE) -> Belief:
-    """Belief that holds a measurement possible: coordinates that it surprises are believed less.
+    """Inflate the covariance of coordinates with large innovations, so that the filter follows sudden motion at once.
 
-    What moves off suddenly is so followed at once, rather than with the lag of a filter that expects nothing of the
-    kind: a coordinate alone stays within the root of gate times its noise of the measurement.
+    The updated estimate of a single coordinate is within sqrt(gate) standard deviations of the measurement.
     """
     innovation = measured - belief.position
     excess = np.square(innovation) / gate - np.diag(belief.pp) - np.diag(noise)
     if not (excess > 0).any():
         return belief
     more = np.diag(np.maximum(excess, 0.0))
-    # Whoever is in the wrong place has the wrong speed, too.
+    # A wrong position implies a wrong velocity.
     return replace(belief, pp=belief.pp + more, pv=belief.pv + 0.5 * more, vv=belief.vv + 0.5 * more)
 
 
 def slowed(belief: Belief, factor: float) -> Belief:
-    """Belief with less velocity: what was seen last moves on, but not for ever."""
+    """Scale the velocity, so that an object out of sight does not move on for ever."""
     return replace(belief, velocity=factor * belief.velocity)
 
 
@@ -147,7 +145,7 @@ class Moments:
     own, neighbour : (k,) float64
         Mean square of second differences, and mean product of one with the next.
     weight : float
-        Differences that they stand for.
+        Number of differences that they average.
     last : tuple of (k,) float64
         Up to three measurements of consecutive frames, the newest last.
     """
@@ -159,13 +157,13 @@ class Moments:
 
 
 def first_moments(variances: np.ndarray) -> Moments:
-    """Moments that a track begins with, by the fit's variances (k,)."""
+    """Return the initial moments of a track, from the fit's variances (k,)."""
     noise, drive = FIRST_SHARE * variances, FIRST_DRIVE * variances
     return Moments(6.0 * noise + 2.0 / 3.0 * drive, -4.0 * noise + drive / 6.0, STEADY)
 
 
 def observed(moments: Moments, measured: np.ndarray) -> Moments:
-    """Moments after one more measurement (k,), of the frame after the last."""
+    """Return the moments after the measurement (k,) of the next frame."""
     last = (*moments.last, measured)
     if len(last) < 4:
         return replace(moments, last=last)
@@ -181,24 +179,24 @@ def observed(moments: Moments, measured: np.ndarray) -> Moments:
 
 
 def interrupted(moments: Moments) -> Moments:
-    """Moments after a frame without a measurement: differences begin anew."""
+    """Return the moments after a frame without a measurement; differences start again."""
     return replace(moments, last=())
 
 
 def noise_and_drive(moments: Moments, variances: np.ndarray) -> tuple[float, np.ndarray]:
-    """How far measurements scatter, and how strongly the coordinates accelerate.
+    """Estimate the scatter of the measurements and the acceleration of the coordinates.
 
     Parameters
     ----------
     moments : Moments
     variances : (k,) float
-        The fit's own.
+        Variances reported by the fit.
 
     Returns
     -------
     share : float
-        Of the fit's variances that changes from frame to frame, in the middle of all coordinates; the rest is the same
-        in each, such as what the model cannot show, and no filter can take it off.
+        Fraction of the fit's variances that changes from frame to frame, median over the coordinates. The rest is
+        constant, such as the error of the model, and no filter can remove it.
     drive : (k,) float64
         Density of each coordinate's acceleration.
     """

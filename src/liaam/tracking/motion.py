@@ -1,8 +1,8 @@
-"""Coordinates in which a shape moves: four of similarity, and the shape model's modes, all in image pixels.
+"""Motion coordinates of a shape: four for the similarity and one per shape mode, all in image pixels.
 
 A shape is y0 s0 + y1 (-v, u) + y2 (1, 0, ...) + y3 (0, 1, ...) + R (y4 s1 + y5 s2 + ...), with unit vectors of the
-shape model (paper eq 1-2) and R the rotation of the first two. All columns are orthonormal, so distances in y are
-distances of landmarks, and a covariance of landmarks is one of y by the columns alone.
+shape model (paper eq 1-2) and R the rotation given by y0 and y1. All columns are orthonormal, so distances in y equal
+distances of landmarks, and a projection on the columns converts covariances.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from liaam.model.shape import ShapeModel, similarity_modes
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The coordinates of a shape model's shapes in a picture.
+    """Motion coordinates of the shapes of a model in an image.
 
     Attributes
     ----------
@@ -27,32 +27,32 @@ class Motion:
 
     @cached_property
     def similarity(self) -> np.ndarray:
-        """The four similarity vectors, (4, 2 n) float64."""
+        """Similarity vectors, (4, 2 n) float64."""
         return similarity_modes(self.shape_model.mean)
 
     @cached_property
     def modes(self) -> np.ndarray:
-        """The modes as points of the complex plane, (m, n) complex128: a rotation is a factor."""
+        """Modes as complex numbers, (m, n) complex128, which a factor rotates."""
         return _complex(self.shape_model.modes)
 
     def coordinates(self, shape: np.ndarray) -> np.ndarray:
-        """Coordinates y of a shape (n, 2), (m + 4,) float64; what the modes do not show of it is left out."""
+        """Project a shape (n, 2) on the coordinates y, (m + 4,) float64."""
         flat = np.asarray(shape, dtype=np.float64).ravel()
         pose = self.similarity @ flat
         turned_back = _complex((flat - pose @ self.similarity)[None])[0] * np.conj(_turn(pose))
         return np.concatenate([pose, (np.conj(self.modes) @ turned_back).real])
 
     def shape(self, y: np.ndarray) -> np.ndarray:
-        """Shape of coordinates (m + 4,), (n, 2) float64."""
+        """Return the shape (n, 2) float64 of coordinates (m + 4,)."""
         rigid = (y[:4] @ self.similarity).reshape(-1, 2)
         return rigid + _real(((y[4:] @ self.modes) * _turn(y[:4]))[None]).reshape(-1, 2)
 
     def basis(self, y: np.ndarray) -> np.ndarray:
-        """Orthonormal directions of the coordinates about a place, (m + 4, 2 n) float64."""
+        """Return orthonormal directions of the coordinates at `y`, (m + 4, 2 n) float64."""
         return np.concatenate([self.similarity, _real(self.modes * _turn(y[:4]))])
 
     def measured(self, result: FitResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coordinates of a fit, their covariance as the fit has it, and their directions.
+        """Return the coordinates of a fit, their covariance by the fit, and their directions.
 
         Returns
         -------
@@ -63,34 +63,34 @@ class Motion:
         y = self.coordinates(result.landmarks)
         basis, n_p = self.basis(y), len(result.p)
         moved = (self.shape_model.basis.reshape(n_p, -1, 2) @ result.pose.matrix.T).reshape(n_p, -1)
-        carried = basis @ moved.T
-        covariance = carried @ _bounded(result.covariance[:n_p, :n_p]) @ carried.T
+        transformed = basis @ moved.T
+        covariance = transformed @ _bounded(result.covariance[:n_p, :n_p]) @ transformed.T
         covariance[np.arange(len(y)), np.arange(len(y))] += LEAST
         return y, 0.5 * (covariance + covariance.T), basis
 
 
 def landmark_covariances(basis: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Covariance of each landmark, (n, 2, 2) float64, by that of the coordinates and their directions."""
+    """Return the covariance of each landmark, (n, 2, 2) float64, from that of the coordinates and their directions."""
     columns = basis.reshape(len(basis), -1, 2)
-    carried = (covariance @ basis).reshape(columns.shape)
-    return columns.transpose(1, 2, 0) @ carried.transpose(1, 0, 2)
+    transformed = (covariance @ basis).reshape(columns.shape)
+    return columns.transpose(1, 2, 0) @ transformed.transpose(1, 0, 2)
 
 
 LARGEST = 1e6
-"""Variance that stands for knowing nothing, square pixels; a fit says infinity there."""
+"""Upper bound of variances, in square pixels. A fit has infinite variance in directions without information."""
 
 LEAST = 1e-6
-"""Variance that any coordinate has at least, square pixels: a filter divides by it."""
+"""Minimum variance of a coordinate, in square pixels, since the filter divides by it."""
 
 
 def rescaled(shape: np.ndarray, before: tuple[int, int], after: tuple[int, int]) -> np.ndarray:
-    """Shape (n, 2) in a picture whose (height, width) has changed; pixels are counted by their centres."""
+    """Transform a shape (n, 2) to an image of another (height, width). (0, 0) is a pixel centre."""
     ratio = np.array(after[::-1]) / np.array(before[::-1])
     return (shape + 0.5) * ratio - 0.5
 
 
 def _bounded(covariance: np.ndarray) -> np.ndarray:
-    """Covariance whose infinities have become large numbers."""
+    """Replace infinite variances by large ones."""
     if np.trace(covariance) < LARGEST:
         return covariance
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
@@ -98,7 +98,7 @@ def _bounded(covariance: np.ndarray) -> np.ndarray:
 
 
 def _turn(pose: np.ndarray) -> complex:
-    """Rotation of the first two coordinates, as a complex number of length 1."""
+    """Return the rotation given by the first two coordinates, as a complex number of length 1."""
     turn = complex(pose[0], pose[1])
     return turn / abs(turn) if abs(turn) > 0 else 1.0 + 0.0j
 

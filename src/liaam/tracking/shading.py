@@ -1,11 +1,9 @@
-"""A video without its shading: each frame's object under the light of training (paper eq 11), steady over time.
+"""Remove the shading from a video: show each frame's object under the training light (paper eq 11), without flicker.
 
-Three things would make it flicker, and are seen to. The appearance's coordinates jump with every frame's noise: they
-are filtered, each as fast as it may change and as far as the frame shows it. Pixels at the mesh's border are in it in
-one frame and out of it in the next: the appearance goes over into the picture softly, by weights that are fixed to the
-object. And the mesh trembles: it lies where the smoothed landmarks do. The picture around the mesh keeps its own
-colours, but for the shading next to it, which is taken off less and less further out: so no seam shows on cheeks and
-forehead.
+Three measures prevent flicker. A Kalman filter smooths the appearance parameters, which vary with each frame's noise.
+The appearance blends into the image by weights fixed to the object, because pixels at the mesh's border may enter and
+leave it between frames. The mesh follows the smoothed landmarks. Around the mesh the image keeps its colours, and its
+shading is removed with a weight that decreases outwards, so that no seam is visible on cheeks and forehead.
 """
 
 from dataclasses import dataclass, field, replace
@@ -21,18 +19,17 @@ from liaam.relighting import ShadowFree, paint, shadow_free
 from liaam.relighting.painting import REACH, blended, soft_edge
 
 CHANGE = 0.1
-"""Standard deviation of the change of an appearance's coordinate from frame to frame, in those of its mode: a face
-needs some ten frames to become another."""
+"""Standard deviation of the change of an appearance parameter per frame, in standard deviations of its mode."""
 
 
 @dataclass(eq=False)
 class ShadingRemover:
-    """Takes the shading off an object, frame by frame.
+    """Removes the shading of an object, frame by frame.
 
     Attributes
     ----------
     fitter : Fitter
-        The one that fits the frames, of all levels; its method is ``soft-li`` or fits the appearance of log-RGB.
+        Fitter of the frames, with all levels. Its method is ``soft-li`` or fits the appearance of log-RGB.
     """
 
     fitter: Fitter
@@ -43,29 +40,31 @@ class ShadingRemover:
         method, model = self.fitter.objectives[-1].method, self.fitter.model
         if method.appearance not in ("log", "soft"):
             raise MethodError(
-                f"method {method.name} does not fit the appearance of log-RGB, so no shading can be taken off; "
+                f"method {method.name} does not fit the appearance of log-RGB, so it cannot remove shading; "
                 "track with 'soft-li', 'li', 'li-pc', 'li-pcs' or 'chroma'"
             )
         if not model.is_colour:
-            raise MethodError("the model is of grey pictures, and shading is told by colours; train on colour pictures")
-        # Of what soft-li measures, the invariant tells the appearance.
+            raise MethodError(
+                "the model was trained on grey images, and estimating shading needs colour; train on colour images"
+            )
+        # soft-li determines the appearance from the invariant.
         self._log = replace(self.fitter, method="li") if method.appearance == "soft" else self.fitter
         self._weights = soft_edge(model)
 
     def reset(self) -> None:
-        """Forget the frames before: the object has been lost."""
+        """Reset the filter, after the object was lost."""
         self._lam = self._variance = None
 
     def remove(self, image: np.ndarray, result: FitResult, landmarks: np.ndarray) -> np.ndarray:
-        """Picture with the object under the training light.
+        """Return the image with the object under the training light.
 
         Parameters
         ----------
         image : (h, w, 3) uint8
         result : FitResult
-            Of this frame, by the fitter's method.
+            Fit of this frame by the fitter's method.
         landmarks : (n, 2) float
-            Where to paint; smoothed landmarks tremble less than the result's.
+            Where to paint. Smoothed landmarks jitter less than the result's.
 
         Returns
         -------
@@ -74,12 +73,12 @@ class ShadingRemover:
         Raises
         ------
         MethodError
-            For a grey picture.
+            For a grey image.
         """
         image = as_colour(image)
         if is_grey(image):
             raise MethodError(
-                "the video is grey (three equal channels), and shading is told by colours; give a colour video"
+                "the video is grey (three equal channels), and estimating shading needs colour; give a colour video"
             )
         if self._log is not self.fitter:
             result = replace(result, method=self._log.objectives[-1].method, theta=np.nan)
@@ -90,7 +89,7 @@ class ShadingRemover:
         return blended(image, painted, camera.response, max(1.0, REACH * diagonal_of(landmarks)))
 
     def _filtered(self, seen: ShadowFree) -> np.ndarray:
-        """Logarithms of the appearance (n_pixels, 3), its coordinates filtered over time."""
+        """Return the log appearance (n_pixels, 3) with parameters filtered over time."""
         appearance = self._log.view.levels[-1].appearances["log"]
         noise = np.square(seen.deviations)
         if self._lam is None or self._variance is None:
@@ -105,14 +104,14 @@ class ShadingRemover:
 def filtered(
     before: np.ndarray, variance: np.ndarray, measured: np.ndarray, noise: np.ndarray, change: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Kalman filter of values that wander, each by itself: mean and variance (m,) after a measurement.
+    """Kalman filter of independent random walks. Return mean and variance (m,) after a measurement.
 
     Parameters
     ----------
     before, variance : (m,) float
-        Belief so far.
+        Mean and variance before.
     measured, noise : (m,) float
-        Values measured, and their variances.
+        Measured values and their variances.
     change : (m,) float
         Variance of a step.
     """

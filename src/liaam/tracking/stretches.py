@@ -1,8 +1,8 @@
-"""A long video tracked in stretches side by side, in processes: the same landmarks however many there are of them.
+"""Track the stretches of a long video in parallel processes. The landmarks do not depend on the number of processes.
 
-A stretch is tracked from some frames before it on, so that its tracker knows the motion when it begins. Where that has
-come to something else than the track so far, such as another person, or another way for the jaw to lie, the track so
-far goes on through the stretch until both are of one opinion.
+Tracking of a stretch starts some frames before it, so that the tracker has estimated the motion when the stretch
+begins. If the stretch then differs from the preceding track, for example by another person or another position of the
+jaw, the preceding track continues into the stretch until both agree.
 """
 
 import multiprocessing
@@ -24,21 +24,21 @@ from liaam.tracking.tracker import TrackedFrame, Tracker, TrackState
 from liaam.workers import WorkerDied, in_workers, one_thread
 
 LENGTH = 1200
-"""Frames of a stretch; the last one takes the rest."""
+"""Number of frames of a stretch. The last one also takes the rest."""
 
 RUN_IN = 75
-"""Frames that are tracked before a stretch: three times what the filter looks back on (``kalman.MEMORY``)."""
+"""Number of frames tracked before a stretch: three times the filter's memory (``kalman.MEMORY``)."""
 
 MEETING = 0.001
-"""Mean distance of landmarks, as a share of the object's diagonal, up to which two tracks are of one opinion."""
+"""Maximum mean distance of landmarks at which two tracks agree, as a fraction of the object's diagonal."""
 
 POLLED = 0.2
-"""Seconds between two looks at how far the workers are, and at whether to stop."""
+"""Seconds between updates of the progress and of the stop flag."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Frames ``start`` to ``stop`` of a video, by number; to the end if that is None."""
+    """Frames ``start`` to ``stop`` (exclusive) of a video; to the end if ``stop`` is None."""
 
     number: int
     start: int
@@ -47,16 +47,16 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class TrackJob:
-    """What is to be tracked, and how.
+    """A video to track and its tracker.
 
     Attributes
     ----------
     tracker : Tracker
-        One that has seen nothing yet.
+        A new tracker.
     video : str
         Path of a file.
     fits : bool
-        Whether the frames' fits are wanted beside their landmarks.
+        Whether to return the frames' fits with their landmarks.
     """
 
     tracker: Tracker
@@ -66,19 +66,19 @@ class TrackJob:
 
 @dataclass(frozen=True, eq=False)
 class TrackedStretch:
-    """A stretch that was tracked.
+    """Track of a stretch.
 
     Attributes
     ----------
     before : TrackedFrame or None
-        The frame before it, as its run-in has it.
+        The frame before the stretch, from its run-in.
     frames : list of (TrackedFrame, FitResult or None)
     state : TrackState
-        What the tracker knows at the end.
+        State of the tracker at the end.
     fault : str
-        What is wrong with the file; empty for a sound one.
+        Fault of the file; empty if there is none.
     whole : bool
-        Whether it was tracked to its end, and not until the file ended or somebody wished to stop.
+        Whether tracking reached the end of the stretch, rather than the end of the file or a stop.
     """
 
     before: TrackedFrame | None
@@ -92,16 +92,16 @@ Found = Generator[tuple[Stretch, TrackedStretch], None, None]
 
 
 def cut(start: int, stop: int | None, n_frames: int | None, length: int | None = None) -> list[Stretch]:
-    """Stretches of a video.
+    """Cut a video into stretches.
 
     Parameters
     ----------
     start, stop : int, int or None
         First frame, and the one after the last.
     n_frames : int or None
-        How many there are between them; one stretch where nobody knows.
+        Number of frames between them. If unknown (None), there is one stretch.
     length : int, optional
-        Of a stretch; :data:`LENGTH` if left out.
+        Length of a stretch. By default :data:`LENGTH`.
     """
     length = LENGTH if length is None else length
     n = max(1, (n_frames or 0) // length)
@@ -122,17 +122,17 @@ def track_stretch(
     job : TrackJob
     stretch : Stretch
     state : TrackState, optional
-        What a tracker knew at the end of the stretch before; if left out, there is a run-in.
+        State of the tracker at the end of the previous stretch. By default tracking starts with a run-in.
     seen : callable
-        Called with each frame, those of the run-in too; tells whether to go on.
+        Called with each frame, including the run-in. Returns whether to continue.
     """
     tracker, begin = job.tracker, stretch.start
     if state is None and stretch.number:
         begin = max(0, begin - RUN_IN)
-        state = TrackState(count=1)  # in the middle of a video no frame is refused
+        state = TrackState(count=1)  # only the first frame of a video may raise
     tracker.resume(state or TrackState())
     before, frames, reader = None, [], VideoReader(job.video, begin, stretch.stop)
-    short = f"{job.video} is cut short: it has fewer frames than it says"
+    short = f"{job.video} is cut short: it has fewer frames than it announces"
     try:
         with one_thread(), reader:
             for frame in reader:
@@ -151,16 +151,16 @@ def track_stretch(
 
 
 def agree(track: TrackedFrame, other: TrackedFrame | None, lost: int = 0, patience: int = 0) -> bool:
-    """Tell whether another track may go on where one is.
+    """Return whether another track may continue a track.
 
     Parameters
     ----------
     track, other : TrackedFrame, TrackedFrame or None
-        The same frame as both have it.
+        The same frame in both tracks.
     lost : int
-        Frames for which the track has been lost.
+        Number of frames for which the track has been lost.
     patience : int
-        Frames for which it looks for its object where that was; it takes whatever it finds only after them.
+        Number of frames for which a lost track expects its object in the same place. After them it accepts any object.
     """
     if not track.ok:
         return lost > patience or (other is not None and not other.ok)
@@ -173,18 +173,18 @@ def agree(track: TrackedFrame, other: TrackedFrame | None, lost: int = 0, patien
 def joined(
     job: TrackJob, stretch: Stretch, last: TrackedStretch, own: TrackedStretch, stopped: Callable[[], bool]
 ) -> TrackedStretch:
-    """Let the track so far go on through a stretch until it agrees with the stretch's own.
+    """Continue the previous track into a stretch until it agrees with the stretch's own track.
 
     Parameters
     ----------
     job : TrackJob
     stretch : Stretch
     last : TrackedStretch
-        The stretch before.
+        Track of the previous stretch.
     own : TrackedStretch
-        The stretch as it was tracked from its run-in.
+        Track of the stretch from its run-in.
     stopped : callable
-        Whether to stop.
+        Returns whether to stop.
     """
     patience, end = job.tracker.options.patience, last.frames[-1][0]
     lost = sum(1 for _ in takewhile(lambda found: not found[0].ok, reversed(last.frames)))
@@ -213,23 +213,23 @@ def track_stretches(
     progress: Callable[[int], object] = lambda _: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Generator[TrackedStretch, None, None]:
-    """Track stretches side by side; they come in order, joined to one track.
+    """Track stretches in parallel. Yield them in order, joined to one track.
 
     Parameters
     ----------
     job : TrackJob
     stretches : list of Stretch
     jobs : int
-        Worker processes.
+        Number of worker processes.
     progress : callable
-        Called now and then, on another thread, with how many frames are done.
+        Called regularly, in another thread, with the number of frames done.
     stopped : callable
-        Whether to stop: what is done is given then, as far as it comes without a gap.
+        Returns whether to stop. The finished frames up to the first gap are then yielded.
 
     Raises
     ------
     VideoError, ImageError, StartError
-        As of :class:`VideoReader`, and of :class:`Tracker` for the first frame.
+        As by :class:`VideoReader`, and by :class:`Tracker` for the first frame.
     LiaamError
         If a worker dies.
     """
@@ -247,12 +247,12 @@ def track_stretches(
     except WorkerDied as death:
         begin = death.items[0].start
         raise LiaamError(
-            f"{job.video}: the process that tracked frames {begin} on died (killed, or out of memory); try --jobs 1"
+            f"{job.video}: the worker process for frames from {begin} on died (killed or out of memory); try --jobs 1"
         ) from death
 
 
 def _each(job: TrackJob, stretches: list[Stretch], jobs: int, shared: "_Shared") -> Found:
-    """Stretches as they are tracked, each on its own."""
+    """Track each stretch separately. Yield them in order of completion."""
     if jobs == 1:
         for stretch in stretches:
             yield stretch, track_stretch(job, stretch, seen=partial(shared.seen, stretch))
@@ -273,12 +273,12 @@ def _in_order(each: Found) -> Found:
 
 @dataclass(frozen=True, eq=False)
 class _Shared:
-    """What processes tell each other, without locks, which a process that is killed would leave closed.
+    """Memory shared by the processes, without locks, because a killed process would not release them.
 
     Attributes
     ----------
     n_done : array of int
-        Frames of each stretch that are done.
+        Number of frames done in each stretch.
     stop : bool value
         Whether to stop.
     """
@@ -287,14 +287,14 @@ class _Shared:
     stop: Any
 
     def seen(self, stretch: Stretch, frame: TrackedFrame) -> bool:
-        """Count a frame, but for those before a stretch; tells whether to go on."""
+        """Count a frame of a stretch, but not of its run-in. Return whether to continue."""
         self.n_done[stretch.number] += frame.index >= stretch.start
         return not self.stop.value
 
 
 @contextmanager
 def _watched(n: int, progress: Callable[[int], object], stopped: Callable[[], bool]) -> Iterator[_Shared]:
-    """Tell of progress and pass on the wish to stop, on a thread: this one waits for the workers."""
+    """Report progress and pass on the stop flag in a thread, while the caller waits for the workers."""
     context, over = multiprocessing.get_context("spawn"), threading.Event()
     shared = _Shared(context.RawArray("q", n), context.RawValue("b", 0))
 
@@ -316,7 +316,7 @@ _work: tuple[TrackJob, _Shared] | None = None
 
 
 def _prepare(job: TrackJob, shared: _Shared) -> None:
-    """Make this worker process ready for stretches of a job."""
+    """Set the job of this worker process."""
     global _work
     _work = job, shared
 

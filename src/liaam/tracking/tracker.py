@@ -1,11 +1,11 @@
-"""Following an object through the frames of a video.
+"""Track an object through the frames of a video.
 
-Each frame is fitted from where the motion so far puts the object, at the sharpest levels of the model only, since the
-start is near. A fit that is not to be trusted is made again from there at all levels; if that fails too, the object is
-lost, and searched for, at first in every frame and then ever more rarely. A part that has once gone astray, such as a
-jaw that lies on the background, is carried along from frame to frame by fits that look fair on the whole: so every now
-and then a frame is fitted anew, from the mean shape, and the fit that is clearly better is gone on from. What the fits
-give is smoothed by a Kalman filter (:mod:`liaam.tracking.kalman`) with their own covariances as noise.
+Each frame is fitted from the predicted position of the object, at the finest levels of the model only, because the
+start is near. If that fit fails, it is repeated from there at all levels. If that fails too, the object is lost and
+searched for, at first in every frame and then less and less often. Part of the shape may drift, such as the jaw onto
+the background, and stay there while the fits look acceptable as a whole. Therefore one in `review` frames is also
+fitted from the mean shape, and tracking continues from that fit if it is clearly better. A Kalman filter
+(:mod:`liaam.tracking.kalman`) smooths the fits, with their covariances as measurement noise.
 """
 
 from dataclasses import dataclass, field, replace
@@ -32,32 +32,31 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 JUMP = 0.25
-"""Mean distance between start and fit, as a share of the object's diagonal, beyond which a fit that was to follow has
-run off to something else."""
+"""Maximum mean distance between prediction and fit, as a fraction of the object's diagonal. Fits further away are on
+something else."""
 
 SLOWING = 0.7
-"""Share of its speed that an object keeps with each frame in which it is not seen."""
+"""Factor of the velocity per frame in which the object is lost."""
 
 FIRST_SPEED = 0.01
-"""Standard deviation of the speed before anything of it was seen, as a share of the diagonal, per frame."""
-
+"""Prior standard deviation of the speed, as a fraction of the object's diagonal per frame."""
 
 NOTICE = 0.1
-"""Step, in standard deviations, that is the last one of a fit that follows. Measured on a talking face: an iteration in
-five less than at 0.03, landmarks within 0.04 pixels, a fortieth of their deviations, and no more trembling."""
-
+"""Step size, in standard deviations, at which a fit from a prediction has converged. Measured on a talking face against
+0.03: 20 % fewer iterations, landmarks within 0.04 pixels (1/40 of their standard deviation), and the same jitter."""
 
 BETTER = 0.8
-"""Share of what a fit's quality lacks to 1 that a fit from the mean shape may lack to be taken in its place. Measured
-on a talking face whose jaw had gone astray for 1,000 frames: 0.6 to 0.8 there, 0.88 and more where the track is right
-and the fit from the mean shape is not."""
+"""A fit from the mean shape replaces the tracked fit if its 1 - quality is less than this fraction of the other's.
+Measured on a talking face whose jaw had drifted for 1,000 frames: the ratio is 0.6 to 0.8 there, and at least 0.88
+where the track is right and the fit from the mean shape is wrong."""
 
 APART = 0.02
-"""Share of the object's diagonal that a landmark of that fit has to lie elsewhere: else nothing was astray."""
+"""Minimum distance of a landmark between both fits, as a fraction of the object's diagonal. If all are nearer, the
+track has not drifted."""
 
 
 class TrackStatus(StrEnum):
-    """How a frame's landmarks came about."""
+    """Source of a frame's landmarks."""
 
     FOUND = "found"
     TRACKED = "tracked"
@@ -67,23 +66,23 @@ class TrackStatus(StrEnum):
 
 @dataclass(frozen=True)
 class TrackingOptions:
-    """How to follow.
+    """Options of a tracker.
 
     Attributes
     ----------
     smooth : bool
         Whether to smooth landmarks over time.
     levels : int
-        Finest levels of the model that a frame is fitted with from the prediction; all of them are used to start.
+        Number of finest levels of the model used for fits from a prediction. Other fits use all levels.
     iterations : int
-        Iterations at most of such a fit, at each level.
+        Maximum number of iterations of a fit from a prediction, at each level.
     patience : int
-        Frames after a loss in which the object is looked for where it was last.
+        Number of frames after a loss in which the object is expected at its last position.
     longest_wait : int
-        Frames between two searches at most: the first wait is one frame, and each is twice as long as the one before.
+        Maximum number of frames between two searches. The first wait is one frame, and each is twice the previous one.
     review : int
-        Every so many frames (at multiples of it, or at the next frame there is) one is fitted from the mean shape too,
-        and what is clearly the better fit is gone on from, where the method knows the quality of its fits; 0 for never.
+        Interval, in frames, of additional fits from the mean shape, which replace the tracked fit if clearly better.
+        They need a method with a known quality of fits. 0 for never.
     """
 
     smooth: bool = True
@@ -94,36 +93,36 @@ class TrackingOptions:
     review: int = 48
 
     def __post_init__(self) -> None:
-        """Refuse options that make no sense."""
+        """Raise if an option is out of range."""
         if min(self.levels, self.iterations, self.longest_wait) < 1 or min(self.patience, self.review) < 0:
-            raise MethodError("levels, iterations and longest_wait are at least 1, patience and review are at least 0")
+            raise MethodError("levels, iterations and longest_wait must be at least 1, patience and review at least 0")
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedFrame:
-    """What is known of one frame.
+    """Tracking result of one frame.
 
     Attributes
     ----------
     index : int
         Number of the frame, as given or counted from 0.
     time : float
-        Seconds, as given; NaN if not.
+        Time in seconds, as given; NaN if not given.
     status : TrackStatus
-        ``found`` by the search or by the start that was given, ``tracked`` from the frame before, ``corrected`` from
-        the mean shape, since part of what was tracked had gone astray some frames before, or ``lost``.
+        ``found`` by the search or from the given start, ``tracked`` from the previous frame, ``corrected`` by a fit
+        from the mean shape because the track had drifted, or ``lost``.
     fit_status : FitStatus or None
-        Of the last fit that was tried; None where none was.
+        Status of the last fit; None if there was none.
     quality : float
-        Of that fit, 0 to 1 (see :class:`liaam.FitResult`); NaN where unknown.
+        Quality of that fit, 0 to 1 (see :class:`liaam.FitResult`); NaN if unknown.
     theta : float
-        Angle of the camera that it estimates, radians; NaN for methods that estimate none.
+        Estimated angle of the camera, in radians; NaN for methods that do not estimate it.
     landmarks : (n, 2) float64
-        Smoothed over time if asked for, else as fitted; image pixels, NaN if lost.
+        Landmarks in image pixels, smoothed over time if requested; NaN if lost.
     raw : (n, 2) float64
-        As fitted.
+        Landmarks as fitted.
     covariances, raw_covariances : (n, 2, 2) float64
-        Of ``landmarks`` and of ``raw``, image pixels squared.
+        Covariances of ``landmarks`` and of ``raw``, in square pixels.
     """
 
     index: int
@@ -163,7 +162,7 @@ class TrackedFrame:
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """An object that is being followed: belief in its coordinates, and what its motion has been like.
+    """State of a tracked object: estimate of its coordinates, and statistics of its motion.
 
     Attributes
     ----------
@@ -182,7 +181,7 @@ class _Track:
 
 @dataclass(frozen=True, eq=False)
 class _Loss:
-    """How long the object has been lost, and when it is searched for next."""
+    """Number of frames since the loss, and time of the next search."""
 
     frames: int = 0
     wait: int = 0
@@ -196,22 +195,22 @@ class _Loss:
 
 @dataclass(frozen=True, eq=False)
 class TrackState:
-    """What a tracker knows between two frames, so that another one may go on; see :meth:`Tracker.resume`.
+    """State of a tracker between two frames, from which another one can continue; see :meth:`Tracker.resume`.
 
     Attributes
     ----------
     count : int
-        Frames seen; 0 before the first, which is refused where it makes no sense.
+        Number of frames so far. At 0, an invalid frame raises.
     track : optional
-        Belief in the object's motion.
+        Estimate of the object's motion.
     loss
-        How long it has been lost.
+        How long the object has been lost.
     size : (height, width), optional
-        Of the last frame.
+        Size of the last frame.
     last : (n, 2) float64, optional
-        Landmarks where it was last.
+        Last landmarks.
     period : int
-        Number of the last frame with landmarks, over how many are between reviews.
+        Number of the last frame with landmarks, divided by the review interval.
     """
 
     count: int = 0
@@ -224,22 +223,22 @@ class TrackState:
 
 @dataclass(eq=False)
 class Tracker:
-    """Follows one object from frame to frame.
+    """Tracks one object from frame to frame.
 
     Attributes
     ----------
     model : AAM
     method : str or Method
-        As of :class:`liaam.Fitter`.
+        See :class:`liaam.Fitter`.
     camera : CameraModel, optional
-        Of the video, if not the training camera's.
+        Camera of the video, if it is not the training camera.
     options : TrackingOptions
     init : shape, box, or point and size, optional
-        Where the object is in the first frame; searched for if left out.
+        Where the object is in the first frame. By default it is searched for.
     name : str
-        What the frames are of, such as the name of a video, for messages.
+        Name of the video, for messages.
     result : FitResult or None
-        The last frame's fit; None if it is lost.
+        Fit of the last frame; None if the object is lost.
 
     Examples
     --------
@@ -257,7 +256,7 @@ class Tracker:
 
     def __post_init__(self) -> None:
         self.fitter = Fitter(self.model, self.method, camera=self.camera, restarts=False)  # it searches instead
-        # No hurry: a frame would be left between where it is and where the one before it said it was.
+        # hurry=0: stopping early would leave the landmarks between the previous frame's and this one's.
         near = SolverOptions(max_iterations=self.options.iterations, notice=NOTICE, hurry=0.0)
         few = sharpest(self.model, self.options.levels)
         self._near = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
@@ -266,16 +265,16 @@ class Tracker:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the object; the next frame is a first one."""
+        """Forget the object. The next frame counts as the first one."""
         self.resume(TrackState())
 
     @property
     def state(self) -> TrackState:
-        """What is known after the last frame."""
+        """State after the last frame."""
         return TrackState(self._count, self._track, self._loss, self._size, self._last, self._period)
 
     def resume(self, state: TrackState) -> None:
-        """Go on where a tracker with the same model and method was."""
+        """Continue from the state of a tracker with the same model and method."""
         self.result = None
         self._count, self._track, self._loss = state.count, state.track, state.loss
         self._size, self._last, self._period = state.size, state.last, state.period
@@ -286,11 +285,11 @@ class Tracker:
         Parameters
         ----------
         image : (h, w, 3) array or path
-            Frames may change their size.
+            The size may change between frames.
         time : float
-            Seconds, for the result.
+            Time in seconds, for the result.
         index : int, optional
-            Number of the frame, for the result and for what is done every so many frames; counted if left out.
+            Number of the frame, for the result and for the review interval. By default frames are counted.
 
         Returns
         -------
@@ -299,7 +298,7 @@ class Tracker:
         Raises
         ------
         ImageError, StartError
-            For a first frame or a start that make no sense; later frames of the kind are lost.
+            If the first frame or the start is invalid. Later invalid frames are ``lost``.
         """
         index = self._count if index is None else index
         name = f"{self.name}, frame {index}" if self.name else f"frame {index}"
@@ -319,7 +318,7 @@ class Tracker:
         return self._seen(tried, status, index, time)
 
     def _missed(self, index: int, time: float) -> TrackedFrame:
-        """Go past a frame that is no picture: the object is lost in it, and moves on meanwhile."""
+        """Skip an invalid frame: the object is lost in it and keeps moving."""
         if self._loss.frames <= self.options.patience and self._last is not None:
             self._predicted()
         self._loss = self._loss.next_frame(False, self.options.longest_wait)
@@ -327,15 +326,15 @@ class Tracker:
         return _lost(self.model.n_points, index, time, None)
 
     def _follow_size(self, height: int, width: int) -> None:
-        """Carry what is known over to frames of another size."""
+        """Adapt the state to frames of another size."""
         before, self._size = self._size, (height, width)
         if before in (None, self._size) or self._last is None:
             return
-        # Its speed and scatter are others now: begin anew from where it was.
+        # Speed and scatter change with the size: restart from the last position.
         self._last, self._track = rescaled(self._last, before, self._size), None
 
     def _locate(self, pixels: np.ndarray, index: int, name: str) -> tuple[TrackStatus, FitResult | None]:
-        """Status, and the fit that it rests on or the last that failed."""
+        """Return the status, and its fit or the last failed one."""
         first, tried = self._count == 0, None
         if first and self.init is not None:
             tried = self.fitter.fit(pixels, self.init, name)
@@ -348,38 +347,38 @@ class Tracker:
                 better = self._reviewed(pixels, tried, name) if due else None
                 if better is None:
                     return TrackStatus.TRACKED, tried
-                self._track = None  # its motion was that of something else
+                self._track = None  # the motion was wrong
                 return TrackStatus.CORRECTED, better
         searched = self._loss.due <= 0
         if searched:
             right, found = self._search(pixels, name, first)
             tried = found or tried
             if right:
-                self._track = None  # it may be anywhere now
+                self._track = None  # the motion before does not apply
                 return TrackStatus.FOUND, tried
         self._loss = self._loss.next_frame(searched, self.options.longest_wait)
         return TrackStatus.LOST, tried
 
     def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
-        """Fit from where the object should be."""
+        """Fit from the predicted position."""
         start = self._predicted()
         fitters = (self._near, self.fitter) if self._loss.frames == 0 else (self.fitter,)
         tried = None
         for fitter in fitters:
             try:
                 tried = fitter.fit(pixels, start, name)
-            except (StartError, ImageError):  # it has moved out, or the frame is grey
+            except (StartError, ImageError):  # the object left the frame, or the frame is grey
                 return False, tried
             if _usable(tried) and _distance(tried.landmarks, start) < JUMP * diagonal_of(start):
                 return True, tried
         return False, tried
 
     def _period_of(self, index: int) -> int:
-        """Reviews due up to a frame, by its number: whoever tracks it counts the same, and there may be holes."""
+        """Return the number of reviews due up to a frame, from its number only, since numbers may have gaps."""
         return index // self.options.review if self.options.review else 0
 
     def _reviewed(self, pixels: np.ndarray, followed: FitResult, name: str) -> FitResult | None:
-        """Fit from the mean shape where the object is, if that is clearly better."""
+        """Return a fit from the mean shape at the same place, if it is clearly better."""
         if np.isnan(followed.quality):
             return None
         mean = self.model.shape_model.mean
@@ -389,12 +388,12 @@ class Tracker:
             return None
         apart, size = np.linalg.norm(anew.landmarks - followed.landmarks, axis=1), diagonal_of(followed.landmarks)
         better = _usable(anew) and 1.0 - anew.quality < BETTER * (1.0 - followed.quality)
-        # Nothing was astray, or this is another object.
+        # If near, the track has not drifted; if far, this is another object.
         elsewhere = apart.max() > APART * size and apart.mean() < JUMP * size
         return anew if better and elsewhere else None
 
     def _predicted(self) -> np.ndarray:
-        """Where the object should be in this frame; lets the track's belief move on to it."""
+        """Advance the track to this frame and return the predicted shape."""
         assert self._last is not None
         if self._track is None:
             return self._last
@@ -407,18 +406,18 @@ class Tracker:
         return motion.shape(moved.position)
 
     def _search(self, pixels: np.ndarray, name: str, first: bool) -> tuple[bool, FitResult | None]:
-        """Look for the object in the whole frame."""
+        """Search for the object in the whole frame."""
         try:
             tried = self.fitter.fit(pixels, name=name)
         except (StartError, ImageError):
             if first:
                 raise
             return False, None
-        # A doubtful place counts only where fits can tell whether they are right.
+        # Reject a place with a low search score unless the quality of the fit confirms it.
         return _usable(tried) and not tried.place_doubtful, tried
 
     def _seen(self, result: FitResult, status: TrackStatus, index: int, time: float) -> TrackedFrame:
-        """Take a fit into the track."""
+        """Update the track with a fit."""
         motion, track = self._motion, self._track
         y, own, basis = motion.measured(result)
         variances = own.diagonal()
@@ -433,9 +432,9 @@ class Tracker:
         self._track = _Track(belief, moments, *kalman.noise_and_drive(moments, variances))
         landmarks, covariances = result.landmarks, result.landmark_covariances
         if self.options.smooth:
-            # What the coordinates do not show of the shape stays as it was fitted.
+            # The part of the shape outside the coordinates stays as fitted.
             landmarks = landmarks + motion.shape(belief.position) - motion.shape(y)
-            # The part of the fit's error that is the same in all frames is not smoothed away.
+            # Smoothing does not reduce the part of the fit's error that is the same in all frames.
             covariances = covariances + landmark_covariances(basis, belief.pp - noise)
         return TrackedFrame(
             index=index,
@@ -452,12 +451,12 @@ class Tracker:
 
 
 def sharpest(model: AAM, levels: int) -> AAM:
-    """The model without its coarser levels, of which so many finest ones stay."""
+    """Return the model with only its `levels` finest levels."""
     return replace(model, views={name: replace(v, levels=v.levels[-levels:]) for name, v in model.views.items()})
 
 
 def _usable(result: FitResult) -> bool:
-    """Tell whether a fit can be gone on from: settled, or nearly so, and not doubtful."""
+    """Return whether to accept a fit: converged, or stopped at the iteration limit without a low quality."""
     return result.status.ok or (result.status is FitStatus.MAX_ITERATIONS and not result.quality < LEAST_QUALITY)
 
 

@@ -1,4 +1,4 @@
-"""Tracking through the frames of a file or a camera."""
+"""Track an object through a video file or a camera."""
 
 import os
 from collections.abc import Iterator
@@ -28,20 +28,20 @@ def track_video(
     ----------
     model : AAM
     video : path-like or int
-        A file, or the number of a camera.
+        A file, or a camera number.
     init : shape, box, or point and size, optional
-        Where the object is in the first frame; searched for if left out.
+        Where the object is in the first frame. By default it is searched for.
     start, stop : int, optional
         First frame, and the one after the last.
     method : str or Method
     camera : CameraModel, optional
-        Of the video, if not the training camera's.
+        Camera of the video, if it is not the training camera.
     options : TrackingOptions, optional
 
     Yields
     ------
     TrackedFrame
-        One for every frame, those without the object as ``lost``.
+        One per frame. Frames without the object have the status ``lost``.
 
     Raises
     ------
