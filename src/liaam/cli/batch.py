@@ -20,7 +20,7 @@ def batch(
     pictures: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="IMAGES...",
+            metavar="IMAGE...",
             help="Folders, quoted patterns such as 'images/**', files, or - to read paths from standard input.",
         ),
     ] = None,

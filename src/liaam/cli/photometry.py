@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from liaam.photometry import CameraModel
 
 calibrate = typer.Typer(
-    help="Calibrate a camera: its angle, response, vignetting and noise. "
+    help="Calibrate a camera: its angle theta, response, vignetting and noise. "
     "Writes a camera file for --camera of train, fit, invariant and register, and an image to check it.",
     no_args_is_help=True,
 )
@@ -75,7 +75,7 @@ def spectral(
     start: Start = None,
     trust: Trust = False,
 ) -> None:
-    """Angle from peak wavelengths (Wien's approximation) or measured sensitivities of the sensors."""
+    """Compute the angle from peak wavelengths (Wien's approximation) or sensitivities of the sensors."""
     from liaam.calibration import read_sensitivities, theta_from_peaks, theta_from_sensitivities
 
     check_camera_output(output, start)
@@ -101,7 +101,7 @@ def pair(
     free_balance: FreeBalance = False,
     trust: Trust = False,
 ) -> None:
-    """Angle from two images of one scene under lights of different colour."""
+    """Estimate the angle from two images of one scene under lights of different colour."""
     angle_of_scene([first, second], output, start, response, align, free_balance, trust)
 
 
@@ -115,7 +115,7 @@ def scene(
     free_balance: FreeBalance = False,
     trust: Trust = False,
 ) -> None:
-    """Angle from several images of one scene under lights of different colour."""
+    """Estimate the angle from several images of one scene under lights of different colour."""
     angle_of_scene(images, output, start, response, align, free_balance, trust)
 
 
@@ -171,7 +171,7 @@ def chart(
     free_balance: FreeBalance = False,
     trust: Trust = False,
 ) -> None:
-    """Angle from images of a colour chart under lights of different colour; they need no alignment."""
+    """Estimate the angle from images of a colour chart under lights of different colour, without alignment."""
     from liaam.calibration import chart_patches, theta_from_chart
 
     check_camera_output(output, start, images)
@@ -201,7 +201,7 @@ def image(
     kind: Annotated[Literal["quadratic", "shannon"], typer.Option(help="Entropy to minimise.")] = "quadratic",
     trust: Trust = False,
 ) -> None:
-    """Angle from one image with shadows, by entropy minimisation. A last resort, often unreliable."""
+    """Estimate the angle from one image with shadows, by entropy minimisation. A last resort, often unreliable."""
     from liaam.calibration import theta_from_image
 
     check_camera_output(output, start, [picture])
@@ -230,7 +230,7 @@ def faces(
     start: Start = None,
     trust: Trust = False,
 ) -> None:
-    """Angle pooled over fits of a model to many images under lights other than the training light."""
+    """Estimate the angle from fits of a model to many images under lights other than the training light."""
     from liaam.calibration import theta_from_fits
     from liaam.fitting import Fitter
     from liaam.io import read_image
@@ -265,7 +265,7 @@ def response_command(
     output: Output = CAMERA_FILE,
     start: Start = None,
 ) -> None:
-    """Response, and with --vignetting also vignetting, from images of one scene at different exposures."""
+    """Estimate the response (and vignetting, with --vignetting) from images of one scene at different exposures."""
     from liaam.calibration import calibrate_response
     from liaam.plotting.photometry import figure_of_response, save_figure
 
@@ -301,7 +301,7 @@ def vignetting_command(
     start: Start = None,
     response: ResponseOption = None,
 ) -> None:
-    """Vignetting from one image of an evenly lit white wall or paper."""
+    """Estimate vignetting from one image of an evenly lit white wall or paper."""
     from liaam.calibration import vignetting_from_flat_field
 
     check_camera_output(output, start, [picture])
@@ -333,7 +333,7 @@ def noise_command(
     start: Start = None,
     response: ResponseOption = None,
 ) -> None:
-    """Noise from plain surfaces (--flat), from two images of one scene under one light, or from one image."""
+    """Estimate noise from plain surfaces (--flat), two images of one scene under one light, or one image."""
     import numpy as np
 
     from liaam.calibration import noise_from_flat, noise_from_image, noise_from_pair

@@ -75,8 +75,7 @@ def train(
 ) -> None:
     """Train a model on a folder of landmarked images.
 
-    Landmarks: a .pts, .asf, .tem, .ljson or .csv file beside each image, or one dlib .xml, COCO .json or .csv file
-    for all.
+    Landmarks: .pts, .asf, .tem, .ljson or .csv beside each image, or one dlib .xml, COCO .json or .csv for all images.
     """
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
