@@ -23,7 +23,7 @@ BENCHMARKS = {
 
 
 def parser() -> argparse.ArgumentParser:
-    """What can be said on the command line."""
+    """Make the parser of the command line."""
     made = argparse.ArgumentParser(prog="python -m benchmarks", description="Print named metrics.")
     made.add_argument("names", nargs="*", metavar="NAME", help=f"which: {', '.join(BENCHMARKS)}; all if left out")
     what = made.add_mutually_exclusive_group()
@@ -33,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def run(names: list[str], save: bool = False) -> dict[str, Metrics]:
-    """Run benchmarks; gives what each reported, saved as soon as it is there."""
+    """Run benchmarks and return the metrics of each. Save them after each benchmark if `save`."""
     measured: dict[str, Metrics] = {}
     for name in names:
         with metrics.recording() as measured[name]:
@@ -44,7 +44,7 @@ def run(names: list[str], save: bool = False) -> dict[str, Metrics]:
 
 
 def main(arguments: list[str]) -> int:
-    """Run what is asked for; 0 whatever has moved, since times are a machine's."""
+    """Run the requested benchmarks. Return 0 even if metrics have moved, since times depend on the machine."""
     asked = parser().parse_args(arguments)
     unknown = [name for name in asked.names if name not in BENCHMARKS]
     if unknown:
@@ -52,7 +52,7 @@ def main(arguments: list[str]) -> int:
         return 2
     try:
         if asked.save or asked.compare:
-            metrics.read_baseline(metrics.BASELINE)  # complain before minutes are spent
+            metrics.read_baseline(metrics.BASELINE)  # raise before any work
         measured = run(asked.names or list(BENCHMARKS), asked.save)
         if asked.compare:
             print("\n" + "\n".join(metrics.compare(measured, metrics.BASELINE)))

@@ -1,8 +1,8 @@
-"""Whether ``liaam batch`` uses all cores, stays small, survives a kill, and gives the same rows on a cluster.
+"""Speed, memory, and recovery from kills of ``liaam batch``, and its agreement with a cluster.
 
-Generated portraits of 160×120 pixels, some of them linked under many names, fitted by ``grey`` from one start for all
-in a few iterations: fits as short as they get, so that what the batch itself costs shows. Everything runs as a user
-would run it, in processes of its own.
+Generated portraits of 160×120 pixels, some linked under many names, are fitted by ``grey`` from one common start in a
+few iterations. The fits are short, so that the cost of the batch itself is visible. The commands run in separate
+processes, as for a user.
 """
 
 import csv
@@ -33,7 +33,7 @@ PORT = 18787
 
 @dataclass(frozen=True)
 class Cost:
-    """What a batch took: seconds, seconds of processors, and the most memory of all its processes together, MB."""
+    """Cost of a batch: time and processor time in seconds, and peak memory of all its processes in MB."""
 
     seconds: float
     processor: float
@@ -41,7 +41,7 @@ class Cost:
 
 
 class World:
-    """A model, pictures under many names, and the command that fits them."""
+    """A model, images under many names, and the command that fits them."""
 
     def __init__(self, folder: Path, distinct: int) -> None:
         self.folder = folder
@@ -57,7 +57,7 @@ class World:
             write_image(path, scene.image)
 
     def pictures(self, n: int) -> Path:
-        """Folder with so many names."""
+        """Return a folder with `n` names."""
         folder = self.folder / f"images{n}"
         if not folder.exists():
             folder.mkdir()
@@ -66,31 +66,31 @@ class World:
         return folder
 
     def start(self, n: int, output: str, *options: object) -> psutil.Popen:
-        """Begin a batch."""
+        """Start a batch."""
         command: list[object] = [sys.executable, "-m", "liaam", "batch", self.folder / "model.liaam", self.pictures(n)]
         command += ["-o", self.folder / output, "-m", "grey", "--init", self.init, "--iterations", 5, *options]
         return psutil.Popen([str(part) for part in command], stdout=subprocess.DEVNULL)
 
     def run(self, n: int, output: str, *options: object) -> "Cost":
-        """Do a batch, its workers' start included."""
+        """Run a batch, including the start of its workers."""
         begin, before = time.perf_counter(), processor_seconds()
         most = watch(self.start(n, output, *options))
         return Cost(time.perf_counter() - begin, processor_seconds() - before, most)
 
     def rows(self, output: str) -> list[list[str]]:
-        """Rows of a table but for the last column, the seconds."""
+        """Rows of a table without the last column, the seconds."""
         with (self.folder / output).open(newline="") as file:
             return [row[:-1] for row in csv.reader(file)]
 
 
 def processor_seconds() -> float:
-    """Of all processes that this one has started and that have ended."""
+    """Processor time of all ended child processes, in seconds."""
     times = os.times()
     return times.children_user + times.children_system
 
 
 def watch(process: psutil.Popen) -> float:
-    """Wait for a batch; gives the most memory of it and its workers together, MB."""
+    """Wait for a batch and return the peak memory of it and its workers, in MB."""
     most = 0
     while process.poll() is None:
         most = max(most, memory(process))
@@ -101,7 +101,7 @@ def watch(process: psutil.Popen) -> float:
 
 
 def memory(process: psutil.Popen) -> int:
-    """Resident bytes of a process and its children; 0 where one has just gone."""
+    """Resident memory of a process and its children in bytes; 0 if one has just ended."""
     try:
         return sum(one.memory_info().rss for one in [process, *process.children(recursive=True)])
     except psutil.Error:
@@ -109,9 +109,9 @@ def memory(process: psutil.Popen) -> int:
 
 
 def measure_speed(world: World, n: int) -> None:
-    """Rate of one process and of two; the difference of two numbers of pictures leaves the workers' start out.
+    """Measure the rate of one process and of two. The difference of two runs excludes the start of the workers.
 
-    Two batches of one process each, side by side, say what the machine itself gains by a second process.
+    Two parallel batches of one process each measure the gain that the machine allows.
     """
     few, seconds, processor = max(1, n // 10), {}, {}
     for jobs in (1, 2):
@@ -127,7 +127,7 @@ def measure_speed(world: World, n: int) -> None:
 
 
 def side_by_side(world: World, n: int) -> float:
-    """Seconds of two batches at the same time, each of one process."""
+    """Time of two parallel batches with one process each, in seconds."""
     begin = time.perf_counter()
     batches = [world.start(n, f"apart{i}_{n}.csv", "--jobs", 1) for i in range(2)]
     for process in batches:
@@ -136,7 +136,7 @@ def side_by_side(world: World, n: int) -> float:
 
 
 def measure_memory(world: World, n: int) -> None:
-    """Memory of a tenth of the pictures, and of all."""
+    """Measure the memory for a tenth of the images, and for all."""
     few, many = (world.run(count, f"memory{count}.csv", "--jobs", 2).memory for count in (n // 10, n))
     report("batch_memory_mb", few, f"for {n // 10} pictures, {many:.0f} for {n}", form=".0f")
     report("batch_memory_growth_percent", 100 * (many / few - 1), f"(bar: below {GROWTH_BAR:g})", form=".1f")
@@ -164,7 +164,7 @@ def measure_kill(world: World, n: int) -> None:
 
 
 def measure_cluster(world: World, n: int) -> None:
-    """Two workers of a scheduler against one process."""
+    """Compare two workers of a scheduler with one process."""
     address = f"tcp://127.0.0.1:{PORT}"
     commands = [["scheduler", "--host", "127.0.0.1", "--port", str(PORT), "--no-dashboard"]]
     commands += [["worker", address, "--nthreads", "1", "--no-dashboard"]] * 2
@@ -189,11 +189,11 @@ MEASURES: tuple[tuple[Callable[[World, int], None], int], ...] = (
     (measure_kill, 1000),
     (measure_cluster, 400),
 )
-"""What is measured, and on how many pictures."""
+"""Measurements, and their numbers of images."""
 
 
 def main(share: float = 0.1) -> None:
-    """Print the metrics, on a share of the pictures; 1 is what the bars are about."""
+    """Print the metrics for a fraction of the images. The bars apply to 1."""
     with tempfile.TemporaryDirectory() as folder:
         world = World(Path(folder), DISTINCT)
         world.run(2, "warm.csv", "--jobs", 1)  # compiles

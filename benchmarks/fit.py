@@ -1,7 +1,7 @@
-"""Time of a whole fit of a 640x480 picture from a box, preprocessing included, and what it grows with.
+"""Time of a fit of a 640x480 image from a box, including preprocessing, and its scaling.
 
-Models of generated faces at about 10,000 pixels and 24 shape parameters are fitted to pictures of expressions and
-poses that they were trained beside, under light from the side. The object keeps its size where the picture grows.
+Models of generated faces with about 10,000 pixels and 24 shape parameters are fitted to images with similar expressions
+and poses as in training, under light from the side. The object keeps its size in larger images.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ Picture = tuple[np.ndarray, np.ndarray]
 
 @lru_cache(maxsize=1)
 def make_pictures() -> tuple[list[Picture], list[Picture]]:
-    """Pictures to train on in diffuse light, and to fit under light from the side, 8-bit."""
+    """Make training images under diffuse light, and test images under light from the side, 8-bit."""
     rng = np.random.default_rng(20080624)
 
     def picture(lights) -> Picture:
@@ -43,7 +43,7 @@ def make_pictures() -> tuple[list[Picture], list[Picture]]:
 
 @lru_cache(maxsize=4)
 def make_model(diagonal: float = 150.0) -> AAM:
-    """Twenty modes of shape and of appearance."""
+    """Train a model with twenty shape modes and twenty appearance modes."""
     return train(make_pictures()[0], variance=20, appearance_variance=20, diagonal=diagonal, leave_out=False)
 
 
@@ -52,7 +52,7 @@ def box_of(shape: np.ndarray) -> np.ndarray:
 
 
 def milliseconds(calls: Sequence[Callable[[], object]]) -> np.ndarray:
-    """Times of calls in turn, (ROUNDS, n); the first round is not counted."""
+    """Times of calls in turn, (ROUNDS, n), after one warm-up round."""
     return in_turn({"calls": calls}, ROUNDS)["calls"]
 
 
@@ -96,7 +96,7 @@ def measure_growth() -> None:
 
 
 def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray) -> Callable[[], object]:
-    """Ten looks at the sharpest level, each with the Hessian and the gradient there."""
+    """Return ten evaluations at the finest level, each with the Hessian and the gradient."""
     from liaam.fitting.problem import FitProblem
     from liaam.model.shape import align
 
@@ -122,7 +122,7 @@ def measure_modes() -> None:
 
 
 def measure_large_picture() -> None:
-    """The same object in a picture of 24 megapixels."""
+    """The same object in an image of 24 megapixels."""
     fitter, (image, shape) = Fitter(make_model()), make_pictures()[1][0]
     large = np.zeros((LARGE[1], LARGE[0], 3), np.uint8)
     at = np.array([2000, 1500])

@@ -1,11 +1,11 @@
-"""Time of one iteration of ``li`` and of ``soft-li`` beside the BLAS products of the dense form.
+"""Time of one iteration of ``li`` and of ``soft-li`` relative to the BLAS products of the dense form.
 
-One iteration at 10,000 model pixels, 24 shape parameters (20 modes and 4 similarity vectors), 20 appearance modes and
-one thread: what the compiled loop of a level does from one accepted state to the next, by
-:meth:`liaam.fitting.objective.Objective.solve` itself over eleven iterations and over one. The yardstick is J'J with J
+One iteration has 10,000 model pixels, 24 shape parameters (20 modes and 4 similarity vectors), 20 appearance modes and
+one thread. It is the work of a level's compiled loop from one accepted state to the next: the difference of
+:meth:`liaam.fitting.objective.Objective.solve` over eleven iterations and over one. The reference is J'J with J
 10,000 x 24 and A'J with A 10,000 x 20 in float32, by ``numpy.matmul``.
 
-All parts are timed in turn, many times over, so that a busy spell of the machine touches all alike.
+All parts are timed in turn, many times, so that other load on the machine affects all equally.
 """
 
 from bisect import bisect_left
@@ -29,18 +29,18 @@ from liaam.photometry import CameraModel
 N_PIXELS, N_SHAPE_MODES, N_APPEARANCE_MODES = 10_000, 20, 20
 N_SIDE = 8  # landmarks along each side of the grid
 IMAGE_SIZE = (480, 640)  # rows, columns
-BARS = {"li": 1.3, "soft-li": 2.5 * 1.3}  # times the yardstick
+BARS = {"li": 1.3, "soft-li": 2.5 * 1.3}  # times the reference
 ROUNDS, WARM_UP = 300, 20
-STEPS = 10  # that the longer one of two loops has more
-# Damping to begin with: under it li's steps are short and never refused, though each divides it by ten; those of
-# soft-li are taken as they come, and all but short ones ask whether pixels are to be weighed anew.
+STEPS = 10  # additional iterations of the longer loop
+# Initial damping. With it, li's steps are short and never rejected, although each step divides it by ten. soft-li
+# accepts its steps, and all but short ones check whether to update the weights.
 DAMPING = {"li": 1e3, "soft-li": 1e-3}
 
 Parts = dict[str, Callable[[], object]]
 
 
 def smooth_noise(rng: np.random.Generator, height: int, width: int, sigma: float, n: int) -> np.ndarray:
-    """Smooth random pictures of unit variance, (n, height, width)."""
+    """Smooth random images of unit variance, (n, height, width)."""
     from scipy.ndimage import gaussian_filter
 
     noise = gaussian_filter(rng.normal(size=(n, height, width)), (0, sigma, sigma))
@@ -48,9 +48,9 @@ def smooth_noise(rng: np.random.Generator, height: int, width: int, sigma: float
 
 
 def make_shapes(rng: np.random.Generator, method: str) -> tuple[ShapeModel, ReferenceFrame]:
-    """Shape model of a jittered grid of landmarks, and its frame, at the size that gives exactly N_PIXELS pixels.
+    """Make a shape model of a jittered grid of landmarks, and its frame with exactly N_PIXELS pixels.
 
-    The frame of ``soft-li`` goes around the mesh.
+    The frame of ``soft-li`` also covers the surroundings of the mesh.
     """
     grid = np.stack(np.meshgrid(*[np.arange(N_SIDE, dtype=float)] * 2), axis=-1).reshape(-1, 2)
     points = grid + rng.normal(scale=0.12, size=grid.shape)
@@ -65,7 +65,7 @@ def make_shapes(rng: np.random.Generator, method: str) -> tuple[ShapeModel, Refe
 
     scales = about * np.linspace(0.95, 1.05, 4001)
     near = bisect_left(scales, N_PIXELS, key=lambda scale: at(scale)[1].n_pixels)
-    # Pixels come and go at the border: the first size that has too many is not always next to one that has enough.
+    # The number of pixels is not monotonic in the size, because of the border.
     for i in sorted(range(len(scales)), key=lambda i: abs(i - near)):
         shape_model, frame = at(scales[i])
         if frame.n_pixels == N_PIXELS:
@@ -84,7 +84,7 @@ def make_shape_model(mean: np.ndarray, rng: np.random.Generator) -> ShapeModel:
 def make_appearance(
     frame: ReferenceFrame, rng: np.random.Generator, level: float = -1.5, n_modes: int = N_APPEARANCE_MODES
 ) -> AppearanceModel:
-    """Mean about a level and orthonormal modes that vary smoothly over the frame."""
+    """Make a mean around a level, and orthonormal modes that vary smoothly over the frame."""
     width, height = frame.size
     rows, columns = frame.pixels.T
     pictures = smooth_noise(rng, height, width, 4.0, 3 * (n_modes + 1))
@@ -100,9 +100,9 @@ def make_appearance(
 
 
 def make_model(rng: np.random.Generator, method: str = "li", n_modes: int = N_APPEARANCE_MODES) -> AAM:
-    """A one-level model of exactly the sizes above; nothing is learnt."""
+    """Make a random model with one level of exactly the sizes above."""
     shape_model, frame = make_shapes(rng, method)
-    # Only one is fitted here; "invariant" says that the model is one of colour. Little blur: every pixel counts.
+    # Only one is fitted here; "invariant" marks a colour model. Little blur, so that every pixel counts.
     own = make_appearance(frame, rng, 0.0 if method == "soft-li" else -1.5, n_modes)
     triangles, view = delaunay(shape_model.mean), METHODS[method].view
     mesh = make_view(MESH, shape_model, triangles)
@@ -114,7 +114,7 @@ def make_model(rng: np.random.Generator, method: str = "li", n_modes: int = N_AP
 
 
 def make_problem(model: AAM, rng: np.random.Generator, method: str = "li") -> FitProblem:
-    """A smooth random colour picture with the model at its middle, 1.6 image pixels per model pixel."""
+    """Make a smooth random colour image with the model at its centre, 1.6 image pixels per model pixel."""
     height, width = IMAGE_SIZE
     picture = 0.45 + 0.09 * smooth_noise(rng, height, width, 3.0, 3).transpose(1, 2, 0)
     image = np.rint(255 * picture.clip(0.1, 0.9)).astype(np.uint8)
@@ -123,7 +123,7 @@ def make_problem(model: AAM, rng: np.random.Generator, method: str = "li") -> Fi
 
 
 def make_loops(objective: Objective, problem: FitProblem) -> Parts:
-    """The loop itself over one iteration and over :data:`STEPS` more; the difference is theirs alone."""
+    """Make the loop over one iteration and over :data:`STEPS` more. Their difference excludes the overhead."""
     start = objective.start(np.zeros(objective.warp.n_parameters))
     method, damping = objective.method, DAMPING[objective.method.name]
 
@@ -138,7 +138,7 @@ def make_loops(objective: Objective, problem: FitProblem) -> Parts:
 
 
 def make_parts(objective: Objective, problem: FitProblem) -> Parts:
-    """What an iteration consists of, each by itself and from a fixed state."""
+    """Make the parts of an iteration, each separately and from a fixed state."""
     kernel, (model, row) = get_kernel(objective.kernel), objective.given
     work = objective.work(objective.start(np.zeros(objective.warp.n_parameters)))
     picture, there = map(kernel.by_reference, (objective.picture(problem), work))
@@ -146,7 +146,7 @@ def make_parts(objective: Objective, problem: FitProblem) -> Parts:
     expected = work.expected if expects else work.steep
 
     def weigh() -> bool:
-        work.known.fill(np.nan)  # as if other pixels had said something before
+        work.known.fill(np.nan)  # force a full evaluation
         return objective.row.weigh(model, picture, row, there)
 
     parts: Parts = {
@@ -160,7 +160,7 @@ def make_parts(objective: Objective, problem: FitProblem) -> Parts:
 
 
 def make_yardstick(rng: np.random.Generator, n_columns: int) -> Callable[[], object]:
-    """J'J and A'J alone."""
+    """Make the products J'J and A'J."""
     J = rng.normal(size=(N_PIXELS, n_columns)).astype(np.float32)
     A = rng.normal(size=(N_PIXELS, N_APPEARANCE_MODES)).astype(np.float32)
     return lambda: (np.matmul(J.T, J), np.matmul(A.T, J))
@@ -173,7 +173,7 @@ def measure(parts: Parts) -> dict[str, np.ndarray]:
 
 
 def make_fit(method: str, n_modes: int = N_APPEARANCE_MODES) -> tuple[Objective, FitProblem]:
-    """A random model seen through a method, and a picture."""
+    """Make the objective of a method for a random model, and an image."""
     rng = np.random.default_rng(20080624)
     model = make_model(rng, method, n_modes)
     problem = make_problem(model, rng, method)
@@ -183,7 +183,7 @@ def make_fit(method: str, n_modes: int = N_APPEARANCE_MODES) -> tuple[Objective,
 
 
 def measure_method(method: str) -> tuple[str, dict[str, np.ndarray]]:
-    """What was timed, and the times."""
+    """Return a description and the times."""
     objective, problem = make_fit(method)
     rng = np.random.default_rng(1)
     loops, parts = make_loops(objective, problem), make_parts(objective, problem)

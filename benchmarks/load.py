@@ -1,7 +1,7 @@
-"""What hostile uploads cost the studio, and whom they keep waiting: ``python -m benchmarks load``.
+"""Memory and response time of the studio under hostile uploads: ``python -m benchmarks load``.
 
-A hundred and forty-five kilobytes of PNG that decode to 50 million pixels, bodies of 20 MB, and requests that stay half
-sent, all at once, against a real ``liaam studio``, while somebody goes on looking at the project.
+A real ``liaam studio`` receives PNG files of 145 kB that decode to 50 million pixels, bodies of 20 MB, and incomplete
+requests, all at once, while another client keeps requesting the project.
 """
 
 import asyncio
@@ -24,17 +24,17 @@ from benchmarks.studio import start
 from liaam.io import write_image
 
 SIDE = 7040
-"""Of a picture that may just be decoded, pixels."""
+"""Side in pixels of the largest image that may be decoded."""
 
 N_UPLOADS, N_LARGE, N_HALF = 200, 60, 400
-"""Bombs, bodies of 20 MB, and requests that stay half sent."""
+"""Numbers of decompression bombs, bodies of 20 MB, and incomplete requests."""
 
 SECONDS = 40.0
-"""How long it is watched at most."""
+"""Maximum duration of the measurement."""
 
 
 def bomb(side: int = SIDE) -> bytes:
-    """PNG of a black picture, which takes next to nothing."""
+    """Make a PNG of a black image, which is tiny."""
 
     def chunk(tag: bytes, data: bytes) -> bytes:
         return pack(">I", len(data)) + tag + data + pack(">I", zlib.crc32(tag + data))
@@ -45,7 +45,7 @@ def bomb(side: int = SIDE) -> bytes:
 
 
 class Client:
-    """Requests to a studio, each on a connection of its own."""
+    """Requests to a studio, each on a separate connection."""
 
     def __init__(self, address: str) -> None:
         parts = urlsplit(address)
@@ -53,7 +53,7 @@ class Client:
         self.token = parse_qs(parts.query)["token"][0]
 
     def head(self, target: str, method: str, length: int) -> bytes:
-        """Line and headers of a request."""
+        """Return the request line and headers."""
         lines = (
             f"{method} {target} HTTP/1.1",
             f"Host: {self.host}:{self.port}",
@@ -64,7 +64,7 @@ class Client:
         return "\r\n".join((*lines, "", "")).encode()
 
     async def ask(self, target: str, method: str = "GET", body: bytes = b"", part: int | None = None) -> int:
-        """Status of the answer; 0 if it hangs up without one. ``part``: bytes of head and body that are sent at all."""
+        """Return the status of the response, 0 if there is none. Send only `part` bytes of head and body."""
         reader, writer = await asyncio.open_connection(self.host, self.port)
         try:
             writer.write((self.head(target, method, len(body)) + body)[:part])
@@ -78,12 +78,12 @@ class Client:
 
 
 def resident(process: int) -> int:
-    """Resident memory of a process now, bytes."""
+    """Current resident memory of a process, in bytes."""
     return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * 4096
 
 
 async def watch(client: Client, process: int, attacker: BaseProcess, times: list[float], memory: list[int]) -> None:
-    """Ask for the project again and again while an attack lasts, and look at the memory."""
+    """Request the project repeatedly during an attack, and measure the memory."""
     while attacker.is_alive():
         begun = time.perf_counter()
         assert await client.ask("/api/project") == 200
@@ -93,12 +93,12 @@ async def watch(client: Client, process: int, attacker: BaseProcess, times: list
 
 
 def attack(address: str, answers: Any) -> None:
-    """Send everything at once, and tell what was answered; in a process of its own, to keep nobody waiting itself."""
+    """Send everything at once and report the statuses. Runs in a separate process to delay no other client."""
     answers.put(asyncio.run(storm(Client(address))))
 
 
 async def storm(client: Client) -> Counter:
-    """Statuses of the answers; -1 for none."""
+    """Return the statuses of the responses; -1 for none."""
     target, data, large = "/api/uploads?name=x.png", bomb(), bytes(20_000_000)
     attacks = [client.ask(target, "POST", data) for _ in range(N_UPLOADS)]
     attacks += [client.ask(target, "POST", large) for _ in range(N_LARGE)]
@@ -110,7 +110,7 @@ async def storm(client: Client) -> Counter:
 
 
 def main() -> None:
-    """Report the memory and the waits."""
+    """Print memory and response times."""
     context, times, memory = get_context("spawn"), [], []
     with tempfile.TemporaryDirectory() as folder:
         write_image(Path(folder) / "p1.png", np.full((480, 640, 3), 90, np.uint8))

@@ -1,8 +1,8 @@
-"""Pictures a second of ``liaam.fit_many`` on one thread and on two, and how near that comes to what two cores can do.
+"""Images per second of ``liaam.fit_many`` on one thread and on two, compared with the gain that two cores allow.
 
-Generated faces under hard light from the side, fitted with a model of the same head under diffuse light, from starts a
-few per cent off. The pictures are in memory, and everything is compiled before. Time is the clock's: on a machine that
-others use too the quotient says little, unless that of work without an interpreter, measured in turn, is near 2.
+Generated faces under hard light from the side are fitted with a model of the same head under diffuse light, from starts
+with errors of a few per cent. The images are in memory, and everything is compiled. Time is wall-clock time. Under
+other load the ratio is meaningful only if that of work without the interpreter, measured in turn, is near 2.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ def make_model() -> AAM:
 
 
 def make_pictures() -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Pictures under light from the side, and starts."""
+    """Images under light from the side, and starts."""
     rng = np.random.default_rng(2)
     scenes = make_set(N_SCENES, Head(7), lateral("left"), seed=2, size=SIZE)
     chosen = [scenes[i % N_SCENES] for i in range(N_PICTURES)]
@@ -42,21 +42,21 @@ def make_pictures() -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """What some work takes, by the clock."""
+    """Wall-clock time of some work."""
     begin = perf_counter()
     work()
     return perf_counter() - begin
 
 
 def without_interpreter(threads: int) -> None:
-    """Sort numbers eight times, on so many threads: NumPy lets go of the interpreter."""
+    """Sort numbers eight times on some threads, since NumPy releases the GIL."""
     numbers = np.random.default_rng(0).random(400_000)
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(np.sort, [numbers] * 8))
 
 
 def measure(fitter: Fitter, name: str, images: list[np.ndarray], starts: list[np.ndarray]) -> None:
-    """Print the metrics of one method: medians of rounds in which all are timed in turn."""
+    """Print the metrics of one method: medians over rounds that time all variants in turn."""
 
     def fits(workers: int) -> None:
         for _ in fit_each(fitter, images, starts, workers=workers, progress=False):

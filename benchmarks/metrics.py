@@ -1,4 +1,4 @@
-"""What all benchmarks share: metrics that are printed and recorded, calls timed in turn, and the committed baseline."""
+"""Helpers of all benchmarks: printing and recording of metrics, timing of calls, and the committed baseline."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from liaam.io.atomic import write_bytes_atomically
 BASELINE = Path(__file__).with_name("baseline.json")
 
 MOVED = 1.25
-"""Quotient, either way round, beyond which a metric has moved."""
+"""Ratio of change, in either direction, above which a metric has moved."""
 
 Value = float | bool | None
 Metrics = dict[str, Value]
@@ -26,22 +26,22 @@ _recorders: list[Metrics] = []
 
 
 class BaselineError(LiaamError):
-    """A baseline that cannot be read."""
+    """A baseline cannot be read."""
 
 
 def report(name: str, value: float | bool, note: str = "", *, form: str = ".3f", width: int = 0) -> None:
-    """Print a metric, and record it where something records.
+    """Print a metric, and record it inside :func:`recording`.
 
     Parameters
     ----------
     name : str
     value : float or bool
     note : str
-        What else there is to say: the unit, quartiles, the bar.
+        Additional text: the unit, quartiles, the bar.
     form : str
         Format of the value.
     width : int
-        Of the name, in a table with aligned columns; 0 for plain lines.
+        Width of the name, in a table with aligned columns; 0 for plain lines.
     """
     value = bool(value) if isinstance(value, bool | np.bool_) else float(value)
     told = str(value) if isinstance(value, bool) else format(value, form)
@@ -54,7 +54,7 @@ def report(name: str, value: float | bool, note: str = "", *, form: str = ".3f",
 
 @contextmanager
 def recording() -> Iterator[Metrics]:
-    """Give a dictionary that fills with the metrics reported meanwhile."""
+    """Yield a dictionary that collects the metrics reported in the block."""
     metrics: Metrics = {}
     _recorders.append(metrics)
     try:
@@ -66,11 +66,11 @@ def recording() -> Iterator[Metrics]:
 def in_turn(
     blocks: Mapping[str, Sequence[Callable[[], object]]], rounds: int, warm_up: int = 1
 ) -> dict[str, np.ndarray]:
-    """Milliseconds of calls, {name: (rounds, n)}.
+    """Measure the times of calls in milliseconds, {name: (rounds, n)}.
 
-    All are timed in turn, round by round, so that a busy spell of the machine touches all alike. The first rounds,
-    ``warm_up`` of them, are not counted. What counts is the processor's time, of all threads together: of one thread
-    it is that of the clock, but for what others on the machine take.
+    Each round times all calls in turn, so that other load on the machine affects all equally. The first `warm_up`
+    rounds do not count. Times are processor times of all threads. For one thread that is the wall-clock time without
+    other load.
     """
     times = {name: np.empty((rounds, len(calls))) for name, calls in blocks.items()}
     for i in range(-warm_up, rounds):
@@ -84,13 +84,13 @@ def in_turn(
 
 
 def quartiles(values: np.ndarray, form: str = ".2f") -> str:
-    """The quartiles, for a metric's note."""
+    """Format the quartiles, for a metric's note."""
     low, high = np.percentile(values, [25, 75])
     return f"quartiles {low:{form}} to {high:{form}}"
 
 
 def machine() -> dict[str, Any]:
-    """What numbers depend on: the processor's name, its cores, and the versions of what computes."""
+    """Describe the machine: processor, cores, and versions of the numerical libraries."""
     from importlib.metadata import version
 
     return {
@@ -102,7 +102,7 @@ def machine() -> dict[str, Any]:
 
 
 def processor_name() -> str:
-    """Name of the processor, as far as the system tells it."""
+    """Name of the processor, if the system reports it."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
     names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
@@ -110,7 +110,7 @@ def processor_name() -> str:
 
 
 def read_baseline(path: Path) -> dict[str, Any]:
-    """Read a baseline, {benchmark: {"machine": ..., "metrics": ...}}; an empty one where there is none yet."""
+    """Read a baseline, {benchmark: {"machine": ..., "metrics": ...}}; empty if there is none."""
     if not path.exists():
         return {}
     try:
@@ -121,14 +121,14 @@ def read_baseline(path: Path) -> dict[str, Any]:
         ) from None
     parts = found.values() if isinstance(found, dict) else [None]
     if not all(isinstance(part, dict) and {"machine", "metrics"} <= part.keys() for part in parts):
-        raise BaselineError(f"{path} is no baseline; take it from the repository, or delete it and save anew")
+        raise BaselineError(f"{path} is not a baseline; restore it, or delete it and save a new one")
     return found
 
 
 def save_baseline(measured: Mapping[str, Metrics], path: Path) -> None:
-    """Write the metrics of benchmarks, and where they were measured; benchmarks that did not run keep theirs.
+    """Write the metrics of benchmarks with the machine. Other benchmarks keep their entries.
 
-    One that reported nothing, for lack of data say, keeps what it has too.
+    A benchmark without metrics, for example for lack of data, also keeps its entry.
     """
     here = machine()
     fresh = {name: {"machine": here, "metrics": metrics} for name, metrics in measured.items() if metrics}
@@ -137,20 +137,20 @@ def save_baseline(measured: Mapping[str, Metrics], path: Path) -> None:
 
 
 def has_moved(before: Value, now: Value) -> bool:
-    """Tell whether a metric differs by more than a quarter, either way round; what is no number has to be the same."""
+    """Return whether a metric differs by more than a quarter, in either direction. Other values must be equal."""
     ratio = ratio_of(before, now)
     return before != now if ratio is None else not 1 <= MOVED * ratio <= MOVED**2
 
 
 def ratio_of(before: Value, now: Value) -> float | None:
-    """Quotient of two values, where there is one."""
+    """Quotient of two values, if defined."""
     if before is None or now is None or isinstance(before, bool) or isinstance(now, bool) or before == 0:
         return None
     return now / before
 
 
 def compare(measured: Mapping[str, Metrics], path: Path) -> list[str]:
-    """Lines of a table of what was measured beside the baseline, and what has moved by more than a quarter."""
+    """Format a table of the metrics and the baseline, with marks where they differ by more than a quarter."""
     baseline, here, moved = read_baseline(path), machine(), []
     lines = [f"{'metric':<44}{'baseline':>12}{'now':>12}{'ratio':>8}"]
     for name, now in measured.items():

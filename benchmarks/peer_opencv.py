@@ -1,9 +1,9 @@
-"""OpenCV's FacemarkAAM: a model file of the same heads, since its Python binding can load and fit, but not train.
+"""A model file of the same heads for OpenCV's FacemarkAAM, whose Python binding can load and fit, but not train.
 
-The file has what OpenCV's own training writes: the mean shape, shape modes, the triangles' pixels in the reference
-frame, and the modes of the grey values there. A fit starts from the mean shape at the middle of the picture, at its
-own size, so that a box is brought there first; it takes 50 iterations and 10 shape modes, which the binding cannot
-change.
+The file has the content that OpenCV's training writes: the mean shape, shape modes, the triangles' pixels in the
+reference frame, and the modes of the grey values there. A fit starts from the mean shape at the centre of the image, at
+its own size, so the image is first cropped and scaled to the box. It uses 50 iterations and 10 shape modes, which the
+binding cannot change.
 """
 
 from collections.abc import Iterable
@@ -30,9 +30,9 @@ def base_shape(model: AAM) -> np.ndarray:
 
 
 def triangle_picture(base: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Number of the triangle that each pixel belongs to, from 1 on, 0 outside; and the triangles that have pixels.
+    """Return the number of each pixel's triangle, from 1 on, 0 outside; and the triangles that have pixels.
 
-    OpenCV cannot do with slivers that have none.
+    OpenCV does not support triangles without pixels.
     """
     width, height = np.ceil(np.ptp(base, axis=0) + 3).astype(int)
     picture = np.zeros((height, width), np.uint8)
@@ -48,12 +48,12 @@ def grey_of(image: np.ndarray) -> np.ndarray:
 
 
 def carried(grey: np.ndarray, shape: np.ndarray, base: np.ndarray, labels: np.ndarray, triangles: np.ndarray):
-    """Grey values of a picture carried to the reference frame, piecewise affine."""
+    """Warp the grey values of an image to the reference frame, piecewise affine."""
     places = np.zeros((*labels.shape, 2), np.float32)
     for i, triangle in enumerate(triangles):
         y, x = np.nonzero(labels == i + 1)
         affine = cv2.getAffineTransform(base[triangle], shape[triangle].astype(np.float32))
-        # OpenCV counts columns from 1 and rows from 2 here, in the frame and in the picture.
+        # OpenCV counts columns from 1 and rows from 2 here, in the frame and in the image.
         places[y, x] = np.column_stack([x + 1, y + 2, np.ones_like(x)]) @ affine.T - (1, 2)
     return cv2.remap(grey, places[..., 0], places[..., 1], cv2.INTER_LINEAR)
 
@@ -64,12 +64,12 @@ def column_order(mask: np.ndarray) -> np.ndarray:
 
 
 def stacked(modes: np.ndarray, n_points: int) -> np.ndarray:
-    """Modes (k, 2 n) of x and y in turn as columns of all x, then all y."""
+    """Reorder modes (k, 2 n) of interleaved x and y to columns of all x, then all y."""
     return np.ascontiguousarray(modes.reshape(-1, n_points, 2).transpose(2, 1, 0).reshape(2 * n_points, -1), np.float32)
 
 
 def write_model(path: Path, model: AAM, training: list[Picture], n_modes: int) -> int:
-    """Write a model of liaam's shapes and of grey values; gives the number of pixels that are fitted."""
+    """Write a model of liaam's shapes and of grey values. Return the number of its pixels."""
     base, n_points = base_shape(model), model.shape_model.n_points
     labels, triangles = triangle_picture(base, model.triangles)
     inner = cv2.erode((labels > 0).astype(np.uint8), np.ones((3, 3), np.uint8))
@@ -123,7 +123,7 @@ class BoxFit:
         self.facemark.loadModel(str(path))
 
     def __call__(self, image: np.ndarray, box: np.ndarray) -> np.ndarray:
-        """Shape in the picture, (n, 2): the box's middle goes to that of a small picture at the model's size."""
+        """Return the shape in the image, (n, 2), fitted in a small image around the box at the model's size."""
         low, high = self.mean.min(axis=0), self.mean.max(axis=0)
         scale = np.linalg.norm(box[2:] - box[:2]) / np.linalg.norm(high - low)
         side = 2 * int(np.linalg.norm(high - low))

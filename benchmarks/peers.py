@@ -1,8 +1,8 @@
-"""Times of liaam's fits beside those of peers, where they are installed, and beside what no code could do without.
+"""Times of liaam's fits beside those of installed peers, and beside a lower bound.
 
-One thread: one processor core for all that can be bound to one. Peers that learn are trained on the same generated
-pictures; those that come with a model of faces look at photographs, where the shared data are at hand. Points of
-different models are not the same points: errors are only told where the landmarks are liaam's own.
+All use one thread, bound to one core if possible. Trainable peers are trained on the same generated images. Peers with
+their own face model are tested on photographs, if the shared data are available. Different models have different
+points, so errors are reported only for liaam's landmarks.
 """
 
 import os
@@ -34,26 +34,26 @@ from liaam.training import train
 
 ROUNDS = 7
 REPEATS = 8
-"""How often in a round what is the same for all pictures is timed."""
+"""Number of timings per round of calls that do not depend on the image."""
 
 STEPS = 10
-"""Iterations that the difference of two fits has."""
+"""Difference in iterations between two fits, to time an iteration."""
 
 N_PHOTOGRAPHS = 8
-"""That are timed; all are looked at for faces."""
+"""Number of timed photographs. Detection uses all."""
 
 OPENCV = "pip install opencv-contrib-python-headless"
 
 METHODS = ("soft-li", "li", "grey")
 PLAIN, SPOT = "1", "5"
-"""Pictures of a person in ``imm``: in diffuse light, and under a spot light from the side."""
+"""Conditions in ``imm``: diffuse light, and a spot light from the side."""
 
 Call = Callable[[], Any]
 Picture = fit.Picture
 
 
 class Found(NamedTuple):
-    """How many faces something finds."""
+    """Number of faces found."""
 
     percent: float
     told: str
@@ -66,16 +66,16 @@ class Row:
     Attributes
     ----------
     name : str
-        Of the metric, without its unit.
+        Name of the metric, without its unit.
     what : str
-        What is done, to what.
+        Description.
     calls : sequence of callables
-        One for each picture.
+        One for each image.
     less : sequence of callables
-        The same with `steps` iterations less, where an iteration is to be told and not a call.
+        The same with `steps` iterations less, to time an iteration rather than a call.
     steps : int
     beside : str
-        Row of liaam's that it is to be compared with.
+        Row of liaam to compare with.
     """
 
     name: str
@@ -88,22 +88,22 @@ class Row:
 
 
 class MissingError(Exception):
-    """A peer that is not there, or cannot do what is asked: says why."""
+    """A peer is not installed or lacks a feature; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """Something to compare with.
+    """A program to compare with.
 
     Attributes
     ----------
     name : str
     modules : tuple of str
-        What has to be there.
+        Required modules.
     install : str
-        The one line that puts it there.
+        Command that installs it.
     rows : callable
-        Gives its rows; a `MissingError` says why there are none.
+        Returns its rows, or raises a `MissingError`.
     """
 
     name: str
@@ -116,7 +116,7 @@ class Peer:
 
 
 class Photographs(NamedTuple):
-    """Faces of persons whom the model has not seen."""
+    """Faces of unseen persons."""
 
     lights: dict[str, list[Picture]]
     model: AAM
@@ -124,7 +124,7 @@ class Photographs(NamedTuple):
 
 @cache
 def photographs() -> Photographs | None:
-    """Photographs in diffuse light, under a spot light, and under hard light laid over; None where there are none."""
+    """Photographs under diffuse light, a spot light, and simulated hard light; None if there are no data."""
     folder = data_folder() / "imm"
     if not folder.is_dir():
         return None
@@ -143,7 +143,7 @@ def photographs() -> Photographs | None:
 
 
 def known_photographs() -> Photographs:
-    """The photographs; a `MissingError` where there are none."""
+    """Return the photographs, or raise a `MissingError`."""
     found = photographs()
     if found is None:
         raise MissingError("needs photographs, imm of the shared data (LIAAM_SHARED_DATA says where they are)")
@@ -157,10 +157,9 @@ def timed_photographs() -> list[Picture]:
 
 
 def found_faces(find: Callable[[np.ndarray], np.ndarray | None]) -> Found:
-    """How many faces something finds under each light.
+    """Count the faces found under each light.
 
-    Found means that the centre of the box about what it gives lies within a quarter of the face's diagonal of where it
-    should be.
+    A face is found if the centre of the result's box is within a quarter of the face's diagonal of the true centre.
     """
     lights = known_photographs().lights
     hits = {name: [_near(find(image), shape) for image, shape in own] for name, own in lights.items()}
@@ -179,7 +178,7 @@ def _near(points: np.ndarray | None, shape: np.ndarray) -> bool:
 
 
 def floor_bytes(objective: Objective, problem: FitProblem) -> int:
-    """Bytes that an iteration has to move: the table in benchmarks/README.md."""
+    """Minimum memory traffic of an iteration in bytes; see the table in benchmarks/README.md."""
     n, m, k = len(objective.appearance.mean), objective.n_lambda, objective.method.n_rows
     c = problem.patch.n_channels
     seen = round(n * abs(np.linalg.det(problem.pose.matrix)))
@@ -189,7 +188,7 @@ def floor_bytes(objective: Objective, problem: FitProblem) -> int:
 
 
 def floor_rows() -> list[Row]:
-    """What the fastest code would have to do at least."""
+    """Rows of the lower bound."""
     objective, _ = iteration.make_fit("li")
     n_columns = objective.warp.n_parameters
     rng = np.random.default_rng(1)
@@ -209,7 +208,7 @@ def floor_rows() -> list[Row]:
 
 
 def liaam_rows() -> list[Row]:
-    """Whole fits, and iterations at the pixels of the yardstick."""
+    """Rows of whole fits, and of iterations with the pixels of the reference."""
     rows, pictures, model = [], _heads(), fit.make_model()
     for method in METHODS:
         word, fitter = _word(method), Fitter(model, method)
@@ -233,12 +232,12 @@ def head_fits(fitter: Fitter) -> list[FitResult]:
 
 
 def median_iterations(results: Sequence[FitResult]) -> int:
-    """Iterations that fits took, of all levels together."""
+    """Median number of iterations of fits, over all levels."""
     return round(float(np.median([result.n_iterations for result in results])))
 
 
 def photograph_rows() -> list[Row]:
-    """The default method on photographs of persons whom the model has not seen."""
+    """Rows of the default method on photographs of unseen persons."""
     pictures, model = timed_photographs(), known_photographs().model
     fitter = Fitter(model)
     trackers = [Tracker(model, init=shape) for _, shape in pictures]
@@ -257,7 +256,7 @@ def photograph_rows() -> list[Row]:
 
 
 def dlib_rows() -> list[Row]:
-    """The shape predictor: its own model on photographs, and one trained on the generated heads."""
+    """Rows of the shape predictor: its own model on photographs, and one trained on the generated heads."""
     return [dlib_trained(), *dlib_photographs()]
 
 
@@ -300,7 +299,7 @@ def dlib_photographs() -> list[Row]:
 
 
 def dlib_model() -> Path:
-    """The file of the 68 points, as ``face_recognition_models`` ships it; its own module needs an old setuptools."""
+    """Path of the 68-point model in ``face_recognition_models``, whose own module needs an old setuptools."""
     spec = find_spec("face_recognition_models")
     if spec is None or not spec.submodule_search_locations:
         raise MissingError("the file of its 68 points is not installed")
@@ -308,7 +307,7 @@ def dlib_model() -> Path:
 
 
 def dlib_box(shape: np.ndarray):
-    """A rectangle of dlib's."""
+    """Make a dlib rectangle."""
     dlib: Any = __import__("dlib")
     return dlib.rectangle(*map(int, np.rint(fit.box_of(shape))))
 
@@ -317,7 +316,7 @@ def dlib_box(shape: np.ndarray):
 
 
 def mediapipe_rows() -> list[Row]:
-    """The face mesh on photographs: each for itself, and as the next frame of a video."""
+    """Rows of the face mesh on photographs: as single images, and as frames of a video."""
     from mediapipe.python.solutions.face_mesh import FaceMesh  # type: ignore
 
     pictures = timed_photographs()
@@ -351,7 +350,7 @@ def mediapipe_rows() -> list[Row]:
 
 
 def menpofit_rows() -> list[Row]:
-    """Its active appearance models, on grey values and on gradient orientations: fits, and iterations at our pixels."""
+    """Rows of its active appearance models, on grey values and on gradient orientations."""
     from menpo.feature import igo, no_op  # type: ignore
 
     n_iterations = median_iterations(head_fits(Fitter(fit.make_model())))
@@ -371,7 +370,7 @@ def menpofit_feature(word: str, feature: Callable, n_iterations: int) -> list[Ro
     beside = {"grey": "peers_liaam_grey", "igo": "peers_liaam_soft_li"}[word]
     single = menpofit_fitter(feature, diagonal, (1.0,))
     exact = menpofit_fitter(feature, diagonal * np.sqrt(iteration.N_PIXELS / _pixels(single)), (1.0,))
-    exact.algorithms[0].eps = -1.0  # goes on when it stands still
+    exact.algorithms[0].eps = -1.0  # continues after convergence
     what_iteration = f"one iteration, {_pixels(exact)} pixels, channels: {1 if word == 'grey' else 2}"
     more, less = menpofit_calls(exact, 1 + STEPS), menpofit_calls(exact, 1)
     name = f"peers_menpofit_{word}"
@@ -409,7 +408,7 @@ def menpofit_calls(fitter, n_iterations: int) -> Sequence[Call]:
 
 
 def menpo_image(image: np.ndarray, shape: np.ndarray | None = None):
-    """A grey image of menpo's, whose points are (row, column)."""
+    """Make a grey menpo image, whose points are (row, column)."""
     from menpo.image import Image  # type: ignore
     from menpo.shape import PointCloud  # type: ignore
 
@@ -428,7 +427,7 @@ def _pixels(fitter) -> int:
 
 
 def opencv_rows() -> list[Row]:
-    """Its active appearance model, on a model file made for it of the same heads."""
+    """Rows of its active appearance model, with a model file made from the same heads."""
     if not hasattr(cv2, "face"):
         raise MissingError(f"this OpenCV is without its contributed modules ({OPENCV})")
     from benchmarks import peer_opencv
@@ -464,7 +463,7 @@ PEERS = (
 
 
 def rows_of(peer: Peer) -> list[Row]:
-    """A peer's rows; why there are none is printed."""
+    """Return a peer's rows, or print why there are none."""
     lacking = [name for name in peer.modules if find_spec(name) is None]
     reason = f"not installed ({peer.install})"
     if not lacking:
@@ -480,8 +479,8 @@ def rows_of(peer: Peer) -> list[Row]:
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Bind this thread, and all threads that it will start, to one core, where the system can."""
-    os.environ.setdefault("GLOG_minloglevel", "2")  # MediaPipe talks a lot
+    """Bind this thread, and all threads that it starts, to one core, if the system supports it."""
+    os.environ.setdefault("GLOG_minloglevel", "2")  # reduce MediaPipe's output
     cv2.setNumThreads(1)
     with threadpool_limits(1):
         if not hasattr(os, "sched_setaffinity"):
@@ -496,7 +495,7 @@ def one_core() -> Iterator[None]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, np.ndarray]:
-    """Milliseconds of each row, (rounds x pictures,)."""
+    """Milliseconds of each row, (rounds x images,)."""
     blocks = {row.name: row.calls for row in rows} | {f"less {row.name}": row.less for row in rows if row.less}
     times = in_turn(blocks, ROUNDS)
     return {
@@ -506,7 +505,7 @@ def measure(rows: Sequence[Row]) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    """Report the metrics of all that is there."""
+    """Print the metrics of all installed peers."""
     print("fits beside peers: generated heads and photographs of 640x480 pixels, 1 core")
     with one_core():
         rows = [row for peer in PEERS for row in rows_of(peer)]

@@ -1,4 +1,4 @@
-"""How near relit pictures come to the truth, whether a seam shows, and how long a new light takes."""
+"""Errors and seams of relit images, and the time of a new light."""
 
 from dataclasses import replace
 from time import perf_counter
@@ -27,19 +27,19 @@ PERSONS = (3, 5, 8, 11)
 """Seeds of the generated heads."""
 
 ROUNDS = 20
-"""Lights that are timed."""
+"""Number of timed lights."""
 
 
 def fitted_at(model: AAM, result: FitResult, shape: np.ndarray) -> FitResult:
-    """A result as if its landmarks were others."""
+    """Return a result with other landmarks."""
     pose = align(model.shape_model.mean, shape)
     return replace(result, landmarks=shape, pose=pose, p=model.shape_model.parameters(pose.inverse()(shape)))
 
 
 def measured(model: AAM, pair: LitPair, relighter: Relighter) -> tuple[float, ...]:
-    """Errors of log light (model alone, flat picture, its pixels, next to the mesh untouched and flat), and seams.
+    """Errors of log light (model alone, flat image, its pixels, next to the mesh untouched and flat), and seams.
 
-    The seams are those of the flat picture, one under a lamp, the untouched and the true one.
+    The seams are those of the flat image, one under a lamp, the untouched and the true one.
     """
     shape, picture = relighter.shape, pair.lit.image
     untouched = log_light(picture, relighter.response)
@@ -55,7 +55,7 @@ def measured(model: AAM, pair: LitPair, relighter: Relighter) -> tuple[float, ..
 
 
 def pasted_seam(model: AAM, pair: LitPair, relighter: Relighter) -> float:
-    """Seam of the flat object pasted into the picture as it was: what is to be avoided."""
+    """Seam of the flat object pasted into the original image, as a reference."""
     inside = mesh_mask(model, pair.lit.image, relighter.shape)
     pasted = np.where(inside[..., None], relighter.flat(), pair.lit.image)
     return seam(model, pasted, relighter.shape, pair.flat)

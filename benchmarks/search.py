@@ -1,9 +1,8 @@
-"""How often a search without a start finds faces of persons that the model has not seen, and how long it takes.
+"""Detection rate and time of the search for faces of unseen persons.
 
-The pictures of a folder are parted into two halves by the person, that is by what their names begin with; each half
-is searched with a model of the other. Found means: the start that comes out lies within a quarter of the
-distance between the eyes, on average over the landmarks; where the eyes are is not known for every set, and 0.3 of
-the landmarks' diagonal stands for it, as on frontal faces.
+The images of a folder are split into two halves by person, given by the beginning of their names. Each half is searched
+with a model of the other. A face is found if the mean error of the start's landmarks is below a quarter of the distance
+between the eyes. That distance is taken as 0.3 of the landmarks' diagonal, as on frontal faces.
 """
 
 from pathlib import Path
@@ -29,7 +28,7 @@ Picture = tuple[np.ndarray, np.ndarray]
 
 
 def scenes() -> tuple[list[Picture], list[Picture]]:
-    """Give generated pictures of some heads under diffuse light, and of others with light from either side too."""
+    """Return generated images of some heads under diffuse light, and of others also under light from either side."""
 
     def picture(seed: int, lights) -> Picture:
         rng = np.random.default_rng(seed)
@@ -42,7 +41,7 @@ def scenes() -> tuple[list[Picture], list[Picture]]:
 
 
 def half_sets(folder: Path, letters: int) -> list[tuple[Dataset, Dataset]]:
-    """Part a folder's colour pictures by the person, into what to train on and what to search, both ways round."""
+    """Split a folder's colour images by person into training and test images, in both directions."""
     data = load_folder(folder)
     data = data.select(lambda sample: not is_grey(sample.read_image()))
     persons = sorted({sample.name[:letters] for sample in data})
@@ -59,7 +58,7 @@ def pictures_of(samples: Dataset) -> list[Picture]:
 
 
 def measure(training: list[Picture], tests: list[Picture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors as shares of the distance between the eyes, seconds of one core, and scores, (n,) each."""
+    """Errors as fractions of the distance between the eyes, seconds of one core, and scores, (n,) each."""
     finder = Finder(train(training))
     finder.find(tests[0][0])  # compiles, and makes the templates
     rows = []
@@ -74,7 +73,7 @@ def measure(training: list[Picture], tests: list[Picture]) -> tuple[np.ndarray, 
 
 
 def main(folder: str | None = None, letters: int = 2) -> None:
-    """Print the metrics, of generated pictures or of a folder; ``letters`` of a name tell the person."""
+    """Print the metrics for generated images or a folder. The first `letters` of a name identify the person."""
     cv2.setNumThreads(1)
     folds = (
         [scenes()]

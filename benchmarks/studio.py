@@ -1,7 +1,7 @@
-"""How quickly the studio answers a person, in a real browser: a dropped picture, the theta slider, a moving light.
+"""Response times of the studio in a real browser: a dropped image, the theta slider, a moving light.
 
-Needs Playwright (the ``test`` extra) and a Chromium. The studio's tests, and the figures of its documentation, take
-their server and their browser from here.
+Needs Playwright (the ``test`` extra) and Chromium. The studio's tests and the figures of its documentation use the
+server and the browser of this module.
 """
 
 import base64
@@ -44,7 +44,7 @@ DROP = """([name, base64]) => {
 
 
 def material(folder: Path) -> list[Path]:
-    """Write a model, and pictures of the same head under hard light from either side; gives the pictures."""
+    """Write a model, and images of the same head under hard light from either side. Return the images."""
     training = make_set(N_DROPS, Head(5), DIFFUSE, seed=3, size=(320, 240))
     train([(scene.image, scene.landmarks) for scene in training]).save(folder / "model.liaam")
     paths = []
@@ -58,7 +58,7 @@ def material(folder: Path) -> list[Path]:
 
 
 def photographs(folder: Path, data: Path, letters: int) -> list[Path]:
-    """Write a model of half of a data set's persons, and give pictures of the other half; see :func:`half_sets`."""
+    """Write a model of half of a data set's persons. Return images of the other half; see :func:`half_sets`."""
     training, others = half_sets(data, letters)[0]
     train(pictures_of(training), leave_out=False).save(folder / "model.liaam")
     files = [sample.image for sample in others if isinstance(sample.image, Path)]
@@ -74,7 +74,7 @@ def drops(page, pictures: list[Path]) -> list[float]:
         page.wait_for_function(
             "() => window.liaamStudio.fit.fit && window.liaamStudio.fit.fit.id !== window.lastFit", timeout=60_000
         )
-        page.wait_for_timeout(300)  # the first frame with it has been painted, and its time taken
+        page.wait_for_timeout(300)  # until the first frame is painted and timed
         times.append(page.evaluate("() => window.liaamStudio.fit.lastDropMs"))
     return times
 
@@ -99,29 +99,29 @@ def theta_rate(page) -> float:
 
 @dataclass(frozen=True)
 class Server:
-    """A ``liaam studio`` in a process of its own."""
+    """A ``liaam studio`` in a separate process."""
 
     process: subprocess.Popen
     address: str
 
     def stop(self) -> None:
-        """End it as Ctrl-C would, but quietly."""
+        """End it as by Ctrl-C, without output."""
         self.process.terminate()
         self.process.wait()
 
     def kill(self) -> None:
-        """End it as a power cut would."""
+        """End it as by a power failure."""
         self.process.send_signal(signal.SIGKILL)
         self.process.wait()
 
 
 def start(folder: Path, *arguments: str, errors: IO[str] | None = None) -> Server:
-    """Run ``liaam studio`` on a folder; what it complains of goes to a file, if one is given.
+    """Run ``liaam studio`` on a folder. Write its errors to a file, if one is given.
 
     Raises
     ------
     RuntimeError
-        If it ends without saying its address.
+        If it ends without printing its address.
     """
     command = [sys.executable, "-m", "liaam", "studio", str(folder), "--no-browser", *arguments]
     environment = {**os.environ, "COLUMNS": "300"}
@@ -139,7 +139,7 @@ def start(folder: Path, *arguments: str, errors: IO[str] | None = None) -> Serve
 
 @contextmanager
 def served(folder: Path, *arguments: str) -> Iterator[str]:
-    """Run ``liaam studio`` on a folder for a while; gives its address."""
+    """Run ``liaam studio`` on a folder in the block. Yield its address."""
     server = start(folder, "--port", "0", *arguments)
     try:
         yield server.address
@@ -148,12 +148,12 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
 
 
 def chromium() -> str | None:
-    """Path of a Chromium, if there is one."""
+    """Return the path of Chromium, if installed."""
     return os.environ.get("LIAAM_CHROMIUM") or next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
 
 
 def lacking() -> str | None:
-    """Say what is missing for a browser; None if nothing is."""
+    """Describe what is missing for a browser; None if nothing is."""
     if find_spec("playwright") is None:
         return "playwright is not installed: pip install '.[test]'"
     if chromium() is None:
@@ -163,7 +163,7 @@ def lacking() -> str | None:
 
 @contextmanager
 def launched() -> Iterator[Any]:
-    """Give a headless browser, where nothing is :func:`lacking`."""
+    """Yield a headless browser, if nothing is :func:`lacking`."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
@@ -174,7 +174,7 @@ def launched() -> Iterator[Any]:
 
 @contextmanager
 def browsing(size: tuple[int, int] = (1280, 720), **options) -> Iterator[Any]:
-    """Give a page of a headless browser, or None, with the reason printed, where there is none."""
+    """Yield a page of a headless browser, or print why there is none and yield None."""
     reason = lacking()
     if reason:
         print(f"studio: skipped; {reason}")
@@ -185,7 +185,7 @@ def browsing(size: tuple[int, int] = (1280, 720), **options) -> Iterator[Any]:
 
 
 def main(data: str | None = None, letters: int = 2) -> None:
-    """Print the metrics, of generated pictures or of a data set; ``letters`` of a name tell the person."""
+    """Print the metrics for generated images or a data set. The first `letters` of a name identify the person."""
     with browsing() as page, tempfile.TemporaryDirectory() as name:
         if page is None:
             return

@@ -1,8 +1,8 @@
-"""How well, how steadily and how fast a talking face is tracked, and whether a light that moves disturbs that.
+"""Accuracy, jitter and speed of tracking a talking face, also under a moving light.
 
 The video is FGnet's Talking Face, 4,800 frames without landmarks, as ``video/talking-face.mp4`` of the shared data. A
-generic model of ``imm`` is fitted to some of its frames; the best fits are the landmarks that a model of this person is
-trained on, and that one tracks.
+generic model of ``imm`` is fitted to some of its frames. The best fits train a model of this person, which tracks the
+video.
 """
 
 import os
@@ -26,13 +26,13 @@ from liaam.training import train
 from liaam.workers import all_cores
 
 FRAMES = 300
-"""Frames tracked, from the first on; the argument of ``python -m benchmarks.track`` (4800: all)."""
+"""Number of tracked frames; the argument of ``python -m benchmarks.track`` (4800: all)."""
 
 LOOKED_AT, TRAINED_ON = 48, 16
-"""Frames that the generic model is fitted to, and that the person's model learns from."""
+"""Numbers of frames that the generic model is fitted to, and that train the person's model."""
 
 PERIOD = 72
-"""Frames in which the lamp swings to and fro once: three seconds."""
+"""Period of the lamp's swing in frames: three seconds."""
 
 EYES = (slice(13, 21), slice(21, 29))
 """Landmarks of the two eyes."""
@@ -41,29 +41,29 @@ METHODS = ("soft-li", "li", "rgb", "grey")
 """Methods that track the relit video."""
 
 LOST = 8.0
-"""Error, percent of the distance between the eyes, beyond which a frame counts as lost."""
+"""Error above which a frame counts as lost, in per cent of the distance between the eyes."""
 
 
 def data_folder() -> Path:
-    """Where the shared data are."""
+    """Return the folder of the shared data."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     return Path(os.environ.get("LIAAM_SHARED_DATA", beside))
 
 
 def generic_model(folder: Path) -> AAM:
-    """Model of many persons, from the front; the second one's pictures are grey."""
+    """Train a model on frontal images of many persons, except the second, whose images are grey."""
     data = load_folder(folder / "imm").select(lambda sample: sample.name[:2] != "02" and sample.name[3] in "126")
     return train(data, diagonal=120)
 
 
 def person_model(generic: AAM, video: Path) -> AAM:
-    """Model of the person of a video, from fits of a generic one to frames spread over it."""
+    """Train a model of the person in a video, from fits of a generic model to frames spread over it."""
     with VideoReader(video) as frames:
         step = max(1, (frames.n_frames or LOOKED_AT) // LOOKED_AT)
         images = [frame.image for frame in frames if frame.index % step == step // 2]
     fitter = Fitter(generic)
     fits = [fitter.fit(image) for image in images]
-    # The best of each stretch, so that they are spread over the video.
+    # Take the best of each part, so that they are spread over the video.
     stretches = np.array_split(np.arange(len(fits)), TRAINED_ON)
     best = [max(stretch, key=lambda i: fits[i].quality) for stretch in stretches if len(stretch)]
     contours = tuple(Contour(indices, closed) for indices, closed in generic.contours)
@@ -87,7 +87,7 @@ def stacked(frames: Sequence[TrackedFrame], name: str) -> np.ndarray:
 
 
 def differences(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Mean distance of landmarks from those of b, percent of the distance between b's eyes, (frames,); lost is 100."""
+    """Mean distance of landmarks from those of b, in per cent of b's eye distance, (frames,); 100 if lost."""
     away = 100 * np.linalg.norm(a - b, axis=2).mean(axis=1) / eye_distance(b)
     return np.nan_to_num(away, nan=100.0)
 
@@ -98,9 +98,9 @@ def trembling(shapes: np.ndarray) -> float:
 
 
 def overhead(model: AAM, video: Path, results: Sequence[FitResult], n: int = 1000) -> tuple[float, float]:
-    """Milliseconds per frame of all but the fits, which are remembered ones: processor's, and those of the clock.
+    """Processor and wall-clock time per frame without the fits, in milliseconds.
 
-    The first is of the tracker's thread; the second includes waiting for the decoder's.
+    The first is of the tracker's thread. The second includes waiting for the decoder.
     """
     tracker = Tracker(model, init=results[0].landmarks)
     count = 0
@@ -122,7 +122,7 @@ def overhead(model: AAM, video: Path, results: Sequence[FitResult], n: int = 100
 
 
 def file_rate(model: AAM, video: Path) -> tuple[float, str]:
-    """Frames per second of the whole file as ``liaam track`` goes through it: by all cores, their start included."""
+    """Frames per second of ``liaam track`` on the whole file, with all cores, including their start."""
     before, n = perf_counter(), 0
     stretches = cut(0, None, VideoReader(video).n_frames)
     for stretch in track_stretches(TrackJob(Tracker(model), str(video)), stretches, all_cores()):
@@ -141,7 +141,7 @@ def flicker(model: AAM, pictures: Iterator[np.ndarray], shapes: np.ndarray) -> f
 
 
 def relit(frames: Sequence[VideoFrame], shapes: np.ndarray) -> list[VideoFrame]:
-    """The frames under a lamp that moves."""
+    """Relight the frames with a moving lamp."""
     return [
         VideoFrame(frame.index, frame.time, circling_light(frame.image, shape, i / PERIOD))
         for i, (frame, shape) in enumerate(zip(frames, shapes, strict=True))

@@ -1,1 +1,1 @@
-"""Experiments: protocols that use the engine many times and write tables and figures."""
+"""Experiments that measure liaam and write tables and figures."""

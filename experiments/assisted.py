@@ -1,8 +1,8 @@
-"""Annotating with the model's help: how near does a model of the first few pictures place the next one's points?
+"""Model-assisted annotation: how accurately does a model of the first few images place the next image's points?
 
-Twelve persons, one picture of each. A model of those annotated so far finds the object in the others and fits it; the
-person at the keyboard corrects one of them, which then belongs to the annotated ones. What is compared is how the
-model is trained, and which picture is offered next: one after the other as they come, or the least certain first.
+There are twelve persons with one image each. A model of the annotated images finds and fits the object in the others.
+The annotator corrects one of them, which joins the annotated images. The experiment compares ways to train the model,
+and the order of the images: as drawn, or the least certain first.
 """
 
 import time
@@ -40,19 +40,19 @@ RECIPES: dict[str, dict[str, Any]] = {
 """Ways to train by name: options of :func:`liaam.train`."""
 
 ORDERS = ("drawn", "uncertain")
-"""Which picture is offered next: as drawn, or that with the largest mean standard deviation of a landmark."""
+"""Which image is offered next: as drawn, or the one with the largest mean standard deviation of a landmark."""
 
 PERSONS = 12
-"""Pictures to annotate."""
+"""Number of images to annotate."""
 
 AFTER = (5, 10)
-"""Annotated pictures after which it is told how near the others are."""
+"""Numbers of annotated images after which errors are reported."""
 
 FEWEST = 3
-"""Annotated pictures that a model needs."""
+"""Minimum number of annotated images for a model."""
 
 ROLES = ("next", "rest", "fresh")
-"""What a fitted picture is: offered next, still to come, or one of those that are never annotated."""
+"""Roles of a fitted image: offered next, offered later, or never annotated."""
 
 COLUMNS = {
     "recipe": "",
@@ -69,9 +69,9 @@ COLUMNS = {
     "status": "",
     "seconds": ".4f",
 }
-"""Columns of results.csv. ``point``: median over the picture's landmarks, where ``nme`` is the mean; ``start_nme``:
-error of where the search starts the fit; ``deviation``: mean standard deviation of a landmark that the fit states, by
-the shape's diagonal; the others as in :mod:`experiments.protocol`."""
+"""Columns of results.csv. ``point``: median over the image's landmarks, where ``nme`` is the mean. ``start_nme``:
+error of the start from the search. ``deviation``: mean standard deviation of a landmark reported by the fit, divided by
+the shape's diagonal. The others are as in :mod:`experiments.protocol`."""
 
 CHOICES = (
     "Pictures: the first (diffuse, frontal) one of each person. Who takes part and in which order is drawn anew for "
@@ -87,7 +87,7 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Session:
-    """One draw of pictures, annotated with models of one recipe in one order: one task."""
+    """One draw of images, annotated with models of one recipe in one order: one task."""
 
     recipe: str
     order: str
@@ -95,24 +95,24 @@ class Session:
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"{self.recipe}, {self.order}, trial {self.trial}"
 
 
 @lru_cache(maxsize=1)
 def get_pictures(folder: Path) -> tuple[Sample, ...]:
-    """First picture of each of a folder's persons; once per process."""
+    """First image of each of a folder's persons; once per process."""
     return tuple(person.training[0] for person in find_persons(folder)[0])
 
 
 def draw_session(pictures: Sequence[Sample], persons: int, seed: int, trial: int) -> tuple[list[Sample], list[Sample]]:
-    """Pictures to annotate, in their order, and those that never are."""
+    """Images to annotate, in their order, and those that never are."""
     order = np.random.default_rng([seed, trial]).permutation(len(pictures))
     return [pictures[i] for i in order[:persons]], [pictures[i] for i in order[persons:]]
 
 
 def place(fitter: Fitter, sample: Sample) -> Row:
-    """Columns of results.csv that one picture's fit decides."""
+    """Fit one image and return its columns of results.csv."""
     truth = sample.landmarks.points
     unit = inter_ocular_distance(truth, *EYES)
     began = time.perf_counter()
@@ -132,7 +132,7 @@ def place(fitter: Fitter, sample: Sample) -> Row:
 
 
 def uncertainty(result: FitResult) -> float:
-    """Mean standard deviation of a landmark, as a share of the shape's diagonal; infinite where a fit tells none."""
+    """Mean standard deviation of a landmark, divided by the shape's diagonal; infinite if the fit has none."""
     share = float(result.deviations.mean()) / max(diagonal_of(result.landmarks), 1e-9)
     return share if np.isfinite(share) else np.inf
 
@@ -140,17 +140,17 @@ def uncertainty(result: FitResult) -> float:
 def turns(
     waiting: list[Sample], recipe: str, by_uncertainty: bool, after: Sequence[int]
 ) -> Iterator[tuple[int, Fitter, list[Row], int]]:
-    """Train on what is annotated, place the points of what is left, take the next, and so on.
+    """Train on the annotated images, fit the remaining ones, annotate the next, and repeat.
 
     Yields
     ------
     annotated : int
-        Pictures that the model is trained on.
+        Number of training images.
     fitter : Fitter
     placed : list of Row
-        What it makes of each picture that is left.
+        Results for the remaining images.
     offered : int
-        Which of them comes next.
+        Index of the next image among them.
     """
     annotated, waiting = waiting[:FEWEST], waiting[FEWEST:]
     while waiting:
@@ -164,7 +164,7 @@ def turns(
 
 
 def annotate(data: Path, persons: int, after: Sequence[int], seed: int, session: Session) -> list[Row]:
-    """Go through one session."""
+    """Run one session."""
     waiting, fresh = draw_session(get_pictures(data), persons, seed, session.trial)
     rows: list[Row] = []
     for count, fitter, placed, offered in turns(waiting, session.recipe, session.order == "uncertain", after):
@@ -190,18 +190,18 @@ def assisted_experiment(
     Parameters
     ----------
     data : Path
-        Folder of pictures ``NN-Js.*`` with landmarks, as the spot protocol has them.
+        Folder of images ``NN-Js.*`` with landmarks, as in the spot protocol.
     recipes : sequence of str
-        Of :data:`RECIPES`.
+        One of :data:`RECIPES`.
     orders : sequence of str
-        Of :data:`ORDERS`.
+        One of :data:`ORDERS`.
     trials : int
         Draws of persons and their order.
     seed : int
     persons : int
-        Pictures to annotate.
+        Images to annotate.
     after : sequence of int
-        Annotated pictures after which it is told how near the others are.
+        Numbers of annotated images after which errors are reported.
     """
     for what, given, known in (("recipe", recipes, RECIPES), ("order", orders, ORDERS)):
         for name in given:
@@ -237,7 +237,7 @@ def assisted_experiment(
 
 
 def summarise(recipes: Sequence[str], orders: Sequence[str], after: Sequence[int], rows: list[Row]) -> dict[str, Any]:
-    """Statistics by recipe, order, number of annotated pictures and role."""
+    """Statistics by recipe, order, number of annotated images and role."""
     return {
         "after": list(after),
         "cells": [
@@ -270,7 +270,7 @@ def _median(rows: Sequence[Row], name: str) -> float | None:
 
 
 def table(summary: Mapping[str, Any]) -> tuple[Header, Table]:
-    """Medians by recipe, order and number of annotated pictures."""
+    """Medians by recipe, order and number of annotated images."""
     header = [
         "annotated",
         "recipe",
@@ -303,7 +303,7 @@ def table(summary: Mapping[str, Any]) -> tuple[Header, Table]:
 
 
 def draw(_rows: list[Row], summary: Mapping[str, Any]) -> "Figure":
-    """Median error of all that is left as bars, a panel for each number of annotated pictures."""
+    """Draw the median error of the remaining images as bars, one panel per number of annotated images."""
     bars = {
         f"after {count} pictures": in_percent(
             {
@@ -317,7 +317,7 @@ def draw(_rows: list[Row], summary: Mapping[str, Any]) -> "Figure":
 
 
 def report(_rows: list[Row], summary: Mapping[str, Any]) -> str:
-    """What was asked, and the medians."""
+    """Format the question and the medians."""
     question = (
         "How near does a model of the first few annotated pictures place the points of the others? Median error by "
         "inter-ocular distance: of the picture that is offered next (mean over its points, and median over them), of "

@@ -1,7 +1,7 @@
-"""Do the paper's references do what they are for? (Its [1], [6], [11] and [12].)
+"""Do the paper's references [1], [6], [11] and [12] work in the situations they were designed for?
 
-Each situation breaks the plain comparison of luminance in the one way that some references are made for: another
-light of which training has seen the like, a patch that hides a fifth of the face, a change of gain and offset.
+Each situation breaks the plain comparison of luminance in one way that a reference addresses: another light similar to
+one in training, a patch over a fifth of the face, or a change of gain and offset.
 """
 
 from collections.abc import Iterator
@@ -39,10 +39,10 @@ GAMMA = 4.0
 """Displacement of the start, pixels (standard deviation of each coordinate)."""
 
 COPIES = 4
-"""Relit copies of each picture to learn what light does from."""
+"""Number of relit training copies of each image."""
 
 COVERED = 0.2
-"""Share of the face's bounding box under the patch."""
+"""Fraction of the face's bounding box under the patch."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class Situation:
     baseline : str
         The method to be beaten.
     methods : tuple of str
-        Those whose papers say that they do, and others to look at.
+        Methods to compare: those in `claimed`, and others.
     claimed : tuple of str
-        Those whose papers say that they do.
+        Methods whose papers claim to beat the baseline.
     """
 
     name: str
@@ -114,13 +114,13 @@ class Trial:
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"{self.situation}, trial {self.number}"
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What all trials share."""
+    """Settings shared by all trials."""
 
     data: Path | None
     solver: str
@@ -129,7 +129,7 @@ class Setup:
 
 @lru_cache(maxsize=1)
 def get_fitters(data: Path | None, solver: str) -> dict[str, Fitter]:
-    """Train on the subject, with lamps that some of its pictures in shadow teach; once per process."""
+    """Train on the subject, with lamps learnt from some of its shadowed images; once per process."""
     subject = get_subject(data)
     model = get_solver(solver).train(
         subject.pairs,
@@ -143,7 +143,7 @@ def get_fitters(data: Path | None, solver: str) -> dict[str, Fitter]:
 
 
 def in_shadow(subject: Subject, picture: int) -> Iterator[Sample]:
-    """Give one of a subject's pictures as it is and with the shadows that training has seen."""
+    """Return one of a subject's images as it is and with the shadows used in training."""
     image, shape = subject.pairs[picture]
     yield Sample(f"{picture}-even", image, Landmarks(shape))
     for number, (side, tilt) in enumerate(product((0.0, np.pi), (-TILT / 2, TILT / 2))):
@@ -151,7 +151,7 @@ def in_shadow(subject: Subject, picture: int) -> Iterator[Sample]:
 
 
 def changed_picture(subject: Subject, situation: str, picture: int, rng: np.random.Generator) -> np.ndarray:
-    """Change one of a subject's pictures, (h, w, 3) float32 stored values in [0, 1]."""
+    """Change one of a subject's images, (h, w, 3) float32 stored values in [0, 1]."""
     image, shape = subject.pairs[picture]
     if situation == "light":
         return simulated_shadow(image, shape, random_side(rng))[0]
@@ -161,7 +161,7 @@ def changed_picture(subject: Subject, situation: str, picture: int, rng: np.rand
 
 
 def covered(image: np.ndarray, shape: np.ndarray, rng: np.random.Generator, share: float = COVERED) -> np.ndarray:
-    """Lay a rectangle of a random colour over a share of a face's bounding box."""
+    """Cover a fraction of a face's bounding box with a rectangle of random colour."""
     low, high = shape.min(axis=0), shape.max(axis=0)
     size = (high - low) * np.sqrt(share)
     corner = low + (high - low) * rng.uniform(0.25, 0.75, 2) - size / 2
@@ -174,7 +174,7 @@ def covered(image: np.ndarray, shape: np.ndarray, rng: np.random.Generator, shar
 
 
 def run_trial(setup: Setup, trial: Trial) -> list[Row]:
-    """Fit one changed picture with the situation's methods."""
+    """Fit one changed image with the situation's methods."""
     fitters, subject = get_fitters(setup.data, setup.solver), get_subject(setup.data)
     situation = next(s for s in SITUATIONS if s.name == trial.situation)
     picture = trial.number % len(subject.images)
@@ -206,12 +206,12 @@ def baselines_experiment(
     Parameters
     ----------
     data : Path, optional
-        Folder of one person's pictures; generated ones if left out.
+        Folder of one person's images. By default generated images.
     trials : int
         Draws per situation.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     """
     check_trials(solver, trials)
     return Experiment(

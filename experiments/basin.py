@@ -1,8 +1,8 @@
 """From how far away do fits still find the object? (The basin of convergence, person by person.)
 
-Starts are disturbed by shift, rotation and scale together, far beyond those of the spot protocol. Two questions are
-asked of where a fit ends: whether it is near the landmarks, and whether it is where the fit from a small disturbance
-ends. The second does not blame a method for what its own minimum is off by.
+Starts are disturbed by shift, rotation and scale together, far more than in the spot protocol. The end of a fit is
+compared with the landmarks, and with the end of the fit from a small disturbance. The second comparison does not depend
+on the error of a method's own minimum.
 """
 
 from collections.abc import Sequence
@@ -38,19 +38,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHIFT, TURN, SCALE = 0.25, float(np.deg2rad(15.0)), 0.20
-"""Largest disturbance: shift by the inter-ocular distance, radians, and change of scale."""
+"""Largest disturbance: shift as a fraction of the inter-ocular distance, rotation in radians, and change of scale."""
 
 SMALL = 0.1
-"""Share of the largest disturbance that is small."""
+"""Size of a small disturbance, as a fraction of the largest one."""
 
 SAME_END = 0.01
-"""Distance below which two fits have ended in one place, as a share of the inter-ocular distance."""
+"""Distance below which two fits have the same end, as a fraction of the inter-ocular distance."""
 
 AT_LEAST = 6
-"""Pictures of a person where half of them train: three are the fewest for a model."""
+"""Minimum number of images of a person. Half of them train, and a model needs three."""
 
 EDGES = (0.0, 0.05, 0.10, 0.15, 0.20, 0.25, 0.30, 0.50)
-"""Classes of the size of a disturbance: mean distance of the landmarks from the undisturbed start, by the IOD."""
+"""Bins of the size of a disturbance: mean distance of the landmarks from the undisturbed start, divided by the IOD."""
 
 COLUMNS = {
     "method": "",
@@ -66,8 +66,8 @@ COLUMNS = {
     "iterations": "",
     "status": "",
 }
-"""Columns of results.csv. ``disturbance``: size of the start's; ``reference_nme``: error of the fit from a small
-disturbance; ``away``: mean distance between the two fits' ends; all by inter-ocular distance."""
+"""Columns of results.csv, all divided by the inter-ocular distance. ``disturbance``: size of the start's disturbance.
+``reference_nme``: error of the fit from a small disturbance. ``away``: mean distance between the ends of both fits."""
 
 CHOICES = (
     f"Starts: the mean shape at the true centroid and size, moved by up to {SHIFT:.0%} of the inter-ocular distance in "
@@ -82,13 +82,13 @@ CHOICES = (
 
 
 def find_splits(folder: Path) -> tuple[tuple[Split, ...], tuple[str, ...]]:
-    """Choose what is trained on and what is fitted, person by person.
+    """Split each person's images into training and test images.
 
     Returns
     -------
     splits : tuple of Split
     left_out : tuple of str
-        What is not used, and why.
+        Unused images, with the reasons.
     """
     persons, left_out = group_persons(folder)
     if persons:
@@ -98,7 +98,7 @@ def find_splits(folder: Path) -> tuple[tuple[Split, ...], tuple[str, ...]]:
 
 
 def placed(mean: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Mean shape at the true centroid and size, (n, 2) float64."""
+    """Place the mean shape at the true centroid and size, (n, 2) float64."""
     centre, centred = truth.mean(axis=0), mean - mean.mean(axis=0)
     return centred * (np.linalg.norm(truth - centre) / np.linalg.norm(centred)) + centre
 
@@ -127,7 +127,7 @@ def disturbed(shape: np.ndarray, unit: float, share: float, rng: np.random.Gener
 
 
 def fit_person(request: Request, split: Split) -> list[Row]:
-    """Fit one person's pictures from all starts."""
+    """Fit one person's images from all starts."""
     trained = request.train(split.training, split.key)
     rows = []
     for sample in split.tested:
@@ -138,7 +138,7 @@ def fit_person(request: Request, split: Split) -> list[Row]:
 
 
 def fit_picture(request: Request, trained: Trained, image: np.ndarray, truth: np.ndarray, name: str) -> list[Row]:
-    """Fit one picture from all starts with every method."""
+    """Fit one image from all starts with every method."""
     unit, rest = face_size(truth), placed(trained.mean, truth)
     near = disturbed(rest, unit, SMALL, request.rng(name, "near"))
     starts = [disturbed(rest, unit, 1.0, request.rng(name, trial)) for trial in range(request.trials)]
@@ -178,13 +178,13 @@ def basin_experiment(
     Parameters
     ----------
     data : Path
-        Folder of the spot protocol, or of pictures named after persons (``01_03``), six or more each.
+        Folder of the spot protocol, or of images named after persons (``01_03``), six or more each.
     methods : sequence of str
     trials : int
-        Starts per picture.
+        Starts per image.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     """
     request = Request(data, tuple(methods), trials, seed, solver)
     splits, left_out = find_splits(data)
@@ -206,7 +206,7 @@ def basin_experiment(
 
 
 def summarise(methods: Sequence[str], rows: list[Row]) -> dict[str, Any]:
-    """Shares by method, over all starts and by the size of the disturbance."""
+    """Fractions by method, over all starts and by the size of the disturbance."""
     return {
         "persons": sorted({row["person"] for row in rows}),
         "methods": {
@@ -237,7 +237,7 @@ def _by_disturbance(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def table(summary: dict[str, Any]) -> tuple[Header, Table]:
-    """Shares by method."""
+    """Fractions by method."""
     header = ["method", "fits", "converged, %", "same end, %", "from near, %"]
     shares = ("converged", "same_end", "reference_converged")
     return header, [
@@ -264,7 +264,7 @@ def _curves(rows: list[Row], summary: dict[str, Any], name: str) -> dict[str, li
 
 
 def report(_rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, and the shares."""
+    """Format the question and the fractions."""
     question = (
         "From how far away do fits find the object? Models of one person each, of "
         f"{len(summary['persons'])} persons. Converged: mean distance to the landmarks below 8 % of the inter-ocular "

@@ -1,4 +1,4 @@
-"""What could any estimator reach? The Cramer-Rao bound for each way to measure, and how near fits come to it."""
+"""Cramer-Rao bound of the error for each kind of measurement, and how close fits come to it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,10 +32,10 @@ MEASURES = {
     "chroma": "chroma",
     "li": "li",
 }
-"""Ways to measure, from the most that a pixel tells to the least that light cannot change."""
+"""Kinds of measurement, from the most to the least information per pixel."""
 
 UNDER = {"same light": tuple(MEASURES), "shadow": ("li",)}
-"""Which of them describe the pictures under which light: under a shadow of another colour, only the invariant."""
+"""Measurements that are valid under each light. Under a shadow of another colour, only the invariant is."""
 
 CHOICES = (
     "Noise is white, of the stored values (sRGB), before they are cut to [0, 255]; the bound takes every pixel inside "
@@ -48,7 +48,7 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Setup:
-    """What all trials share."""
+    """Settings shared by all trials."""
 
     data: Path | None
     seed: int
@@ -56,14 +56,14 @@ class Setup:
 
 
 def run_trial(setup: Setup, trial: NumberedTrial) -> list[Row]:
-    """Work out all bounds for one picture, with and without its shadow."""
+    """Compute all bounds for one image, with and without its shadow."""
     model, subject = sharp_model(setup.data), get_subject(setup.data)
     case = make_case(subject, setup.seed, trial.number, gamma=0.0, sigma_n=0.0)
     images = {"same light": subject.images[case.picture], "shadow": case.image}
     rows = []
     for light, measures in UNDER.items():
         for measure in measures:
-            # It grows in proportion to the noise.
+            # The bound is proportional to the noise.
             unit = cramer_rao_bound(model, images[light], case.truth, MEASURES[measure], 1 / 255)
             rows += [
                 {
@@ -88,9 +88,9 @@ def bound_experiment(
     Parameters
     ----------
     data : Path, optional
-        Folder of one person's pictures; generated ones if left out.
+        Folder of one person's images. By default generated images.
     trials : int
-        Draws of picture and shadow: those of the other simulated experiments with the same seed.
+        Draws of image and shadow: those of the other simulated experiments with the same seed.
     seed : int
     sigmas : sequence of float
         Noise, 8-bit units.

@@ -1,6 +1,6 @@
-"""How well do calibrations find the camera's angle, and are their error bars honest?
+"""How accurately do calibrations estimate the camera's angle, and are their error bars correct?
 
-Posters and charts under Planckian light, seen by a camera whose angle is known, with 8-bit noise added.
+The data are posters and charts under Planckian light, from a camera with a known angle, with 8-bit noise added.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,17 +33,17 @@ SIGMAS = (2.0, 8.0)
 SIZE = (180, 240)
 LAMPS_K = (3600.0, 5500.0, 3000.0, 4500.0)
 OURS, PLAIN = "#19a979", "#9a9a9a"
-"""Colours of calibrations and of what they are compared with."""
+"""Colours of our calibrations and of the reference."""
 
 INSET = 3
-"""Pixels of each chart patch's border that are left out, as a person would."""
+"""Margin of each chart patch to ignore, in pixels."""
 
 CAMERAS = {
     "line sensors": replace(narrow_band_camera(response="srgb"), bits=8),
     "broad sensors": Camera(read_noise=0.0, shot_noise=0.0, vignetting=0.0),
 }
-"""The paper's theory holds exactly for the first; the second is 24 to 30 nm wide, and each surface moves a little
-differently."""
+"""Cameras. The paper's theory is exact for the first. The second has bands of 24 to 30 nm, so that each surface moves
+slightly differently."""
 
 CHOICES = (
     "Lamps of 2600 to 6300 K (each drawn within 15 % of 3600, 5500, 3000, 4500 K) over skylight of 8000 K with cast "
@@ -56,14 +56,14 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Setup:
-    """What all trials share."""
+    """Settings shared by all trials."""
 
     seed: int
     sigmas: tuple[float, ...]
 
 
 def run_trial(setup: Setup, trial: NumberedTrial) -> list[Row]:
-    """Calibrate one drawn scene and one chart with each camera, each way, at each noise."""
+    """Calibrate one random scene and one chart with each camera and method, at each noise level."""
     rows = []
     for camera_name, camera in CAMERAS.items():
         truth = camera.theta("wien")
@@ -89,7 +89,7 @@ def run_trial(setup: Setup, trial: NumberedTrial) -> list[Row]:
 def _estimates(
     camera: Camera, sigma: float, seed: int, rng: np.random.Generator
 ) -> dict[str, tuple[AngleEstimate, float]]:
-    """Give each kind's estimate, and that of plain least squares on the same pictures."""
+    """Return each kind's estimate, and that of plain least squares on the same images."""
     sheet = poster(SIZE, seed)
     lamps = np.array(LAMPS_K) * rng.uniform(0.85, 1.15, len(LAMPS_K))
     lights = [uneven_light(SIZE, 7 * seed + i, lamp_K=float(lamp)) for i, lamp in enumerate(lamps)]
@@ -149,7 +149,7 @@ def calibration_experiment(trials: int = 24, seed: int = 0, sigmas: Sequence[flo
 
 
 def summarise(rows: list[Row]) -> dict[str, Any]:
-    """Errors of those estimates that call themselves observable, and how often their intervals hold the truth."""
+    """Errors of the observable estimates, and the coverage of their intervals."""
     cells = []
     for camera, kind, sigma in dict.fromkeys((r["camera"], r["kind"], r["sigma_n"]) for r in rows):
         own = [r for r in rows if (r["camera"], r["kind"], r["sigma_n"]) == (camera, kind, sigma)]

@@ -1,4 +1,4 @@
-"""Figures of experiments: curves, bars, cumulative errors, rows of pictures."""
+"""Figures of experiments: curves, bars, cumulative errors, rows of images."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -37,20 +37,20 @@ ON_TOP = {"li": (4.0, 4.0), "li-lit": (1.2, 8.0), "li-pc": (1.8, 6.0), "li-pcs":
 visibly on a wide line with a small one."""
 
 DASHES = ((0, (1, 1.5)), (0, (5, 2)), (0, (6, 2, 1, 2)))
-"""Dashes of lines to compare with, such as a bound."""
+"""Dashes of reference lines, such as a bound."""
 
 FLOOR = 1e-3
-"""What a logarithmic axis of errors shows at least; smaller errors are drawn there."""
+"""Lower limit of a logarithmic axis of errors. Smaller errors are drawn there."""
 
 OTHERS = ("#1d4e89", "#e8743b", "#19a979", "#b565a7", "#d4a017", "#5c5c5c")
-"""Colours of curves that are of no method, in turn."""
+"""Colours of curves that do not show a method, in turn."""
 
 
 def style_of(method: str, n_points: int) -> dict[str, Any]:
-    """How to draw a method's curve of so many points.
+    """Return the style of a method's curve of `n_points` points.
 
-    One colour and marker per method, dashed with a suffix, dotted with two. Of many points some are marked, of
-    each method others, so that no curve hides another's marks.
+    There is one colour and marker per method, dashed with a suffix and dotted with two. Long curves have markers on
+    some points only, at different places for each method, so that markers do not hide each other.
     """
     base = base_of(method)
     step = max(1, n_points // 8)
@@ -122,7 +122,7 @@ class Panel:
 
 
 def figure_of_curves(panels: Sequence[Panel]) -> "Figure":
-    """Curves of methods or of anything else, a panel beside the other, with one legend."""
+    """Draw curves in panels side by side, with one legend."""
     figure, axes = subplots(1, len(panels), (5.0 * len(panels) + 1.5, 4.2))
     strange = list(dict.fromkeys(name for panel in panels for name in panel.curves if base_of(name) not in COLOURS))
     colours = dict(zip(strange, cycle(OTHERS))) if len(strange) > 1 else {}
@@ -148,7 +148,7 @@ def _draw_panel(axis: "Axes", panel: Panel, dashes: Mapping[str, Any], colours: 
         axis.plot(*_columns(points, log), label=method, **style)
     for name, points in panel.references.items():
         x, y = _columns(points, log)
-        y[log & (y <= FLOOR)] = np.nan  # a bound of 0 (no noise, say) is no reason for a longer axis
+        y[log & (y <= FLOOR)] = np.nan  # do not extend the axis for a bound of 0, as without noise
         axis.plot(x, y, color="black", lw=1.2, ls=dashes[name], label=name, zorder=8)
     if log:
         axis.set_yscale("log")
@@ -156,7 +156,7 @@ def _draw_panel(axis: "Axes", panel: Panel, dashes: Mapping[str, Any], colours: 
     else:
         axis.set_ylim(bottom=0)
     values = sorted({x for points in panel.curves.values() for x, _ in points})
-    if len(values) <= 10:  # a sweep: its own values are what was measured
+    if len(values) <= 10:  # a sweep: put ticks at its values
         axis.set_xticks(values)
     axis.set(xlabel=panel.x_label, ylabel=panel.y_label, title=panel.title)
     axis.grid(axis="y", color="#e6e6e6", lw=0.8)
@@ -171,7 +171,7 @@ def _spans_a_decade(lines: Sequence[Sequence[tuple[float, float | None]]]) -> bo
 
 
 def _columns(points: Sequence[tuple[float, float | None]], log: bool) -> np.ndarray:
-    """Points as (2, n) float64; what is too small for a logarithmic axis lies on its floor."""
+    """Return points as (2, n) float64. Values too small for a logarithmic axis are raised to its lower limit."""
     x, y = np.array(list(points), dtype=np.float64).reshape(-1, 2).T
     return np.stack([x, np.maximum(y, FLOOR) if log else y])
 
@@ -179,18 +179,18 @@ def _columns(points: Sequence[tuple[float, float | None]], log: bool) -> np.ndar
 def figure_of_bars(
     groups: Mapping[str, Mapping[str, float | None]], label: str, colours: Callable[[str], str] = colour_of
 ) -> "Figure":
-    """Horizontal bars of methods, a panel for each group; None (no finite value) has no bar.
+    """Draw horizontal bars of methods, one panel per group. None (no finite value) has no bar.
 
     Parameters
     ----------
     groups : mapping of title to (mapping of method to value)
     label : str
-        What the values are, with their unit.
+        Name and unit of the values.
     colours : callable
         Colour of a method.
     """
     longest = max(len(values) for values in groups.values())
-    # A long row of panels would be shrunk on a page until its labels cannot be read.
+    # The labels of a long row of panels would be too small to read on a page.
     rows = 1 if len(groups) <= 3 else 2
     columns = -(-len(groups) // rows)
     figure, axes = subplots(rows, columns, (4.6 * columns, rows * (0.36 * longest + 1.3)))

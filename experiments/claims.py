@@ -1,6 +1,6 @@
-"""The claims of the paper's section 7, each as a question to the numbers that our experiments gave.
+"""The claims of the paper's section 7, each tested against the results of our experiments.
 
-Nothing here knows what the answer should be: a claim that does not hold is shown as not holding.
+The tests do not assume the result: a claim that does not hold is reported as such.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ class Verdict:
     ----------
     holds : bool
     evidence : str
-        The numbers behind it.
+        The numbers that support it.
     """
 
     holds: bool
@@ -33,17 +33,17 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim, and how it is asked.
+    """A claim and its test.
 
     Attributes
     ----------
     name : str
     text : str
-        What the paper says.
+        Statement of the paper.
     criterion : str
-        What has to hold in our numbers.
+        Condition that our results must meet.
     needs : str
-        The experiment that is asked.
+        Name of the experiment with these results.
     ask : callable
         From that experiment's summary to a verdict.
     """
@@ -55,12 +55,12 @@ class Claim:
     ask: Callable[[Mapping[str, Any]], Verdict | None]
 
     def of(self, summaries: Summaries) -> Verdict | None:
-        """Verdict, or None where the experiment was not run, or cannot tell."""
+        """Return the verdict, or None if the experiment was not run or does not decide the claim."""
         return self.ask(summaries[self.needs]) if self.needs in summaries else None
 
 
 def medians(summary: Mapping[str, Any], method: str, quantity: str = "error_px") -> dict[float, float]:
-    """Median of a quantity by swept value; what is not finite counts as infinite."""
+    """Median of a quantity by swept value. Values that are not finite count as infinite."""
     found = {cell[summary["swept"]]: cell[quantity]["median"] for cell in summary["methods"][method]}
     return {value: np.inf if median is None else median for value, median in found.items()}
 
@@ -115,7 +115,7 @@ def _values_diverge(summary: Mapping[str, Any]) -> Verdict:
 def _angle_suffers_from_noise(summary: Mapping[str, Any]) -> Verdict | None:
     found = medians(summary, "li", "theta_error_deg")
     values = sorted(found)
-    if len(values) < 3:  # no trend to speak of
+    if len(values) < 3:  # too few for a trend
         return None
     errors = [found[value] for value in values]
     rises = all(later >= 0.9 * earlier for earlier, later in pairwise(errors))
@@ -127,7 +127,7 @@ def _shadow_is_taken_off(summary: Mapping[str, Any]) -> Verdict | None:
     kind, methods = next(iter(summary["kinds"].items()))
     cell = methods["li"]
     rebuilt, given = cell["rebuilt_rms"]["median"], cell["input_rms"]["median"]
-    if rebuilt is None or given is None:  # a real light, where the truth is not known
+    if rebuilt is None or given is None:  # a real light without ground truth
         return None
     return Verdict(rebuilt <= 0.05 and given >= 0.3, f"error of log light {given:.3f} → {rebuilt:.3f} ({kind})")
 
@@ -184,11 +184,11 @@ CLAIMS = (
         _shadow_is_taken_off,
     ),
 )
-"""The claims, in the order of the table."""
+"""Claims in the order of the table."""
 
 
 def up_to(summary: Mapping[str, Any], limit: float) -> dict[str, Any]:
-    """Give a sweep's summary with the swept values up to a limit only."""
+    """Return a sweep's summary with the swept values up to a limit only."""
     swept = summary["swept"]
     kept = {method: [cell for cell in cells if cell[swept] <= limit] for method, cells in summary["methods"].items()}
     gaps = [gap for gap in summary["li_and_lit_px"] or [] if gap[swept] <= limit]

@@ -1,4 +1,4 @@
-"""The commands of ``python -m experiments``: they read options, run, and print what came out."""
+"""The command line ``python -m experiments``."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ app = make_app(
 )
 
 OneSubject = Annotated[
-    Path | None, typer.Option(help="Folder of one person's landmarked pictures; generated ones if left out.")
+    Path | None, typer.Option(help="Folder of one person's landmarked images. By default generated images.")
 ]
 Out = Annotated[
     Path,
@@ -44,16 +44,16 @@ SIMULATED = "grey,rgb,li,li-lit,li-pc,li-pcs"
 COMPARED = "rgb,grey,li,igo,soft-li"
 
 SpotFolder = Annotated[
-    Path, typer.Option("--data", help="Folder with pictures NN-1 … NN-6 of each person and their landmarks.")
+    Path, typer.Option("--data", help="Folder with images NN-1 … NN-6 of each person and their landmarks.")
 ]
 PersonsFolder = Annotated[
-    Path, typer.Option("--data", help="Folder of pictures named after persons, as 01_01, and their landmarks.")
+    Path, typer.Option("--data", help="Folder of images named after persons, as 01_01, and their landmarks.")
 ]
-Starts = Annotated[int, typer.Option(help="Starts per picture.", min=1)]
+Starts = Annotated[int, typer.Option(help="Starts per image.", min=1)]
 
 
 def names_in(text: str, option: str = "--methods") -> tuple[str, ...]:
-    """Names of a list with commas, at least one."""
+    """Parse at least one name, separated by commas."""
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     if not names:
         raise MethodError(f"{option} is empty; see 'liaam methods' for those that exist")
@@ -69,7 +69,7 @@ def execute(experiment: "Experiment", out: Path, jobs: int | None) -> dict[str, 
 
 
 def conclude(summary: Mapping[str, Any], out: Path) -> None:
-    """Say what was left out, and where the results are."""
+    """Print what was left out, and where the results are."""
     for text in summary["left_out"]:
         say(f"left out: {text}")
     say(f"written to {out}")
@@ -110,7 +110,7 @@ def run_protocol(
 ) -> None:
     """Run an experiment on a folder of persons and print the table of its report.
 
-    The request is what all of them ask: folder, methods, trials, seed and solver.
+    The request holds their common options: folder, methods, trials, seed and solver.
     """
     data, methods, *rest = request
     summary = execute(make(data, names_in(methods), *rest, **options), out, jobs)
@@ -138,7 +138,7 @@ def displacement(
     strength: Strength = -1.8,
     jobs: Jobs = None,
 ) -> None:
-    """How far from the object may a fit start, under a simulated shadow? (Paper Fig 3a.)"""
+    """How far from the object can a fit start, under a simulated shadow? (Paper Fig 3a.)"""
     from experiments.displacement import displacement_experiment as make
 
     options = {"data": data, "trials": trials, "seed": seed, "solver": solver, "strength": strength}
@@ -156,7 +156,7 @@ def noise(
     strength: Strength = -1.8,
     jobs: Jobs = None,
 ) -> None:
-    """What does noise do to landmarks and angle, under a simulated shadow? (Paper Fig 3b and 3c.)"""
+    """How does noise affect landmarks and angle, under a simulated shadow? (Paper Fig 3b and 3c.)"""
     from experiments.noise import noise_experiment as make
 
     options = {"data": data, "trials": trials, "seed": seed, "solver": solver, "strength": strength}
@@ -169,8 +169,8 @@ def convergence(
     data: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the spot protocol, or of one person's pictures (a shadow is simulated); "
-            "generated pictures under lateral light if left out."
+            help="Folder of the spot protocol, or of one person's images (a shadow is simulated); "
+            "generated images under lateral light if left out."
         ),
     ] = None,
     methods: Methods = SIMULATED,
@@ -190,7 +190,7 @@ def convergence(
 
 @app.command()
 def spot(
-    data: Annotated[Path, typer.Option(help="Folder with pictures NN-1 … NN-6 of each person and their landmarks.")],
+    data: Annotated[Path, typer.Option(help="Folder with images NN-1 … NN-6 of each person and their landmarks.")],
     out: Out,
     methods: Methods = "rgb,grey,li,li-lit,li-pc,li-pcs",
     trials: Annotated[int, typer.Option(help="Starts per person.", min=1)] = 3,
@@ -198,7 +198,7 @@ def spot(
     solver: Solver = "liaam",
     jobs: Jobs = None,
 ) -> None:
-    """Person-specific models from diffuse light, fitted to a spot-lit picture (paper section 7.2)."""
+    """Person-specific models from diffuse light, fitted to a spot-lit image (paper section 7.2)."""
     from experiments.spot import spot_experiment
 
     summary = execute(spot_experiment(data, names_in(methods), trials, seed, solver), out, jobs)
@@ -234,7 +234,7 @@ def bound(
     seed: Seed = 0,
     jobs: Jobs = None,
 ) -> None:
-    """What is the least error that noise leaves, for each way to measure a picture? (Cramér-Rao.)"""
+    """What is the smallest possible error under noise, for each kind of measurement? (Cramér-Rao.)"""
     from experiments import bound as module
 
     summary = execute(module.bound_experiment(data, trials, seed), out, jobs)
@@ -245,17 +245,17 @@ def bound(
 
 @app.command()
 def calibration(out: Out, trials: Trials = 24, seed: Seed = 0, jobs: Jobs = None) -> None:
-    """How well do calibrations find the camera's angle, and are their error bars honest?"""
+    """How accurately do calibrations estimate the camera's angle, and are their error bars correct?"""
     from experiments.calibration import calibration_experiment
     from liaam.evaluation import or_dash
 
     summary = execute(calibration_experiment(trials, seed), out, jobs)
-    table = table_of("camera", "kind", "noise", "told", "median", "p95", "stated", "coverage", "plain squares")
+    table = table_of("camera", "kind", "noise", "observable", "median", "p95", "stated", "coverage", "plain squares")
     for c in summary["cells"]:
         numbers = (or_dash(c[key]) for key in ("median_deg", "p95_deg", "standard_error_deg"))
-        told = f"{c['observable']}/{c['trials']}"
+        observable = f"{c['observable']}/{c['trials']}"
         coverage, plain = or_dash(c["coverage"], ".2f"), or_dash(c["plain_median_deg"])
-        table.add_row(c["camera"], c["kind"], f"{c['sigma_n']:g}", told, *numbers, coverage, plain)
+        table.add_row(c["camera"], c["kind"], f"{c['sigma_n']:g}", observable, *numbers, coverage, plain)
     say("error of theta, degrees")
     console.print(table)
     conclude(summary, out)
@@ -270,7 +270,7 @@ def baselines(
     solver: Solver = "liaam",
     jobs: Jobs = None,
 ) -> None:
-    """Do AIA, robust losses and normalisation help where their papers say so?"""
+    """Do AIA, robust losses and normalisation help in the situations that their papers claim?"""
     from experiments.baselines import SITUATIONS, baselines_experiment
     from liaam.evaluation import or_dash
 
@@ -291,7 +291,7 @@ def reconstruct(
     data: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the spot protocol, or of one person's pictures (a shadow is simulated); generated pictures "
+            help="Folder of the spot protocol, or of one person's images (a shadow is simulated); generated images "
             "under lateral light if left out."
         ),
     ] = None,
@@ -326,9 +326,9 @@ def generic(
         ),
     ],
     out: Out,
-    test: Annotated[Path | None, typer.Option(help="Folder of the pictures to fit.")] = None,
+    test: Annotated[Path | None, typer.Option(help="Folder of the images to fit.")] = None,
     first: Annotated[
-        int | None, typer.Option(help="Train on so many pictures of --data, and fit the others.", min=2)
+        int | None, typer.Option(help="Train on this many images of --data, and fit the others.", min=2)
     ] = None,
     lamps: Annotated[
         Path | None, typer.Option(help="Folder or file that the model learns other light from, as 'liaam train' does.")
@@ -352,7 +352,7 @@ def generic(
     solver: Solver = "liaam",
     jobs: Jobs = None,
 ) -> None:
-    """What does another light cost a generic model, on objects it has never seen?"""
+    """How much does another light degrade a generic model, on unseen objects?"""
     from experiments import generic as module
 
     options = {"test": test, "first": first, "lamps": lamps, "training_lamp": training_lamp, "unit": unit}
@@ -366,7 +366,7 @@ def peer(
     data: PersonsFolder,
     out: Out,
     methods: Methods = COMPARED,
-    trials: Annotated[int, typer.Option(help="Starts per picture and light.", min=1)] = 1,
+    trials: Annotated[int, typer.Option(help="Starts per image and light.", min=1)] = 1,
     seed: Seed = 0,
     solver: Solver = "liaam",
     unseen: Annotated[
@@ -374,7 +374,7 @@ def peer(
     ] = False,
     jobs: Jobs = None,
 ) -> None:
-    """How do we compare with menpofit's published figures, on its own protocol?"""
+    """How does liaam compare with menpofit's published results, on menpofit's protocol?"""
     from experiments import peer as module
 
     run_protocol(module.peer_experiment, module.table, out, jobs, (data, methods, trials, seed, solver), unseen=unseen)
@@ -383,7 +383,7 @@ def peer(
 @app.command()
 def basin(
     data: Annotated[
-        Path, typer.Option(help="Folder of the spot protocol, or of pictures named after persons, as 01_01.")
+        Path, typer.Option(help="Folder of the spot protocol, or of images named after persons, as 01_01.")
     ],
     out: Out,
     methods: Methods = COMPARED,
@@ -403,12 +403,12 @@ def occlusion(
     data: SpotFolder,
     out: Out,
     methods: Methods = COMPARED,
-    trials: Annotated[int, typer.Option(help="Starts and patches per picture.", min=1)] = 2,
+    trials: Annotated[int, typer.Option(help="Starts and patches per image.", min=1)] = 2,
     seed: Seed = 0,
     solver: Solver = "liaam",
     jobs: Jobs = None,
 ) -> None:
-    """What does a textured patch over a fifth of the face cost?"""
+    """How much does a textured patch over a fifth of the face degrade fits?"""
     from experiments import occlusion as module
 
     run_protocol(module.occlusion_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
@@ -424,7 +424,7 @@ def unchanged(
     solver: Solver = "liaam",
     jobs: Jobs = None,
 ) -> None:
-    """What does invariance cost where the light has not changed? (Leave-one-out on diffuse pictures.)"""
+    """What does invariance cost if the light has not changed? (Leave-one-out on diffuse images.)"""
     from experiments import unchanged as module
 
     run_protocol(module.unchanged_experiment, module.table, out, jobs, (data, methods, trials, seed, solver))
@@ -437,12 +437,12 @@ def assisted(
     recipes: Annotated[
         str, typer.Option(help="Ways to train: sample, shrunk, smooth, smooth-auto, smooth-auto-both.")
     ] = "sample,smooth",
-    orders: Annotated[str, typer.Option(help="Which picture comes next: drawn, uncertain.")] = "drawn",
+    orders: Annotated[str, typer.Option(help="Which image comes next: drawn, uncertain.")] = "drawn",
     trials: Annotated[int, typer.Option(help="Draws of twelve persons and their order.", min=1)] = 24,
     seed: Seed = 0,
     jobs: Jobs = None,
 ) -> None:
-    """How near does a model of the first few annotated pictures place the next one's points?"""
+    """How accurately does a model of the first few annotated images place the next image's points?"""
     from experiments import assisted as module
 
     given = names_in(recipes, "--recipes"), names_in(orders, "--orders")
@@ -461,7 +461,7 @@ def uncertainty(
     solver: Solver = "liaam",
     jobs: Jobs = None,
 ) -> None:
-    """Do the ellipses hold the truth, and does the quality tell right fits from wrong ones?"""
+    """Do the confidence ellipses contain the truth, and does the quality separate right fits from wrong ones?"""
     from experiments import uncertainty as module
 
     summary = execute(module.uncertainty_experiment(data, heads, seed, solver), out, jobs)
@@ -472,7 +472,7 @@ def uncertainty(
 def reproduce(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and a folder for each experiment.")],
     person: Annotated[
-        Path | None, typer.Option(help="Folder of one person's landmarked pictures under homogeneous light.")
+        Path | None, typer.Option(help="Folder of one person's landmarked images under homogeneous light.")
     ] = None,
     persons: Annotated[Path | None, typer.Option(help="Folder of many persons, as 'spot' takes it.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few trials: minutes instead of an hour or so.")] = False,
@@ -481,7 +481,7 @@ def reproduce(
 ) -> None:
     """Run the paper's experiments and write one report with a table of its claims.
 
-    Generated pictures are always used; real ones beside them if folders are given.
+    Always uses generated images, and also real ones if folders are given.
     """
     from experiments.reproduce import reproduce as run
 
@@ -492,7 +492,7 @@ def reproduce(
 
 
 def print_verdicts(verdicts: Mapping[str, Mapping[str, Any]]) -> None:
-    """Say for each kind of data and choice which of the paper's claims hold."""
+    """Print which of the paper's claims hold, for each kind of data and choice."""
     from experiments.claims import CLAIMS
 
     for column, found in verdicts.items():

@@ -1,8 +1,8 @@
 """How fast do fits converge under light from the side? (Paper Fig 5.)
 
-Three kinds of data: pictures of many persons as the spot protocol has them (:mod:`experiments.spot`), one
-person's pictures, over which a shadow is laid (:mod:`experiments.simulated`), or nothing: generated scenes,
-trained under diffuse and fitted under lateral light.
+There are three kinds of data: images of many persons as in the spot protocol (:mod:`experiments.spot`), one person's
+images with a simulated shadow (:mod:`experiments.simulated`), or generated scenes, trained under diffuse light and
+fitted under lateral light.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GAMMA = 8.0
-"""Displacement of the start, pixels, where persons' pictures do not bring the spot protocol's."""
+"""Displacement of the start in pixels, except in the spot protocol."""
 
 COLUMNS = {"method": "", "picture": "", "trial": "", "iteration": "", "error_px": ".6f"}
 SHOWN = (0, 1, 2, 3, 5, 10, 20, MAX_ITERATIONS)
@@ -48,7 +48,7 @@ SCENE_CHOICES = (
 
 @dataclass(frozen=True)
 class Setup:
-    """What all fits share."""
+    """Settings shared by all fits."""
 
     data: Path | None
     methods: tuple[str, ...]
@@ -58,7 +58,7 @@ class Setup:
 
 
 def trace_person(setup: Setup, person: spot.Person) -> list[Row]:
-    """Follow the fits to one person's spot-lit picture."""
+    """Trace the fits to one person's spot-lit image."""
     study = spot.study_of(person, setup.methods, setup.solver)
     return [
         row
@@ -68,14 +68,14 @@ def trace_person(setup: Setup, person: spot.Person) -> list[Row]:
 
 
 def trace_shadow(setup: Setup, trial: NumberedTrial) -> list[Row]:
-    """Follow the fits to one of a person's pictures under a simulated shadow."""
+    """Trace the fits to one of a person's images under a simulated shadow."""
     fitters = simulated.get_fitters(setup.data, setup.methods, setup.solver)
     case = simulated.make_case(get_subject(setup.data), setup.seed, trial.number, GAMMA, sigma_n=0.0)
     return trace(fitters, case.image, case.start, case.truth, case.picture, trial.number)
 
 
 def trace_scene(setup: Setup, trial: NumberedTrial) -> list[Row]:
-    """Follow the fits to a generated picture under lateral light."""
+    """Trace the fits to a generated image under lateral light."""
     fitters = simulated.get_fitters(None, setup.methods, setup.solver, THETA_DEFAULT)
     scenes = _lateral_scenes()
     picture = trial.number % len(scenes)
@@ -99,7 +99,7 @@ def trace(
     picture: object,
     trial: int,
 ) -> list[Row]:
-    """Rows of every method's fit to one picture: a row per iteration."""
+    """Fit one image with every method and return one row per iteration."""
     return [
         {"method": method, "picture": picture, "trial": trial, "iteration": iteration, "error_px": error}
         for method, fitter in fitters.items()
@@ -108,9 +108,9 @@ def trace(
 
 
 def errors_by_iteration(result: FitResult, truth: np.ndarray) -> list[float]:
-    """Mean landmark error at the start and after each of 50 accepted steps; the last value is carried on."""
+    """Mean landmark error at the start and after each of 50 accepted steps. The last value is repeated."""
     history = result.history
-    # A level starts where the one before it stopped: that is no step.
+    # A level starts at the end of the previous one, which is not a step.
     states = [state for i, state in enumerate(history) if i == 0 or state.level == history[i - 1].level]
     errors = [point_error(state.landmarks, truth) for state in states[: MAX_ITERATIONS + 1]]
     return errors + errors[-1:] * (MAX_ITERATIONS + 1 - len(errors))
@@ -128,13 +128,13 @@ def convergence_experiment(
     Parameters
     ----------
     data : Path, optional
-        Folder of the spot protocol, or of one person's pictures; generated scenes if left out.
+        Folder of the spot protocol, or of one person's images. By default generated scenes.
     methods : sequence of str
     trials : int
-        Draws of the start; in the spot protocol for each person.
+        Number of random starts; per person in the spot protocol.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     """
     check_request(tuple(methods), solver, trials)
     setup = Setup(data, tuple(methods), solver, trials, seed)
@@ -162,7 +162,7 @@ def convergence_experiment(
 
 
 def _plan(setup: Setup) -> tuple:
-    """Light, facts of the data, tasks, work, choices and what was left out, as the kind of data has it."""
+    """Return light, description of the data, tasks, work, choices and unused images, by the kind of data."""
     numbered = tuple(NumberedTrial(number) for number in range(setup.trials))
     if setup.data is None:
         facts = {**subject_facts(None), "gamma": GAMMA}
@@ -207,7 +207,7 @@ def shown(summary: dict[str, Any]) -> dict[str, list[tuple[float, float | None]]
 
 
 def report(light: str, _rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, and the medians at some iterations."""
+    """Format the question and the medians at some iterations."""
     return (
         f"How fast do fits converge when the light has changed between training and fitting (here: {light})? (Paper "
         f"Fig 5.)\n\nMedian error of the landmarks, px, by iteration:\n\n{simulated.table_of_curves(shown(summary))}"

@@ -1,4 +1,4 @@
-"""How far from the object may a fit start? (Paper section 7.1, Fig 3a.)"""
+"""How far from the object can a fit start? (Paper section 7.1, Fig 3a.)"""
 
 from collections.abc import Sequence
 from pathlib import Path

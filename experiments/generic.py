@@ -1,10 +1,9 @@
-"""Generic models: fitted to objects that they have never seen, under the light of training and under others.
+"""Generic models, fitted to unseen objects under the training light and under other lights.
 
-Folders are taken as they come: ``data`` to train on, ``test`` to fit, and ``lamps``, from which a model learns other
-light (:mod:`liaam.lamps`). Without ``test`` the first few pictures train and the others are fitted; or, of a folder
-named as the spot protocol has it, one half of the persons trains and the other is fitted, in two folds: their diffuse
-pictures, the spot-lit ones, and the diffuse ones under simulated hard light
-(:func:`experiments.lights.hard_light`).
+The folders are ``data`` to train on, ``test`` to fit, and ``lamps`` to learn other lights from (:mod:`liaam.lamps`).
+Without ``test``, the first few images train and the others are fitted. In a folder of the spot protocol, one half of
+the persons trains and the other half is fitted, in two folds. The fitted images are then diffuse, spot-lit, or
+diffuse with simulated hard light (:func:`experiments.lights.hard_light`).
 """
 
 from collections.abc import Sequence
@@ -50,25 +49,25 @@ if TYPE_CHECKING:
 
 FOLDS = 2
 LEAST = 3
-"""Persons that a folder must have: one to fit, and more than a person's pictures to train on in one fold at least."""
+"""Minimum number of persons in a folder: one to fit and two to train on, in at least one fold."""
 
 STARTED = ("near", "box", "none")
-"""From where pictures are fitted: the mean shape near the truth, a detector's box, and nothing at all."""
+"""Kinds of start: the mean shape near the truth, a detector's box, or none (search)."""
 
 BOX_SHIFT, BOX_SCALE = 0.1, 0.1
-"""Standard deviations of a box: where it lies, as a share of its sides, and how large it is."""
+"""Standard deviations of a box's position, as a fraction of its sides, and of its size."""
 
 CORNERS = {68: (36, 45)}
 """Outer corners of the eyes by the number of landmarks (300-W), counting from 0."""
 
 UNITS = ("centres", "corners")
-"""What errors are shares of: the distance of the eyes' centres, or of their outer corners."""
+"""Units of errors: the distance between the eyes' centres, or between their outer corners."""
 
 ALL = "all"
-"""What the pictures in all lights are called where there are several, or where names tell none."""
+"""Name of the group of images in all lights."""
 
 FEW = 3
-"""Lights up to which the figure has a panel for each."""
+"""Maximum number of lights with a panel each in the figure."""
 
 CHOICES = (
     "Of a folder of the spot protocol, persons are taken in the order of their names, every other one into one fold.",
@@ -83,24 +82,24 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class GenericRequest(Request):
-    """What was asked for.
+    """Options of an experiment.
 
     Attributes
     ----------
     test : Path, optional
-        Folder of the pictures to fit.
+        Folder of the images to fit.
     first : int, optional
-        Without ``test``: how many pictures of ``data`` to train on; the others are fitted.
+        Without ``test``: how many images of ``data`` to train on; the others are fitted.
     lamps : Path, optional
-        Folder or file to learn other light from.
+        Folder or file to learn other lights from.
     training_lamp : str, optional
-        Name of the lamp there that is the light of training.
+        Name of the lamp in it that is the training light.
     diagonal : float
-        Of the reference frame, pixels.
+        Diagonal of the reference frame in pixels.
     starts : tuple of str
-        Of :data:`STARTED`.
+        One of :data:`STARTED`.
     unit : str
-        Of :data:`UNITS`.
+        One of :data:`UNITS`.
     """
 
     test: Path | None = None
@@ -112,7 +111,7 @@ class GenericRequest(Request):
     unit: str = UNITS[0]
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be done, before any work."""
+        """Raise, before any work, if the request is invalid."""
         super().__post_init__()
         if not self.starts or not set(self.starts) <= set(STARTED) or len(set(self.starts)) < len(self.starts):
             raise LiaamError(f"starts {','.join(self.starts)}: give some of {', '.join(STARTED)}, each once")
@@ -127,12 +126,12 @@ class GenericRequest(Request):
         return self.lamps is not None
 
     def settings(self) -> dict[str, Any]:
-        """What decides the results, besides the pictures."""
+        """Settings that determine the results, in addition to the images."""
         own = {"first": self.first, "training_lamp": self.training_lamp, "diagonal": self.diagonal}
         return {**super().settings(), **own, "starts": list(self.starts), "unit": self.unit}
 
     def size(self, truth: np.ndarray) -> float:
-        """Length that errors are shares of, pixels."""
+        """Unit of errors, in pixels."""
         if self.unit == "centres":
             return face_size(truth)
         if len(truth) not in CORNERS:
@@ -143,7 +142,7 @@ class GenericRequest(Request):
 
 
 class Shown(NamedTuple):
-    """A picture that is fitted, and its light; ``relit`` if that is laid over the picture."""
+    """An image to fit and its light; ``relit`` if the light is simulated."""
 
     light: str
     sample: Sample
@@ -152,7 +151,7 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """What a model is trained on, and what it is fitted to, by object."""
+    """Training images of a model, and test images by object."""
 
     training: tuple[Sample, ...]
     tested: dict[str, tuple[Shown, ...]]
@@ -160,20 +159,20 @@ class Fold:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One object that is fitted with a model that has not seen it: one task."""
+    """One unseen object to fit: one task."""
 
     fold: int
     name: str
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"fold {self.fold}, {self.name}"
 
 
 @lru_cache(maxsize=1)
 def get_folds(request: GenericRequest) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
-    """Divide the pictures; and what was left out. Once per process."""
+    """Split the images into folds, and list unused ones; once per process."""
     if request.test is not None:
         return _of_folders(request.data, request.test)
     return _of_persons(request.data) if request.first is None else _after_first(request.data, request.first)
@@ -186,7 +185,7 @@ def _of_folders(data: Path, test: Path) -> tuple[tuple[Fold, ...], tuple[str, ..
 
 
 def _after_first(data: Path, first: int) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
-    """The first pictures of a folder to train on, the others to fit."""
+    """The first images of a folder to train on, the others to fit."""
     pictures, missing = _pictures_of(data)
     if not 1 < first < len(pictures):
         raise LiaamError(
@@ -217,7 +216,7 @@ def _of_persons(folder: Path) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
 
 
 def _pictures_of(folder: Path) -> tuple[tuple[Sample, ...], tuple[str, ...]]:
-    """Pictures of a folder that can be used, all in colour or all grey, and what was left out."""
+    """Return the usable images of a folder, all colour or all grey, and what was left out."""
     data: Dataset = load_folder(folder)
     left_out = [f"{item.path.name}: {item.reason}" for item in data.left_out]
     whole = [sample for sample in data if np.isfinite(sample.landmarks.points).all()]
@@ -230,7 +229,7 @@ def _pictures_of(folder: Path) -> tuple[tuple[Sample, ...], tuple[str, ...]]:
 
 
 def _by_object(samples: Sequence[Sample]) -> dict[str, tuple[Shown, ...]]:
-    """Pictures named by object and light, as ``037-00``, by object; others are objects of their own."""
+    """Group images named by object and light, as ``037-00``, by object. Other images count as one object each."""
     parts = [sample.name.rpartition("-") for sample in samples]
     told = all(name for name, _, _ in parts)
     groups: dict[str, list[Shown]] = {}
@@ -241,7 +240,7 @@ def _by_object(samples: Sequence[Sample]) -> dict[str, tuple[Shown, ...]]:
 
 @lru_cache(maxsize=1)
 def get_trained(request: GenericRequest, fold: int) -> Trained:
-    """Train a fold's model; once per process, since it takes as long as fitting some persons."""
+    """Train a fold's model; once per process, because it is slow."""
     from liaam.lamps import learn_lamps, load_lamps
 
     training = get_folds(request)[0][fold].training
@@ -252,7 +251,7 @@ def get_trained(request: GenericRequest, fold: int) -> Trained:
 
 
 def image_of(request: Request, shown: Shown) -> np.ndarray:
-    """Read a picture, and lay light over it where that is asked for, (h, w, 3) uint8."""
+    """Read an image, with simulated light if requested, (h, w, 3) uint8."""
     image, sample = eight_bit(shown.sample), shown.sample
     return hard_light(image, sample.landmarks.points, request.rng(sample.name, "relit")) if shown.relit else image
 
@@ -271,7 +270,7 @@ def start_of(request: GenericRequest, kind: str, mean: np.ndarray, sample: Sampl
 
 
 def fit_object(request: GenericRequest, task: HeldOut) -> list[Row]:
-    """Fit all pictures of one object."""
+    """Fit all images of one object."""
     trained, rows = get_trained(request, task.fold), []
     for shown in get_folds(request)[0][task.fold].tested[task.name]:
         image, truth = image_of(request, shown), shown.sample.landmarks.points
@@ -279,7 +278,7 @@ def fit_object(request: GenericRequest, task: HeldOut) -> list[Row]:
         for trial in range(request.trials):
             for kind in request.starts:
                 if kind == "none" and trial:
-                    continue  # a search draws nothing
+                    continue  # a search has no random start
                 start = start_of(request, kind, trained.mean, shown.sample, trial)
                 labels = {"object": task.name, "picture": shown.sample.name, "light": shown.light, "start": kind}
                 rows += trained.fit(image, truth, unit, start, **labels, trial=trial)
@@ -294,26 +293,26 @@ def generic_experiment(
     Parameters
     ----------
     data : Path
-        Folder of pictures with landmarks; named ``NN-Js.*``, as the spot protocol has them, without `test` or `first`.
+        Folder of images with landmarks; named ``NN-Js.*``, as in the spot protocol, without `test` or `first`.
     methods : sequence of str
     trials : int
-        Starts per picture.
+        Starts per image.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     **options
         Further fields of :class:`GenericRequest`.
 
     Raises
     ------
     LiaamError
-        If there are too few pictures, or what is asked for makes no sense.
+        If there are too few images, or the options are invalid.
     """
     request = GenericRequest(data, tuple(methods), trials, seed, solver, **options)
     folds, left_out = get_folds(request)
     tasks = tuple(HeldOut(i, name) for i, fold in enumerate(folds) for name in fold.tested)
     shown = [each for fold in folds for pictures in fold.tested.values() for each in pictures]
-    request.size(shown[0].sample.landmarks.points)  # complain now
+    request.size(shown[0].sample.landmarks.points)  # raise early
     folders = {name: getattr(request, name) for name in ("data", "test", "lamps")}
     samples = [*folds[0].training, *(each.sample for each in shown if not each.relit)]
     facts = {name: None if folder is None else folder.resolve().name for name, folder in folders.items()}
@@ -354,7 +353,7 @@ def summarise(request: GenericRequest, rows: list[Row]) -> dict[str, Any]:
 
 
 def _cell(rows: list[Row]) -> dict[str, Any]:
-    """Statistics, and whether quality and ellipses tell the truth; None of what is not known."""
+    """Return statistics, area under the ROC curve and coverage; None where unknown."""
     right, known = [row for row in rows if is_right(row)], any(np.isfinite(row["quality"]) for row in rows)
     silent = [row for row in rows if not is_right(row) and FitStatus(row["status"]).ok]
     return statistics(rows) | {
@@ -365,7 +364,7 @@ def _cell(rows: list[Row]) -> dict[str, Any]:
 
 
 def table(summary: dict[str, Any]) -> tuple[Header, Table]:
-    """What fits come to, by start, light and method."""
+    """Tabulate the results by start, light and method."""
     header = ["start", "light", "method", "median", "p90", "> 8 %", "silent", "ROC", "in 95 %", "excess", "ms"]
     return header, [
         [
@@ -413,7 +412,7 @@ def draw_pictures(request: GenericRequest) -> "Figure":
 
 
 def report(_rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, and the medians."""
+    """Format the question and the medians."""
     question = (
         f"What does another light cost a generic model? It is fitted to {len(summary['objects'])} objects that it has "
         "not seen. Errors are mean distances of the landmarks, per cent of the inter-ocular distance; silent: fits "

@@ -1,7 +1,7 @@
-"""Change the light of a real picture whose landmarks are known.
+"""Change the light of a real image whose landmarks are known.
 
-Each light is a function (image, landmarks, rng) -> image of stored sRGB values, (h, w, 3) uint8; what it draws depends
-on the generator only. Light is multiplied in linear values, rounded to 8 bits and cut, as a camera would.
+Each light is a function (image, landmarks, rng) -> image of stored sRGB values, (h, w, 3) uint8. Its random values
+depend only on the generator. Light is multiplied in linear values, rounded to 8 bits and clipped, as in a camera.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from liaam.photometry import THETA_DEFAULT, linear_to_srgb, srgb_to_linear, temp
 Light = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
 
 SHADOW = (0.22, 0.28, 0.36)
-"""Linear red, green and blue light that a cast shadow leaves: the sky's, so bluer than the sun's."""
+"""Linear red, green and blue light in a cast shadow: skylight, which is bluer than sunlight."""
 
 DAPPLE = (0.25, 0.30, 0.36)
 """The same between dapples."""
@@ -22,10 +22,10 @@ SHADOW_EDGE = 1.5
 """Half the width of a cast shadow's edge, pixels."""
 
 SPOT_SIZE = 0.05
-"""Size of dapples, as a share of the object's."""
+"""Size of dapples, as a fraction of the object's."""
 
 HEAD = 1.25
-"""Half axes of the head's ellipsoid, in those of the landmarks' box: landmarks leave out forehead and hair."""
+"""Semi-axes of the head's ellipsoid, relative to those of the landmarks' box, which excludes forehead and hair."""
 
 
 def unchanged(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -35,15 +35,15 @@ def unchanged(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator
 
 
 def hard_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Light a head from one side by a small lamp, with attached and cast shadow.
+    """Light a head from one side by a small lamp, with attached and cast shadows.
 
-    The head is an ellipsoid around the landmarks with Lambert's shading; the side that is turned away lies in a cast
-    shadow whose edge bulges as behind a nose. Lamp and ambient light have colour temperatures of their own.
+    The head is an ellipsoid around the landmarks with Lambertian shading. The side away from the lamp is in a cast
+    shadow whose edge bulges as behind a nose. Lamp and ambient light have different colour temperatures.
 
     Parameters
     ----------
     image : (h, w, 3) uint8
-        Under diffuse light: its own shading stays.
+        Image under diffuse light. Its own shading is kept.
     landmarks : (n, 2) float64
     rng : Generator
 
@@ -64,16 +64,16 @@ def hard_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generato
 def circling_light(image: np.ndarray, landmarks: np.ndarray, turns: float) -> np.ndarray:
     """Light a head by a coloured lamp that swings from side to side, for videos.
 
-    The head is an ellipsoid around the landmarks with Lambert's shading. The lamp goes from 60° left to 60° right, up
-    and down a little, and from warm to cold and back; what else there is of light is dim, and of a colour of its own.
+    The head is an ellipsoid around the landmarks with Lambertian shading. The lamp swings from 60° left to 60° right,
+    up and down a little, and from warm to cold and back. The ambient light is dim and has another colour.
 
     Parameters
     ----------
     image : (h, w, 3) uint8
-        Under diffuse light.
+        Image under diffuse light.
     landmarks : (n, 2) float64
     turns : float
-        Where the lamp is on its way; 1 is once to and fro.
+        Position of the lamp; 1 is a full swing to and fro.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def circling_light(image: np.ndarray, landmarks: np.ndarray, turns: float) -> np
 
 
 def _beside_nose(x: np.ndarray, y: np.ndarray, radii: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray:
-    """Share of a lamp's light that gets past a nose-like profile, (h, w); x and y count from the head's centre."""
+    """Fraction of a lamp's light that passes a nose-like profile, (h, w); x and y are relative to the head's centre."""
     tilt = rng.uniform(-0.35, 0.35)
     depth = -side * (x * np.cos(tilt) + y * np.sin(tilt)) - rng.uniform(-0.15, 0.25) * radii[0]
     depth = depth - 0.12 * radii[0] * np.exp(-(((y / radii[1] - 0.1) / 0.25) ** 2))
@@ -97,10 +97,10 @@ def _beside_nose(x: np.ndarray, y: np.ndarray, radii: np.ndarray, side: int, rng
 
 
 def smooth_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Shade a picture smoothly, and change gain and offset of each channel.
+    """Shade an image smoothly, and change gain and offset of each channel.
 
-    Log light is a random polynomial of second order in the place. Stored values are then scaled by about 25 %, moved
-    by about 0.03 and cut to what 8 bits hold, each channel by itself.
+    Log light is a random second-order polynomial of the position. Stored values of each channel are then scaled by
+    about 25 %, shifted by about 0.03, and clipped to 8 bits.
 
     Parameters
     ----------
@@ -118,12 +118,12 @@ def smooth_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Genera
     a, b, c, d, e = rng.normal(0, 1, 5) * [1.2, 1.2, 0.8, 0.8, 0.8]
     light = np.exp(a * u + b * v + c * u**2 + d * u * v + e * v**2 - 0.2)
     gain, offset = np.exp(rng.normal(0, 0.25, 3)), rng.normal(0, 0.03, 3)
-    # Cut after the gain only: a lower gain brings back what the light alone would have burnt out.
+    # Clip after the gain only, because a lower gain keeps values that the light alone would saturate.
     return _stored(linear_to_srgb(np.clip(_linear(image) * light[..., None], 0, 4)) * gain + offset)
 
 
 def cast_shadow(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Lay a shadow of :data:`SHADOW` over a half-plane whose edge passes about the object's middle.
+    """Apply a shadow of :data:`SHADOW` to a half-plane whose edge passes near the object's centre.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def cast_shadow(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generat
 
 
 def dapples(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Scatter spots of light, as under leaves; between them :data:`DAPPLE` is left.
+    """Scatter spots of light, as under leaves. The light between them is :data:`DAPPLE`.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ LIGHTS: dict[str, Light] = {
 
 
 def _about_head(image: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels' x and y from the middle of the head, and its radii (2,), in pixels."""
+    """Return x and y of all pixels relative to the centre of the head, and its radii (2,), in pixels."""
     x, y = _grid(image)
     low, high = landmarks.min(axis=0), landmarks.max(axis=0)
     centre = 0.5 * (low + high)
@@ -202,14 +202,14 @@ def _towards(azimuth: float, elevation: float) -> np.ndarray:
 
 
 def _ellipsoid(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Normals of a unit sphere seen from the front, (h, w, 3); beyond its outline they point nearly sideways."""
+    """Normals of a unit sphere viewed from the front, (h, w, 3). Outside its outline they point nearly sideways."""
     u, v = np.broadcast_arrays(u, v)
     normals = np.stack([u, v, np.sqrt(np.clip(1 - u**2 - v**2, 0.02, None))], axis=-1)
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
 def _colour(temperature: float) -> np.ndarray:
-    """Light of a colour temperature, moved along d(122°) from white, (3,) float64."""
+    """Light of a colour temperature, shifted along d(122°) from white, (3,) float64."""
     return np.exp(temperature * temperature_direction(THETA_DEFAULT))
 
 
@@ -227,6 +227,6 @@ def _lit(image: np.ndarray, light: np.ndarray) -> np.ndarray:
 
 
 def _shaded(image: np.ndarray, mask: np.ndarray, left: tuple[float, float, float]) -> np.ndarray:
-    """Leave so much of the red, green and blue light where the mask (h, w) is 1, and all of it where it is 0."""
+    """Reduce red, green and blue light to `left` where the mask (h, w) is 1, and keep it where the mask is 0."""
     mask = mask[..., None]
     return _lit(image, 1 - mask + mask * np.array(left))

@@ -1,4 +1,4 @@
-"""What does noise do to the landmarks, and to the angle? (Paper section 7.1, Fig 3b and 3c.)"""
+"""How does noise affect the landmarks and the angle? (Paper section 7.1, Fig 3b and 3c.)"""
 
 from collections.abc import Sequence
 from pathlib import Path

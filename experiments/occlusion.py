@@ -1,7 +1,7 @@
-"""What does a patch over the object cost? Textured ones, on person-specific models of real faces.
+"""How much does a textured patch over the object degrade fits of person-specific models to real faces?
 
-Each person's spot-lit picture is fitted with a model of the five others, and one diffuse picture with a model of the
-remaining four; from each start once as it is, and once with a patch over about a fifth of the face.
+Each person's spot-lit image is fitted with a model of the five others, and one diffuse image with a model of the
+remaining four. Each start is used once without and once with a patch over about a fifth of the face.
 """
 
 from collections.abc import Sequence
@@ -38,15 +38,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COVERED = 0.2
-"""Share of the object's area under the patch."""
+"""Fraction of the object's area under the patch."""
 
 LIGHTS = ("diffuse", "spot")
 PATCHES = ("colours", "copy")
 CELLS = 5
-"""Random colours along each side of a patch."""
+"""Number of random colours along each side of a patch."""
 
 TRIES = 100
-"""Places that are tried for a patch, or for the piece of picture it shows."""
+"""Number of positions to try for a patch, or for the region it copies."""
 
 CHOICES = (
     f"Patch: a rectangle of {COVERED:.0%} of the area of the landmarks' convex hull, shaped as their box, with its "
@@ -60,16 +60,16 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Case:
-    """One picture of one person: one task.
+    """One image of one person: one task.
 
     Attributes
     ----------
     split : Split
-        Its one tested picture is fitted.
+        Its single test image is fitted.
     light : str
-        Of :data:`LIGHTS`.
+        One of :data:`LIGHTS`.
     turn : int
-        Place of the person among all, by which patches take turns.
+        Index of the person, by which kinds of patch alternate.
     """
 
     split: Split
@@ -78,16 +78,16 @@ class Case:
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"{self.split.key}, {self.light}"
 
     def patch(self, trial: int) -> str:
-        """Kind of patch of a trial."""
+        """Return the kind of patch of a trial."""
         return PATCHES[(self.turn + trial) % len(PATCHES)]
 
 
 def cases_of(turn: int, person: Person) -> tuple[Case, Case]:
-    """Give one person's diffuse and spot-lit picture, each with what its model is trained on."""
+    """Return one person's diffuse and spot-lit image, each with its training images."""
     out = turn % len(person.training)
     others = person.training[:out] + person.training[out + 1 :]
     return (
@@ -97,20 +97,20 @@ def cases_of(turn: int, person: Person) -> tuple[Case, Case]:
 
 
 def patch_box(landmarks: np.ndarray, size: tuple[int, int], rng: np.random.Generator) -> tuple[int, int, int, int]:
-    """Choose where a patch lies.
+    """Choose the position of a patch.
 
     Parameters
     ----------
     landmarks : (n, 2) float64
     size : (int, int)
-        Width and height of the picture.
+        Width and height of the image.
     rng : Generator
 
     Returns
     -------
     (x0, y0, x1, y1) : tuple of int
-        Pixels, the last ones not included. Of 100 places the first with all corners inside the landmarks' hull; if
-        there is none, that with the most.
+        Pixel range, exclusive at the end: the first of 100 positions with all corners inside the landmarks' hull, or
+        else the one with most corners inside.
     """
     import cv2
 
@@ -131,14 +131,14 @@ CORNERS = ((0, 0), (1, 0), (0, 1), (1, 1))
 
 
 def covered(image: np.ndarray, landmarks: np.ndarray, kind: str, rng: np.random.Generator) -> np.ndarray:
-    """Lay a textured patch over about a fifth of an object.
+    """Cover about a fifth of an object with a textured patch.
 
     Parameters
     ----------
     image : (h, w, 3) uint8
     landmarks : (n, 2) float64
     kind : {"colours", "copy"}
-        Random smooth colours, or another place of the same picture.
+        Random smooth colours, or a copy of another region of the same image.
     rng : Generator
 
     Returns
@@ -154,7 +154,7 @@ def covered(image: np.ndarray, landmarks: np.ndarray, kind: str, rng: np.random.
 
 
 def _colours(size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """Random colours that pass smoothly into each other, (h, w, 3) uint8."""
+    """Random colours with smooth transitions, (h, w, 3) uint8."""
     import cv2
 
     colours = rng.uniform(0, 255, (CELLS, CELLS, 3))
@@ -164,7 +164,7 @@ def _colours(size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
 def _elsewhere(
     image: np.ndarray, corner: tuple[int, int], size: tuple[int, int], rng: np.random.Generator
 ) -> np.ndarray:
-    """A piece of a picture from another place: of some at random, the first that overlaps least."""
+    """Copy a region of the image from another place: of several random ones, the one that overlaps least."""
     room = np.array([image.shape[1] - size[0], image.shape[0] - size[1]])
     places = rng.integers(0, room + 1, (TRIES, 2))
     overlap = np.prod(np.clip(np.array(size) - np.abs(places - corner), 0, None), axis=1)
@@ -173,7 +173,7 @@ def _elsewhere(
 
 
 def fit_case(request: Request, case: Case) -> list[Row]:
-    """Fit one picture with and without patches."""
+    """Fit one image with and without patches."""
     (sample,) = case.split.tested
     trained = request.train(case.split.training, case.key)
     image, truth = eight_bit(sample), sample.landmarks.points
@@ -196,13 +196,13 @@ def occlusion_experiment(
     Parameters
     ----------
     data : Path
-        Folder of pictures ``NN-Js.*`` with landmarks, as the spot protocol has them.
+        Folder of images ``NN-Js.*`` with landmarks, as in the spot protocol.
     methods : sequence of str
     trials : int
-        Starts and patches per picture.
+        Starts and patches per image.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     """
     request = Request(data, tuple(methods), trials, seed, solver)
     persons, left_out = find_persons(data)
@@ -271,7 +271,7 @@ def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
 
 
 def draw_pictures(request: Request, case: Case) -> "Figure":
-    """First picture without and with each kind of patch."""
+    """First image without and with each kind of patch."""
     (sample,) = case.split.tested
     image, truth = eight_bit(sample), sample.landmarks.points
     patched = {kind: covered(image, truth, kind, request.rng(sample.name, 0, "patch")) for kind in PATCHES}
@@ -279,7 +279,7 @@ def draw_pictures(request: Request, case: Case) -> "Figure":
 
 
 def report(_rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, and the medians."""
+    """Format the question and the medians."""
     question = (
         f"What does a patch over a fifth of the face cost? Models of one person each, of {len(summary['persons'])} "
         "persons, fitted to a picture under the light of training and to one under a spot light. Median error by "

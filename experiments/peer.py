@@ -1,8 +1,8 @@
-"""The protocol of a peer: menpofit's published comparison on a set of frontal faces, light changed by computer.
+"""menpofit's published protocol on frontal faces with simulated changes of light.
 
-A model of several persons is fitted to other pictures of the same persons, or of persons it has never seen, under the
-light of training and under three changes of it. Errors are shares of 0.3 diagonals of the landmarks' box, starts lie
-in the true box, slightly disturbed.
+A model of several persons is fitted to other images of the same persons, or of unseen persons, under the training light
+and under three changed lights. Errors are divided by 0.3 diagonals of the landmarks' box. Starts are in the true box,
+slightly disturbed.
 """
 
 from collections.abc import Sequence
@@ -44,16 +44,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = ("none", "smooth", "shadow", "dapples")
-"""Lights of the protocol, of :data:`experiments.lights.LIGHTS`."""
+"""Lights of the protocol, from :data:`experiments.lights.LIGHTS`."""
 
 PER_FOLD = 2
-"""Persons left out together where those fitted are unseen."""
+"""Number of persons left out together, for unseen persons."""
 
 AT_LEAST = 2
-"""Pictures that a person must have."""
+"""Minimum number of images of a person."""
 
 SCALE, TURN, SHIFT = 0.05, float(np.deg2rad(3.0)), 0.03
-"""Largest disturbance of a start: change of scale, radians, and shift along each axis by the box's diagonal."""
+"""Largest disturbance of a start: change of scale, rotation in radians, and shift per axis divided by the box's
+diagonal."""
 
 ORIENTATIONS, RAW = "menpofit, orientations", "menpofit, raw RGB"
 
@@ -70,8 +71,8 @@ PUBLISHED: dict[bool, dict[tuple[str, str], tuple[float | None, float]]] = {
         ("shadow", ORIENTATIONS): (None, 0.041),
     },
 }
-"""What the peer publishes, by (whether persons are unseen), (light, method): share converged and median error. On
-pictures, lights and starts drawn by its own seeds: compare what is far apart."""
+"""Published results of menpofit, by (whether persons are unseen), (light, method): fraction converged and median error.
+Its images, lights and starts are from other seeds, so only large differences matter."""
 
 CHOICES = (
     f"Starts: the mean shape with centre and diagonal of the true box, scaled by ±{SCALE:.0%}, turned by "
@@ -86,7 +87,7 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Fold:
-    """What one model is trained on, and what it is fitted to.
+    """Training and test images of one model.
 
     Attributes
     ----------
@@ -99,14 +100,14 @@ class Fold:
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture to fit under all lights: one task."""
+    """One image to fit under all lights: one task."""
 
     fold: int
     name: str
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"picture {self.name}"
 
 
@@ -117,16 +118,16 @@ def get_folds(folder: Path, unseen: bool) -> tuple[tuple[Fold, ...], tuple[str, 
     Parameters
     ----------
     folder : Path
-        Pictures named after persons, as 01_03.
+        Images named after persons, as 01_03.
     unseen : bool
-        Whether two persons at a time are left out; else every other picture of each person is trained on, from the
-        first.
+        Whether two persons at a time are left out. Otherwise every second image of each person, from the first on,
+        trains.
 
     Returns
     -------
     folds : tuple of Fold
     left_out : tuple of str
-        What is not used, and why.
+        Unused images, with the reasons.
 
     Raises
     ------
@@ -139,7 +140,7 @@ def get_folds(folder: Path, unseen: bool) -> tuple[tuple[Fold, ...], tuple[str, 
         return (Fold(_all(s[0::2] for s in samples), _all(s[1::2] for s in samples)),), left_out
     if len(persons) <= PER_FOLD:
         raise LiaamError(
-            f"{folder}: {len(persons)} persons; with {PER_FOLD} left out nobody is there to train on: add some, or fit "
+            f"{folder}: {len(persons)} persons; with {PER_FOLD} left out none is left to train on: add some, or fit "
             "persons seen in training (without --unseen)"
         )
     groups, folds = list(persons.values()), []
@@ -160,7 +161,7 @@ def get_trained(request: Request, unseen: bool, fold: int) -> Trained:
 
 
 def box_start(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Mean shape in the true bounding box, then disturbed: scale, rotation and shift, drawn in this order.
+    """Place the mean shape in the true bounding box and disturb scale, rotation and shift, drawn in this order.
 
     Parameters
     ----------
@@ -182,7 +183,7 @@ def _middle(shape: np.ndarray) -> np.ndarray:
 
 
 def fit_picture(request: Request, unseen: bool, task: Picture) -> list[Row]:
-    """Fit one picture under every light; a start is the same under all of them."""
+    """Fit one image under every light; a start is the same under all of them."""
     trained = get_trained(request, unseen, task.fold)
     sample = next(s for s in get_folds(request.data, unseen)[0][task.fold].tested if s.name == task.name)
     image, truth = eight_bit(sample), sample.landmarks.points
@@ -209,15 +210,15 @@ def peer_experiment(
     Parameters
     ----------
     data : Path
-        Folder of pictures named after persons (``01_03``) with landmarks, as the IMM frontal face database.
+        Folder of images named after persons (``01_03``) with landmarks, as the IMM frontal face database.
     methods : sequence of str
     trials : int
-        Starts per picture and light.
+        Starts per image and light.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     unseen : bool
-        Whether to fit persons that the model has not seen.
+        Whether to fit unseen persons.
     """
     request = Request(data, tuple(methods), trials, seed, solver)
     folds, left_out = get_folds(data, unseen)
@@ -261,7 +262,7 @@ def summarise(methods: Sequence[str], unseen: bool, rows: list[Row]) -> dict[str
 
 
 def table(summary: dict[str, Any]) -> tuple[Header, Table]:
-    """Medians by light and method, the peer's beside them."""
+    """Medians by light and method, beside menpofit's."""
     rows = []
     for light in SHOWN:
         for method, cells in summary["methods"].items():
@@ -286,7 +287,7 @@ def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
 
 
 def draw_pictures(request: Request, unseen: bool) -> "Figure":
-    """First tested picture under every light."""
+    """First tested image under every light."""
     sample = get_folds(request.data, unseen)[0][0].tested[0]
     image, truth = eight_bit(sample), sample.landmarks.points
     return figure_of_pictures(
@@ -295,7 +296,7 @@ def draw_pictures(request: Request, unseen: bool) -> "Figure":
 
 
 def report(_rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, and the medians."""
+    """Format the question and the medians."""
     question = (
         f"How do we compare with a peer on its own protocol, {_persons(summary['unseen'])}? The rows of menpofit are "
         "its published figures (orientations: gradients' of RGB, Wiberg's algorithm, two scales), with other draws of "

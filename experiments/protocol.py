@@ -1,4 +1,4 @@
-"""What the protocols on folders of many persons share: who is who, a fit's row, and what rows come to."""
+"""Helpers shared by protocols on folders of many persons: grouping by person, rows of fits, and statistics."""
 
 import re
 import time
@@ -25,16 +25,16 @@ from liaam.photometry import is_grey
 from liaam.photometry.encoding import as_colour
 
 METHODS = ("rgb", "grey", "li", "igo", "soft-li")
-"""Methods that are compared if none are named."""
+"""Methods that are compared by default."""
 
 VARIANCE = 0.98
-"""Share of the variance of shape and of appearance that models keep."""
+"""Fraction of the variance of shape and of appearance that models keep."""
 
 EYES_BY_COUNT = {58: EYES, 68: (slice(36, 42), slice(42, 48)), 73: (slice(16, 24), slice(24, 32))}
 """Landmarks of the two eyes by the number of landmarks (IMM, 300-W, and IMM frontal), counting from 0."""
 
 FACE = 0.3
-"""What stands for the inter-ocular distance where nobody knows which landmarks are eyes, in diagonals of their box."""
+"""Substitute for the inter-ocular distance if the eye landmarks are unknown, in diagonals of the landmarks' box."""
 
 RESULTS = {
     "nme": ".6f",
@@ -45,12 +45,12 @@ RESULTS = {
     "held_95": ".6f",
     "seconds": ".4f",
 }
-"""Columns of results.csv that every fit has. ``nme``: mean distance to the landmarks in the protocol's unit;
-``bound``: the same for the true shape projected on the shape model; ``held_95``: share of the landmarks that lie in
-their ellipse of 95 %; ``seconds``: of the fit, which no two runs agree on."""
+"""Columns of results.csv that every fit has. ``nme``: mean distance to the landmarks in the protocol's unit.
+``bound``: the same for the true shape projected on the shape model. ``held_95``: fraction of the landmarks inside their
+95 % ellipse. ``seconds``: time of the fit, which varies between runs."""
 
 STARTS, TRAINED = spot.CHOICES
-"""What was chosen for starts and models, in words."""
+"""Descriptions of the starts and models."""
 
 Header = list[str]
 Table = list[list[str]]
@@ -63,13 +63,13 @@ class Request:
     Attributes
     ----------
     data : Path
-        Folder of pictures with landmarks.
+        Folder of images with landmarks.
     methods : tuple of str
     trials : int
-        Starts per picture.
+        Starts per image.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     """
 
     data: Path
@@ -79,7 +79,7 @@ class Request:
     solver: str
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be done, before any work."""
+        """Raise, before any work, if the request is invalid."""
         check_request(self.methods, self.solver, self.trials, self.has_lamps)
 
     @property
@@ -88,7 +88,7 @@ class Request:
         return False
 
     def settings(self) -> dict[str, Any]:
-        """What decides the results, besides the pictures."""
+        """Settings that determine the results, in addition to the images."""
         return {
             "methods": list(self.methods),
             "trials": self.trials,
@@ -97,22 +97,22 @@ class Request:
         }
 
     def train(self, samples: Iterable[Sample], name: str, leave_out: bool = False, **options: Any) -> "Trained":
-        """Train a model on some pictures, with a fitter for each method.
+        """Train a model on some images, with a fitter for each method.
 
         Parameters
         ----------
         samples : iterable of Sample
         name : str
         leave_out : bool
-            Whether it learns how far its fits can be trusted, and begins those of little quality again.
+            Whether to calibrate the quality of fits, and restart those of low quality.
         **options
-            Further ones of :func:`liaam.train`.
+            Further options of :func:`liaam.train`.
         """
         model = get_solver(self.solver).train(samples, variance=VARIANCE, name=name, leave_out=leave_out, **options)
         return Trained(model, make_fitters(model, self.methods, self.solver))
 
     def rng(self, *what: str | int) -> np.random.Generator:
-        """Give the generator of one draw: it depends on the seed and on what is drawn, so methods share it."""
+        """Return the generator of one draw. It depends on the seed and on `what`, so methods share it."""
         return np.random.default_rng([self.seed, *(zlib.crc32(str(item).encode()) for item in what)])
 
 
@@ -131,16 +131,16 @@ class Trained:
     def fit(
         self, image: np.ndarray, truth: np.ndarray, unit: float, start: np.ndarray | None, /, **labels: Any
     ) -> list[Row]:
-        """Fit a picture with every method from one start.
+        """Fit an image with every method from one start.
 
         Parameters
         ----------
         image : (h, w, 3) uint8
         truth : (n, 2) float64
         unit : float
-            Length that errors are shares of, pixels.
+            Unit of errors, in pixels.
         start : (n, 2) or (4,) float64, optional
-            A shape, or a box; the object is searched for if left out.
+            A shape or a box. By default the object is searched for.
         **labels
             Further columns.
         """
@@ -158,12 +158,12 @@ class Trained:
 
 @dataclass(frozen=True)
 class Split:
-    """Pictures of one person, some to train on and some to fit: one task.
+    """Training and test images of one person: one task.
 
     Attributes
     ----------
     name : str
-        Of the person.
+        Name of the person.
     training, tested : tuple of Sample
     """
 
@@ -173,25 +173,25 @@ class Split:
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"person {self.name}"
 
 
 def group_by_person(folder: Path, at_least: int) -> tuple[dict[str, tuple[Sample, ...]], tuple[str, ...]]:
-    """Group a folder whose pictures are named ``PERSON-…`` or ``PERSON_…``.
+    """Group a folder whose images are named ``PERSON-…`` or ``PERSON_…``.
 
     Parameters
     ----------
     folder : Path
     at_least : int
-        Pictures that a person must have.
+        Minimum number of images of a person.
 
     Returns
     -------
     persons : dict of str to tuple of Sample
-        By name, in order; pictures in natural order.
+        By name, in order; images in natural order.
     left_out : tuple of str
-        What was left out, and why.
+        Unused images, with the reasons.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def _fault_of(samples: Sequence[Sample], at_least: int) -> str | None:
 
 
 def eight_bit(sample: Sample) -> np.ndarray:
-    """Read a picture as (h, w, 3) uint8: what is laid over pictures is made for 8 bits."""
+    """Read an image as (h, w, 3) uint8, because lights and patches are made for 8 bits."""
     image = as_colour(sample.read_image(), sample.name)
     if image.dtype == np.uint8:
         return image
@@ -236,34 +236,37 @@ def eight_bit(sample: Sample) -> np.ndarray:
 
 
 def face_size(truth: np.ndarray) -> float:
-    """Inter-ocular distance of a face, pixels, or what comes near it where the eyes' landmarks are not known."""
+    """Inter-ocular distance of a face in pixels, or an estimate if the eye landmarks are unknown."""
     eyes = EYES_BY_COUNT.get(len(truth))
     return inter_ocular_distance(truth, *eyes) if eyes else FACE * diagonal_of(truth)
 
 
 def held(result: FitResult, truth: np.ndarray, level: float) -> float:
-    """Share of the landmarks (n, 2) that lie in the ellipses of a result, drawn for a level in per cent."""
+    """Fraction of the landmarks (n, 2) inside the confidence ellipses of a result, at a level in per cent."""
     distances = squared_distances(truth - result.landmarks, result.landmark_covariances)
     return float(np.mean(distances < -2.0 * np.log(1.0 - level / 100)))
 
 
 def squared_distances(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Squared errors (n, 2) by their covariances (n, 2, 2), (n,) float64: below -2 log(1 - s) with a chance of s."""
+    """Squared Mahalanobis distances (n,) of errors (n, 2) with covariances (n, 2, 2).
+
+    They are below -2 log(1 - s) with probability s.
+    """
     return np.einsum("na,nab,nb->n", errors, np.linalg.pinv(covariances, hermitian=True), errors)
 
 
 def is_right(row: Row) -> bool:
-    """Whether a fit is right."""
+    """Return whether a fit is right."""
     return bool(row["nme"] < CONVERGED)
 
 
 def quality_area(rows: Sequence[Row]) -> float | None:
-    """Area under the ROC curve of the quality; None where all fits are right, or all wrong."""
+    """Area under the ROC curve of the quality; None if all fits are right or all wrong."""
     return finite_or_none(roc_area(*qualities_of(rows)))
 
 
 def qualities_of(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
-    """Quality of right and of wrong fits; 0 where it is not known."""
+    """Qualities of right and of wrong fits; 0 if unknown."""
     known = [(float(np.nan_to_num(row["quality"])), is_right(row)) for row in rows]
     return tuple(np.array([quality for quality, right in known if right is wanted]) for wanted in (True, False))  # type: ignore[return-value]
 
@@ -274,12 +277,12 @@ def columns_of(*labels: str) -> dict[str, str]:
 
 
 def select(rows: Iterable[Row], **labels: Any) -> list[Row]:
-    """Rows with given values in some columns."""
+    """Select rows with given values in some columns."""
     return [row for row in rows if all(row[name] == value for name, value in labels.items())]
 
 
 def statistics(rows: Sequence[Row]) -> dict[str, Any]:
-    """What a set of fits comes to; None where nothing finite can be said."""
+    """Statistics of a set of fits; None for values that are not finite."""
     if not rows:
         return {"fits": 0, **dict.fromkeys(("nme_median", "nme_p90", "beyond", "excess_median", "seconds_median"))}
     errors = np.array([row["nme"] for row in rows])
@@ -295,21 +298,21 @@ def statistics(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def ratio(value: float | None, reference: float | None) -> float | None:
-    """Quotient of two medians, None without either."""
+    """Quotient of two medians; None if either is missing."""
     return None if value is None or not reference else value / reference
 
 
 def median_bound(rows: Sequence[Row]) -> float | None:
-    """Median of the shape model's bound over pictures; the methods of a picture share it."""
+    """Median of the shape model's bound over images. It is the same for all methods."""
     first = rows[0]["method"]
     return finite_or_none(np.median([row["bound"] for row in rows if row["method"] == first]))
 
 
 def in_percent(values: Mapping[str, float | None]) -> dict[str, float | None]:
-    """Shares by method in per cent, for bars."""
+    """Fractions by method in per cent, for bars."""
     return {method: None if value is None else 100 * value for method, value in values.items()}
 
 
 def tell(question: str, table: tuple[Header, Table]) -> str:
-    """Write the body of a report: what was asked, and a table."""
+    """Write the body of a report: the question and a table."""
     return f"{question}\n\n{markdown_table(*table)}"

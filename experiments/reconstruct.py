@@ -1,8 +1,7 @@
 """What would the object look like without the shadow? (Paper section 6, eq 11, and Fig 4.)
 
-Three kinds of data, as in :mod:`experiments.convergence`: generated scenes, whose appearance under the
-training light is known because it can be rendered; one person's pictures with a simulated shadow, known before it was
-laid over; and persons under a real spot light, where there is nothing to compare with but the eye.
+There are three kinds of data, as in :mod:`experiments.convergence`: generated scenes, rendered also under the training
+light; one person's images with and without a simulated shadow; and persons under a real spot light, without truth.
 """
 
 from collections.abc import Sequence
@@ -32,22 +31,22 @@ if TYPE_CHECKING:
 METHODS = ("li", "li+noise")
 
 N_TRAINING = 24
-"""Generated pictures to learn from."""
+"""Number of generated training images."""
 
 GAMMA = 4.0
 
 EXPOSURE = 0.75
-"""Fixed, so that the appearance under the training light has one level."""
+"""Exposure, fixed so that the appearance under the training light has one level."""
 
 CAMERAS = ("narrow", "broad")
-"""Generated pictures by the paper's ideal camera (line sensors, one temperature of light at each pixel) and by one
-with broad sensors, noise, 8 bits and lights that mix as in nature."""
+"""Cameras of the generated images: the paper's ideal camera (line sensors, one colour temperature per pixel), and one
+with broad sensors, noise, 8 bits and mixed lights."""
 
 SHOWN = 3
-"""Pictures in the figure."""
+"""Number of images in the figure."""
 
 SHADING_RANGE = 2.0
-"""Natural logarithms from black to white in the figure's shading."""
+"""Range from black to white in the figure's shading, in natural logarithms."""
 
 CHOICES = (
     "The appearance's coordinates are the most likely ones under the fit's residual and the prior of training; errors "
@@ -61,7 +60,7 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Setup:
-    """What all trials share."""
+    """Settings shared by all trials."""
 
     data: Path | None
     methods: tuple[str, ...]
@@ -71,29 +70,29 @@ class Setup:
 
 @dataclass(frozen=True)
 class Trial:
-    """One task: a kind of picture and the number of a draw, or a person."""
+    """One task: a kind of image and the index of a draw, or a person."""
 
     kind: str
     number: int
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"{self.kind}, trial {self.number}"
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A picture to take the shading off.
+    """An image whose shading is to be removed.
 
     Attributes
     ----------
     name : str
     image : (h, w, 3) array
     start, shape : (n, 2)
-        Where to start, and the true landmarks.
+        Start of the fit, and true landmarks.
     canonical : (h, w, 3) array, optional
-        The same picture under the training light, where it is known.
+        The same image under the training light, if known.
     """
 
     name: str
@@ -104,7 +103,7 @@ class Case:
 
 
 def get_case(setup: Setup, task: Any) -> tuple[dict[str, Fitter], Case]:
-    """Fitters and picture of a task."""
+    """Fitters and image of a task."""
     if isinstance(task, spot.Person):
         study = spot.study_of(task, setup.methods, setup.solver)
         return study.fitters, Case(task.key, study.image, study.start(setup.seed, 0), study.truth, None)
@@ -151,7 +150,7 @@ def _scene_case(kind: str, seed: int, number: int) -> Case:
 
 
 def run_trial(setup: Setup, task: Any) -> list[Row]:
-    """Fit, rebuild the appearance, and measure it where the truth is known."""
+    """Fit, reconstruct the appearance, and measure its error if the truth is known."""
     fitters, case = get_case(setup, task)
     rows = []
     for method, fitter in fitters.items():
@@ -171,7 +170,7 @@ def run_trial(setup: Setup, task: Any) -> list[Row]:
 
 
 def _errors(fitter: Fitter, case: Case, result: FitResult) -> dict[str, float]:
-    """Errors of log light: of the input, of what was rebuilt, and of the truth projected on the model."""
+    """Errors of log light of the input, of the reconstruction, and of the truth projected on the model."""
     if case.canonical is None:
         return {"input_rms": np.nan, "rebuilt_rms": np.nan, "model_rms": np.nan}
     model, appearance = fitter.model, fitter.model.levels[-1].appearances["log"]
@@ -187,7 +186,7 @@ def _errors(fitter: Fitter, case: Case, result: FitResult) -> dict[str, float]:
 
 
 def texture_of(model: AAM, image: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms (n_pixels, 3) of an image under a shape, as sharp as the model, and what is usable (n_pixels,)."""
+    """Log values (n_pixels, 3) of an image under a shape, blurred as the model is, and mask of usable pixels."""
     return sample_appearance(image, shape, model.warp, "log", model.response, model.levels[-1].blur)
 
 
@@ -207,14 +206,14 @@ def reconstruct_experiment(
     Parameters
     ----------
     data : Path, optional
-        Folder of the spot protocol, or of one person's pictures; generated scenes if left out.
+        Folder of the spot protocol, or of one person's images. By default generated scenes.
     methods : sequence of str
-        Such as compare logarithms with the ``log`` appearance.
+        Methods with the ``log`` appearance.
     trials : int
-        Pictures of each kind.
+        Number of images of each kind.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     """
     for method in methods:
         if get_method(method).appearance != "log":
@@ -270,7 +269,7 @@ QUANTITIES = ("error_px", "input_rms", "rebuilt_rms", "model_rms")
 
 
 def summarise(methods: Sequence[str], rows: list[Row]) -> dict[str, Any]:
-    """Statistics by kind of picture and method."""
+    """Statistics by kind of image and method."""
     found: dict[str, Any] = {}
     for kind in dict.fromkeys(row["kind"] for row in rows):
         found[kind] = {
@@ -288,7 +287,7 @@ def _is(row: Row, kind: str, method: str) -> bool:
 
 
 def draw(setup: Setup, tasks: Sequence[Any], _rows: list[Row], _summary: dict[str, Any]) -> "Figure":
-    """Input, what was rebuilt with the first method, the truth where it is known, and the shading."""
+    """Draw the input, the reconstruction by the first method, the truth if known, and the shading."""
     shown = [tasks[i] for i in np.unique(np.linspace(0, len(tasks) - 1, SHOWN).astype(int))]
     return figure_of_pictures([_pictures(setup, task) for task in shown])
 
@@ -309,7 +308,7 @@ def _pictures(setup: Setup, task: Any) -> dict[str, np.ndarray | None]:
 
 
 def report(_rows: list[Row], summary: dict[str, Any]) -> str:
-    """Errors of log light by kind of picture and method."""
+    """Errors of log light by kind of image and method."""
     header = ["pictures", "method", "landmarks, px", "input", "rebuilt", "model"]
     rows = [
         [kind, method, *(or_dash(cell[quantity]["median"]) for quantity in QUANTITIES)]

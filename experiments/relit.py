@@ -1,4 +1,4 @@
-"""How good is a relit picture? Measures that need the truth, which generated scenes have."""
+"""Error measures of relit images against the truth, which generated scenes provide."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,19 +34,19 @@ LIGHTS: dict[str, Lights] = {
     "warm": lateral("right", temperature_K=2800, azimuth=1.1, ambient_temperature_K=9000, ambient_strength=0.2),
     "steep": lateral("left", temperature_K=3300, azimuth=0.5, elevation=0.8),
 }
-"""Hard lights with cast shadows, unlike the diffuse and neutral one of training."""
+"""Hard lights with cast shadows. The training light is diffuse and neutral."""
 
 SMOOTH = 0.1
-"""Difference of log light of neighbours in the true flat-lit picture below which nothing hides a seam between them."""
+"""Maximum difference of log light between neighbours in the true flat-lit image at which a seam would be visible."""
 
 GRAIN = 1.0
-"""Deviation of the Gaussian that smooths pictures before a seam is measured, pixels: the noise of single pixels, which
-stays around the mesh and goes inside it, is none."""
+"""Standard deviation in pixels of the Gaussian filter before a seam is measured. It removes pixel noise, which differs
+inside and outside the mesh."""
 
 
 @dataclass(frozen=True, eq=False)
 class LitPair:
-    """A person in one pose under hard light, and the truth: the same under the light of training."""
+    """A person in one pose under hard light, and the same under the training light (the truth)."""
 
     light: str
     lit: Scene
@@ -54,18 +54,18 @@ class LitPair:
 
 
 def training_camera() -> Camera:
-    """Camera with the exposure of training: the level of light that the model knows, and that truth is told in."""
+    """Camera with the exposure of training, at which the model and the truth have the same level of light."""
     return Camera(exposure=EXPOSURE)
 
 
 def train_on_flat_light(head: Head, n: int = 24, size: tuple[int, int] = (320, 240), **options) -> AAM:
-    """Train on pictures of a person under diffuse light."""
+    """Train on images of a person under diffuse light."""
     scenes = make_set(n, head, camera=training_camera(), size=size)
     return train([(s.image, s.landmarks) for s in scenes], camera=CameraModel(theta=scenes[0].theta), **options)
 
 
 def lit_pairs(head: Head, lights: dict[str, Lights] = LIGHTS, size: tuple[int, int] = (320, 240)) -> Iterator[LitPair]:
-    """Pictures of a person, in poses and with expressions that training has not seen."""
+    """Images of a person in unseen poses and with unseen expressions."""
     for i, (name, light) in enumerate(lights.items()):
         rng = np.random.default_rng([head.seed, i, 4])
         pose, expression = random_pose(rng, size), random_expression(rng)
@@ -74,17 +74,17 @@ def lit_pairs(head: Head, lights: dict[str, Lights] = LIGHTS, size: tuple[int, i
 
 
 def flat_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
-    """Root mean square error of log light against the true flat-lit picture, inside the mesh, as sharp as the model.
+    """Root mean square error of log light against the true flat-lit image, inside the mesh, as sharp as the model.
 
-    Both pictures are carried to the model's reference frame by the true landmarks, and blurred like its sharpest level.
-    The truth has neither noise nor rounding, and its level counts: the same exposure as in training. All channels and
-    all pixels of the frame count that lie in the fitted mesh, and whose true values are neither dark nor clipped.
+    Both images are warped to the model's reference frame by the true landmarks, and blurred like its sharpest level.
+    The truth has neither noise nor rounding, and the same exposure as in training. All channels count, at all pixels of
+    the frame that lie in the fitted mesh and whose true values are neither dark nor clipped.
 
     Parameters
     ----------
     model : AAM
     log_rgb : (h, w, 3) float32
-        Logarithm of light of what was made of the picture.
+        Logarithm of light of the relit image.
     shape : (n, 2) float
         Fitted landmarks.
     flat : Scene
@@ -103,13 +103,13 @@ def flat_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) 
 
 
 def told(model: AAM, flat: Scene) -> np.ndarray:
-    """Where the true flat-lit picture is neither dark nor clipped in any channel, (h, w) bool."""
+    """Mask of pixels where the true flat-lit image is neither dark nor clipped in any channel, (h, w) bool."""
     stored = from_linear(np.clip(flat.linear, 0, 1), model.response)
     return np.asarray(((stored > DARK) & (stored < SATURATED)).all(axis=2))
 
 
 def pixel_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
-    """The same pixel by pixel of the picture, with all of its noise."""
+    """The same for each pixel of the image, including its noise."""
     counts = mesh_mask(model, log_rgb, shape) & told(model, flat)
     return root_mean_square(log_rgb[counts] - np.log(flat.linear[counts]))
 
@@ -117,15 +117,15 @@ def pixel_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene)
 def beyond_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
     """Root mean square error of log light next to the mesh, smoothed by :data:`GRAIN`.
 
-    Of what lies no further outside than a change of light reaches (:data:`liaam.relighting.painting.REACH`): what does
-    away with a seam could be smeared over it. All that is there counts, hair and walls too, but for what is dark or
-    clipped in the true flat-lit picture.
+    It covers the region that a change of light affects (:data:`liaam.relighting.painting.REACH`), where blending that
+    hides a seam could smear the image. All pixels count, including hair and walls, except dark or clipped ones of the
+    true flat-lit image.
 
     Parameters
     ----------
     model : AAM
     log_rgb : (h, w, 3) float32
-        Logarithm of light of what was made of the picture.
+        Logarithm of light of the relit image.
     shape : (n, 2) float
         Fitted landmarks.
     flat : Scene
@@ -140,11 +140,12 @@ def beyond_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene
 
 
 def seam(model: AAM, picture: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
-    """How much steeper a picture is across the mesh's border than inside the mesh.
+    """Ratio of the gradient across the mesh's border to the gradient inside the mesh.
 
-    Mean absolute difference of log luminance, smoothed by :data:`GRAIN`, between neighbours of which one lies inside
-    the mesh and one outside, by that of neighbours inside; only those count whose true flat-lit values are alike in
-    all channels (:data:`SMOOTH`), for an edge of the object would hide a seam. An untouched picture has about 1.
+    The gradient is the mean absolute difference of log luminance, smoothed by :data:`GRAIN`, between neighbours: one
+    inside and one outside the mesh, divided by that of neighbours inside. Only neighbours with similar true flat-lit
+    values in all channels count (:data:`SMOOTH`), because an edge of the object would hide a seam. An untouched image
+    has about 1.
 
     Parameters
     ----------
@@ -170,5 +171,5 @@ def seam(model: AAM, picture: np.ndarray, shape: np.ndarray, flat: Scene) -> flo
 
 
 def mesh_mask(model: AAM, picture: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """Where a shape's mesh lies in a picture, (h, w) bool."""
+    """Mask of a shape's mesh in an image, (h, w) bool."""
     return paint(picture, shape, model, np.ones((model.n_pixels, 1), np.float32))[1]

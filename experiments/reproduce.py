@@ -1,4 +1,4 @@
-"""The paper's section 7 with one call: all experiments, one report, and a table of its claims."""
+"""Run all experiments of the paper's section 7, and write one report with a table of its claims."""
 
 import base64
 import html
@@ -27,13 +27,13 @@ from liaam.progress import Progress
 
 @dataclass(frozen=True)
 class Size:
-    """How much is done.
+    """Size of a run.
 
     Attributes
     ----------
     trials, variant_trials, spot_trials, pictures : int
-        Draws in the main experiments, in those that change one choice, starts per person of the spot protocol, and
-        pictures of each kind to reconstruct.
+        Number of draws in the main experiments, of draws in experiments that change one choice, of starts per person of
+        the spot protocol, and of images of each kind to reconstruct.
     gammas, sigmas : tuple of float
         Swept values of displacement and noise.
     """
@@ -55,15 +55,15 @@ SIZES = {
 
 @dataclass(frozen=True)
 class Variant:
-    """One choice that the paper leaves open, made otherwise.
+    """Another value for one choice that the paper leaves open.
 
     Attributes
     ----------
     folder, what : str
-        Name below the output folder, and for people.
+        Name of the subfolder, and description.
     solver : str
     strength : float
-        Of the simulated shadow.
+        Strength of the simulated shadow.
     """
 
     folder: str
@@ -73,7 +73,7 @@ class Variant:
 
     @property
     def summary(self) -> str:
-        """What is different, in a sentence."""
+        """Describe the difference in a sentence."""
         if self.strength != STRENGTH:
             return f"as the first columns, but full shadow leaves {shadow_colour(self.strength)} of the light"
         return get_solver(self.solver).summary
@@ -92,19 +92,19 @@ VARIANCE_READING = "γ and σn read as variances"
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One experiment of the whole.
+    """One experiment of a run.
 
     Attributes
     ----------
     folder : str
-        Below the output folder.
+        Subfolder of the output folder.
     heading : str
-        In the report.
+        Heading in the report.
     column : str
-        Column of the claims table that it speaks for.
+        Column of the claims table that uses its results.
     experiment : Experiment
     shown : bool
-        Whether it has a section of its own in the report.
+        Whether the report has a section for it.
     """
 
     folder: str
@@ -115,14 +115,14 @@ class Part:
 
 
 def plan(person: Path | None, persons: Path | None, size: str, seed: int) -> list[Part]:
-    """Give all parts, in the order in which they are run.
+    """Return all parts in the order of execution.
 
     Parameters
     ----------
     person : Path, optional
-        Folder of one person's landmarked pictures under homogeneous light.
+        Folder of one person's landmarked images under homogeneous light.
     persons : Path, optional
-        Folder of many persons, as the spot protocol has them.
+        Folder of many persons, as in the spot protocol.
     size : {"quick", "full"}
     seed : int
     """
@@ -184,18 +184,18 @@ def reproduce(
 ) -> dict[str, dict[str, Verdict]]:
     """Run all experiments and write ``report.html``.
 
-    A run that was stopped goes on where it was: finished experiments are not done again.
+    An interrupted run resumes: finished experiments are not repeated.
 
     Parameters
     ----------
     out : Path
-        Folder; each experiment has one below it.
+        Folder with a subfolder for each experiment.
     person, persons : Path, optional
-        Real pictures: see :func:`plan`. Generated scenes are always used.
+        Real images: see :func:`plan`. Generated scenes are always used.
     size : {"quick", "full"}
     seed : int
     jobs : int or None
-        Worker processes; None for one per core.
+        Number of worker processes; None for one per core.
     progress : callable, optional
         Called with (done, total, what).
 
@@ -224,14 +224,14 @@ def reproduce(
 
 
 def _share(progress: Progress | None, before: int, total: int, part: Part) -> Progress | None:
-    """Progress of one part as a share of the whole."""
+    """Convert the progress of one part to that of the run."""
     if progress is None:
         return None
     return lambda done, _total, what: progress(before + done, total, f"{part.folder}: {what}")
 
 
 def _add_variance_reading(columns: dict[str, dict[str, Any]], main: str) -> None:
-    """Add the column in which a swept 16 is a standard deviation of 4: the lower part of what was swept."""
+    """Add the column in which a swept 16 means a standard deviation of 4: the lower part of the swept range."""
     found = columns[main]
     largest = {name: max(_values(found[name])) ** 0.5 for name in ("displacement", "noise")}
     columns[VARIANCE_READING] = {name: up_to(found[name], max(limit, 2.0)) for name, limit in largest.items()}
@@ -253,7 +253,7 @@ td:first-child { min-width: 14rem; } small { opacity: .75; } nav ul { columns: 2
 
 
 def report_html(out: Path, parts: Sequence[Part], verdicts: Mapping[str, Mapping[str, Verdict]], size: str) -> str:
-    """One page with everything in it: the claims, then each experiment with its figure."""
+    """Return the report as one page: the claims, then each experiment with its figure."""
     shown = [part for part in parts if part.shown]
     links = "".join(f'<li><a href="#{_anchor(part)}">{html.escape(part.heading)}</a></li>' for part in shown)
     body = "".join(_section(out, part) for part in shown)
@@ -271,7 +271,7 @@ def report_html(out: Path, parts: Sequence[Part], verdicts: Mapping[str, Mapping
 
 
 def claims_table(verdicts: Mapping[str, Mapping[str, Verdict]]) -> str:
-    """Claims as rows, data and choices as columns."""
+    """Return a table with claims as rows, and data and choices as columns."""
     head = "".join(f"<th>{html.escape(column)}</th>" for column in verdicts)
     rows = "".join(
         f"<tr><td>{html.escape(claim.text)}<br><small>{html.escape(claim.criterion)}</small></td>"
@@ -306,7 +306,7 @@ def _anchor(part: Part) -> str:
 
 
 def _section(out: Path, part: Part) -> str:
-    """One experiment's report with its figure inside the page."""
+    """Return the section of one experiment with its embedded figure."""
     from markdown_it import MarkdownIt
 
     folder = out / part.folder

@@ -1,16 +1,15 @@
-"""One way to run any experiment: tasks in parallel, a journal to go on from, and five files at the end.
+"""Run experiments: tasks in parallel, a journal for resuming, and five result files.
 
-An :class:`Experiment` says what is done; :func:`run_experiment` does it and writes
+An :class:`Experiment` defines the work. :func:`run_experiment` runs it and writes
 
 ``results.csv``
     one row per trial and method, in the order of the tasks;
 ``summary.json``
-    what the rows come to;
+    statistics of the rows;
 ``figure.png``, ``figure.svg``, ``report.md``
-    the same for people.
+    the same for reading.
 
-The results depend on the experiment's settings only: not on the number of workers, nor on how often the run
-was stopped and taken up again.
+The results depend only on the experiment's settings, not on the number of workers or on interruptions.
 """
 
 import csv
@@ -37,63 +36,62 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 PICTURES = "pictures.png"
-"""File in the results' folder that shows what was fitted, where an experiment has such pictures."""
+"""File in the results' folder with a figure of the fitted images, if the experiment has one."""
 
 
 class Task(Protocol):
-    """A unit of work that is small enough to be done again after a stop, and knows its own seed."""
+    """A unit of work, small enough to be repeated after an interruption, with its own seed."""
 
     @property
     def key(self) -> str:
-        """Name, unique in the experiment; people see it beside the progress bar."""
+        """Name, unique in the experiment, which the progress bar shows."""
         ...
 
 
 @dataclass(frozen=True)
 class NumberedTrial:
-    """A task that is told by the number of its draw alone."""
+    """A task identified by the index of its draw."""
 
     number: int
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"trial {self.number}"
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """What an experiment does, and how it is told.
+    """Definition of an experiment and of its report.
 
     Attributes
     ----------
     name, title : str
-        For programs and for people.
+        Identifier and title.
     settings : dict
-        Everything that decides the results, as JSON knows it. A stopped run is only taken up under the same
-        settings.
+        Everything that determines the results, as JSON types. A run resumes only with the same settings.
     tasks : tuple of Task
-        Picklable and hashable. Give what shares a model neighbouring places, and train it in a function with an
-        ``lru_cache``: each worker takes the tasks in their order.
+        Picklable and hashable tasks. Each worker takes them in order. Put tasks that share a model next to each other,
+        and train it in a function with an ``lru_cache``.
     work : callable
-        From a task to its rows: a function at the top of a module, or a ``functools.partial`` of one, so that it
-        can be sent to a worker. It may not depend on other tasks.
+        From a task to its rows: a function at the top level of a module, or a ``functools.partial`` of one, so that it
+        can be pickled. It must not depend on other tasks.
     columns : mapping of str to str
         Columns of results.csv and their formats, such as ``{"error_px": ".6f", "status": ""}``.
     summarise : callable
-        From all rows to the summary, as JSON knows it.
+        From all rows to the summary, as JSON types.
     draw : callable
         From (rows, summary) to a figure.
     report : callable
-        From (rows, summary) to the report's body in markdown: what was asked, and a table of what came out.
+        From (rows, summary) to the report's body in markdown: the question and a table of the results.
     pictures : callable, optional
-        Gives a figure of what is fitted, for the report.
+        Returns a figure of the fitted images for the report.
     choices : tuple of str
-        What was chosen where the paper leaves it open, a sentence each.
+        Choices that the paper leaves open, one sentence each.
     left_out : tuple of str
-        What the data held but the experiment does not use, and why.
+        Unused data, with the reasons.
     skips_faults : bool
-        Whether a task that raises a LiaamError is left out (the summary names it), rather than ending the run.
+        Whether to skip a task that raises a LiaamError (the summary names it), rather than end the run.
     """
 
     name: str
@@ -111,7 +109,7 @@ class Experiment:
     skips_faults: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse tasks that the journal could not tell apart."""
+        """Raise if two tasks have the same key."""
         keys = [task.key for task in self.tasks]
         if not keys:
             raise LiaamError(f"experiment {self.name} has nothing to do; give at least one trial and one value")
@@ -120,22 +118,22 @@ class Experiment:
 
     @property
     def journal(self) -> str:
-        """File in the results' folder that keeps finished tasks until all are done: one for each fingerprint.
+        """Name of the file that keeps finished tasks until all are done. It depends on the fingerprint.
 
-        So a run with other settings does not undo what a stopped one has done.
+        A run with other settings therefore keeps the journal of an interrupted one.
         """
         return f"trials-{self.fingerprint}.jsonl"
 
     @property
     def fingerprint(self) -> str:
-        """Short digest of what decides the results: settings, and the code."""
+        """Short digest of the settings and the code, which determine the results."""
         text = json.dumps([self.name, self.settings, __version__, _code_digest()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a task gave: rows, or the reason why there are none. Only what JSON keeps, bit for bit.
+    """Result of a task: rows, or the reason why there are none, as JSON types.
 
     Attributes
     ----------
@@ -149,7 +147,7 @@ class Outcome:
 
 @lru_cache(maxsize=1)
 def _code_digest() -> str:
-    """Digest of the library's source and the experiments', so that no result outlives the code that gave it."""
+    """Digest of the source of the library and the experiments, so that results of other code are not reused."""
     digest = hashlib.sha256()
     for root in (Path(liaam.__file__).parent, Path(__file__).parent):
         for path in sorted(root.rglob("*.py")):
@@ -163,15 +161,15 @@ Finished = Generator[tuple[Task, Outcome], None, None]
 def run_experiment(
     experiment: Experiment, out: Path, jobs: int | None = 1, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Run an experiment, or go on with one that was stopped, and write its files.
+    """Run an experiment, or resume an interrupted one, and write its files.
 
     Parameters
     ----------
     experiment : Experiment
     out : Path
-        Folder for the results; made if it does not exist.
+        Folder for the results; created if missing.
     jobs : int or None
-        Worker processes; None for one per core. Scripts that ask for more than one need the usual
+        Number of worker processes; None for one per core. Scripts that use more than one need
         ``if __name__ == "__main__"``.
     progress : callable, optional
         Called with (done, total, what).
@@ -184,9 +182,9 @@ def run_experiment(
     Raises
     ------
     LiaamError
-        A task failed, a worker died, or nothing could be written.
+        If a task fails, a worker dies, or the results cannot be written.
     KeyboardInterrupt
-        With a message that says how to go on.
+        With a message on how to resume.
     """
     jobs = all_cores() if jobs is None else jobs
     if jobs < 1:
@@ -203,7 +201,7 @@ def run_experiment(
 
 
 def finished(experiment: Experiment, out: Path) -> dict[str, Any] | None:
-    """Give the summary that an earlier run of the same experiment has left in a folder; None where there is none."""
+    """Return the summary of a finished run of the same experiment in a folder, or None."""
     files = ["results.csv", "summary.json", "figure.png", "figure.svg", "report.md"]
     files += [PICTURES] if experiment.pictures else []
     if not all((out / name).is_file() for name in files):
@@ -217,12 +215,12 @@ def finished(experiment: Experiment, out: Path) -> dict[str, Any] | None:
 
 
 class Journal:
-    """Finished tasks on disk, a line each.
+    """Finished tasks on disk, one line each.
 
     Attributes
     ----------
     outcomes : dict of str to Outcome
-        By the task's key.
+        Outcomes by the task's key.
     """
 
     def __init__(self, path: Path) -> None:
@@ -231,7 +229,7 @@ class Journal:
         kept = _whole_lines(path)
         for line in kept:
             self._note(json.loads(line))
-        write_text_atomically(path, "".join(f"{line}\n" for line in kept))  # without a torn line
+        write_text_atomically(path, "".join(f"{line}\n" for line in kept))  # without an incomplete line
         self._file = path.open("a", encoding="utf-8")
 
     def __enter__(self) -> "Journal":
@@ -241,17 +239,17 @@ class Journal:
         self._file.close()
 
     def add(self, key: str, outcome: Outcome) -> None:
-        """Keep a finished task; it is on disk when this returns."""
+        """Write a finished task to disk."""
         line = json.dumps({"key": key, "rows": outcome.rows, "fault": outcome.fault}, default=_plain)
         try:
             self._file.write(f"{line}\n")
             self._file.flush()
         except OSError as error:
             raise LiaamError(f"{self.path} cannot be written ({error.strerror or error}): free some space") from error
-        self._note(json.loads(line))  # what a run that goes on would read, so that both write the same
+        self._note(json.loads(line))  # parsed as in a resumed run, so that both write the same
 
     def remove(self) -> None:
-        """Forget everything: the results are written."""
+        """Delete the journal."""
         self.path.unlink(missing_ok=True)
 
     def _note(self, entry: dict[str, Any]) -> None:
@@ -259,7 +257,7 @@ class Journal:
 
 
 def _whole_lines(path: Path) -> list[str]:
-    """Lines up to the first that is no whole entry: what a kill left half-written is done again."""
+    """Return the lines before the first incomplete entry. Tasks after it are repeated."""
     if not path.is_file():
         return []
     whole = []
@@ -275,7 +273,7 @@ def _whole_lines(path: Path) -> list[str]:
 
 
 def _is_entry(entry: Any) -> bool:
-    """Whether a line of a journal is a finished task."""
+    """Return whether a line of a journal is a finished task."""
     if not isinstance(entry, dict) or set(entry) != {"key", "rows", "fault"} or not isinstance(entry["key"], str):
         return False
     rows, fault = entry["rows"], entry["fault"]
@@ -283,14 +281,14 @@ def _is_entry(entry: Any) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """Give NumPy's numbers as JSON knows them."""
+    """Convert NumPy numbers to JSON types."""
     if hasattr(value, "item"):
         return value.item()
     raise TypeError(f"a row may hold numbers and text, not {type(value).__name__}")
 
 
 def _complete(experiment: Experiment, journal: Journal, jobs: int, tell: Progress) -> None:
-    """Do what the journal does not hold yet."""
+    """Run the tasks that are not in the journal."""
     total = len(experiment.tasks)
     todo = [task for task in experiment.tasks if task.key not in journal.outcomes]
     tell(total - len(todo), total, "starting" if len(todo) == total else "going on")
@@ -306,14 +304,14 @@ def _complete(experiment: Experiment, journal: Journal, jobs: int, tell: Progres
 
 
 def _in_turn(experiment: Experiment, tasks: list[Task], _jobs: int) -> Finished:
-    """Do tasks one after the other in this process."""
+    """Run tasks one after the other in this process."""
     with one_thread():
         for task in tasks:
             yield task, _perform(experiment.work, experiment.skips_faults, task)
 
 
 def _in_workers(experiment: Experiment, tasks: list[Task], jobs: int) -> Finished:
-    """Do tasks in worker processes; they come in the order in which they finish."""
+    """Run tasks in worker processes. Yield them in order of completion."""
     try:
         yield from in_workers(partial(_perform_alone, experiment.work, experiment.skips_faults), tasks, jobs)
     except WorkerDied:
@@ -324,7 +322,7 @@ def _in_workers(experiment: Experiment, tasks: list[Task], jobs: int) -> Finishe
 
 
 def _perform_alone(work: Callable[[Any], list[Row]], skips_faults: bool, task: Task) -> Outcome:
-    """Do a task in a worker process."""
+    """Run a task in a worker process."""
     with one_thread():
         return _perform(work, skips_faults, task)
 
@@ -339,7 +337,7 @@ def _perform(work: Callable[[Any], list[Row]], skips_faults: bool, task: Task) -
 
 
 def _write_results(experiment: Experiment, outcomes: list[Outcome], out: Path) -> dict[str, Any]:
-    """Write the files of a finished experiment; gives the summary."""
+    """Write the files of a finished experiment and return the summary."""
     rows = [row for outcome in outcomes for row in outcome.rows]
     left_out = [*experiment.left_out, *(outcome.fault for outcome in outcomes if outcome.fault)]
     if not rows:
@@ -361,7 +359,7 @@ def _write_results(experiment: Experiment, outcomes: list[Outcome], out: Path) -
 
 
 def as_csv(rows: list[Row], columns: Mapping[str, str]) -> str:
-    """Rows as CSV text with a header, each column in its format."""
+    """Format rows as CSV text with a header, each column in its format."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -370,13 +368,13 @@ def as_csv(rows: list[Row], columns: Mapping[str, str]) -> str:
 
 
 def markdown_table(header: list[str], rows: list[list[str]], numbers: bool = True) -> str:
-    """A table in markdown, the first column to the left and numbers in the others to the right."""
+    """Return a markdown table. The first column is left-aligned, and numbers in the others are right-aligned."""
     rule = ["---", *["---:" if numbers else "---"] * (len(header) - 1)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (header, rule, *rows))
 
 
 def _report(experiment: Experiment, rows: list[Row], summary: dict[str, Any]) -> str:
-    """Write the whole of report.md around the experiment's own part."""
+    """Return report.md with the experiment's own body."""
     settings = [[key, _in_words(value)] for key, value in experiment.settings.items()]
     parts = [
         f"# {experiment.title}",
@@ -397,7 +395,7 @@ def _bullets(title: str, items: Any) -> list[str]:
 
 
 def _in_words(value: Any) -> str:
-    """A setting as text: lists by commas, groups as name = value."""
+    """Format a setting as text: lists with commas, mappings as name = value."""
     if isinstance(value, dict):
         return ", ".join(f"{key} = {_in_words(item)}" for key, item in value.items())
     if isinstance(value, (list, tuple)):

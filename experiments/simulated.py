@@ -1,8 +1,8 @@
-"""Fits to pictures under a simulated shadow, with one condition swept (paper section 7.1, Fig 3).
+"""Fits to images under a simulated shadow, with one condition swept (paper section 7.1, Fig 3).
 
-Each trial lays a random shadow over one of the training pictures, adds noise, displaces the true landmarks, and
-fits with every method. What is drawn at random depends on the seed and the trial only: all methods, and all
-values of the swept condition, see the same shadow and the same directions of displacement and noise.
+Each trial applies a random shadow to one of the training images, adds noise, displaces the true landmarks, and fits
+with every method. Random values depend only on the seed and the trial: all methods, and all values of the swept
+condition, share the same shadow and the same directions of displacement and noise.
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,13 +50,13 @@ METHODS = ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs")
 
 
 def shadow_colour(strength: float = STRENGTH) -> str:
-    """Share of the light that is left in full shadow, by channel."""
+    """Describe the fraction of light in full shadow, by channel."""
     left = np.exp(strength + TEMPERATURE * temperature_direction(PAPER_THETA))
     return ", ".join(f"{share:.2f}" for share in left)
 
 
 def shadow_choice(strength: float = STRENGTH) -> str:
-    """Say what shadow was chosen."""
+    """Describe the choice of the shadow."""
     return (
         "The strength of the simulated shadow is not given: log light changes by "
         f"{strength:g} (1, 1, 1) + {TEMPERATURE:g} d(θ) in full shadow, whose edge goes through the middle of the face "
@@ -77,16 +77,16 @@ CHOICES = (
     "Pictures of a folder are halved (means of 2 by 2 pixels in linear light); the reference frame is 150 px across, "
     "but under `paper-100px`.",
 )
-"""What was chosen where the paper leaves it open, besides the shadow."""
+"""Choices that the paper leaves open, besides the shadow."""
 
 START = "start"
-"""What the shape model makes of a displaced start: a fit that ends above it did harm."""
+"""Name of the displaced start after projection on the shape model. A fit with a larger error made it worse."""
 
 BOUND = "bound (li)"
-"""Name of the invariant's Cramer-Rao bound where rows and curves have that of a method."""
+"""Name of the invariant's Cramer-Rao bound, in place of a method's name in rows and curves."""
 
 MEDIAN_OF_GAUSSIAN = 0.6745
-"""Median size of a Gaussian error in standard deviations."""
+"""Median absolute value of a Gaussian error, in standard deviations."""
 
 Curves = dict[str, list[tuple[float, float | None]]]
 """Points (swept value, quantity) by method."""
@@ -94,7 +94,7 @@ Curves = dict[str, list[tuple[float, float | None]]]
 
 @dataclass(frozen=True)
 class Sweep:
-    """Which condition is swept, and how that is told.
+    """The swept condition and its description.
 
     Attributes
     ----------
@@ -102,11 +102,11 @@ class Sweep:
     column : {"gamma", "sigma_n"}
         The swept condition, and its column in results.csv.
     label : str
-        With its unit.
+        Axis label with unit.
     gamma : float
-        Displacement of the start where it is not swept, pixels.
+        Displacement of the start in pixels, if not swept.
     sigma_n : float
-        Noise where it is not swept, 8-bit units.
+        Noise in 8-bit units, if not swept.
     shows_angle : bool
         Whether the figure has a panel for the angle.
     """
@@ -127,18 +127,18 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Setup:
-    """What all trials share.
+    """Settings shared by all trials.
 
     Attributes
     ----------
     sweep : Sweep
     data : Path, optional
-        Folder of one person's pictures; generated ones if None.
+        Folder of one person's images; generated images if None.
     methods : tuple of str
     solver : str
     seed : int
     strength : float
-        Of the shadow: change of log light.
+        Change of log light in the shadow.
     """
 
     sweep: Sweep
@@ -151,20 +151,20 @@ class Setup:
 
 @dataclass(frozen=True)
 class Trial:
-    """One task: a swept value and the number of a draw."""
+    """One task: a swept value and the index of a draw."""
 
     value: float
     number: int
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"{self.value:g}, trial {self.number}"
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A picture to fit.
+    """An image to fit.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ class Case:
         Stored sRGB values in [0, 1].
     truth, start : (n, 2) float64
     picture : int
-        Which of the subject's pictures it is.
+        Index of the image among the subject's.
     """
 
     image: np.ndarray
@@ -184,7 +184,7 @@ class Case:
 def make_case(
     subject: Subject, seed: int, trial: int, gamma: float, sigma_n: float, strength: float = STRENGTH
 ) -> Case:
-    """Lay a shadow over one of a subject's pictures, add noise, and displace the truth."""
+    """Apply a shadow to one of a subject's images, add noise, and displace the truth."""
     shadow, noise = (np.random.default_rng([seed, trial, stream]) for stream in (0, 2))
     picture = trial % len(subject.images)
     truth = subject.shapes[picture]
@@ -211,7 +211,7 @@ def get_fitters(
 
 @lru_cache(maxsize=2)
 def sharp_model(data: Path | None) -> AAM:
-    """Train on the subject without blur, all modes kept: the model that a bound takes for true."""
+    """Train on the subject without blur and with all modes, as the true model of a bound."""
     subject = get_subject(data)
     options = TrainingOptions(variance=1.0, prior="sample", blurs=(0.0,), leave_out=False)
     return train(subject.pairs, options, camera=CameraModel(theta=PAPER_THETA), name=subject.name)
@@ -243,7 +243,7 @@ def run_trial(setup: Setup, trial: Trial) -> list[Row]:
 
 
 def _bound_rows(setup: Setup, trial: Trial) -> list[Row]:
-    """Bound of the invariant for the same picture without its noise, in a row like that of a fit."""
+    """Return the bound of the invariant for the same image without noise, in a row like that of a fit."""
     conditions = setup.sweep.conditions(trial.value)
     if not conditions["sigma_n"] > 0:
         return []
@@ -265,15 +265,15 @@ def _bound_rows(setup: Setup, trial: Trial) -> list[Row]:
 
 @lru_cache(maxsize=256)
 def _unit_bound(data: Path | None, seed: int, trial: int, strength: float) -> tuple[int, Bound]:
-    """Picture of a trial, and its bound at a noise of 1 of 255; the bound grows in proportion to the noise."""
+    """Image index of a trial, and its bound at a noise of 1 of 255. The bound is proportional to the noise."""
     case = make_case(get_subject(data), seed, trial, 0.0, 0.0, strength)
     return case.picture, cramer_rao_bound(sharp_model(data), case.image, case.truth, "li", 1 / 255)
 
 
 def angle_error(result: FitResult, truth: float) -> float:
-    """Error of the image's angle, radians; NaN for methods without one.
+    """Error of the image's angle, in radians; NaN for methods without one.
 
-    Both cameras' angles together are known up to half a turn only, so the model's one decides which is meant.
+    The angles of both cameras are ambiguous by half a turn. The model's angle resolves the ambiguity.
     """
     half_turn = np.pi if np.cos(result.theta_model - truth) < 0 else 0.0
     return angle_difference(result.theta - half_turn, truth)
@@ -295,17 +295,17 @@ def simulated_experiment(
     ----------
     sweep : Sweep
     values : sequence of float
-        Of the swept condition.
+        Values of the swept condition.
     data : Path, optional
-        Folder of one person's pictures; generated ones if left out.
+        Folder of one person's images. By default generated images.
     methods : sequence of str
     trials : int
-        Draws of shadow, start and noise; trial i takes picture i modulo 6.
+        Number of draws of shadow, start and noise. Trial i uses image i modulo 6.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     strength : float
-        Of the shadow: change of log light.
+        Change of log light in the shadow.
     """
     check_request(tuple(methods), solver, trials)
     if not -5.0 <= strength <= 0.0:
@@ -348,7 +348,7 @@ def simulated_experiment(
 
 
 def summarise(column: str, methods: Sequence[str], rows: list[Row]) -> dict[str, Any]:
-    """Statistics by method and swept value, and how near each light-invariant one comes to the bound."""
+    """Statistics by method and swept value, with the efficiency of the light-invariant ones."""
     values = sorted({row[column] for row in rows})
 
     def at(method: str, value: float) -> list[Row]:
@@ -374,7 +374,7 @@ def summarise(column: str, methods: Sequence[str], rows: list[Row]) -> dict[str,
 
 
 def _differences(column: str, rows: list[Row]) -> list[dict[str, Any]] | None:
-    """How far the errors of ``li`` and ``li-lit`` differ, fit by fit, at each value; None without one of them."""
+    """Differences between the errors of ``li`` and ``li-lit``, by fit, at each value; None without both methods."""
     errors = {
         method: {(row[column], row["trial"]): row["error_px"] for row in rows if row["method"] == method}
         for method in ("li", "li-lit")
@@ -393,7 +393,7 @@ def _is_invariant(method: str) -> bool:
 
 
 def bound_statistics(rows: list[Row]) -> dict[str, Any]:
-    """Bound at one value: what an efficient estimator's medians would be about, and the root mean square."""
+    """Bound at one value: the approximate medians of an efficient estimator, and the root mean square."""
     return {
         "error_px": finite_or_none(np.median([row["error_px"] for row in rows])),
         "rms_px": finite_or_none(root_mean_square([row["rms_px"] for row in rows])),
@@ -402,7 +402,7 @@ def bound_statistics(rows: list[Row]) -> dict[str, Any]:
 
 
 def statistics(rows: list[Row], least: float | None) -> dict[str, Any]:
-    """Statistics of one method at one value, where ``least`` is the bound of its root mean square."""
+    """Statistics of one method at one value; `least` is the bound of its root mean square error."""
     angles = np.abs([row["theta_error_deg"] for row in rows])
     statuses = [row["status"] for row in rows]
     spread = root_mean_square([row["rms_px"] for row in rows])
@@ -426,7 +426,7 @@ def curves(summary: dict[str, Any], quantity: str, statistic: str | None = None)
 
 
 def references(summary: dict[str, Any], quantity: str) -> Curves:
-    """Lines to compare a quantity's medians with: the start, and the bound where there is noise."""
+    """Reference lines of a quantity's medians: the start, and the bound if there is noise."""
     lines: Curves = {START: summary["start_px_median"]} if quantity == "error_px" else {}
     if summary["bound"]:
         lines[BOUND] = [(cell[summary["swept"]], cell[quantity]) for cell in summary["bound"]]
@@ -440,7 +440,7 @@ QUANTITIES = {
 
 
 def draw(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> "Figure":
-    """Median error against the swept value, with that of the start, and the angle's where it is asked for."""
+    """Draw the median error against the swept value, with that of the start and, on request, of the angle."""
     shown = list(QUANTITIES.items())[: 2 if sweep.shows_angle else 1]
     return figure_of_curves(
         [
@@ -451,7 +451,7 @@ def draw(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> "Figure":
 
 
 def draw_pictures(setup: Setup) -> "Figure":
-    """A picture without and with its simulated shadow, and their invariants (paper Fig 2)."""
+    """An image without and with its simulated shadow, and their invariants (paper Fig 2)."""
     subject = get_subject(setup.data)
     case = make_case(subject, setup.seed, 0, 0.0, 0.0, setup.strength)
     pair = {"in training": subject.images[case.picture], "under the shadow": case.image}
@@ -464,7 +464,7 @@ def draw_pictures(setup: Setup) -> "Figure":
 
 
 def report(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, the medians, and the efficiencies."""
+    """Format the question, the medians and the efficiencies."""
     parts = [sweep.question]
     for quantity, what in QUANTITIES.items():
         lines = curves(summary, quantity, "median")
@@ -481,7 +481,7 @@ def report(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> str:
 
 
 def table_of_curves(lines: Mapping[str, Sequence[tuple[float, float | None]]]) -> str:
-    """Curves as a table in markdown, a row per method; the first curve has all swept values."""
+    """Format curves as a markdown table, one row per method. The first curve must have all swept values."""
     if not lines:
         return "Nothing finite."
     values = [x for x, _ in next(iter(lines.values()))]

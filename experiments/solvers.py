@@ -1,4 +1,4 @@
-"""The two ways of solving that experiments compare: liaam's own, and the paper's to the letter."""
+"""The solvers that the experiments compare: liaam's own and the paper's."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,22 +15,22 @@ MAX_ITERATIONS = 50
 
 @dataclass(frozen=True)
 class Solver:
-    """How to train and to iterate.
+    """Options of training and of the solver.
 
     Attributes
     ----------
     summary : str
-        For people.
+        Description.
     options : SolverOptions
     blurs : mapping of views to tuples of float, optional
-        Levels of the model; as ``liaam train`` has them if left out.
+        Levels of the model. By default as in ``liaam train``.
     variance : float
-        Share of the variance kept in person-specific models of the simulated experiments.
+        Fraction of the variance kept in person-specific models of the simulated experiments.
     diagonal : float
-        Of the reference frame, pixels.
+        Diagonal of the reference frame in pixels.
     prior : str, optional
-        How the shapes' covariance is learnt, of all views (as ``liaam train`` chooses if left out), where not all modes
-        are kept: a model that is to hold its pictures exactly, and nothing else, is learnt from the sample.
+        Estimator of the shape covariance, for all views. By default as in ``liaam train``. If all modes are kept, it is
+        ``sample``.
     """
 
     summary: str
@@ -41,7 +41,7 @@ class Solver:
     prior: str | None = None
 
     def train(self, data: Iterable, **options: Any) -> AAM:
-        """Train a model as this solver wants it; ``options`` are those of :func:`liaam.train`."""
+        """Train a model for this solver, with `options` of :func:`liaam.train`."""
         own = {"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal, "leave_out": False}
         options = {**own, **options}
         whole = options["variance"] == 1.0
@@ -80,7 +80,7 @@ SOLVERS = {
 
 
 def get_solver(name: str) -> Solver:
-    """Look a solver up by name.
+    """Get a solver by name.
 
     Raises
     ------
@@ -98,14 +98,14 @@ def make_fitters(model: AAM, methods: Sequence[str], solver: str) -> dict[str, F
 
 
 def check_trials(solver: str, trials: int) -> None:
-    """Refuse, before any work, a solver that does not exist, and no trials."""
+    """Raise, before any work, if the solver does not exist or there are no trials."""
     get_solver(solver)
     if trials < 1:
         raise MethodError("trials must be at least 1")
 
 
 def check_request(methods: Sequence[str], solver: str, trials: int, lamps: bool = False) -> None:
-    """Refuse, before any work, methods and solvers that do not exist, methods that need lamps, and no trials."""
+    """Raise, before any work, if a method or the solver does not exist, lamps are missing, or there are no trials."""
     for method in methods:
         row = get_method(method)
         if not lamps and (row.illumination or row.appearance == "varied"):

@@ -1,8 +1,8 @@
-"""The spot protocol: person-specific models from diffuse light, fitted to a spot-lit picture (paper section 7.2).
+"""The spot protocol: person-specific models from diffuse light, fitted to a spot-lit image (paper section 7.2).
 
-A folder holds pictures ``NN-Js.jpg`` of person NN under condition J with 58 landmarks each, as the IMM face
-database does. Models are trained on J = 1, 2, 3, 4, 6 and fitted to J = 5 (spot light), starting from the mean
-shape at the true centroid and size, then disturbed.
+A folder holds images ``NN-Js.jpg`` of person NN under condition J with 58 landmarks each, like the IMM face database.
+Models are trained on J = 1, 2, 3, 4, 6 and fitted to J = 5 (spot light). The start is the mean shape at the true
+centroid and size, disturbed.
 """
 
 import re
@@ -51,8 +51,8 @@ COLUMNS = {
     "theta_deg": ".3f",
     "status": "",
 }
-"""Columns of results.csv. ``nme``: mean point-to-point distance as a share of the inter-ocular distance; ``bound``:
-the same for the true shape projected on the shape model, what a perfect fit could reach; ``theta_deg``: estimated
+"""Columns of results.csv. ``nme``: mean point-to-point distance as a fraction of the inter-ocular distance; ``bound``:
+the same for the true shape projected on the shape model, that is, of a perfect fit; ``theta_deg``: estimated
 angle of the image, NaN for methods without one."""
 
 CHOICES = (
@@ -60,12 +60,12 @@ CHOICES = (
     "N(0, 0.08 IOD) per axis (IOD: inter-ocular distance).",
     "Models keep 98 % of the variance of shape and of appearance, and are trained with θ = 122°.",
 )
-"""What was chosen where the paper leaves it open."""
+"""Choices that the paper leaves open."""
 
 
 @dataclass(frozen=True)
 class Person:
-    """Pictures of one person: one task."""
+    """Images of one person: one task."""
 
     name: str
     training: tuple[Sample, ...]
@@ -73,13 +73,13 @@ class Person:
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"person {self.name}"
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """One person's model and spot-lit picture.
+    """One person's model and spot-lit image.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Study:
     iod: float
 
     def start(self, seed: int, trial: int) -> np.ndarray:
-        """Draw a start; it depends on seed, person and trial only, so methods share it."""
+        """Draw a start. It depends only on seed, person and trial, so methods share it."""
         rng = np.random.default_rng([seed, int(self.person.name), trial])
         return disturbed_start(self.model.shape_model.mean, self.truth, self.iod, rng)
 
@@ -112,9 +112,9 @@ def find_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
     Returns
     -------
     persons : tuple of Person
-        Those with all six conditions, in colour.
+        Persons with all six conditions, in colour.
     left_out : tuple of str
-        Who was left out, and why.
+        Unused persons, with the reasons.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def find_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
 
 
 def group_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
-    """As :func:`find_persons`, but a folder without any complete person is no error."""
+    """As :func:`find_persons`, but a folder without a complete person does not raise."""
     by_person: dict[str, dict[str, Sample]] = defaultdict(dict)
     data = load_folder(folder)
     persons, left_out = [], [f"{item.path.name}: {item.reason}" for item in data.left_out]
@@ -151,7 +151,7 @@ def group_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
 
 
 def facts_of(folder: Path, persons: Sequence[Person]) -> dict[str, Any]:
-    """What the pictures are, for an experiment's settings."""
+    """Describe the images, for an experiment's settings."""
     samples = [sample for person in persons for sample in (*person.training, person.spot)]
     return {
         "data": folder.resolve().name,
@@ -161,7 +161,7 @@ def facts_of(folder: Path, persons: Sequence[Person]) -> dict[str, Any]:
 
 
 def disturbed_start(mean: np.ndarray, truth: np.ndarray, iod: float, rng: np.random.Generator) -> np.ndarray:
-    """Mean shape at the true centroid and size, then disturbed.
+    """Place the mean shape at the true centroid and size, and disturb it.
 
     Rotation N(0, 4 degrees), scale N(1, 0.05), translation N(0, 0.08 IOD) per axis, drawn in this order.
     """
@@ -175,7 +175,7 @@ def disturbed_start(mean: np.ndarray, truth: np.ndarray, iod: float, rng: np.ran
 
 
 def study_of(person: Person, methods: Sequence[str], solver: str) -> Study:
-    """Train one person's model and read the spot-lit picture."""
+    """Train one person's model and read the spot-lit image."""
     model = get_solver(solver).train(person.training, variance=0.98, name=person.key)
     truth = person.spot.landmarks.points
     iod = inter_ocular_distance(truth, *EYES)
@@ -183,7 +183,7 @@ def study_of(person: Person, methods: Sequence[str], solver: str) -> Study:
 
 
 def fit_person(methods: Sequence[str], trials: int, seed: int, solver: str, person: Person) -> list[Row]:
-    """Fit one person's spot picture with every method from the same starts."""
+    """Fit one person's spot image with every method from the same starts."""
     study = study_of(person, methods, solver)
     bound = nme(study.model.shape_model.project(study.truth), study.truth, study.iod)
     rows = []
@@ -216,13 +216,13 @@ def spot_experiment(
     Parameters
     ----------
     data : Path
-        Folder of pictures ``NN-Js.*`` with landmarks.
+        Folder of images ``NN-Js.*`` with landmarks.
     methods : sequence of str
     trials : int
         Starts per person.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     """
     check_request(methods, solver, trials)
     persons, left_out = find_persons(data)
@@ -279,7 +279,7 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
 
 
 def report(_rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, and the medians."""
+    """Format the question and the medians."""
     header = ["method", "median NME, %", "90th percentile, %", "converged, %", "iterations"]
     table = [
         [
@@ -302,5 +302,5 @@ def report(_rows: list[Row], summary: dict[str, Any]) -> str:
 
 
 def percent(share: float | None, digits: int = 2) -> str:
-    """A share in per cent, or a dash."""
+    """Format a fraction in per cent, or a dash."""
     return "–" if share is None else f"{100 * share:.{digits}f}"

@@ -1,4 +1,4 @@
-"""One person in a few pictures under homogeneous light, and a shadow to lay over them (paper section 7.1)."""
+"""A few images of one person under homogeneous light, and a simulated shadow (paper section 7.1)."""
 
 import hashlib
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from liaam.photometry import encode, is_grey, linear_to_srgb, srgb_to_linear, te
 from liaam.photometry.encoding import as_colour
 
 N_IMAGES = 6
-"""Pictures in the paper's simulations."""
+"""Number of images in the paper's simulations."""
 
 PAPER_THETA = float(np.deg2rad(146.0))
-"""Camera of the simulated shadow (paper Fig 2), radians; a real camera lies in 90 to 135 degrees."""
+"""Camera angle of the simulated shadow (paper Fig 2), in radians. Real cameras have 90 to 135 degrees."""
 
 STRENGTH, TEMPERATURE, PENUMBRA = -1.8, 0.5, 4.0
 """Shadow's depth in log light, its shift along the direction of colour temperature, and its edge's width (px)."""
@@ -26,12 +26,12 @@ TILT = float(np.deg2rad(20.0))
 """Largest tilt of the shadow's edge from upright, radians."""
 
 SCENE_HEAD = 5
-"""Head of the generated pictures, that of ``liaam demo``."""
+"""Seed of the head in generated images, as in ``liaam demo``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """Pictures of one person.
+    """Images of one person.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Subject:
     images : tuple of (h, w, 3) float32
         Stored sRGB values in [0, 1].
     shapes : tuple of (n, 2) float64
-        Landmarks, pixels of these images.
+        Landmarks in pixels of these images.
     """
 
     name: str
@@ -48,31 +48,31 @@ class Subject:
 
     @property
     def pairs(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Images with their landmarks, as :func:`liaam.train` takes them."""
+        """Images with their landmarks, as input of :func:`liaam.train`."""
         return list(zip(self.images, self.shapes, strict=True))
 
 
 @lru_cache(maxsize=4)
 def get_subject(folder: Path | None, n_images: int = N_IMAGES) -> Subject:
-    """Give the subject of a folder, or the generated one without a folder; once per process."""
+    """Return the subject of a folder, or the generated subject; once per process."""
     return scene_subject(n_images) if folder is None else folder_subject(folder, n_images)
 
 
 def folder_subject(folder: Path, n_images: int = N_IMAGES, halve: bool = True) -> Subject:
-    """Take pictures of one person from a folder, evenly spread over it.
+    """Read images of one person, evenly spread over a folder.
 
     Parameters
     ----------
     folder : Path
-        Colour pictures of one person with landmarks beside them.
+        Colour images of one person with landmarks beside them.
     n_images : int
     halve : bool
-        Average blocks of 2 by 2 pixels, in linear light.
+        Whether to average blocks of 2 by 2 pixels, in linear light.
 
     Raises
     ------
     LiaamError
-        If there are too few pictures, or grey ones.
+        If there are too few images, or grey ones.
     """
     chosen = _spread(folder, n_images)
     reduce = 2 if halve else 1
@@ -92,12 +92,12 @@ def _spread(folder: Path, n_images: int) -> list[Sample]:
 
 
 def subject_facts(folder: Path | None, n_images: int = N_IMAGES) -> dict[str, Any]:
-    """What a subject's pictures are, for an experiment's settings; decodes and generates nothing.
+    """Describe a subject's images, for an experiment's settings, without decoding or generating them.
 
     Raises
     ------
     LiaamError
-        If there are too few pictures.
+        If there are too few images.
     """
     if folder is None:
         return {"data": f"generated scenes of head {SCENE_HEAD}", "pictures": n_images}
@@ -105,7 +105,7 @@ def subject_facts(folder: Path | None, n_images: int = N_IMAGES) -> dict[str, An
 
 
 def data_facts(samples: "Dataset | list[Sample]") -> dict[str, Any]:
-    """Names and a digest of pictures and landmarks, by which a changed file is noticed."""
+    """Return names and a digest of images and landmarks, to detect changed files."""
     digest = hashlib.sha256()
     for sample in samples:
         image = sample.image
@@ -115,7 +115,7 @@ def data_facts(samples: "Dataset | list[Sample]") -> dict[str, Any]:
 
 
 def reduced_points(points: np.ndarray, reduce: int) -> np.ndarray:
-    """Landmarks (n, 2) after blocks of pixels became one: (0, 0) stays the centre of the top-left pixel."""
+    """Return landmarks (n, 2) after averaging blocks of pixels; (0, 0) stays the centre of the top-left pixel."""
     return (np.asarray(points, dtype=np.float64) + 0.5) / reduce - 0.5
 
 
@@ -127,7 +127,7 @@ def _stored_values(sample: Sample, reduce: int) -> np.ndarray:
 
 
 def scene_subject(n_images: int = N_IMAGES) -> Subject:
-    """Generate pictures of one head under diffuse light by a camera without noise; needs no data."""
+    """Generate images of one head under diffuse light, from a camera without noise."""
     from liaam.datasets.scenes import DIFFUSE
 
     scenes = head_scenes(DIFFUSE, n_images)
@@ -135,14 +135,14 @@ def scene_subject(n_images: int = N_IMAGES) -> Subject:
 
 
 def head_scenes(lights, n_images: int = N_IMAGES) -> list:
-    """Scenes of the generated head under given lights; other lights change neither poses nor expressions."""
+    """Scenes of the generated head under given lights. Poses and expressions do not depend on the lights."""
     from liaam.datasets.scenes import Camera, Head, make_set
 
     return make_set(n_images, Head(SCENE_HEAD), lights, Camera().noiseless("srgb"))
 
 
 def random_side(rng: np.random.Generator) -> float:
-    """Draw where a shadow lies: left or right of the face, its edge tilted by up to 20 degrees.
+    """Draw the side of a shadow: left or right of the face, with an edge tilted by up to 20 degrees.
 
     Returns
     -------
@@ -163,17 +163,17 @@ def simulated_shadow(
     penumbra: float = PENUMBRA,
     theta: float = PAPER_THETA,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lay a shadow of another colour over half of a face (paper Fig 2a).
+    """Apply a shadow of another colour to half of a face (paper Fig 2a).
 
-    In linear light, log rho += mask (strength 1 + temperature d(theta)): what the paper's model says that a
-    change of light does, so the invariant of a camera of angle theta does not move.
+    In linear light, log rho += mask (strength 1 + temperature d(theta)). This is a change of light in the paper's
+    model, so it does not change the invariant of a camera of angle theta.
 
     Parameters
     ----------
     image : (h, w, 3) float
         Stored sRGB values in [0, 1].
     shape : (n, 2) float
-        Landmarks of the face; the shadow's edge goes through the middle of their bounding box.
+        Landmarks of the face. The shadow's edge passes through the centre of their bounding box.
     side : float
         Direction into the shadow, radians; see :func:`random_side`.
     strength : float
@@ -181,7 +181,7 @@ def simulated_shadow(
     temperature : float
         Change along the unit direction d(theta) of colour temperature.
     penumbra : float
-        Width of the soft edge, pixels: the shadow goes from 12 to 88 % over it.
+        Width of the soft edge in pixels, over which the shadow goes from 12 to 88 %.
     theta : float
         Angle of the camera, radians.
 
@@ -190,7 +190,7 @@ def simulated_shadow(
     shadowed : (h, w, 3) float32
         Stored sRGB values in [0, 1].
     mask : (h, w) float64
-        Share of the full shadow at each pixel.
+        Fraction of the full shadow at each pixel.
     """
     height, width = image.shape[:2]
     middle = 0.5 * (shape.min(axis=0) + shape.max(axis=0))

@@ -1,9 +1,8 @@
-"""Do the ellipses hold the truth, and does the quality tell right fits from wrong ones?
+"""Do the confidence ellipses contain the truth, and does the quality separate right fits from wrong ones?
 
-Fits of the default method, from starts near the object and from starts that should be lost: to generated heads at three
-noise levels under the light of training and under a hard light from the side, where the truth is known, and, given a
-folder of persons, to real faces: the spot-lit picture and diffuse pictures left out of a person's model, and persons
-that a model has not seen.
+The default method fits from starts near the object and from starts too far away. It fits generated heads at three noise
+levels, under the training light and under a hard light from the side. Given a folder of persons, it also fits real
+faces: the spot-lit image and left-out diffuse images with a person's model, and unseen persons.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -44,19 +43,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEVELS = (50, 80, 95, 99)
-"""Shares that ellipses are drawn for, per cent."""
+"""Confidence levels of the ellipses in per cent."""
 
 TOLD = (80, 95)
-"""Those in the table; the figure has all."""
+"""Confidence levels in the table. The figure has all."""
 
 NOISES = (2.0, 5.0, 10.0)
-"""Standard deviation of the noise of generated pictures, of 255."""
+"""Standard deviation of the noise of generated images, of 255."""
 
 PICTURES = 24
-"""Generated pictures of a head that train, and as many that are fitted."""
+"""Number of generated training images of a head, and of test images."""
 
 LEFT_OUT = (0, 2, 4)
-"""Diffuse pictures of a person that are left out in turn, of five."""
+"""Indices of the diffuse images of a person, of five, that are left out in turn."""
 
 STARTED = ("near", "far")
 
@@ -73,8 +72,8 @@ COLUMNS = {
     "quality": ".6f",
     "status": "",
 }
-"""Columns of results.csv. ``held_L``: share of the landmarks that lie in their ellipse of L %; ``deviation``: the
-landmarks' stated standard deviation, root mean square, and ``nme``, as shares of the face's size."""
+"""Columns of results.csv. ``held_L``: fraction of the landmarks inside their L % ellipse. ``deviation``: root mean
+square of the reported standard deviations. It and ``nme`` are divided by the face's size."""
 
 CHOICES = (
     f"Right is a fit whose error is below {CONVERGED:.0%} of the inter-ocular distance. Ellipses are those of right "
@@ -94,12 +93,12 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Subject:
-    """What is fitted in one go: a task.
+    """A head or person to fit: one task.
 
     Attributes
     ----------
     group : str
-        Of :data:`GROUPS`.
+        One of :data:`GROUPS`.
     name : str
         Number of a head, or name of a person.
     """
@@ -109,13 +108,13 @@ class Subject:
 
     @property
     def key(self) -> str:
-        """Name for the journal."""
+        """Key of the task in the journal."""
         return f"{self.group}, {self.name}"
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture that is to be fitted, and where its landmarks are.
+    """An image to fit, with its landmarks.
 
     Attributes
     ----------
@@ -124,9 +123,9 @@ class Picture:
     truth : (n, 2) float64
     light : str
     noise : float
-        That was added, of 255.
+        Standard deviation of the added noise, of 255.
     starts : tuple of str
-        Of :data:`STARTED`.
+        One of :data:`STARTED`.
     """
 
     name: str
@@ -138,7 +137,7 @@ class Picture:
 
 
 def generated(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
-    """Give a head's model and its pictures at all noise levels."""
+    """Yield a head's model and its images at all noise levels."""
     from liaam.datasets.scenes import DIFFUSE, Camera, Head, lateral, make_set, random_expression, random_pose, render
 
     rng, camera = request.rng("head", name), Camera().noiseless("srgb")
@@ -157,13 +156,13 @@ def generated(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]
 
 
 def spot_lit(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
-    """Give the model of a person's diffuse pictures and the spot-lit one."""
+    """Yield the model of a person's diffuse images, and the spot-lit image."""
     person = get_person(request.data, name)
     yield trained(request, person.training, person.key), [_real(person.spot, "spot")]
 
 
 def left_out(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
-    """Give a person's models of all diffuse pictures but one, and that one."""
+    """Yield a person's models of all diffuse images but one, and that image."""
     person = get_person(request.data, name)
     for out in LEFT_OUT:
         others = [sample for i, sample in enumerate(person.training) if i != out]
@@ -171,7 +170,7 @@ def left_out(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]
 
 
 def strangers(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
-    """Give the model of every other person, and the pictures of a person who is not among them."""
+    """Yield the model of every second person, and the images of a person not among them."""
     person = get_person(request.data, name)
     pictures = [_real(person.spot, "spot"), *(_real(sample, "training") for sample in person.training[::2])]
     yield get_half(request, get_persons(request.data).index(person) % 2), pictures
@@ -197,31 +196,31 @@ def get_persons(folder: Path) -> tuple[Person, ...]:
 
 
 def get_person(folder: Path, name: str) -> Person:
-    """Look a person up."""
+    """Get a person by name."""
     return next(person for person in get_persons(folder) if person.name == name)
 
 
 @lru_cache(maxsize=1)
 def get_half(request: Request, without: int) -> AAM:
-    """Train on every other person; once per process, neighbouring tasks share it."""
+    """Train on every second person; once per process, since neighbouring tasks share the model."""
     others = [person for i, person in enumerate(get_persons(request.data)) if i % 2 != without]
     return trained(request, [sample for person in others for sample in person.training], f"without {without}")
 
 
 def trained(request: Request, data: Sequence, name: str) -> AAM:
-    """Train a model that learns how far its fits can be trusted."""
+    """Train a model with calibrated quality of fits."""
     return get_solver(request.solver).train(data, variance=VARIANCE, leave_out=True, name=name)
 
 
 def lost(start: np.ndarray, unit: float, size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """Move a start so far that no fit should find back, but not out of a picture (width, height), (n, 2) float64."""
+    """Move a start too far for any fit to succeed, but within an image of size (width, height), (n, 2) float64."""
     centre, turn = start.mean(axis=0), rng.uniform(0.7, 1.3) * rng.choice([-1, 1])
     moved = rng.uniform(0.5, 1.6) * (start - centre) @ rotation(turn).T + centre + rng.normal(0.0, 0.7 * unit, 2)
     return shifted_into(moved, size)
 
 
 def fit_subject(request: Request, subject: Subject) -> list[Row]:
-    """Fit all pictures of a subject from near and far."""
+    """Fit all images of a subject from near and far."""
     rows = []
     for model, pictures in MAKERS[subject.group](request, subject.name):
         fitter = Fitter(model, DEFAULT_METHOD, get_solver(request.solver).options)
@@ -234,7 +233,7 @@ def fit_subject(request: Request, subject: Subject) -> list[Row]:
 
 
 def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[Row]:
-    """Fit a picture from each of its starts."""
+    """Fit an image from each of its starts."""
     unit, rng = face_size(picture.truth), request.rng(fitter.model.name, picture.name, "start")
     near = disturbed_start(fitter.model.shape_model.mean, picture.truth, unit, rng)
     size = (picture.image.shape[1], picture.image.shape[0])
@@ -261,12 +260,12 @@ def uncertainty_experiment(
     Parameters
     ----------
     data : Path, optional
-        Folder of the spot protocol; generated heads alone if left out.
+        Folder of the spot protocol. By default only generated heads.
     heads : int
-        Generated heads.
+        Number of generated heads.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     """
     request = Request(data or Path(), (DEFAULT_METHOD,), heads, seed, solver)
     persons, missing = find_persons(data) if data else ((), ())
@@ -292,7 +291,7 @@ def uncertainty_experiment(
 
 
 def summarise(rows: list[Row]) -> dict[str, Any]:
-    """Coverage and area under the ROC curve by group, and of generated heads by noise and by light."""
+    """Coverage and area under the ROC curve by group, and for generated heads by noise and by light."""
     groups = {group: select(rows, group=group) for group in GROUPS}
     for noise in NOISES:
         groups[f"generated, noise {noise:g}"] = select(groups["generated"], noise=noise)
@@ -338,7 +337,7 @@ def table(summary: dict[str, Any]) -> tuple[Header, Table]:
 
 
 def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
-    """Share held against share stated, and wrong fits let pass against right ones kept."""
+    """Draw observed against nominal coverage, and the ROC curve of the quality."""
     own = [group for group in GROUPS if group in summary["groups"]]
     shares = {group: _held(summary["groups"][group]) for group in own}
     passed = {group: _roc(*qualities_of(select(rows, group=group))) for group in own}
@@ -351,12 +350,12 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
 
 
 def _held(cell: dict[str, Any]) -> list[tuple[float, float | None]]:
-    """Shares held by level, per cent."""
+    """Observed coverage by level, in per cent."""
     return [(level, None if cell[f"held_{level}"] is None else 100 * cell[f"held_{level}"]) for level in LEVELS]
 
 
 def _roc(right: np.ndarray, wrong: np.ndarray) -> list[tuple[float, float | None]]:
-    """Shares (wrong, right), per cent, of at least a quality, for each quality from high to low."""
+    """Fractions (wrong, right) of fits, in per cent, with at least each quality, from high to low."""
     if not len(right) or not len(wrong):
         return []
     limits = np.unique(np.concatenate([right, wrong, [np.inf]]))[::-1]
@@ -364,7 +363,7 @@ def _roc(right: np.ndarray, wrong: np.ndarray) -> list[tuple[float, float | None
 
 
 def report(_rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, and what came out."""
+    """Format the question and the results."""
     question = (
         "Do the ellipses that a fit states of its landmarks hold the true ones, and does its quality tell whether it "
         "is right? Error: median of the fits from near; stated: the landmarks' standard deviation, root mean square; "

@@ -1,7 +1,6 @@
-"""What does invariance cost where the light has not changed? Leave-one-out on each person's diffuse pictures.
+"""What does invariance cost if the light has not changed? Leave-one-out on each person's diffuse images.
 
-What cannot be seen any more cannot be fitted: a method that ignores light should lose little to those that use all
-there is in a picture.
+An invariant discards information. A light-invariant method should lose little to methods that use the whole image.
 """
 
 from collections.abc import Sequence
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PLAIN = ("rgb", "grey", "chroma")
-"""Methods that assume nothing of the light's geometry; the best of those that take part is the reference."""
+"""Methods without assumptions on the light's geometry. The best of them is the reference."""
 
 CHOICES = (
     STARTS,
@@ -43,7 +42,7 @@ CHOICES = (
 
 
 def fit_person(request: Request, person: Person) -> list[Row]:
-    """Fit each diffuse picture of one person with a model of the others."""
+    """Fit each diffuse image of one person with a model of the others."""
     rows = []
     for sample in person.training:
         others = [other for other in person.training if other is not sample]
@@ -68,13 +67,13 @@ def unchanged_experiment(
     Parameters
     ----------
     data : Path
-        Folder of pictures ``NN-Js.*`` with landmarks, as the spot protocol has them.
+        Folder of images ``NN-Js.*`` with landmarks, as in the spot protocol.
     methods : sequence of str
     trials : int
-        Starts per picture.
+        Starts per image.
     seed : int
     solver : str
-        Of :data:`experiments.solvers.SOLVERS`.
+        One of :data:`experiments.solvers.SOLVERS`.
     """
     request = Request(data, tuple(methods), trials, seed, solver)
     persons, left_out = find_persons(data)
@@ -95,7 +94,7 @@ def unchanged_experiment(
 
 
 def summarise(methods: Sequence[str], rows: list[Row]) -> dict[str, Any]:
-    """Statistics by method, and how they compare with the best plain one."""
+    """Statistics by method, relative to the best plain one."""
     cells = {method: statistics(select(rows, method=method)) for method in methods}
     known = {m: cells[m]["nme_median"] for m in PLAIN if m in cells and cells[m]["nme_median"] is not None}
     reference = min(known, key=lambda method: known[method]) if known else None
@@ -134,7 +133,7 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
 
 
 def report(_rows: list[Row], summary: dict[str, Any]) -> str:
-    """What was asked, and the medians."""
+    """Format the question and the medians."""
     question = (
         f"What does invariance cost where the light is that of training? For each of {len(summary['persons'])} persons "
         "each diffuse picture is fitted with a model of the other four. Median error by inter-ocular distance, and its "

@@ -1,1 +1,1 @@
-"""Hostile inputs, thousands a second, in child processes with limits on time and memory: ``python -m fuzz``."""
+"""Fuzzing in child processes with limits on time and memory: ``python -m fuzz``."""

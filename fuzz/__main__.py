@@ -13,11 +13,11 @@ from fuzz.target import MODULES, Target, targets_of
 from fuzz.worker import Failure, Job
 
 _SHOWN = 5
-"""Failures of a target that are printed; all are counted."""
+"""Maximum number of printed failures per target. All are counted."""
 
 
 def parser() -> argparse.ArgumentParser:
-    """What can be said on the command line."""
+    """Make the parser of the command line."""
     made = argparse.ArgumentParser(prog="python -m fuzz", description="Feed hostile inputs to whatever reads any.")
     made.add_argument("names", nargs="+", metavar="NAME", help="targets; 'all' for all of them, 'list' to name them")
     made.add_argument("--cases", type=int, default=1000, help="of each target; with 'all' of all together (1000)")
@@ -29,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def share_out(targets: dict[str, Target], cases: int) -> dict[str, int]:
-    """Number of cases of each target, so many together."""
+    """Distribute a number of cases over the targets."""
     whole = sum(target.share for target in targets.values())
     return {name: max(1, round(cases * target.share / whole)) for name, target in targets.items()}
 
@@ -42,7 +42,7 @@ def keep(failures: list[Failure], folder: Path, modules: tuple[str, ...] = MODUL
 
 
 def report(tallies: dict[str, Tally]) -> list[str]:
-    """Lines of a table, and of what failed."""
+    """Format a table of the targets and their failures."""
     heads = "cases", "returned", "refused", "failed", "slowest", "memory", "/s"
     lines = [f"{'target':<22}" + "".join(f"{head:>10}" for head in heads)]
     for name, tally in tallies.items():
@@ -59,7 +59,7 @@ def report(tallies: dict[str, Tally]) -> list[str]:
 
 
 def main(arguments: list[str], modules: tuple[str, ...] = MODULES) -> int:
-    """Run what is asked for; 1 if anything failed."""
+    """Run the requested targets. Return 1 if anything failed."""
     asked = parser().parse_args(arguments)
     targets = targets_of(*modules)
     if asked.names == ["list"]:

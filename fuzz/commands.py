@@ -1,4 +1,4 @@
-"""The command line with names, paths and numbers that nobody would give."""
+"""The command line with unusual names, paths and numbers."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ _FILED = ("--init", "--camera", "--list", "--image", "--lamps", "--like", "--pat
 
 
 def make(rng: Random) -> list[str]:
-    """Give the arguments of a command."""
+    """Return the arguments of a command."""
     if rng.random() < 0.2:
         return one_of(rng, _SOUND).split()
     command = one_of(rng, list(_COMMANDS))
@@ -151,7 +151,7 @@ def _value(rng: Random, option: str) -> str:
 
 @cache
 def _scene() -> None:
-    """Put there what the names stand for, once in each child."""
+    """Create the named files, once in each child."""
     import os
 
     from fuzz import landmarks, pictures
@@ -176,7 +176,7 @@ def _scene() -> None:
 
 
 def check(arguments: list[str]) -> None:
-    """Run the command line as ``liaam`` does; it ends with a status, says why, and sends no escape sequence."""
+    """Run ``liaam``. It must exit with a status and a message, without escape sequences."""
     from liaam.cli.main import main
     from liaam.errors import LiaamError
 

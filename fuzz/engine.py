@@ -1,4 +1,4 @@
-"""Models, cameras, pictures as arrays, and starts: whatever a fit is made of."""
+"""Inputs of fits: models, cameras, images as arrays, and starts."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ NUMBERS = (
     0.5,
     2.0**31,
 )
-"""What stands where a number should, in arrays."""
+"""Replacements for a number in arrays."""
 
 SIZE = (48, 56)
 
 
 @cache
 def tiny() -> Any:
-    """Give a complete model of five landmarks."""
+    """Return a complete model of five landmarks."""
     from liaam.training import train
 
     rng = np.random.default_rng(0)
@@ -82,7 +82,7 @@ def _number(rng: Random, dtype: np.dtype) -> np.ndarray:
 
 
 def _fit(model: Any, method: str, start: Any = (10, 10, 40, 40), **options: Any) -> None:
-    """Fit to a small picture: whatever was accepted has to be of use."""
+    """Fit to a small image, which must work for any accepted input."""
     from liaam.fitting import Fitter
 
     result = Fitter(model, method, **options).fit(_picture(), start)
@@ -133,7 +133,7 @@ def _spoil_shape(rng: Random, tensor: np.ndarray) -> np.ndarray:
 
 
 def make_model(rng: Random) -> bytes:
-    """Give a model file with a few faults in its header or its tensors, or now and then in its bytes."""
+    """Make a model file with a few faults in its header or tensors, or sometimes in its bytes."""
     from safetensors.numpy import save
 
     header, tensors = (deepcopy(_parts()[0]), dict(_parts()[1]))
@@ -147,7 +147,7 @@ def make_model(rng: Random) -> bytes:
             del tensors[key]
     try:
         data = bytearray(save(tensors, {"liaam": json.dumps(header)}))
-    except (ValueError, RecursionError):  # what no writer writes
+    except (ValueError, RecursionError):  # no writer produces this
         data = bytearray(tiny().to_bytes())
     if rng.random() < 0.1:
         data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
@@ -155,7 +155,7 @@ def make_model(rng: Random) -> bytes:
 
 
 def check_model(data: bytes) -> None:
-    """Read a model; one that is accepted has to fit, and to be written again."""
+    """Read a model. If accepted, fitting and writing it must work."""
     from liaam.errors import MethodError
     from liaam.model import load_model
 
@@ -166,14 +166,14 @@ def check_model(data: bytes) -> None:
     for name, start in (("soft-li", (10, 10, 40, 40)), (method, None if len(data) % 8 == 0 else (12, 8, 44, 40))):
         try:
             _fit(model, name, start)
-        except MethodError:  # it lacks what the method needs
+        except MethodError:  # the model does not support the method
             continue
     model.save(path)
     load_model(path)
 
 
 def prepare() -> None:
-    """Compile what fits are made with."""
+    """Compile the kernels of fits."""
     for method in METHODS:
         _fit(tiny(), method)
         _fit(tiny(), method, None)
@@ -206,7 +206,7 @@ _CAMERAS = (
 
 
 def make_camera(rng: Random) -> bytes:
-    """Give a camera file: of absurd numbers, or with faults as JSON has them."""
+    """Make a camera file with absurd numbers or faulty JSON."""
     if rng.random() < 0.4:
         return spoilt_json(rng, _CAMERAS)
     camera: dict[str, Any] = deepcopy(_CAMERAS[0])
@@ -228,7 +228,7 @@ def make_camera(rng: Random) -> bytes:
 
 
 def check_camera(data: bytes) -> None:
-    """Read a camera; with one that is accepted pictures can be fitted, and it can be written again."""
+    """Read a camera. If accepted, fitting with it and writing it must work."""
     from liaam.photometry import invariant_image, load_camera
 
     path = Path("camera.json")
@@ -240,11 +240,11 @@ def check_camera(data: bytes) -> None:
         _fit(tiny(), METHODS[(len(data) + i) % len(METHODS)], camera=camera)
 
 
-# Pictures and starts -------------------------------------------------------------------------------
+# Images and starts -------------------------------------------------------------------------------
 
 
 class Case(NamedTuple):
-    """A picture, where to start, and with what."""
+    """An image, a start, and options."""
 
     image: Any
     start: Any
@@ -252,7 +252,7 @@ class Case(NamedTuple):
 
 
 def make_image(rng: Random) -> Case:
-    """Give an array that may be no picture."""
+    """Make an array that may not be an image."""
     image = _picture() / 255.0
     for _ in range(int(rng.integers(4))):
         where = rng.random(image.shape[:2]) < one_of(rng, (0.002, 0.1, 0.6, 1.0))
@@ -283,7 +283,7 @@ def make_image(rng: Random) -> Case:
 
 
 def make_start(rng: Random) -> Case:
-    """Give a start that may be none."""
+    """Make a start that may be invalid."""
     kind, model = int(rng.integers(6)), tiny()
     shape = model.shape_model.mean + np.array([25, 22])
     start: Any = one_of(
@@ -308,7 +308,7 @@ def make_start(rng: Random) -> Case:
 
 
 def check_fit(case: Case) -> None:
-    """Fit."""
+    """Fit an image."""
     result = _fitter(case.method).fit(case.image, case.start)
     json.dumps(result.to_dict(), allow_nan=False).encode()
 
@@ -317,13 +317,13 @@ def check_fit(case: Case) -> None:
 
 
 def make_loops(rng: Random) -> tuple[int, np.ndarray]:
-    """Give a number of what to do, and a picture for it."""
+    """Make the number of an operation, and an image for it."""
     image = make_image(rng).image
     return int(rng.integers(2**31)), image
 
 
 def check_loops(case: tuple[int, np.ndarray]) -> None:
-    """Call what compiled loops are called through, with sizes and numbers of any kind."""
+    """Call the wrappers of compiled loops with sizes and numbers of any kind."""
     from liaam.fitting import find
     from liaam.kernels import fast
     from liaam.model.sampling import make_patch, sample_texture

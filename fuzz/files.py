@@ -1,4 +1,4 @@
-"""Other files that are read: lamps, starts, journals, summaries, tables of patches and sensitivities, lists."""
+"""Other input files: lamps, starts, journals, summaries, tables of patches and sensitivities, lists."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _safetensors(tensors: dict[str, np.ndarray], about: Any) -> bytes:
     from safetensors.numpy import save
 
     text = about if isinstance(about, str) else json.dumps(about)
-    return save(tensors, {"liaam": text[:LONGEST]})  # safetensors writes no longer header than some MB
+    return save(tensors, {"liaam": text[:LONGEST]})  # safetensors limits the length of headers
 
 
 @cache
@@ -38,7 +38,7 @@ _MEAN = np.array([[-0.4, -0.3], [0.4, -0.3], [0.0, 0.4]])
 
 
 def make_lamps(rng: Random) -> bytes:
-    """Spoil a file of lamps: its bytes, what it says of itself, or its tensors."""
+    """Corrupt a lamp file: its bytes, its header, or its tensors."""
     kind = rng.random()
     if kind < 0.3:
         return spoilt(
@@ -57,7 +57,7 @@ def make_lamps(rng: Random) -> bytes:
 
 
 def check_lamps(data: bytes) -> None:
-    """Load lamps; those that are accepted can light a picture."""
+    """Load lamps. If accepted, relighting an image must work."""
     from liaam.lamps import load_lamps
 
     path = Path("x.lamps")
@@ -80,7 +80,7 @@ def _number(rng: Random) -> str:
 
 
 def make_start(rng: Random) -> tuple[str, bytes]:
-    """Give a start as people write it, and what the file of that name holds."""
+    """Make the text of a start, and the content of a file of that name."""
     numbers = ",".join(_number(rng) for _ in range(int(rng.integers(2, 6))))
     kind = rng.random()
     if kind < 0.4:
@@ -108,7 +108,7 @@ def check_start(given: tuple[str, bytes]) -> None:
     read_start(text, Path("x.png"), (640, 480))
 
 
-# What a batch or an experiment keeps --------------------------------------------------------------
+# Journals and summaries of batches and experiments --------------------------------------------------------------
 
 _FACTS = {"liaam": "0.1.0", "model": "ab", "method": "soft-li", "init": None, "camera": {"theta_deg": 122.0}}
 _COLUMNS = (
@@ -138,7 +138,7 @@ def _journal() -> bytes:
 
 
 def make_journal(rng: Random) -> bytes:
-    """Spoil a batch's journal: its bytes, or what stands in its cells."""
+    """Corrupt a batch's journal: its bytes, or its cells."""
     if rng.random() < 0.5:
         return spoilt(rng, [_journal()], (b"SQLite format 3\0", b"CREATE TABLE", b"pictures", b"facts", b"null"))
     with tempfile.TemporaryDirectory() as folder:
@@ -165,7 +165,7 @@ def make_journal(rng: Random) -> bytes:
 
 
 def check_journal(data: bytes) -> None:
-    """Go on with it, as ``liaam batch`` does, up to the table."""
+    """Resume from it up to the table, as ``liaam batch`` does."""
     from liaam.batch.journal import Journal
     from liaam.batch.tables import Table, row_of, write_table
 
@@ -192,14 +192,14 @@ _SUMMARY = {"settings": _FACTS, "statuses": {"converged": 3, "error": 1}, "pictu
 
 
 def make_summary(rng: Random) -> bytes:
-    """Spoil the summary beside a table."""
+    """Corrupt the summary beside a table."""
     if rng.random() < 0.3:
         return spoilt(rng, [json.dumps(_SUMMARY).encode()], (b"[", b"{", b"null", b'"bytes"', b'"settings"'))
     return spoilt_json(rng, [_SUMMARY])
 
 
 def check_summary(data: bytes) -> None:
-    """Ask whether a batch is complete, as one that is given again does."""
+    """Check whether a batch is complete, as when the same command is run again."""
     from liaam.batch.run import earlier_summary
 
     Path("x.csv").write_bytes(b"a,b\n")
@@ -215,7 +215,7 @@ _OUTCOME = {"key": "a", "rows": [{"x": 1, "y": "b"}], "fault": None}
 
 
 def make_experiment(rng: Random) -> bytes:
-    """Spoil an experiment's journal."""
+    """Corrupt an experiment's journal."""
     lines = [json.dumps({**_OUTCOME, "key": key}).encode() for key in "abc"]
     lines = [spoilt_json(rng, [_OUTCOME]) if rng.random() < 0.3 else line for line in lines]
     return spoilt(rng, [b"\n".join([*lines, b""])], (b"\n", b"{", b"}", b'"key"'))
@@ -225,7 +225,7 @@ _LINE = json.dumps(_OUTCOME).encode() + b"\n"
 
 
 def check_experiment(data: bytes) -> None:
-    """Open it; a journal with a damaged line keeps those before."""
+    """Open it. The lines before a damaged one must be kept."""
     from experiments.runner import Journal
 
     path = Path("x.jsonl")
@@ -270,7 +270,7 @@ def check_sensitivities(data: bytes) -> None:
 
 
 def check_list(data: bytes) -> None:
-    """List pictures, keep them in a journal's order, and look for each as if it were named."""
+    """List images, sort them as in a journal, and find each by name."""
     from liaam.batch import find_pictures, listed_pictures
     from liaam.batch.journal import Journal
 

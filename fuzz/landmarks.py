@@ -95,13 +95,13 @@ def corpus(suffix: str) -> tuple[bytes, ...]:
 
 
 def make(suffix: str, rng: Random) -> bytes:
-    """Spoil a file of a format."""
+    """Corrupt a file of a format."""
     kind = rng.random()
     if suffix == ".xml" and kind < 0.4:
         return _tree(rng)
     if suffix in _JSON and kind < 0.7:
         return spoilt_json(rng, _JSON[suffix])
-    if suffix == ".csv" and kind < 0.02:  # of many pictures
+    if suffix == ".csv" and kind < 0.02:  # of many images
         rows = (f"{i % 997}.png,{i},{i}" for i in range(int(rng.integers(20_000))))
         return "\n".join(["image,x,y", *rows]).encode()
     return spoilt(rng, corpus(suffix), _WORDS[suffix])
@@ -131,7 +131,7 @@ def _attribute(rng: Random) -> str:
 
 
 def check(suffix: str, data: bytes) -> None:
-    """Parse it; what is accepted holds finite points, and can be written and read again."""
+    """Parse it. If accepted, its points must be finite, and writing and reading them must work."""
     from liaam.io.landmarks import FORMATS, Landmarks, parse_landmark_data
 
     parsed = parse_landmark_data(f"x{suffix}", data, (640.0, 480.0))
@@ -165,7 +165,7 @@ _PICTURES = (
 
 
 def make_folder(rng: Random) -> list[tuple[str, bytes]]:
-    """Give files of a folder: pictures and landmark files, of names that may not agree."""
+    """Make the files of a folder: images and landmark files, whose names may not match."""
     files = [(one_of(rng, _PICTURES), _picture()) for _ in range(int(rng.integers(1, 4)))]
     for _ in range(int(rng.integers(1, 4))):
         suffix = one_of(rng, list(_WORDS))
@@ -181,7 +181,7 @@ def _picture() -> bytes:
 
 
 def check_folder(files: list[tuple[str, bytes]]) -> None:
-    """Load a folder of such files, and say what was found."""
+    """Load a folder of such files, and make its report."""
     from liaam.datasets import load_folder
 
     folder = Path("folder")

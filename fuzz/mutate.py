@@ -1,4 +1,4 @@
-"""Ways to spoil what is valid: bytes, text and JSON."""
+"""Corruption of valid bytes, text and JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 Random = np.random.Generator
 
 LONGEST = 200_000
-"""Bytes of an input at most: enough for whatever takes the square of its length to be seen."""
+"""Maximum size of an input in bytes, enough to detect code with quadratic time."""
 
 BYTES = (
     b"\0",
@@ -32,7 +32,7 @@ NUMBERS = (
     *(b"1e999", b"-1e999", b"nan", b"NaN", b"Infinity", b"-Infinity", b"5e-324", b"1_0", b"0x10", b"1e", b"\xd9\xa3"),
     *(b"9" * 30, b"9" * 5000, b"0." + b"0" * 400 + b"1", b"", b"-0", b"1.5", b"1000000000"),
 )
-"""What stands where a number should."""
+"""Replacements for a number."""
 
 TEXTS = (
     "",
@@ -72,25 +72,25 @@ VALUES = (
     ),
     *TEXTS,
 )
-"""What stands anywhere in JSON."""
+"""Replacements for any JSON value."""
 
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
 def one_of(rng: Random, values: Sequence[Any]) -> Any:
-    """Draw one value of several, of any types."""
+    """Draw one of several values of any type."""
     return values[int(rng.integers(len(values)))]
 
 
 def spoilt(rng: Random, corpus: Sequence[bytes], words: Sequence[bytes] = ()) -> bytes:
-    """Give one of some valid files with a few faults, or now and then without any.
+    """Return one of some valid files with a few faults, or sometimes without any.
 
     Parameters
     ----------
     rng : numpy.random.Generator
     corpus : sequence of bytes
     words : sequence of bytes
-        What the format is made of, to be put in anywhere.
+        Tokens of the format, to insert anywhere.
     """
     data = one_of(rng, corpus)
     for _ in range(int(rng.geometric(0.45)) - (rng.random() < 0.05)):
@@ -99,7 +99,7 @@ def spoilt(rng: Random, corpus: Sequence[bytes], words: Sequence[bytes] = ()) ->
 
 
 def _span(rng: Random, data: bytes) -> tuple[int, int]:
-    """Beginning and end of a part, most often a short one."""
+    """Draw the beginning and end of a part, usually a short one."""
     begin = int(rng.integers(len(data) + 1))
     return begin, begin + min(int(rng.geometric(0.5 ** rng.integers(1, 10))), len(data) - begin)
 
@@ -128,7 +128,7 @@ def _take_out(rng: Random, data: bytes, _corpus: object, _words: object) -> byte
 
 
 def _repeat(rng: Random, data: bytes, _corpus: object, words: Sequence[bytes]) -> bytes:
-    """Repeat a part or a word, a few times, or now and then so often that a slow way to read it shows."""
+    """Repeat a part or a word a few times, or sometimes often enough to reveal slow parsing."""
     begin, end = _span(rng, data)
     part = one_of(rng, words) if words and rng.random() < 0.3 else data[begin:end]
     most = LONGEST // 2 // max(len(part), 1) if rng.random() < 0.02 else 10
@@ -152,7 +152,7 @@ _FAULTS = (_change_bits, _put_bytes, _cut_short, _take_out, _repeat, _join, _put
 
 
 def spoilt_json(rng: Random, documents: Sequence[Any]) -> bytes:
-    """Give one of some JSON documents with values replaced, taken away, doubled or nested, as bytes."""
+    """Return one of some JSON documents with values replaced, taken away, doubled or nested, as bytes."""
     document = json.loads(json.dumps(one_of(rng, documents)))
     for _ in range(int(rng.geometric(0.5))):
         document = _spoil(rng, document)
@@ -160,15 +160,15 @@ def spoilt_json(rng: Random, documents: Sequence[Any]) -> bytes:
 
 
 def _spoil(rng: Random, value: Any) -> Any:
-    """Spoil a value of a document, or something in it."""
+    """Corrupt a value of a document, or a value inside it."""
     if not isinstance(value, list | dict) or not value or rng.random() < 0.1:
-        # A copy: what is spoilt next may be this value, and the next case's must be whole.
+        # A copy, because later corruption may change this value, and the next case needs the original.
         return _nested(rng, value) if rng.random() < 0.05 else deepcopy(one_of(rng, VALUES))
     key = one_of(rng, list(value) if isinstance(value, dict) else range(len(value)))
     if rng.random() < 0.1:
         del value[key]
     elif rng.random() < 0.05 and isinstance(value, list):
-        most = 2 if isinstance(value[key], list | dict) else 1000  # what holds others would grow beyond all bounds
+        most = 2 if isinstance(value[key], list | dict) else 1000  # nested values would grow exponentially
         value[key:key] = value[key : key + 1] * int(rng.integers(1, most))
     elif rng.random() < 0.05 and isinstance(value, dict):
         value[one_of(rng, TEXTS)] = value.pop(key)

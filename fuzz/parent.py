@@ -1,4 +1,4 @@
-"""The parent: it gives cases to child processes, looks at the clock, and notes how children die."""
+"""The parent process: distributes cases to child processes, enforces the time limit, and records how children end."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from pathlib import Path
 from fuzz.worker import TRACE, Failure, Job, Limits, Progress, work
 
 CHUNK = 1000
-"""Cases that a child does before it is given others."""
+"""Number of cases per job of a child."""
 
 _LOOK = 0.05
-"""Seconds between looks at the clock."""
+"""Seconds between checks of the time limit."""
 
 _SCRATCH = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-"""Where children have their folders: in memory, or files would take most of the time."""
+"""Parent of the children's folders, in memory for speed."""
 
 _PREPARING = 300.0
-"""Seconds that a child may prepare itself."""
+"""Time limit for the preparation of a child, in seconds."""
 
 _SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @dataclass
 class Tally:
-    """What became of a target's cases."""
+    """Results of a target's cases."""
 
     cases: int = 0
     returned: int = 0
@@ -42,7 +42,7 @@ class Tally:
     growth: int = 0
     """Bytes."""
     seconds: float = 0.0
-    """Of children, imports and all."""
+    """Total time of children, including imports, in seconds."""
     failures: list[Failure] = field(default_factory=list)
 
 
@@ -53,20 +53,20 @@ def run(jobs: Iterable[Job], n_children: int, limits: Limits | None = None) -> d
     ----------
     jobs : iterable of Job
     n_children : int
-        Processes side by side.
+        Number of parallel processes.
     limits : Limits, optional
 
     Returns
     -------
     dict of str to Tally
-        By target.
+        Results by target.
     """
     waiting = deque(part for job in jobs for part in _parts(job))
     tallies: dict[str, Tally] = defaultdict(Tally)
     children: list[_Child] = []
     try:
         while waiting or any(child.job for child in children):
-            children = [child for child in children if child.alive or child.job]  # the dead have to be looked at
+            children = [child for child in children if child.alive or child.job]  # also check ended ones
             idle = [child for child in children if child.job is None]
             while waiting and (idle or len(children) < n_children):
                 if not idle:
@@ -89,10 +89,10 @@ def _parts(job: Job) -> Iterator[Job]:
 
 
 class _Child:
-    """A child process, its folder, and what it works on."""
+    """A child process, its folder and its job."""
 
     def __init__(self, limits: Limits) -> None:
-        spawn = get_context("spawn")  # nothing of the parent's, not even its memory
+        spawn = get_context("spawn")  # share nothing with the parent, not even memory
         self.limits = limits
         self.job: Job | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="liaam-fuzz-", dir=_SCRATCH)
@@ -108,7 +108,7 @@ class _Child:
 
     @property
     def ends(self) -> tuple:
-        """What to wait for: an answer, or the child's death."""
+        """Objects to wait for: an answer, or the end of the child."""
         return self._pipe, self._process.sentinel
 
     @property
@@ -116,13 +116,13 @@ class _Child:
         return self._process.is_alive()
 
     def give(self, job: Job) -> None:
-        """Begin a job."""
+        """Start a job."""
         self.job, self._begin = job, time.monotonic()
-        with contextlib.suppress(BrokenPipeError):  # it has died: the next look will tell
+        with contextlib.suppress(BrokenPipeError):  # it has ended, which the next check detects
             self._pipe.send(job)
 
     def look(self, tallies: dict[str, Tally]) -> Job | None:
-        """Note what has happened; gives what is left of the job where the child has ended or is ended."""
+        """Record events. Return the rest of the job if the child has ended or is stopped."""
         assert self.job is not None
         job, tally = self.job, tallies[self.job.name]
         try:
@@ -132,7 +132,7 @@ class _Child:
                     tally.failures.append(answer)
                 else:
                     return self._ended(tally, answer)
-        except (EOFError, OSError):  # it is dead, or about to be
+        except (EOFError, OSError):  # it has ended, or is about to
             self._process.join()
         if self._process.is_alive():
             late = self._is_late()
@@ -150,7 +150,7 @@ class _Child:
         return self._ended(tally, case + 1)
 
     def end(self) -> None:
-        """End the child, whatever it does."""
+        """End the child, and kill it if it is busy."""
         if self._process.is_alive() and self.job is None:
             with contextlib.suppress(OSError):
                 self._pipe.send(None)
@@ -161,7 +161,7 @@ class _Child:
         self._folder.cleanup()
 
     def _ended(self, tally: Tally, upto: int) -> Job | None:
-        """Count what was done of the job; gives the rest, for another child."""
+        """Count the finished cases of the job. Return the rest, for another child."""
         assert self.job is not None
         job, progress = self.job, self._progress
         self.job = None
@@ -190,7 +190,7 @@ class _Child:
         return same and (spent > self.limits.seconds or taken > 5 * self.limits.seconds)
 
     def _stop(self) -> None:
-        """Have the child say where it is, and kill it."""
+        """Make the child dump its traceback, and kill it."""
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._process.pid or 0, signal.SIGUSR1)
         time.sleep(0.1)
@@ -214,7 +214,7 @@ def _processor_time(pid: int | None) -> float:
 
 @contextlib.contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Set variables for children that are started meanwhile."""
+    """Set environment variables for children started in the block."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

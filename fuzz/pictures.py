@@ -1,4 +1,4 @@
-"""Pictures of all formats, RAW files and videos among them: headers, pixels, and files that were cut short."""
+"""Images of all formats, including RAW files, and videos: corrupt headers and pixels, and truncated files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fuzz.mutate import Random, one_of, spoilt
 from fuzz.target import Target
 
 MOST = 4_000_000
-"""Pixels that may be decoded: a case's time and memory are the code's then, not the picture's."""
+"""Limit on decoded pixels, so that time and memory of a case depend on the code, not on the image."""
 
 _WORDS = {
     ".png": (b"IHDR", b"IDAT", b"PLTE", b"tRNS", b"eXIf", b"iCCP", b"zTXt", b"acTL", b"IEND", b"\x89PNG\r\n\x1a\n"),
@@ -51,7 +51,7 @@ def _noise(height: int, width: int, channels: int, dtype: str = "uint8") -> np.n
 
 @cache
 def corpus(suffix: str) -> tuple[bytes, ...]:
-    """Valid pictures of a format."""
+    """Valid images of a format."""
     return {".png": _pngs, ".jpg": _jpegs, ".tif": _tiffs, ".bmp": _bmps, ".ppm": _pnms, ".dng": _dngs}[suffix]()
 
 
@@ -119,7 +119,7 @@ def _pnms() -> tuple[bytes, ...]:
 
 
 def _dngs() -> tuple[bytes, ...]:
-    """A DNG by hand: RGGB cells of 16 bits, not compressed."""
+    """Make an uncompressed 16-bit DNG with RGGB cells."""
     pixels = _noise(32, 48, 1, "uint16").astype("<u2").tobytes()
     ones = [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]
     short, long, text, byte, rational, signed = 3, 4, 2, 1, 5, 10
@@ -150,13 +150,13 @@ def _dngs() -> tuple[bytes, ...]:
 
 
 def make(suffix: str, rng: Random) -> bytes:
-    """Spoil a picture; of a PNG with sums that are right, so that what lies behind them is reached."""
+    """Corrupt an image. A PNG keeps valid checksums, so that decoders read past them."""
     data = spoilt(rng, corpus(suffix), _WORDS[suffix])
     return _with_sums(data) if suffix == ".png" and rng.random() < 0.7 else data
 
 
 def _with_sums(data: bytes) -> bytes:
-    """Give the chunks of a PNG the check sums that belong to them."""
+    """Recompute the checksums of a PNG's chunks."""
     whole, at = data[:8], 8
     while at + 12 <= len(data):
         size = int.from_bytes(data[at : at + 4], "big")
@@ -169,7 +169,7 @@ def _with_sums(data: bytes) -> bytes:
 
 
 def check(data: bytes) -> None:
-    """Decode it; what comes is a picture of the size that its header says."""
+    """Decode it. The image must have the size in its header."""
     from liaam.io import decode_image, encoded_size
 
     image = decode_image(data, "x", MOST)
@@ -178,7 +178,7 @@ def check(data: bytes) -> None:
 
 
 def check_file(suffix: str, data: bytes) -> None:
-    """Read it from a file, and in small."""
+    """Read it from a file, also as a preview."""
     from liaam.io import image_size, read_image, read_preview
 
     path = Path(f"x{suffix}")
@@ -232,12 +232,12 @@ def videos() -> tuple[bytes, ...]:
 
 
 def make_video(rng: Random) -> bytes:
-    """Spoil a video."""
+    """Corrupt a video."""
     return spoilt(rng, videos(), _VIDEO_WORDS)
 
 
 def check_video(data: bytes) -> None:
-    """Read its first frames, from the beginning or later."""
+    """Read its first frames, or later ones."""
     from liaam.io import VideoReader
 
     path = Path("x.mp4")
@@ -253,7 +253,7 @@ def _prepare_videos() -> None:
 
 
 def make_file(rng: Random) -> bytes:
-    """Spoil a picture of any format."""
+    """Corrupt an image of any format."""
     return make(one_of(rng, [suffix for suffix in _WORDS if suffix != ".dng"]), rng)
 
 

@@ -1,4 +1,4 @@
-"""Requests to the studio: hostile paths, headers and bodies, past the server's own parser straight to its door."""
+"""Hostile requests to the studio: paths, headers and bodies, passed directly to the application."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _BODIES = (
 
 
 class Request(NamedTuple):
-    """A request as the server has parsed it."""
+    """A parsed request."""
 
     method: str
     target: bytes
@@ -63,7 +63,7 @@ class Request(NamedTuple):
 
 
 def make(rng: Random) -> Request:
-    """Give a request with some faults, most often from one who knows the token."""
+    """Make a request with some faults, usually with a valid token."""
     target = one_of(rng, _TARGETS) if rng.random() < 0.5 else _visible(spoilt(rng, _TARGETS, _WORDS)[:2000])
     method = one_of(rng, ("GET", "GET", "PUT", "POST", "POST", "DELETE", "HEAD", "OPTIONS", "PATCH", "X"))
     headers = [(b"host", HOST.encode()), (b"authorization", f"Bearer {TOKEN}".encode())]
@@ -84,7 +84,7 @@ def make(rng: Random) -> Request:
 
 
 def _visible(target: bytes) -> bytes:
-    """Target as the server lets it in: of visible ASCII."""
+    """Restrict a target to visible ASCII, as the server does."""
     return bytes(byte for byte in target if 0x21 <= byte <= 0x7E)
 
 
@@ -97,7 +97,7 @@ def _png() -> bytes:
 
 @cache
 def _app(folder: str) -> Any:
-    """Give the studio on a folder of one picture."""
+    """Return the studio on a folder of one image."""
     from fuzz.engine import tiny
     from liaam.studio.app import make_app, make_studio
     from liaam.studio.settings import Settings
@@ -142,7 +142,7 @@ async def _answer(app: Any, request: Request) -> tuple[int, dict[bytes, bytes], 
 
 
 def check(request: Request) -> None:
-    """Ask; what goes wrong is told with a sentence, and is never the studio's own fault."""
+    """Send a request. Errors must have a message, and must not be server errors."""
     from liaam.errors import LiaamError
 
     status, headers, body = asyncio.run(_answer(_app(str(Path.cwd())), request))
@@ -155,7 +155,7 @@ def check(request: Request) -> None:
 
 
 def prepare() -> None:
-    """Put the studio together, and ask for each thing once."""
+    """Create the studio, and request each resource once."""
     for target in _TARGETS:
         for method, body in (("GET", b""), ("POST", b"{}"), ("POST", json.dumps(_BODIES[2]).encode())):
             headers = [(b"host", HOST.encode()), (b"authorization", f"Bearer {TOKEN}".encode())]

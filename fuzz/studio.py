@@ -1,4 +1,4 @@
-"""What the studio keeps in a project's folder, templates among it."""
+"""The studio's files in a project folder, including templates."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _WORDS = (b"[", b"]", b"{", b"}", b'"', b",", b":", b"null", b"NaN", b"1e999", b
 
 
 def make_state(rng: Random) -> tuple[str, bytes]:
-    """Give the name of one of the studio's files, and spoil what it holds."""
+    """Make the name and the corrupted content of one of the studio's files."""
     name = one_of(rng, list(_FILES))
     if rng.random() < 0.3:
         return name, spoilt(rng, [json.dumps(document).encode() for document in _FILES[name]], _WORDS)
@@ -58,7 +58,7 @@ def make_state(rng: Random) -> tuple[str, bytes]:
 
 
 def check_state(given: tuple[str, bytes]) -> None:
-    """Open the project and show all of it; a damaged file is told and passed over."""
+    """Open the project and show all of it. A damaged file must be reported and skipped."""
     from liaam.studio.model_store import ModelStore, load_studio_model
     from liaam.studio.project import Project
 
@@ -71,7 +71,7 @@ def check_state(given: tuple[str, bytes]) -> None:
     overview = project.overview()
     answers: list[Any] = [overview.pictures, project.template_json(), project.problems, project.id]
     answers += [project.marks(picture["name"]) for picture in overview.pictures]
-    json.dumps(answers, allow_nan=False).encode()  # what the page is told
+    json.dumps(answers, allow_nan=False).encode()  # as sent to the page
     if project.template is not None and len(project.template) == 3:
         project.save_marks("p1.png", {"points": POINTS, "invisible": [], "revision": None})
     if project.problems:
@@ -79,7 +79,7 @@ def check_state(given: tuple[str, bytes]) -> None:
 
 
 def _fresh(root: Path) -> None:
-    """Make a project of two small pictures, as if it were new."""
+    """Make a new project with two small images."""
     shutil.rmtree(root, ignore_errors=True)
     (root / ".liaam-studio").mkdir(parents=True)
     for name in ("p1.png", "p2.png"):
@@ -94,7 +94,7 @@ def _png() -> bytes:
 
 
 def check_template(data: bytes) -> None:
-    """Read a template that was sent, and give it as JSON again."""
+    """Read an uploaded template, and convert it to JSON."""
     from liaam.studio.template import parse_template
 
     try:

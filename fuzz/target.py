@@ -1,4 +1,4 @@
-"""What is fuzzed: a way to make hostile inputs, and the code that gets them."""
+"""Targets of the fuzzer: generators of inputs, and the code that receives them."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ def _nothing() -> None:
 
 @dataclass(frozen=True)
 class Target:
-    """Code that reads what may come from anywhere.
+    """Code that reads untrusted input.
 
-    The property: :attr:`check` returns, or raises a LiaamError, within the limits on time and memory.
+    Property: :attr:`check` returns or raises a LiaamError within the limits on time and memory.
     """
 
     name: str
-    """What the command line calls it."""
+    """Name on the command line."""
     make: Callable[[np.random.Generator], Any]
-    """Makes an input, most often bytes, of random numbers and nothing else: the same numbers give the same input."""
+    """Makes an input, usually bytes, that depends only on the random numbers."""
     check: Callable[[Any], object]
-    """Feeds an input to the code, and asserts what else has to hold. The working folder is empty and its own."""
+    """Passes an input to the code and asserts further properties. Its working folder is empty."""
     prepare: Callable[[], object] = _nothing
-    """Done once in each process, before time and memory count: imports, compilation, models."""
+    """Called once per process, outside the limits: imports, compilation, models."""
     suffix: str = ".bin"
-    """Ending of the files that failing inputs are kept in."""
+    """Suffix of the files of failing inputs."""
     share: float = 1.0
-    """Share of the cases of ``all``, against 1 of the others: less for what is slow."""
+    """Relative number of cases in ``all``; less than 1 for slow targets."""
 
     def input_of(self, seed: int, case: int) -> Any:
-        """Make the input of a case: it depends on target, seed and number alone."""
+        """Make the input of a case. It depends only on target, seed and number."""
         return self.make(np.random.default_rng([seed, zlib.crc32(self.name.encode()), case]))
 
 

@@ -1,4 +1,4 @@
-"""A child process that runs cases, and may die of them."""
+"""A child process that runs cases, and may crash."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from fuzz.target import MODULES, Target, targets_of
 from liaam.errors import LiaamError
 
 TRACE = "trace.txt"
-"""File in the child's folder that tells where it was when it crashed or was stopped."""
+"""File in the child's folder with the traceback of a crash or stop."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a case may take."""
+    """Limits of a case."""
 
     seconds: float = 2.0
-    """Processor time; five times as much by the clock, which also runs while others have the processor."""
+    """Processor time. The wall-clock limit is five times as much."""
     n_bytes: int = 10**9
-    """Resident memory, beyond that of a child that is prepared."""
+    """Resident memory, in addition to that of a prepared child."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class Job:
     first: int
     stop: int
     modules: tuple[str, ...] = MODULES
-    """Where the target is looked for."""
+    """Modules that may define the target."""
     keep_in: str | None = None
-    """Folder to write the inputs to; they are not run then."""
+    """Folder to write the inputs to instead of running them."""
 
     @property
     def target(self) -> Target:
@@ -59,17 +59,17 @@ class Failure:
     seed: int
     case: int
     kind: str
-    """exception, time, memory, the name of a signal, or making: the input could not be made."""
+    """exception, time, memory, the name of a signal, or making (of the input)."""
     what: str
-    """An error and where, in a few lines."""
+    """The error and its place, in a few lines."""
 
 
 class Progress(ctypes.Structure):
-    """How far a child is, in memory that its parent sees, so that it survives the child."""
+    """Progress of a child, in memory shared with its parent, so that it survives the child."""
 
     _fields_ = (
-        ("case", ctypes.c_int64),  # under way, or -1
-        ("wall", ctypes.c_double),  # when it began, seconds
+        ("case", ctypes.c_int64),  # current case, or -1
+        ("wall", ctypes.c_double),  # start time, seconds
         ("processor", ctypes.c_double),
         ("returned", ctypes.c_int64),
         ("refused", ctypes.c_int64),
@@ -79,7 +79,7 @@ class Progress(ctypes.Structure):
 
 
 def work(pipe: Connection, progress: Any, limits: Limits, folder: str) -> None:
-    """Do jobs until there is none; the answer to each is the first case that was not done, after its failures."""
+    """Run jobs until there are none. Answer each with its failures and the first case that was not run."""
     os.chdir(folder)
     quiet = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
@@ -92,7 +92,7 @@ def work(pipe: Connection, progress: Any, limits: Limits, folder: str) -> None:
         try:
             for job in iter(pipe.recv, None):
                 pipe.send(_keep(job) if job.keep_in else _run(job, pipe, progress, limits))
-        except Exception:  # the target's making or preparing, or this module: no case's fault
+        except Exception:  # raised by preparation or by this module, not by a case
             traceback.print_exc(file=trace)
             raise
 
@@ -109,7 +109,7 @@ def _keep(job: Job) -> int:
 def _run(job: Job, pipe: Connection, progress: Any, limits: Limits) -> int:
     target, folder = job.target, Path(job.name)
     folder.mkdir(exist_ok=True)
-    with contextlib.chdir(folder):  # targets do not find each other's files
+    with contextlib.chdir(folder):  # separate the files of targets
         return _run_there(job, target, pipe, progress, limits)
 
 
@@ -118,17 +118,17 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
     _forget_peak()
     base, size = _memory("VmRSS"), _memory("VmSize")
     _, hardest = resource.getrlimit(resource.RLIMIT_AS)
-    # Twice the limit: addresses that are asked for and never used are no memory, and the machine must live.
+    # Twice the limit, because reserved addresses are not memory, but the machine must keep working.
     resource.setrlimit(resource.RLIMIT_AS, (size + 2 * limits.n_bytes, hardest))
     try:
         for case in range(job.first, job.stop):
             try:
                 data = target.input_of(job.seed, case)
-            except Exception as error:  # the fuzzer's own fault, which must not cost what is known of other cases
+            except Exception as error:  # an error of the fuzzer, which must not lose the results of other cases
                 pipe.send(Failure(job.name, job.seed, case, "making", _in_short(error)))
                 continue
             progress.wall, progress.processor = time.monotonic(), time.process_time()
-            progress.case = case  # from here on the parent looks at the clock
+            progress.case = case  # from here on the parent enforces the time limit
             fault = _fault_of(target, data, progress)
             progress.slowest = max(progress.slowest, time.process_time() - progress.processor)
             progress.case = -1
@@ -138,7 +138,7 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
                 fault = "memory", f"{growth / 1e6:.0f} MB more than before"
             if fault is not None:
                 pipe.send(Failure(job.name, job.seed, case, *fault))
-                if fault[0] == "memory":  # what it has left behind is not the next case's
+                if fault[0] == "memory":  # do not count its memory for the next case
                     return case + 1
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (hardest, hardest))
@@ -146,7 +146,7 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
 
 
 def _fault_of(target: Target, data: Any, progress: Any) -> tuple[str, str] | None:
-    """Run a case; gives the kind of a fault and what it is."""
+    """Run a case. Return the kind and description of a fault, if any."""
     try:
         target.check(data)
     except LiaamError as error:
@@ -163,7 +163,7 @@ def _fault_of(target: Target, data: Any, progress: Any) -> tuple[str, str] | Non
 
 
 def _lacked_memory(error: BaseException | None) -> bool:
-    """Whether an error stands for memory that could not be had; -4 is OpenCV's number for it."""
+    """Return whether an error means out of memory; -4 is OpenCV's code for it."""
     while error is not None:
         if isinstance(error, MemoryError) or getattr(error, "code", None) == -4:
             return True
@@ -172,7 +172,7 @@ def _lacked_memory(error: BaseException | None) -> bool:
 
 
 def _in_short(error: BaseException) -> str:
-    """Error, and the frames that it came through, the innermost last."""
+    """Format an error and its stack frames, innermost last."""
     places = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in traceback.extract_tb(error.__traceback__)[1:]]
     message = str(error).encode("ascii", "backslashreplace").decode()
     return f"{type(error).__name__}: {message[:200]}\n{' '.join(places[-6:])}"
