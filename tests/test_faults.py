@@ -98,7 +98,7 @@ def test_a_full_disk_is_one_sentence_and_leaves_what_was_there(world, clip, run,
     with full_disk():
         status, said, error = run(*(word.format(**words) for word in line.split()))
     assert status == 1, said + error
-    assert "check the rights and the free space" in error.replace("the name, ", "")
+    assert "check the permissions and the free space" in error.replace("the name, ", "")
     assert error.startswith("error: ") and error.count("\n") == 1
     kept = {path: path.read_bytes() for path in out.iterdir() if path.suffix not in (".pts", ".json") or path in before}
     assert kept == before
@@ -114,7 +114,7 @@ def test_a_batch_goes_on_once_there_is_space(world, tmp_path, suffix):
             limits[-1].__enter__()
 
     for _ in range(2):  # while it fits, and while it writes the table
-        with pytest.raises(LiaamError, match="check the rights and the free space"):
+        with pytest.raises(LiaamError, match="check the permissions and the free space"):
             batch_of(world, output, progress=fill_up)
         limits.pop().__exit__(None, None, None)
         assert names_in(tmp_path)[0] == f"r{suffix}.parts" and f"r{suffix}" not in names_in(tmp_path)
@@ -328,7 +328,7 @@ def outcome(world, half_done, folder, files):
     try:
         summary = batch_of(world, folder / "r.jsonl")
     except LiaamError as error:
-        assert "begin anew" in str(error), error
+        assert "start again" in str(error), error
         assert not (folder / "r.jsonl").exists()
         return "refused"
     assert [without_seconds(text) for text in lines_of(folder / "r.jsonl")] == half_done.rows

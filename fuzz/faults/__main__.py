@@ -15,7 +15,6 @@ from fuzz.faults.commands import Kind, World, fresh, kinds, make_world
 from fuzz.faults.studio import StudioSaves
 from fuzz.faults.victim import of_command
 
-
 TOLD = 30.0
 """Seconds between two lines on how far it is."""
 

@@ -609,7 +609,7 @@ def test_a_folder_that_may_not_be_read_is_passed_over_and_named(locked, pattern)
     assert [os.path.relpath(path, locked) for path in found] == ["open/1.png"]
     deep = set() if pattern == "*/1.png" else {"open/deep/closed"}
     assert {os.path.relpath(path, locked) for path in closed} == {"closed", *deep}
-    with pytest.warns(UserWarning, match=r"closed cannot be read, so it is passed over"):
+    with pytest.warns(UserWarning, match=r"skipped .*closed: it cannot be read"):
         assert list(find_pictures(f"{locked}/{pattern}")) == found
 
 

@@ -188,7 +188,7 @@ def test_fit_takes_a_folder_of_starts(run, portraits, model_file, tmp_path):
     assert "face1.png" in out
     code, _, err = run("fit", model_file, portraits[1], "--init", portraits[0], "-o", tmp_path)
     assert code == 1
-    assert "no landmark file for it (new.pts" in err
+    assert "holds no landmark file for it; add one such as new.pts" in err
 
 
 def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tmp_path):

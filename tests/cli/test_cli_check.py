@@ -123,7 +123,7 @@ def test_names_are_printed_as_they_are(run, scenes, order, tmp_path):
 def test_check_needs_some_pictures(run, good, tmp_path):
     code, _, err = run("check", good, "--images", "face[0-3]*")
     assert code == 1
-    assert "4 landmarked pictures are too few" in err
+    assert "4 landmarked images are too few" in err
     assert "does not exist" in run("check", tmp_path / "none")[2]
 
 
