@@ -331,6 +331,29 @@ def test_a_name_that_no_file_can_have_is_one_line(run, portraits, model_file, tm
     assert err.startswith("error: ") and len(err.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fit", "{model}", "loop.png", "--init", "1,2,3"],
+        ["invariant", "loop.png"],
+        ["invariant", "{picture}", "--camera", "loop.json"],
+        ["relight", "loop.liaam", "{picture}", "-o", "loop.png"],
+        ["register", "loop.png", "loop.png", "-o", "loop.png"],
+        ["calibrate", "noise", "loop.png", "-o", "loop.json"],
+        ["check", "loop", "-o", "loop.png"],
+        ["track", "{model}", "loop.mp4", "-o", "loop.csv"],
+    ],
+    ids=" ".join,
+)
+def test_a_link_that_leads_to_itself_is_one_line(run, portraits, model_file, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    for name in ("loop", "loop.png", "loop.json", "loop.liaam", "loop.mp4", "loop.csv"):
+        (tmp_path / name).symlink_to(name)
+    status, _, err = run(*(text.format(model=model_file, picture=portraits[1]) for text in arguments))
+    assert status == 1
+    assert err.startswith("error: ") and len(err.splitlines()) == 1
+
+
 def test_rights_that_are_missing_are_one_line(run, portraits, model_file, monkeypatch):
     def forbidden(*_, **__):
         raise PermissionError(13, "Permission denied", "secret/face.liaam")

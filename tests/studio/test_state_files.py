@@ -31,6 +31,23 @@ def test_numbers_that_no_page_could_read_are_damage(small):
         assert states(project)["p1.png"] == "new" and project.problems
 
 
+def test_half_of_a_surrogate_pair_is_damage(small):
+    change = {"template": {**TRIANGLE, "order": "\ud800"}, "files": []}
+    (small.root / STATE / "change.json").write_text(json.dumps(change))
+    project = Project(small.root)
+    assert any("change.json" in problem for problem in project.problems)
+    assert states(project)["p1.png"] == "new"
+
+
+def test_a_state_file_that_is_a_link_to_itself_is_replaced(small):
+    for name in ("proposals.json", "template.json"):
+        (small.root / STATE / name).unlink(missing_ok=True)
+        (small.root / STATE / name).symlink_to(name)
+    project = Project(small.root)
+    project.save_template(TRIANGLE)
+    assert Project(small.root).template is not None
+
+
 @pytest.mark.parametrize("name", ["../evil.ljson", "/tmp/evil.ljson", "p1.png", "sub/x.pts", 7])
 def test_a_change_writes_landmark_files_of_the_folder_only(small, name):
     item = {"file": name, "before": None, "text": "evil", "invisible": []}

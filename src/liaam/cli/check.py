@@ -9,6 +9,7 @@ import typer
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, read_folder
 from liaam.cli.terminal import cell, complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError
+from liaam.io.files import real_path
 from liaam.progress import Progress
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
     from liaam.io import make_folder, write_image
     from liaam.plotting import overlay_of_faults
 
-    if output.resolve().is_relative_to(folder.resolve()):
+    if real_path(output).is_relative_to(real_path(folder)):
         raise LiaamError(f"{output} is inside the folder to check, which is never changed; give another folder with -o")
     reordered = 0
     for sample, own in faults:

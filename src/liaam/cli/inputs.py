@@ -8,6 +8,7 @@ import typer
 
 from liaam.cli.terminal import say
 from liaam.errors import CameraError, LiaamError
+from liaam.io.files import real_path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,7 +73,7 @@ def unique_stems(images: list[Path]) -> list[str]:
     taken: set[str] = set()
     names = []
     for image, stem in zip(images, stems, strict=True):
-        name = stem if stems.count(stem) == 1 else f"{image.resolve().parent.name}_{image.name.replace('.', '_')}"
+        name = stem if stems.count(stem) == 1 else f"{real_path(image).parent.name}_{image.name.replace('.', '_')}"
         while name in taken:
             name += "_"
         taken.add(name)
@@ -130,7 +131,7 @@ def check_camera_output(output: Path, start: Path | None, inputs: Sequence[Path]
     check_output(output)
     if output.suffix.lower() != ".json":
         raise CameraError(f"{output}: a camera file ends in .json, such as camera.json")
-    if output.exists() and (start is None or start.resolve() != output.resolve()):
+    if output.exists() and (start is None or real_path(start) != real_path(output)):
         raise CameraError(f"{output} exists; add --camera {output} to update it, or give another name with -o")
     refuse_inputs([check_picture(output)], inputs)
 
@@ -143,7 +144,7 @@ def check_picture(output: Path) -> Path:
 def refuse_inputs(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
     """Raise if an output would overwrite an input."""
     for path in outputs:
-        if path.resolve() in {other.resolve() for other in inputs}:
+        if real_path(path) in {real_path(other) for other in inputs}:
             raise LiaamError(f"{path} is one of the input images; give another name with -o")
 
 

@@ -15,6 +15,7 @@ import typer
 from liaam.cli.inputs import camera_for, check_output, read_init
 from liaam.cli.terminal import INTERRUPTED, complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
+from liaam.io.files import real_path
 from liaam.progress import Progress
 
 if TYPE_CHECKING:
@@ -183,9 +184,9 @@ def check_outputs(output: Path | None, annotated: Path | None, shading_free: Pat
     for path in (annotated, shading_free):
         if path is not None:
             check_video_name(path)
-    if len({path.resolve() for path in paths}) < len(paths):
+    if len({real_path(path) for path in paths}) < len(paths):
         raise LiaamError(f"{paths[0]}: two outputs have the same name; give different names")
-    if isinstance(source, Path) and source.resolve() in {path.resolve() for path in paths}:
+    if isinstance(source, Path) and real_path(source) in {real_path(path) for path in paths}:
         raise LiaamError(f"{source} is the input video; give the output another name")
     for path in (annotated, shading_free):
         if path is not None and path.exists() and not is_video(path):

@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from liaam.errors import LiaamError
+from liaam.io.files import real_path
 
 try:
     import fcntl
@@ -58,7 +59,7 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
     LiaamError
         Of class `error`, if the folder is missing or writing fails. The target is then unchanged.
     """
-    target = Path(os.path.realpath(path))
+    target = real_path(path)
     if target.is_dir():
         raise error(f"{path} cannot be written: it is a folder. Give a file name.")
     if not target.parent.is_dir():

@@ -33,6 +33,11 @@ def writable(text: str) -> str:
     return text.encode("utf-8", "replace").decode("utf-8")
 
 
+def real_path(path: str | os.PathLike[str]) -> Path:
+    """Resolve links, as far as they lead anywhere; unlike :meth:`Path.resolve`, takes links that lead in a circle."""
+    return Path(os.path.realpath(path))
+
+
 def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:
     """Check that a file exists and is not empty.
 

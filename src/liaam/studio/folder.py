@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from liaam.errors import ImageError, LiaamError
+from liaam.io.files import real_path
 from liaam.studio.safety import Refusal
 
 STATE = ".liaam-studio"
@@ -28,7 +29,7 @@ class Folder:
 
     def leads_inside(self, path: Path) -> bool:
         """Whether a path stays in the folder and outside the studio's own subfolder."""
-        real = Path(os.path.realpath(path))
+        real = real_path(path)
         return real.is_relative_to(self.root) and STATE not in real.relative_to(self.root).parts
 
     def inside(self, name: str) -> Path:
@@ -76,7 +77,7 @@ def checked_folder(folder: str | os.PathLike[str]) -> Path:
         raise ImageError(f"{folder} cannot be read ({fault.strerror or fault}): check the rights on it.") from fault
     if not os.access(folder, os.W_OK | os.X_OK):
         raise ImageError(f"{folder} cannot be written to: check the rights on it; landmarks are saved beside pictures.")
-    return folder.resolve()
+    return real_path(folder)
 
 
 def remove(path: Path) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 
 from liaam.errors import LiaamError
 from liaam.io.atomic import sweep, write_bytes_atomically
+from liaam.io.files import real_path
 from liaam.studio.folder import STATE, Folder, remove, revision_of
 from liaam.studio.safety import Refusal
 
@@ -63,7 +64,7 @@ class StateFiles:
             409 if it is a link that leads out of the studio's subfolder.
         """
         path = self._folder() / name
-        if not path.resolve().is_relative_to(self.folder.root / STATE):
+        if not real_path(path).is_relative_to(self.folder.root / STATE):
             raise Refusal(409, f"{STATE}/{name} is a link that leads elsewhere, so it is not used: remove it")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -94,7 +95,8 @@ class StateFiles:
                 if not path.is_file():
                     return None
                 content = json.loads(self.path(name).read_bytes())
-                json.dumps(content, allow_nan=False)  # raises for NaN, which the page cannot parse
+                # Raises for NaN, which the page cannot parse, and for lone surrogates, which UTF-8 cannot encode.
+                json.dumps(content, allow_nan=False, ensure_ascii=False).encode()
                 if check(content):
                     return content
                 fault: object = "its contents are not valid"
