@@ -2,7 +2,9 @@
 
 import importlib
 import itertools
+import struct
 import threading
+import time
 from fractions import Fraction
 from pathlib import Path
 
@@ -90,13 +92,19 @@ def test_a_part_of_a_video(video, start, stop, expected):
     assert reader.fault == ""
 
 
-def test_a_video_of_changing_size_is_read(tmp_path):
-    path, data = tmp_path / "sizes.mjpeg", b""
+@pytest.fixture
+def growing(tmp_path) -> Path:
+    """A video whose third frame is larger than the others."""
+    path, data = tmp_path / "grows.mjpeg", b""
     for i, size in enumerate([(48, 64), (48, 64), (96, 128), (48, 64)]):
         write_image(tmp_path / f"{i}.jpg", picture(i, *size))
         data += (tmp_path / f"{i}.jpg").read_bytes()
     path.write_bytes(data)
-    assert [frame.image.shape[:2] for frame in read(path)] == [(48, 64), (48, 64), (96, 128), (48, 64)]
+    return path
+
+
+def test_a_video_of_changing_size_is_read(growing):
+    assert [frame.image.shape[:2] for frame in read(growing)] == [(48, 64), (48, 64), (96, 128), (48, 64)]
 
 
 def noise(seed: int) -> np.ndarray:
@@ -450,3 +458,60 @@ def test_words_in_a_video_that_are_no_text_do_not_keep_it_from_being_read(tmp_pa
     path.write_bytes(data.replace(b"Lavf", b"La\x80f"))
     with VideoReader(path) as frames:
         assert len(list(frames)) == 2
+
+
+def with_header_of(path: Path, width: int, height: int) -> Path:
+    """Write an .avi whose header says a size, in a codec that knows of no other."""
+    import av
+
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("msvideo1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "rgb555le"
+        for i in range(2):
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture(i), format="rgb24").reformat(format="rgb555le")))
+        out.mux(stream.encode())
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<ii", data, data.index(b"strf") + 12, width, height)
+    struct.pack_into("<ii", data, data.index(b"avih") + 40, width, height)
+    path.write_bytes(data)
+    return path
+
+
+def test_a_codec_that_nobody_knows_is_told(tmp_path):
+    path = write(tmp_path / "x.mkv", map(picture, range(3)))
+    path.write_bytes(path.read_bytes().replace(b"V_MPEG4/ISO/AVC", b"V_MPEG4/ISO/XYZ"))
+    with pytest.raises(VideoError, match="codec that FFmpeg does not know"):
+        read(path)
+
+
+@pytest.mark.parametrize("side", [8000, 16_000, 30_000])
+def test_frames_of_too_many_pixels_are_refused_before_they_are_decoded(tmp_path, side):
+    path = with_header_of(tmp_path / "vast.avi", side, side)
+    with pytest.raises(VideoError, match=r"more than 50,000,000 pixels|pixels, more than the 50,000,000 allowed"):
+        read(path)
+
+
+def test_a_frame_that_is_larger_than_the_header_says_is_refused(growing, monkeypatch):
+    monkeypatch.setattr(io_video, "MAX_PIXELS", 7000)
+    with pytest.raises(VideoError, match="frame 2 has 128 x 96 pixels, more than the 7,000 allowed"):
+        read(growing)
+
+
+def test_the_decoder_refuses_what_is_larger_still(growing, monkeypatch):
+    monkeypatch.setattr(io_video, "MAX_PIXELS", 3500)
+    with VideoReader(growing) as reader:
+        assert {frame.image.shape for frame in reader} == {(48, 64, 3)}
+    assert "could not be decoded" in reader.fault
+
+
+def test_fewer_large_frames_are_decoded_ahead(video, monkeypatch):
+    size = picture(0).nbytes
+    for n_bytes, n_ahead in ((1, 1), (3 * size, 3), (10**9, io_video.AHEAD)):
+        monkeypatch.setattr(io_video, "AHEAD_BYTES", n_bytes)
+        with VideoReader(video) as reader:
+            deadline = time.monotonic() + 10
+            while len(reader._queue.queue) < n_ahead and time.monotonic() < deadline:
+                time.sleep(0.01)
+            time.sleep(0.05)
+            assert len(reader._queue.queue) == n_ahead
+            assert len(list(reader)) == N

@@ -30,6 +30,12 @@ VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
 AHEAD = 16
 """Number of frames decoded ahead."""
 
+AHEAD_BYTES = 200_000_000
+"""Bytes of frames decoded ahead, so that there are fewer than :data:`AHEAD` large frames. One frame always fits."""
+
+MAX_PIXELS = 50_000_000
+"""Largest width times height of a frame, checked before it is decoded; 8K has 33 million."""
+
 AHEAD_LIVE = 2
 """The same for a camera, whose older frames are dropped if the reader is slow."""
 
@@ -118,7 +124,7 @@ class VideoReader:
         self.rate = self._source.rate
         self.n_frames = self._expected()
         self.announces, self.ended = bool(self._source.n_frames), False
-        self._queue: queue.Queue[VideoFrame | BaseException | None] = queue.Queue(AHEAD_LIVE if self.live else AHEAD)
+        self._queue = _Ahead(AHEAD_LIVE if self.live else AHEAD)
         self._closed = threading.Event()
         self._n_given, self._all_given = 0, False
         self._thread = threading.Thread(target=self._decode, name=f"decode {self.name}", daemon=True)
@@ -163,6 +169,11 @@ class VideoReader:
         seen = self._source.n_seen
         if seen > self._source.n_damaged:
             return f"{self.name} has only {seen} frames, so none from frame {self._start} on; choose an earlier start"
+        if not self._source.has_size:
+            return (
+                f"{self.name} has no frame of a size that can be decoded: its frames have more than "
+                f"{MAX_PIXELS:,} pixels, or it is damaged; make it smaller, or export it again"
+            )
         return f"{self.name} has no frame that can be decoded: it is damaged or cut short; export it again"
 
     def _decode(self) -> None:
@@ -198,6 +209,31 @@ class VideoReader:
             return
 
 
+class _Ahead(queue.Queue):
+    """Frames that wait to be taken, limited in number and in bytes."""
+
+    def _init(self, maxsize: int) -> None:
+        super()._init(maxsize)
+        self._n_bytes = 0
+
+    def _qsize(self) -> int:
+        n = len(self.queue)
+        return max(n, self.maxsize) if n and self._n_bytes >= AHEAD_BYTES else n
+
+    def _put(self, item: VideoFrame | BaseException | None) -> None:
+        super()._put(item)
+        self._n_bytes += _bytes_of(item)
+
+    def _get(self) -> VideoFrame | BaseException | None:
+        item = super()._get()
+        self._n_bytes -= _bytes_of(item)
+        return item
+
+
+def _bytes_of(item: object) -> int:
+    return item.image.nbytes if isinstance(item, VideoFrame) else 0
+
+
 class _File:
     """A video file through PyAV. Iterates over (seconds, function that returns the image)."""
 
@@ -205,7 +241,7 @@ class _File:
         av = _pyav(f"{path} is a video")
         self.path = existing_file(path, VideoError, "video")
         try:
-            self.container = av.open(str(self.path), metadata_errors="replace")
+            self.container = _open(av, self.path)
         except av.error.FFmpegError as fault:
             raise VideoError(
                 f"{path} is not a video that FFmpeg can open ({fault.strerror}): it has another format or is cut short "
@@ -214,10 +250,29 @@ class _File:
         if not self.container.streams.video or self.container.format.name == "tty":  # FFmpeg takes text for a terminal
             self.container.close()
             raise VideoError(f"{path} has no video stream: give a video file")
-        self._begin(av, self.container.streams.video[0])
+        stream = self.container.streams.video[0]
+        if stream.codec_context is None:
+            self.container.close()
+            raise VideoError(f"{path} has a codec that FFmpeg does not know: export it again, for example as .mp4 with H.264")
+        self._begin(av, stream)
+        self.has_size = bool(stream.width and stream.height)
+        try:
+            self._check_size(stream, "its frames have")
+        except VideoError:
+            self.container.close()
+            raise
+
+    def _check_size(self, what: Any, whose: str) -> None:
+        """Refuse a stream or a frame of too many pixels."""
+        if what.width * what.height > MAX_PIXELS:
+            raise VideoError(
+                f"{self.path}: {whose} {what.width} x {what.height} pixels, more than the {MAX_PIXELS:,} allowed: "
+                "make the video smaller"
+            )
 
     def _begin(self, av: Any, stream: Any) -> None:
         stream.thread_type = "AUTO"
+        stream.codec_context.options = _decoding()
         self.stream, self.errors = stream, av.error.FFmpegError
         self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
         self.n_frames, self.n_packets = self._announced(stream)
@@ -262,7 +317,7 @@ class _File:
     def _pieces(self, count: int) -> list[tuple[int | None, bool]]:
         """Return the time of the first packets in stored order, and whether they are shown, without decoding."""
         av = _pyav(f"{self.path} is a video")
-        with av.open(str(self.path), metadata_errors="replace") as container:
+        with _open(av, self.path) as container:
             pieces = (piece for piece in container.demux(container.streams.video[0]) if piece.size)
             return [(piece.pts, not piece.is_discard) for piece in islice(pieces, count)]
 
@@ -278,7 +333,7 @@ class _File:
     def _reopen(self) -> None:
         av = _pyav(f"{self.path} is a video")
         self.container.close()
-        self.container = av.open(str(self.path), metadata_errors="replace")
+        self.container = _open(av, self.path)
         self._begin(av, self.container.streams.video[0])
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
@@ -287,6 +342,7 @@ class _File:
             for packet in self.container.demux(self.stream):
                 self.n_read += bool(packet.size)
                 for frame in self._frames_of(packet):
+                    self._check_size(frame, f"frame {self.n_seen} has")
                     stamp = float(self.n_seen / self.rate) if frame.time is None else float(frame.time)
                     first = stamp if first is None else first
                     seconds = stamp - first
@@ -331,6 +387,8 @@ class _File:
 class _Device(_File):
     """A camera of Linux through PyAV."""
 
+    has_size = True
+
     def __init__(self, number: int):
         av = _pyav(f"camera {number}")
         self.path = Path(f"/dev/video{number}")
@@ -342,7 +400,7 @@ class _Device(_File):
 class _Capture:
     """A camera through OpenCV."""
 
-    n_frames, n_damaged, damage = None, 0, ""
+    n_frames, n_damaged, damage, has_size = None, 0, "", True
 
     def __init__(self, number: int):
         import cv2
@@ -369,6 +427,17 @@ class _Capture:
 
     def close(self) -> None:
         self.capture.release()
+
+
+def _decoding() -> dict[str, str]:
+    """Options of decoders, which refuse frames of too many pixels."""
+    # Some count what they pad frames with.
+    return {"max_pixels": str(2 * MAX_PIXELS)}
+
+
+def _open(av: Any, path: Path) -> Any:
+    """Open a file. FFmpeg decodes some frames for that, hence the options."""
+    return av.open(str(path), metadata_errors="replace", options=_decoding())
 
 
 def _open_camera(number: int) -> _Device | _Capture:
