@@ -28,6 +28,18 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
+def runs_here() -> bool:
+    """Tell whether the fuzzer runs on this system, and say so if not."""
+    if sys.platform == "linux":
+        return True
+    print(
+        "the fuzzer runs on Linux only: it reads the memory and the time of its processes from /proc; "
+        "run it in a container or a virtual machine",
+        file=sys.stderr,
+    )
+    return False
+
+
 def share_out(targets: dict[str, Target], cases: int) -> dict[str, int]:
     """Distribute a number of cases over the targets."""
     whole = sum(target.share for target in targets.values())
@@ -61,6 +73,8 @@ def report(tallies: dict[str, Tally]) -> list[str]:
 def main(arguments: list[str], modules: tuple[str, ...] = MODULES) -> int:
     """Run the requested targets. Return 1 if anything failed."""
     asked = parser().parse_args(arguments)
+    if not runs_here():
+        return 2
     targets = targets_of(*modules)
     if asked.names == ["list"]:
         print("\n".join(targets))

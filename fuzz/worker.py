@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import faulthandler
 import os
-import resource
 import signal
 import time
 import traceback
@@ -80,6 +79,8 @@ class Progress(ctypes.Structure):
 
 def work(pipe: Connection, progress: Any, limits: Limits, folder: str) -> None:
     """Run jobs until there are none. Answer each with its failures and the first case that was not run."""
+    import resource  # of Unix
+
     os.chdir(folder)
     quiet = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
@@ -114,6 +115,8 @@ def _run(job: Job, pipe: Connection, progress: Any, limits: Limits) -> int:
 
 
 def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits: Limits) -> int:
+    import resource  # of Unix
+
     target.prepare()
     _forget_peak()
     base, size = _memory("VmRSS"), _memory("VmSize")
@@ -129,7 +132,10 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
                 continue
             progress.wall, progress.processor = time.monotonic(), time.process_time()
             progress.case = case  # from here on the parent enforces the time limit
-            fault = _fault_of(target, data, progress)
+            outcome = outcome_of(target, data)
+            progress.returned += outcome == "returned"
+            progress.refused += outcome == "refused"
+            fault = None if isinstance(outcome, str) else outcome
             progress.slowest = max(progress.slowest, time.process_time() - progress.processor)
             progress.case = -1
             growth = _memory("VmHWM") - base
@@ -145,21 +151,19 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
     return job.stop
 
 
-def _fault_of(target: Target, data: Any, progress: Any) -> tuple[str, str] | None:
-    """Run a case. Return the kind and description of a fault, if any."""
+def outcome_of(target: Target, data: Any) -> tuple[str, str] | str:
+    """Run a case. Return "returned" or "refused", or the kind and description of a fault."""
     try:
         target.check(data)
     except LiaamError as error:
         if _lacked_memory(error):
             return "memory", _in_short(error)
-        progress.refused += 1
-        return None
+        return "refused"
     except MemoryError as error:
         return "memory", _in_short(error)
     except BaseException as error:
         return "exception", _in_short(error)
-    progress.returned += 1
-    return None
+    return "returned"
 
 
 def _lacked_memory(error: BaseException | None) -> bool:

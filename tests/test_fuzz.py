@@ -1,11 +1,16 @@
 """Hostile inputs: some hundred cases of every target, and the fuzzer itself, which has to notice whatever happens."""
 
+import sys
+
 import pytest
 
+from fuzz import guided
 from fuzz.__main__ import keep, main, report
 from fuzz.parent import run
 from fuzz.target import MODULES, targets_of
 from fuzz.worker import Job, Limits
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the fuzzer runs on Linux only")
 
 LIMITS = Limits(seconds=0.4, n_bytes=100_000_000)
 HERE = ("hostile_targets",)
@@ -102,3 +107,44 @@ def test_the_command_line_fails_where_a_case_does(capsys, tmp_path):
     assert "--case 5" in out and "1 of 6 cases failed" in out
     assert main(["foreign", "--case", "4", "--jobs", "1", "--keep", str(tmp_path)], HERE) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["foreign-0-5.bin"]
+
+
+@pytest.mark.parametrize("command", [main, guided.main])
+def test_other_systems_are_told(command, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert command(["landmarks.pts"]) == 2
+    assert "Linux only" in capsys.readouterr().err
+
+
+def test_targets_of_bytes_can_be_guided():
+    suited = guided.suited()
+    assert {"landmarks.pts", "pictures.png", "models", "cameras", "lamps", "videos"} <= set(suited)
+    assert not {"folder", "images", "requests"} & set(suited)
+
+
+def test_nothing_that_is_compiled_is_instrumented():
+    excluded = guided.compiled_modules()
+    assert {"liaam.kernels.compiled", "liaam.fitting.evaluate", "liaam.photometry.averaging"} <= set(excluded)
+    assert "liaam.io.images" not in excluded
+
+
+def test_a_guided_input_that_breaks_the_property_is_told():
+    target = targets_of(*HERE)["foreign"]
+    guided.check_one(target, target.input_of(0, 4), LIMITS)
+    with pytest.raises(guided.Broken, match="what a user would see"):
+        guided.check_one(target, target.input_of(0, 5), LIMITS)
+
+
+def test_an_input_is_read_again_alone(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "x.pts"
+    path.write_bytes(b"nonsense")
+    monkeypatch.chdir(tmp_path)
+    assert guided.main(["landmarks.pts", "--input", str(path)]) == 0
+    assert "refused: " in capsys.readouterr().out
+
+
+def test_guided_fuzzing_runs(tmp_path):
+    pytest.importorskip("atheris", reason="Atheris is not installed: pip install atheris")
+    status, what = guided.fuzz("landmarks.pts", 2, tmp_path)
+    assert (status, list(tmp_path.iterdir())) == (0, [])
+    assert int(what.split()[0]) > 1000
