@@ -6,6 +6,7 @@ import stat
 import struct
 import subprocess
 import sys
+import tracemalloc
 import warnings
 import zlib
 from pathlib import Path
@@ -539,3 +540,21 @@ def test_a_preview_is_upright(tmp_path):
     exif[0x0112] = 6
     Image.fromarray(np.zeros((400, 600, 3), np.uint8)).save(tmp_path / "a.jpg", exif=exif)
     assert read_preview(tmp_path / "a.jpg", 50).shape == (75, 50, 3)
+
+
+def test_a_size_that_can_be_read_in_two_ways_is_refused():
+    data = b"P5 9#c\n9 9 255\n" + bytes(99 * 9)  # 9 x 9 pixels by the format's rules, 99 x 9 by Pillow's
+    with pytest.raises(ImageError, match="two ways"):
+        decode_image(data, "x", 100)
+
+
+def test_deep_pictures_are_decoded_without_a_copy_too_many(tmp_path, rng):
+    image = rng.random((2000, 1500, 3), dtype=np.float32)
+    write_image(tmp_path / "x.tif", image)
+    data = (tmp_path / "x.tif").read_bytes()
+    tracemalloc.start()
+    decoded = decode_image(data)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert np.array_equal(decoded, image)
+    assert peak < 1.5 * image.nbytes

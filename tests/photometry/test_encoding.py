@@ -1,12 +1,14 @@
 """Encodings: every kind of image gets one defined answer."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from liaam.errors import ImageError, MethodError
-from liaam.photometry import ENCODINGS, encode, exposure_faults, invariant, is_grey, srgb_to_linear
+from liaam.photometry import ENCODINGS, encode, encoding, exposure_faults, invariant, is_grey, srgb_to_linear
 from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS, as_colour
 from liaam.training import sample_appearance
 
@@ -310,3 +312,26 @@ def test_soft_gradients_are_as_sure_as_all_three_channels_make_them(rng):
     alone, together = (np.sqrt(np.square(error).mean()) for error in errors)
     # Independent noise of three channels averages out; a channel that counts for most would leave 0.75 of it.
     assert together == pytest.approx(alone / np.sqrt(3), rel=0.1)
+
+
+@pytest.mark.parametrize("size", [1.0, 1.7, 4.0])
+@pytest.mark.parametrize("start", [(0.0, 0.0), (2.0, 3.0), (0.4, 1.3)])
+def test_floats_are_averaged_the_same_strip_by_strip(rng, monkeypatch, size, start):
+    image = rng.random((83, 40, 3), dtype=np.float32)
+    image[60:65, 7] = np.nan
+    whole = encoding.block_means(image, "soft", "srgb", size, start)
+    monkeypatch.setattr(encoding, "FLOATS_AT_ONCE", 500)
+    strips = encoding.block_means(image, "soft", "srgb", size, start)
+    np.testing.assert_allclose(strips.light, whole.light, atol=2e-6)
+    np.testing.assert_allclose(strips.finite, whole.finite, atol=2e-6)
+    assert strips.grey == whole.grey
+
+
+def test_large_pictures_of_floats_take_little_memory(rng):
+    image = rng.random((4000, 3000, 3), dtype=np.float32)
+    encoding.block_means(image[:99], "log", "srgb", 8.0)  # compiles
+    tracemalloc.start()
+    encoding.block_means(image, "log", "srgb", 8.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2 * image.nbytes

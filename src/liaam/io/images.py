@@ -421,6 +421,11 @@ def _decode_shallow(path: Path | str, data: bytes, header: _Header, preview: int
     """Decode an image with at most 8 bits per channel, and detect truncation."""
     try:
         image = _open_pillow(io.BytesIO(data), header.kind)
+        if image.size not in (
+            (header.width, header.height),
+            header.size,
+        ):  # what was checked is not what would be decoded
+            raise ValueError("its size can be read in two ways")
         if preview is not None:
             image.draft(None, (preview, preview))  # affects JPEG only
         image.load()
@@ -463,7 +468,10 @@ def _decode_deep(path: Path | str, data: bytes, header: _Header) -> np.ndarray:
     if array.dtype == np.float64:
         with np.errstate(over="ignore"):
             array = array.astype(np.float32)
-    rgb = as_three_channels(array) if array.ndim == 2 else array[:, :, 2::-1]
+    if array.ndim == 2:
+        return _upright(as_three_channels(array), header)
+    # In place: the picture may be all that the memory holds.
+    rgb = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, array) if array.shape[2] == 3 else array[:, :, 2::-1]
     return _upright(np.ascontiguousarray(rgb), header)
 
 

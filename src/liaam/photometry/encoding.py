@@ -4,6 +4,7 @@ An image is encoded to float32 channels: usually three colours, and last the wei
 This module alone defines the result for NaN, black, saturated, 16-bit and float images.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -252,12 +253,38 @@ def block_means(
         low, high = _usable_range(image.dtype) if encoding in LOGARITHMIC else (0, np.iinfo(image.dtype).max)
         table = _table(image.dtype.str, "linear", response)
         return Means(averaging.stored_means(image, table, (low, high), start, size, (rows, columns)), None, grey)
+    at_once = max(1, int(FLOATS_AT_ONCE / (image.shape[1] * size)))  # rows of blocks
+    parts = []
+    for first in range(0, max(rows, 1), at_once):
+        n_rows, y = min(at_once, rows - first), start[1] + first * size
+        top, bottom = int(y), int(np.ceil(y + n_rows * size + 1e-6))
+        pixels = _light_of_floats(image[top:bottom], encoding, response)
+        parts.append(pixels.averaged((start[0], y - top), size, (n_rows, columns)))
+    return _stacked(parts)._replace(grey=grey)
+
+
+FLOATS_AT_ONCE = 4_000_000
+"""Pixels of a picture of floats whose light is worked out at a time: that takes 40 bytes a pixel."""
+
+
+def _light_of_floats(image: np.ndarray, encoding: str, response: Response) -> Means:
+    """Linear light of each pixel of a picture of floats."""
     stored, usable, finite = _stored_and_usable(image, encoding)
     # A curve may map highlights of float images beyond the range of single precision.
     linear = np.minimum(to_linear(stored, response), BRIGHTEST).astype(np.float32, copy=False)
     light = np.concatenate([np.moveaxis(linear, -1, 0), usable[None]], axis=0, dtype=np.float32)
-    pixels = Means(light, None if finite.all() else finite.astype(np.float32), grey)
-    return pixels.averaged(start, size, (rows, columns))
+    return Means(light, None if finite.all() else finite.astype(np.float32))
+
+
+def _stacked(parts: Sequence[Means]) -> Means:
+    """Means of parts of a picture, one below the other."""
+    if len(parts) == 1:
+        return parts[0]
+    light = np.concatenate([part.light for part in parts], axis=1)
+    if all(part.finite is None for part in parts):
+        return Means(light)
+    finite = [np.ones(part.light.shape[1:], np.float32) if part.finite is None else part.finite for part in parts]
+    return Means(light, np.concatenate(finite, axis=0))
 
 
 def encode_means(
