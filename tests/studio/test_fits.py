@@ -3,7 +3,7 @@
 import io
 import json
 import shutil
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
@@ -72,6 +72,11 @@ def make_fits(folder: Path, model: AAM | None, settings: Settings = SETTINGS) ->
 def fit(fits: Fits, name: str = "face.png", **options):
     source = source_of(fits.project.path_of(name), 10**6)
     return fits.fit(source, ("picture", name), truth=truth_of(fits.project.landmarks(name)), **options)
+
+
+def wait_for_any(futures: list[Future], seconds: float) -> None:
+    if not wait(futures, seconds, FIRST_COMPLETED).done:
+        raise TimeoutError
 
 
 @pytest.fixture(scope="session")
@@ -151,6 +156,41 @@ class TestFit:
         after = fit(fits)
         assert (before.model, after.model) == (head_model, other)
         assert fits.layer(before, "flat", 100)  # still by the model it was made with
+
+    def test_of_former_models_are_forgotten_with_all_that_was_made_for_them(self, folder, head_model):
+        fits, made = make_fits(folder, None), []
+        for i in range(4):
+            current = fits.models.publish(replace(head_model, name=str(i)), {})
+            fits.forget_former(current)
+            made.append(fit(fits))
+            fits.layer(made[-1], "flat", 100)
+        fits.forget_former(None)  # a template that is changed leaves what is shown
+        assert {number for number, *_ in fits._fitters} == {3, 4}
+        assert {number for *_, number in fits._found} == {3, 4}
+        assert {number for number, _ in fits._lights} == {made[2].id, made[3].id}
+        assert fits.get(made[2].id) is made[2]
+        with pytest.raises(Refusal, match="fit again"):
+            fits.get(made[1].id)
+
+    def test_large_pictures_wait_for_each_other(self, folder, head_model):
+        fits = make_fits(folder, head_model)
+        made, room = fit(fits), fits.pictures.work_room
+        source = made.source
+        works = (
+            lambda: fit(fits),
+            lambda: fits.layer(made, "flat", 100),
+            lambda: fits.relit(made, (0.0, 0.0, 1.0), 0.3, 90),
+            lambda: file_of(fits, made, "overlay", ((0.0, 0.0, 1.0), 0.3)),
+            lambda: fits.pictures.chroma(source, 60, "srgb"),
+        )
+        with ThreadPoolExecutor(len(works)) as pool:
+            with room.of(room.size):
+                under_way = [pool.submit(work) for work in works]
+                with pytest.raises(TimeoutError):
+                    wait_for_any(under_way, 0.3)
+            for one in under_way:
+                one.result(60)
+        assert room.left == room.size
 
     def test_warming_up_makes_everything_ready(self, folder, head_model):
         fits = make_fits(folder, head_model)

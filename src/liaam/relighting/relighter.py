@@ -166,6 +166,12 @@ class Relighter:
         shading = np.where(weights > 0, values[self.box], nearby)
         return self._with(self.log_flat + self.share * shading)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays of the picture."""
+        arrays = (self.picture, self.log_flat, self.log_shading, self.inside, self.share, self.normals)
+        return sum(array.nbytes for array in arrays)
+
     @cached_property
     def _reach(self) -> float:
         return reach_of(self.shape)

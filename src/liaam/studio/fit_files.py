@@ -64,7 +64,8 @@ def _picture(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, f
         return layers.shading_layer(fits.whole_light(fit), size)
     from liaam.plotting import overlay
 
-    image = shown(fits.pictures.pixels(fit.source), size, fit.source.raw)
+    with fits.pictures.at_work(fit.source) as pixels:
+        image = shown(pixels, size, fit.source.raw)
     return overlay(image, fit.result.landmarks, fit.model, covariances=fit.result.landmark_covariances)
 
 

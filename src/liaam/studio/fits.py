@@ -8,6 +8,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -49,8 +50,11 @@ second per megapixel. Exported files have the full size."""
 LAYER_BYTES = 100_000_000
 """Bytes of encoded layers in the cache."""
 
-LIGHTS_KEPT = 6
-"""Number of relighters in the cache."""
+LIGHT_BYTES = 300_000_000
+"""Bytes of relighters in the cache: a handful at 1280 pixels, one or two at 2048."""
+
+MODELS_KEPT = 2
+"""Number of models whose fits are cached: the one in use and the one before. Each has fitters of tens of megabytes."""
 
 FITTERS_KEPT = 16
 
@@ -192,10 +196,23 @@ class Fits:
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
         self._found: Kept[tuple[str, str, int], Candidate] = Kept(settings.fits_kept)
         self._layers: Kept[tuple[str, str, int], bytes] = Kept(LAYER_BYTES, len)
-        self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHTS_KEPT)
+        self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
+        self._recent: deque[ModelInUse] = deque(maxlen=MODELS_KEPT)
         self._large = threading.Lock()
-        models.listeners.append(self.warm_up_soon)
+        models.listeners += [self.forget_former, self.warm_up_soon]
         uploads.listeners.append(self.search_soon)
+
+    def forget_former(self, current: ModelInUse | None) -> None:
+        """Empty the caches of what former models made, when another model comes into use."""
+        if current is None:
+            return
+        self._recent.append(current)
+        numbers = {model.number for model in self._recent}
+        models = {id(model.model) for model in self._recent}
+        self._fitters.keep_only(lambda key, _: key[0] in numbers)
+        self._found.keep_only(lambda key, _: key[2] in numbers)
+        self._fits.keep_only(lambda _, fit: id(fit.model) in models)
+        self._lights.keep_only(lambda key, _: self._fits.peek(key[0]) is not None)
 
     def warm_up(self, current: ModelInUse | None) -> None:
         """Fit an example, so that the first real fit does not wait for set-up work."""
@@ -231,7 +248,8 @@ class Fits:
 
     def _try_to_search(self, current: ModelInUse, source: Source) -> None:
         try:
-            self._search(current, source, self.pictures.pixels(source))
+            with self.pictures.at_work(source) as image:
+                self._search(current, source, image)
         except LiaamError:  # the fit will report it
             return
 
@@ -267,25 +285,25 @@ class Fits:
         if current is None:
             raise Refusal(409, _NO_MODEL)
         fitter = self._fitter(current, method, source.raw)
-        image = self.pictures.pixels(source)
-        began = time.perf_counter()
-        if start is None:
-            start = self._search(current, source, image)
-        searched = time.perf_counter()
-        result = fitter.fit(image, start, source.name)
-        fitted = time.perf_counter()
-        fit = Fit(
-            secrets.token_urlsafe(9),
-            source,
-            fitter,
-            result,
-            searched - began,
-            fitted - searched,
-            layers.residual_of(fitter, image, result),
-            layers.why_not_flat(fitter, image, result),
-            error_of(result.landmarks, truth),
-            of,
-        )
+        with self.pictures.at_work(source) as image:
+            began = time.perf_counter()
+            if start is None:
+                start = self._search(current, source, image)
+            searched = time.perf_counter()
+            result = fitter.fit(image, start, source.name)
+            fitted = time.perf_counter()
+            fit = Fit(
+                secrets.token_urlsafe(9),
+                source,
+                fitter,
+                result,
+                searched - began,
+                fitted - searched,
+                layers.residual_of(fitter, image, result),
+                layers.why_not_flat(fitter, image, result),
+                error_of(result.landmarks, truth),
+                of,
+            )
         self._fits.put(fit.id, fit)
         return fit
 
@@ -361,8 +379,8 @@ class Fits:
             return self._taken_apart(fit, whole)
 
     def _taken_apart(self, fit: Fit, to: tuple[int, int]) -> Relighter:
-        image = self.pictures.pixels(fit.source)
-        return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
+        with self.pictures.at_work(fit.source) as image:
+            return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
 
     def _shape(self, fit: Fit, to: tuple[int, int]) -> np.ndarray:
         return layers.scaled_points(fit.result.landmarks, (fit.source.width, fit.source.height), to)

@@ -45,6 +45,10 @@ DECODED_AT_ONCE = 50_000_000
 """Pixels decoded concurrently: two pictures of an ordinary camera, or one of the largest. Decoding takes 7 to 14 bytes
 per pixel."""
 
+WORKED_ON_AT_ONCE = 50_000_000
+"""Pixels of pictures that are fitted or drawn at a time. With the picture that takes 5 to 45 bytes a pixel, most for
+pictures of floats."""
+
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
@@ -70,6 +74,10 @@ class Kept(Generic[K, V]):
 
     def __len__(self) -> int:
         return len(self._values)
+
+    def __iter__(self) -> Iterator[K]:
+        with self._lock:
+            return iter(list(self._values))
 
     def peek(self, key: K) -> V | None:
         """Return the value of a key, or None."""
@@ -108,6 +116,12 @@ class Kept(Generic[K, V]):
         """Cache a value."""
         with self._lock:
             self._put(key, value)
+
+    def keep_only(self, wanted: Callable[[K, V], bool]) -> None:
+        """Forget all values but those wanted."""
+        with self._lock:
+            for key in [key for key, (value, _) in self._values.items() if not wanted(key, value)]:
+                self.weight -= self._values.pop(key)[1]
 
     def _put(self, key: K, value: V) -> None:
         if key in self._values:
@@ -231,6 +245,8 @@ class Pictures:
         self._encoded: Kept[Hashable, bytes] = Kept(encoded, len)
         # A page requests many thumbnails at once, and pictures being decoded are as large as cached ones.
         self.room = Room(DECODED_AT_ONCE)
+        # Held while a picture is worked on, before it is decoded: whoever waits holds no picture.
+        self.work_room = Room(WORKED_ON_AT_ONCE)
 
     def pixels(self, source: Source) -> np.ndarray:
         """Return the decoded picture with three channels. The array is shared and must not be modified."""
@@ -241,6 +257,15 @@ class Pictures:
                 return as_colour(source.read(), source.name)
 
         return self._decoded.get((source.name, source.tag), read)
+
+    @contextmanager
+    def at_work(self, source: Source) -> Iterator[np.ndarray]:
+        """Give a decoded picture to work on; a thread waits while others work on pictures that are too large together.
+
+        Not to be nested, nor to be held while another thread's :meth:`Kept.get` is waited for that needs it.
+        """
+        with self.work_room.of(source.width * source.height):
+            yield self.pixels(source)
 
     def keep(self, source: Source, image: np.ndarray) -> None:
         """Cache a decoded picture."""
@@ -257,14 +282,20 @@ class Pictures:
     def chroma(self, source: Source, size: int, response: Response) -> bytes:
         """Return the chroma of a picture (see :func:`chroma`)."""
         key = ("chroma", source.name, source.tag, size, response)
-        return self._encoded.get(key, lambda: chroma_bytes(self.pixels(source), size, response, source.name))
+
+        def make() -> bytes:
+            with self.at_work(source) as image:
+                return chroma_bytes(image, size, response, source.name)
+
+        return self._encoded.get(key, make)
 
     def _image(self, source: Source, size: int) -> bytes:
         # At half size or less, decoding a preview may be faster, and independent of the cache.
         if source.preview is not None and 2 * size <= max(source.width, source.height):
             with self.room.of(source.width * source.height):
                 return _displayed(source, source.preview(size), size)
-        return _displayed(source, self.pixels(source), size)
+        with self.at_work(source) as image:
+            return _displayed(source, image, size)
 
 
 def _displayed(source: Source, image: np.ndarray, size: int) -> bytes:
