@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from benchmarks import batch, fit, iteration, load, many, metrics, peers, relight, search, studio, track
+from benchmarks import batch, fit, iteration, load, many, metrics, peers, relight, search, soak, studio, track
 from benchmarks.metrics import Metrics
 from liaam.errors import LiaamError
 
@@ -15,6 +15,7 @@ BENCHMARKS = {
     "track": track.main,
     "studio": studio.main,
     "load": load.main,
+    "soak": soak.main,
     "batch": batch.main,
     "many": many.main,
     "relight": relight.main,
