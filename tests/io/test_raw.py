@@ -32,7 +32,7 @@ def make_dng(light: np.ndarray, orientation: int = 1, neutral: tuple[float, ...]
         279: (LONG, [len(pixels)]), 284: (SHORT, [1]), 33421: (SHORT, [2, 2]), 33422: (BYTE, [0, 1, 1, 2]),
         50706: (BYTE, [1, 4, 0, 0]), 50707: (BYTE, [1, 1, 0, 0]), 50708: (ASCII, b"liaam test\0"),
         50714: (LONG, [BLACK]), 50717: (LONG, [WHITE]), 50721: (SIGNED_RATIONAL, identity),
-        50728: (RATIONAL, as_shot), 50778: (SHORT, [21]),
+        50718: (RATIONAL, changes.get("scale", [1, 1, 1, 1])), 50728: (RATIONAL, as_shot), 50778: (SHORT, [21]),
     }  # fmt: skip
     blob_at = 8 + 2 + 12 * len(tags) + 4
     packed = {}
@@ -76,7 +76,7 @@ class FakeRaw:
 
     def __init__(self, path: str, image: np.ndarray, flip: int = 0) -> None:
         self.path, self.image, self.asked, self.closed = path, image, {}, False
-        self.sizes = SimpleNamespace(iwidth=image.shape[1], iheight=image.shape[0], flip=flip)
+        self.sizes = SimpleNamespace(iwidth=image.shape[1], iheight=image.shape[0], flip=flip, pixel_aspect=1.0)
 
     def __enter__(self) -> "FakeRaw":
         return self
@@ -319,3 +319,15 @@ def test_what_is_no_raw_file_is_told(tmp_path):
 def test_a_header_that_promises_too_much_is_refused(tmp_path):
     path = written(tmp_path, even(0.5, 0.25, 0.1), width=60_000, height=60_000)
     assert "60000 x 60000 pixels, more than the 200,000,000 allowed" in refusal(path)
+
+
+@pytest.mark.parametrize("orientation", [1, 6])
+@pytest.mark.parametrize(
+    ("scale", "size"), [([2, 1, 1, 1], (96, 32)), ([2, 1, 3, 1], (48, 48)), ([1, 1, 1, 1], (48, 32))]
+)
+def test_pixels_that_are_not_square_count_in_the_size(tmp_path, scale, size, orientation):
+    path = written(tmp_path, even(0.5, 0.25, 0.1), scale=scale, orientation=orientation)
+    width, height = image_size(path)
+    assert read_raw(path).shape == (height, width, 3)
+    assert (width, height) == (size if orientation == 1 else size[::-1])
+    assert f"{width} x {height} pixels, more than" in refusal(path, max_pixels=width * height - 1)

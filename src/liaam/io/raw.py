@@ -127,6 +127,14 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
 
 
 def _upright_size(raw: Any) -> tuple[int, int]:
-    """Return (width, height) of the decoded image. LibRaw gives the sensor's size and its rotation."""
+    """Return (width, height) of the decoded image. LibRaw gives the sensor's size and its rotation.
+
+    If the sensor's pixels are not square, LibRaw stretches the image along its shorter side.
+    """
     sizes = raw.sizes
-    return (sizes.iheight, sizes.iwidth) if sizes.flip in (5, 6) else (sizes.iwidth, sizes.iheight)
+    width, height, aspect = sizes.iwidth, sizes.iheight, sizes.pixel_aspect
+    if aspect < 1:
+        height = int(height / aspect + 0.5)
+    elif aspect > 1:
+        width = int(width * aspect + 0.5)
+    return (height, width) if sizes.flip in (5, 6) else (width, height)
