@@ -25,7 +25,7 @@ _SCRATCH = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 """Parent of the children's folders, in memory for speed."""
 
 _PREPARING = 300.0
-"""Time limit for the preparation of a child, in seconds."""
+"""Processor time limit for the preparation of a child, in seconds; ten times as much in wall time."""
 
 _SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -181,13 +181,17 @@ class _Child:
     def _is_late(self) -> bool:
         case, wall, processor = self._progress.case, self._progress.wall, self._progress.processor
         if case < 0:
-            return time.monotonic() - self._begin > _PREPARING
+            taken = time.monotonic() - self._begin
+            return taken > 10 * _PREPARING or (taken > _PREPARING and self._spent() > _PREPARING)
         taken = time.monotonic() - wall
         if taken < self.limits.seconds:
             return False
-        spent = _processor_time(self._process.pid) - processor
+        spent = self._spent() - processor
         same = self._progress.case == case and self._progress.wall == wall
         return same and (spent > self.limits.seconds or taken > 5 * self.limits.seconds)
+
+    def _spent(self) -> float:
+        return _processor_time(self._process.pid)
 
     def _stop(self) -> None:
         """Make the child dump its traceback, and kill it."""

@@ -74,4 +74,5 @@ TARGETS = (
     Target("unmade", unmade, sound),
     *(only(5, fault) for fault in (crash, leave, spin, sleep, gorge, swallow_lack, foreign, depart)),
     Target("sound", make, sound),
+    Target("slow_start", make, sound, lambda: time.sleep(1.0)),
 )

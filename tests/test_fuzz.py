@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from fuzz import guided
+from fuzz import guided, parent
 from fuzz.__main__ import keep, main, report
 from fuzz.parent import run
 from fuzz.target import MODULES, targets_of
@@ -68,6 +68,12 @@ def test_failing_inputs_are_kept(faulty, tmp_path):
 def test_memory_is_counted_beyond_what_was_there_before():
     before = Limits(n_bytes=300_000_000)  # more than the case takes, less than it and the libraries
     assert not run([Job("gorge", 0, 0, 8, HERE)], 1, before)["gorge"].failures
+
+
+def test_a_busy_machine_does_not_end_a_child_that_prepares(monkeypatch):
+    monkeypatch.setattr(parent, "_PREPARING", 0.3)
+    tally = run([Job("slow_start", 0, 0, 5, HERE)], 1)["slow_start"]
+    assert tally.cases == 5 and not tally.failures
 
 
 @pytest.mark.parametrize("name", TARGETS)
