@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from liaam.errors import ImageError, MethodError
 from liaam.photometry import ENCODINGS, encode, encoding, exposure_faults, invariant, is_grey, srgb_to_linear
-from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS, as_colour
+from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS, as_colour, value_luminance
 from liaam.training import sample_appearance
 
 
@@ -199,6 +199,30 @@ def test_floats_that_count_to_255_are_refused():
 def test_big_endian_pixels_are_read_as_what_they_are():
     image = np.full((8, 8, 3), 30_000, np.uint16)
     assert np.array_equal(as_colour(image.astype(">u2")), image)
+
+
+@pytest.mark.parametrize("dtype", [">u2", ">f4", ">f8"])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_the_byte_order_of_pixels_does_not_matter(picture, encoding, dtype):
+    image = picture.astype(np.uint16) * 257 if dtype == ">u2" else picture / 255
+    image = image.astype(np.dtype(dtype).newbyteorder("="))
+    np.testing.assert_array_equal(encode(image.astype(dtype), encoding), encode(image, encoding))
+    np.testing.assert_array_equal(value_luminance(image.astype(dtype)), value_luminance(image))
+
+
+@pytest.mark.parametrize("dtype", [np.uint32, np.uint64, np.int16, np.int64, bool, complex, object])
+def test_pixels_of_another_type_are_refused_by_every_encoder(picture, dtype):
+    complaint = r"image: pixels of type .* are not supported; use uint8, uint16 or float"
+    for encoder in (lambda image: encode(image, "value"), lambda image: encode(image, "soft"), value_luminance):
+        with pytest.raises(ImageError, match=complaint):
+            encoder(picture.astype(dtype))
+
+
+@pytest.mark.parametrize("shape", [(9, 9), (9, 9, 4), (9, 9, 1), (9,)])
+def test_arrays_of_another_shape_are_refused_by_every_encoder(shape):
+    for encoder in (lambda image: encode(image, "value"), value_luminance):
+        with pytest.raises(ImageError, match=r"cannot be encoded; give \(height, width, 3\)"):
+            encoder(np.zeros(shape, np.uint8))
 
 
 # Orientation of gradients

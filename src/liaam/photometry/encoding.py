@@ -76,7 +76,6 @@ def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
         If the array is not an image of at least 8 by 8 pixels.
     """
     image = np.asarray(image)
-    image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.ndim == 2:
         image = image[..., None]
     if image.ndim != 3 or image.shape[2] not in (1, 3, 4):
@@ -84,14 +83,26 @@ def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
     if min(image.shape[:2]) < 8:
         size = f"{image.shape[1]}×{image.shape[0]}"
         raise ImageError(f"{name}: the image is {size} pixels, too small to fit to; at least 8×8 are needed")
-    if image.dtype == np.bool_ or image.dtype.kind not in "uf" or image.dtype.itemsize > 8:
-        raise ImageError(f"{name}: pixels of type {image.dtype} are not supported; use uint8, uint16 or float")
-    if image.dtype.kind == "u" and image.dtype not in (np.uint8, np.uint16):
-        raise ImageError(f"{name}: pixels of type {image.dtype} are not supported; use uint8, uint16 or float")
+    image = _native(image, name)
     if image.dtype.kind == "f":
         _check_range(image, name)
         image = image.astype(np.float32, copy=False)
     return np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image[..., :3]
+
+
+def _native(image: np.ndarray, name: str) -> np.ndarray:
+    """Give pixels in this machine's byte order, or refuse their type."""
+    image = image.astype(image.dtype.newbyteorder("="), copy=False)
+    if image.dtype not in (np.uint8, np.uint16, np.float16, np.float32, np.float64):
+        raise ImageError(f"{name}: pixels of type {image.dtype} are not supported; use uint8, uint16 or float")
+    return image
+
+
+def _three_channels(image: np.ndarray) -> np.ndarray:
+    """Check an array that is encoded directly, and give its pixels in this machine's byte order."""
+    if image.ndim != 3 or image.shape[2] != 3:
+        raise ImageError(f"image: an array of shape {image.shape} cannot be encoded; give (height, width, 3)")
+    return _native(image, "image")
 
 
 def _check_range(image: np.ndarray, name: str) -> None:
@@ -188,6 +199,11 @@ def encode(
         ``log`` also those with a dark or saturated channel. For ``soft`` the six channels are the gradient's two
         components g / sqrt(|g|^2 + SOFTNESS^2), log R, log G, log B, and the weight of these three (0 to 1). The
         gradient is usable in dark and saturated pixels too.
+
+    Raises
+    ------
+    ImageError
+        If the array has another shape or type.
     """
     channels = encode_means(
         block_means(image, encoding, response, reduce, start), encoding, response, blur, turn, pixel
@@ -247,6 +263,7 @@ def block_means(
 
     if encoding not in ENCODINGS:
         raise MethodError(f"encoding {encoding!r} does not exist; there are {', '.join(ENCODINGS)}")
+    image = _three_channels(image)
     rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
     grey = encoding == "soft" and is_grey(image)
     if image.dtype.kind == "u":
@@ -383,6 +400,7 @@ def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarra
     """Luminance of the encoding ``value``, (h, w) float32; see :func:`encode`."""
     from liaam.photometry import averaging  # numba: imported when first needed
 
+    image = _three_channels(image)
     if image.dtype.kind != "u":
         return encode(image, "value", response)[..., :3] @ LUMINANCE[0].astype(np.float32)
     return averaging.stored_luminance(image, _table(image.dtype.str, "value", response), LUMINANCE[0])
