@@ -386,7 +386,7 @@ def test_landmarks_that_are_no_numbers_are_refused(pairs, bad):
     refused(pairs, "image 2: the landmarks are not numbers")
 
 
-@pytest.mark.parametrize("height", [0.02, 1e-3, 1e-12])
+@pytest.mark.parametrize("height", [0.015, 1e-3, 1e-12])
 def test_landmarks_almost_on_a_line_are_refused(pairs, height):
     flat = [(image, points * [1, height] + [0, 50]) for image, points in pairs]
     refused(flat, "lie on one line or at one point, or almost so")
@@ -399,3 +399,39 @@ def test_options_come_as_an_object_by_name_or_both(pairs):
     assert by_object.to_bytes() == by_name.to_bytes()
     assert train(pairs, options, diagonal=50.0).diagonal == pytest.approx(50.0)
     refused(pairs, "option 'size' does not exist; there are diagonal, variance", size=3)
+
+
+def rod(rng: np.random.Generator, ratio: float) -> tuple[np.ndarray, np.ndarray]:
+    """Picture and outline of a patterned rod so many times as long as wide."""
+    import cv2
+
+    def blotches(seed: np.random.Generator, rows: int, columns: int, size: tuple[int, int]) -> np.ndarray:
+        values = seed.uniform(40, 230, (rows, columns, 3)).astype(np.float32)
+        return cv2.resize(values, size, interpolation=cv2.INTER_CUBIC)
+
+    length, width = 400 * rng.uniform(0.93, 1.07), 400 / ratio * rng.uniform(0.93, 1.07)
+    centre, angle = rng.uniform(195, 215, 2) + [60, 0], rng.uniform(-0.3, 0.3)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    along, across = np.moveaxis((np.stack(np.mgrid[:400, :540][::-1], axis=-1) - centre) @ turn, -1, 0)
+    image = blotches(rng, 9, 12, (540, 400))
+    places = [
+        ((part / size + 0.5) * n).astype(np.float32) for part, size, n in ((along, length, 799), (across, width, 79))
+    ]
+    pattern = cv2.remap(blotches(np.random.default_rng(5), 4, 40, (800, 80)), *places, cv2.INTER_LINEAR)
+    inside = (np.abs(along) <= length / 2) & (np.abs(across) <= width / 2)
+    image[inside] = pattern[inside]
+    x = np.linspace(-length / 2, length / 2, 8)
+    outline = np.concatenate([np.column_stack([x, 0 * x - width / 2]), np.column_stack([x[::-1], 0 * x + width / 2])])
+    return np.clip(cv2.GaussianBlur(image, (0, 0), 0.7), 0, 255).astype(np.uint8), outline @ turn.T + centre
+
+
+@pytest.mark.parametrize("ratio", [20, 40])
+def test_objects_many_times_as_long_as_wide_are_trained_and_fitted(ratio):
+    rng = np.random.default_rng(3)
+    rods = [rod(rng, ratio) for _ in range(6)]
+    model = train(rods[:5], diagonal=200.0, leave_out=False)
+    assert (signed_areas(model.shape_model.mean, model.triangles) > 0).all()
+    image, outline = rods[5]
+    result = Fitter(model, "li").fit(image, outline + [3, 2])
+    assert result.status.ok
+    assert np.abs(result.shape - outline).max() < 1
