@@ -32,8 +32,7 @@ _SIGNATURES = (
     (b"\xff\xd8\xff", "JPEG"),
     (b"II*\0", "TIFF"),
     (b"MM\0*", "TIFF"),
-    (b"II+\0", "TIFF"),
-    (b"MM\0+", "TIFF"),
+    (b"II+\0", "TIFF"),  # BigTIFF; Pillow cannot read that of the other byte order
     (b"BM", "BMP"),
     *((b"P%d" % digit, "PNM") for digit in range(1, 7)),
 )
@@ -340,7 +339,9 @@ def _pnm_header(file: Any) -> _Header:
     match = _PNM_HEADER.match(file.read(10_000))
     if match is None:
         raise ValueError("its header is incomplete")
-    maximum = 1 if match["kind"] in b"14" else int(match["maximum"] or 0)
+    if match["maximum"] is None and match["kind"] not in b"14":
+        raise ValueError("its header is incomplete")
+    maximum = 1 if match["kind"] in b"14" else int(match["maximum"])
     if not 1 <= maximum <= 65535:
         raise ValueError(f"its header gives {maximum} as the largest value")
     deep = maximum > 255
@@ -361,7 +362,7 @@ def _tiff_header(file: Any) -> _Header:
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
     start = file.read(8)
-    if start[2] == 43 or start[3] == 43:  # BigTIFF has a longer header
+    if start[2] == 43:  # BigTIFF has a longer header
         start += file.read(8)
     tags = ImageFileDirectory_v2(start)
     file.seek(tags.next)
