@@ -2,7 +2,6 @@
 
 import io
 import os
-import stat
 import struct
 import subprocess
 import sys
@@ -17,20 +16,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from liaam.errors import ImageError, LiaamError, ModelFileError
+from liaam.errors import ImageError
 from liaam.io import (
-    atomic_path,
     decode_image,
     encoded_size,
     image_size,
     is_image,
     read_image,
     read_preview,
-    write_bytes_atomically,
     write_image,
-    write_text_atomically,
 )
-from liaam.io.files import natural_key
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:PIL")  # Pillow remarks on broken files
 
@@ -517,51 +512,6 @@ def test_what_cannot_be_written_leaves_nothing(tmp_path: Path, name: str, array:
     assert words in str(caught.value)
     assert name in str(caught.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_failure_in_the_middle_keeps_the_old_file(tmp_path: Path) -> None:
-    target = tmp_path / "a.txt"
-    target.write_text("old")
-    with pytest.raises(RuntimeError, match="stop"), atomic_path(target) as temp:
-        temp.write_text("half")
-        raise RuntimeError("stop")
-    assert target.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_the_disk_s_fault_has_the_wanted_class(tmp_path: Path) -> None:
-    with pytest.raises(ModelFileError, match="No space left"), atomic_path(tmp_path / "a", ModelFileError):
-        raise OSError(28, "No space left on device")
-    with pytest.raises(LiaamError, match="is a folder"):
-        write_bytes_atomically(tmp_path, b"")
-    with pytest.raises(LiaamError, match="rename"):
-        write_text_atomically(tmp_path / "a", "\udc80")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_atomic_writing_keeps_rights_links_and_suffix(tmp_path: Path) -> None:
-    target = tmp_path / "a.txt"
-    target.write_text("old")
-    target.chmod(0o640)
-    (tmp_path / "link").symlink_to(target)
-    with atomic_path(tmp_path / "link") as temp:
-        assert temp.suffix == ".txt"
-        assert temp.parent == tmp_path.resolve()
-        temp.write_text("new")
-    assert target.read_text() == "new"
-    assert stat.S_IMODE(target.stat().st_mode) == 0o640
-    assert (tmp_path / "link").is_symlink()
-
-
-def test_new_files_have_the_usual_rights(tmp_path: Path) -> None:
-    write_text_atomically(tmp_path / "a", "x\n")
-    (tmp_path / "b").write_bytes(b"x\n")
-    assert (tmp_path / "a").read_bytes() == b"x\n"
-    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
-
-
-def test_natural_order() -> None:
-    assert sorted(["b1", "a10", "A2", "a²", "7"], key=natural_key) == ["7", "A2", "a10", "a²", "b1"]
 
 
 # Real files ----------------------------------------------------------------------------------------

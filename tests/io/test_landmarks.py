@@ -215,6 +215,136 @@ def test_coco_without_categories(tmp_path: Path) -> None:
     assert found["a.jpg"].contours == ()
 
 
+def test_tables_in_other_shapes(tmp_path: Path) -> None:
+    tabs = read_landmarks(save(tmp_path, "a.csv", "\n \nY\tX\tname\n2\t1\tnose, tip; end\n\n4\t3\t\n"))
+    assert (tabs.points.tolist(), tabs.names) == ([[1, 2], [3, 4]], ("nose, tip; end", ""))
+    empty = read_landmarks(save(tmp_path, "a.csv", "x,y,name\n1,2,\n,,\n"))  # a row of nothing is a missing landmark
+    assert (empty.missing.tolist(), empty.names) == ([False, True], ())
+    short = read_landmarks(save(tmp_path, "a.csv", "x;y\n1,5;2\n"))
+    assert short.points.tolist() == [[1.5, 2]]
+    commas = read_landmarks(save(tmp_path, "a.csv", "x,y,a;b\n1,2,3\n"))  # a comma comes first
+    assert commas.points.tolist() == [[1, 2]]
+
+
+def test_a_collection_with_names_for_some(tmp_path: Path) -> None:
+    named = Landmarks(np.array([[1.0, 2.0], [NAN, NAN]]), names=("nose", "eye"))
+    write_collection(tmp_path / "a.csv", {"a.jpg": named, "b.jpg": Landmarks(np.array([[3.0, 4.0]]))})
+    assert (tmp_path / "a.csv").read_bytes() == (
+        b"image,x,y,name\r\na.jpg,1.0,2.0,nose\r\na.jpg,,,eye\r\nb.jpg,3.0,4.0,\r\n"
+    )
+    found = read_collection(tmp_path / "a.csv")
+    assert (found["a.jpg"].names, found["b.jpg"].names) == (("nose", "eye"), ())
+    write_landmarks(tmp_path / "b.csv", np.array([[1.5, 2.0]]))
+    assert (tmp_path / "b.csv").read_bytes() == b"x,y\r\n1.5,2.0\r\n"
+
+
+def test_asf_columns_of_the_user_and_the_host_image_are_optional(tmp_path: Path) -> None:
+    short = ASF.replace(" 0.0 0.0 0.0", "")
+    assert read_landmarks(save(tmp_path, "a.asf", short), (800, 600)).image_name == "face.jpg"
+    alone = short.replace("# host image\nface.jpg\n", "")
+    marks = read_landmarks(save(tmp_path, "a.asf", alone), (800, 600))
+    assert (marks.image_name, len(marks)) == (None, 3)
+
+
+def imglab(*boxes: str) -> str:
+    return f"<dataset><images><image file='a.jpg'>{''.join(boxes)}</image></images></dataset>"
+
+
+def box(x: int, size: str = "", name: str = "1") -> str:
+    return f"<box {size}><part name='{name}' x='{x}' y='0'/></box>"
+
+
+@pytest.mark.parametrize(
+    ("boxes", "x"),
+    [
+        ((box(1, "width='2' height='3'"), box(2, "width='3' height='2'")), 1),  # the first of equals
+        ((box(1, "width='2' height='3'"), box(2, "width='7' height='1'")), 2),
+        ((box(1, "width='9'"), box(2, "height='9' width='1'")), 2),  # what is left out counts as 0
+        ((box(1), box(2)), 1),
+    ],
+)
+def test_the_largest_box_counts(tmp_path: Path, boxes: tuple[str, ...], x: int) -> None:
+    assert read_collection(save(tmp_path, "a.xml", imglab(*boxes)))["a.jpg"].points.tolist() == [[x, 0]]
+
+
+def test_dlib_parts_and_images_without_a_name(tmp_path: Path) -> None:
+    text = "<dataset><image><box><part x='1' y='2'/><part name='b' x='' y=''/></box></image></dataset>"
+    found = read_collection(save(tmp_path, "a.xml", text))
+    assert list(found) == [""]
+    np.testing.assert_array_equal(found[""].points, [[1, 2], [NAN, NAN]])
+    assert found[""].names == ("", "b")
+
+
+@pytest.mark.parametrize(("n", "refused"), [(20, False), (21, True)])
+def test_dlib_images_may_lack_twenty_parts_for_each_that_they_have(tmp_path: Path, n: int, refused: bool) -> None:
+    images = "".join(f"<image file='{i}'>{box(1, name=str(i))}</image>" for i in range(n))
+    path = save(tmp_path, "a.xml", f"<dataset>{images}</dataset>")
+    if not refused:
+        assert len(read_collection(path)) == n
+        return
+    with pytest.raises(LandmarkError, match=r"its 21 images have hardly any of the 21 part names in common"):
+        read_collection(path)
+
+
+def coco(*annotations: dict) -> dict:
+    whole = ({"image_id": 7, "keypoints": [i, 0, 2], **more} for i, more in enumerate(annotations, 1))
+    return {"images": [{"id": 7, "file_name": "a.jpg"}], "annotations": list(whole)}
+
+
+@pytest.mark.parametrize(
+    ("annotations", "x"),
+    [
+        (({"area": 5}, {"area": 5}), 1),  # the first of equals
+        (({"area": 5}, {"area": 6}), 2),
+        (({"area": 5}, {"bbox": [0, 0, 2, 3]}), 2),
+        (({"bbox": [9, 9, 2, 3]}, {"bbox": [0, 0, 7, 1]}), 2),
+        (({"area": None}, {"area": 1}), 2),  # unknown counts as 0
+        (({}, {"area": 0.5}), 2),
+        (({}, {"area": -1}), 1),
+        (({"area": 9, "keypoints": []}, {}), 2),
+    ],
+)
+def test_the_largest_annotation_counts(tmp_path: Path, annotations: tuple[dict, ...], x: int) -> None:
+    assert read_collection(save(tmp_path, "a.json", coco(*annotations)))["a.jpg"].points.tolist() == [[x, 0]]
+
+
+def test_a_message_names_three_of_many_images(tmp_path: Path) -> None:
+    path = save(tmp_path, "a.csv", "image,x,y\na,1,2\nb,1,2\nc,1,2\nd,1,2\n")
+    assert "holds the landmarks of 4 images (a, b, c ...): use read_collection" in refusal(path)
+
+
+def test_ljson_names_are_labels_of_one_landmark_each(tmp_path: Path) -> None:
+    def labelled(*labels: tuple[str, list[int]]) -> Landmarks:
+        content = {**ljson([[1, 2], [3, 4]]), "labels": [{"label": name, "mask": mask} for name, mask in labels]}
+        return read_landmarks(save(tmp_path, "a.ljson", content))
+
+    assert labelled(("b", [1]), ("a", [0])).names == ("a", "b")
+    for others in ((("a", [0]),), (("a", [0]), ("b", [0])), (("a", [0, 1]), ("b", [1]))):
+        assert labelled(*others).names == ()
+    hidden = labelled(("a", [0]), ("b", [1]), ("invisible", [1]))
+    assert (hidden.names, hidden.invisible) == (("a", "b"), (1,))
+    group = labelled(("all", [0, 1]), ("invisible", [0]))
+    assert (group.names, group.invisible) == ((), (0,))
+    named = labelled(("invisible", [0]), ("b", [1]))
+    assert (named.names, named.invisible) == (("invisible", "b"), ())
+
+
+def test_ljson_without_labels_and_connectivity(tmp_path: Path) -> None:
+    write_landmarks(tmp_path / "a.ljson", np.array([[1.0, 2.0]]))
+    content = json.loads((tmp_path / "a.ljson").read_text())
+    assert content == {"version": 2, "labels": [], "landmarks": {"points": [[2, 1]]}}
+    content["landmarks"]["connectivity"] = content["labels"] = None
+    marks = read_landmarks(save(tmp_path, "a.ljson", content))
+    assert (marks.contours, marks.names, marks.invisible) == ((), (), ())
+
+
+def test_text_of_every_encoding(tmp_path: Path) -> None:
+    for encoding in ("utf-8-sig", "utf-16", "utf-16-le", "latin-1"):
+        mark = b"\xff\xfe" if encoding == "utf-16-le" else b""
+        path = save(tmp_path, "a.csv", mark + "x,y,name\r\n1,2,é\tü\f\r\n".encode(encoding))
+        assert read_landmarks(path).names == ("é\tü\f",)
+
+
 # Bad files -----------------------------------------------------------------------------------------
 
 BAD = [
@@ -233,12 +363,27 @@ BAD = [
     ("a.pts", "{\n1 inf\n}", "'inf' in point 1 is not a number"),
     ("a.pts", "{\n1 nan\n}", "landmark 1 (counting from 1) has only one of x and y"),
     ("a.pts", "n_points: 0\n{\n}", "n > 0"),
+    ("a.pts", "n_points: 999999999999999999\n{\n1 1\n}", "promises 999999999999999999 points but 1 are there"),
+    ("a.pts", "n_points: 1000000000000000000\n{\n1 1\n}", "'1000000000000000000' is not a number of points"),
+    ("a.pts", "{\n1 " + "x" * 40 + "\n}", f"'{'x' * 40}' in point 1 is not a number"),
+    ("a.pts", "{\n1 " + "x" * 41 + "\n}", f"'{'x' * 37}...' in point 1 is not a number"),
+    ("a.pts", "{\n1 2\n3 nan\n}", "landmark 2 (counting from 1) has only one of x and y"),
     ("a.pts", "", "is empty (0 bytes)"),
     ("a.pts", " \n\n", "only blank lines"),
     ("a.pts", b"{\n\x00\x01\n}", "is not a text file"),
     ("a.pts", bytes(range(256)), "is not a text file"),
+    ("a.pts", b"{\n1 1\n}\x01\xff", "is not a text file"),
+    ("a.pts", b"\xfe\xff\x00", "is not a text file"),
     ("a.pts", b"\xff\xfe\x00", "is not a text file"),
     ("a.asf", "# nothing\n", "holds comments only"),
+    ("a.asf", ASF.replace("3\n0", "three\n0"), "'three' is not a number of points"),
+    ("a.asf", ASF.replace("0.5 1 0 2", "0.5 -1 0 2"), "'-1' is not a number of a point"),
+    ("a.asf", ASF.replace("0.5 1 0 2", "0.5 0 0 2"), "number the points 0 to 2"),
+    (
+        "a.asf",
+        ASF.replace("2 0.0 0.0 0.0\n0 0 0.00", "2\n0 0 0.00").replace("0.50 0.5 1 0 2", "0.50 0.5 1 0"),
+        "but 2 are",
+    ),
     ("a.asf", ASF.replace("3\n0", "4\n0"), "promises 4 points but 3 are there"),
     ("a.asf", ASF.replace("3\n0", "88888888888\n0"), "promises 88888888888 points but 3 are there"),
     ("a.asf", ASF.replace("0.5 1 0 2", "0.5 1 0 3"), "names point 3, but has points 0 to 2"),
@@ -268,6 +413,13 @@ BAD = [
     ("a.ljson", ljson([[1, 2]], connectivity=[[0, 4]]), "names landmark 4"),
     ("a.ljson", ljson([[1, 2]], connectivity=[[0, 0.5]]), "lacks the parts of a menpo"),
     ("a.ljson", ljson([]), "n > 0"),
+    ("a.ljson", ljson([[1, 2], ["x" * 50, 2]]), f"'{'x' * 37}...' in point 2 is not a number: correct it, or use null"),
+    ("a.ljson", {"version": 3, "groups": 7}, "lacks the parts of a menpo"),
+    ("a.ljson", {**ljson([[1, 2]]), "labels": [{"label": "a", "mask": [0.5]}]}, "lacks the parts of a menpo"),
+    ("a.ljson", {**ljson([[1, 2]]), "labels": [{"label": "a"}]}, "lacks the parts of a menpo"),
+    ("a.ljson", {"version": 2, "landmarks": 5}, "lacks the parts of a menpo"),
+    ("a.ljson", {"version": 2, "landmarks": None}, "lacks the parts of a menpo"),
+    ("a.ljson", "[" + "1," * 90 + "x", "is not complete JSON (Expecting value: line 1 column 182 (char 181))"),
     ("a.xml", DLIB[:-40], "is not complete XML"),
     ("a.xml", "<dataset><images/></dataset>", "has no image with landmarks"),
     ("a.xml", DLIB.replace("x='90'", "x='ninety'"), "'ninety' in part '0' of image 'a.jpg' is not a number"),
@@ -277,6 +429,18 @@ BAD = [
     ("a.xml", '<!DOCTYPE d [<!ENTITY a "aaaa">]><d>&a;</d>'.encode("utf-16"), "not safe to read"),
     ("a.xml", DLIB, "holds the landmarks of 2 images (a.jpg, sub/b.jpg ...)"),
     ("a.json", "{}", "lacks the parts of a COCO"),
+    ("a.json", {**COCO, "images": [7]}, "lacks the parts of a COCO"),
+    ("a.json", {**COCO, "annotations": [7]}, "lacks the parts of a COCO"),
+    (
+        "a.json",
+        {**COCO, "annotations": [{**COCO["annotations"][0], "area": "big"}]},
+        "'big' in an area is not a number",
+    ),
+    ("a.json", {**COCO, "annotations": [{**COCO["annotations"][2], "bbox": [0, 0, "w", 1]}]}, "'w' in a box is not a"),
+    ("a.json", {**COCO, "annotations": [{**COCO["annotations"][2], "bbox": [0, 0, 1, "h"]}]}, "'h' in a box is not a"),
+    ("a.json", {**COCO, "annotations": [{**COCO["annotations"][2], "bbox": [0, 0]}]}, "lacks the parts of a COCO"),
+    ("a.json", {**COCO, "categories": [{"id": 1, "skeleton": [[1, 2, 3]]}]}, "no list of pairs of keypoints' numbers"),
+    ("a.json", {**COCO, "categories": [{"id": 1, "skeleton": [[0, 1]]}]}, "names landmark -1"),
     ("a.json", "3", "lacks the parts of a COCO"),
     ("a.json", {**COCO, "annotations": []}, "is COCO without keypoints"),
     (
@@ -298,6 +462,12 @@ BAD = [
     ("a.csv", "a,b\n1,2\n", "has no columns x and y"),
     ("a.csv", "x,y\n", "has no rows under its header"),
     ("a.csv", "x,y\n1,2\n3\n", "line 3 has 1 cells but the header 2"),
+    ("a.csv", "x,y\n1,2\n\n\n3,4,5\n", "line 5 has 3 cells but the header 2"),
+    ("a.csv", "x,name\n1,2\n", "has no columns x and y"),
+    ("a.csv", "name,y\n1,2\n", "has no columns x and y"),
+    ("a.csv", 'x,y,name\n1,2,"a\nb"\n1,\n', "line 4 has 2 cells but the header 3"),
+    ("a.csv", "x,y\n,2\n", "line 2 has only one of x and y: fill in both"),
+    ("a.csv", 'x,y\n1,"2,5"\n', "'2,5' in line 2 is not a number"),
     ("a.csv", "x,y\n1,\n", "line 2 has only one of x and y"),
     ("a.csv", "x,y\n1,two\n", "'two' in line 2 is not a number"),
     ("a.csv", 'x,y\n1,"2\n' + "2" * 200_000, "is not a CSV table"),
@@ -346,6 +516,9 @@ def test_read_collection_of_one_image_s_file(tmp_path: Path) -> None:
         ([[1, 2]], {"names": ("a", "b")}, "2 names for 1 landmarks"),
         ([[1, 2]], {"contours": (Contour((0, 1)),)}, "names landmark 1"),
         ([[1, 2]], {"contours": (Contour((-1, 0)),)}, "names landmark -1"),
+        ([[1, 2]], {"invisible": (-1,)}, r"landmark -1 \(counting from 0\) is marked invisible, but there are 1"),
+        (np.zeros((0, 2)), {}, r"shape \(0, 2\)"),
+        ([[1, 2], [NAN, 2]], {}, r"landmark 2 \(counting from 1\) has only one of x and y"),
     ],
 )
 def test_landmarks_are_validated(points: object, more: dict, words: str) -> None:
@@ -529,6 +702,8 @@ def test_contour_of_degenerate_lines() -> None:
     assert contour_of([3, 3], closed=False) is None
     assert contour_of([], closed=True) is None
     assert contour_of([3, 4], closed=True) == Contour((3, 4), closed=True)
+    assert contour_of([3, 4], closed=False) == Contour((3, 4), closed=False)
+    assert contour_of([3, 4, 3], closed=False) == Contour((3, 4), closed=True)
 
 
 # Real files ----------------------------------------------------------------------------------------

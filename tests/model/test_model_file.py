@@ -17,6 +17,9 @@ from safetensors.numpy import save
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting import Fitter
 from liaam.model import AAM, MESH, SURROUNDINGS, load_model
+from liaam.model.shape import diagonal_of, similarity_modes
+from liaam.model.views import Reliability
+from liaam.photometry import CameraModel, NoiseModel
 from liaam.training import train
 from setups import disturb, train_on
 
@@ -493,6 +496,270 @@ def test_a_forged_model_is_refused(tiny_file, tmp_path, change, match):
     header, tensors = parts(tiny_file)
     change(header, tensors)
     assert_refused(forge(tmp_path / "forged.liaam", header, tensors), match)
+
+
+# Where the limits are
+
+
+def mesh_of(header, tensors, n: int) -> None:
+    """So many landmarks on a circle, under the tiny model's two triangles."""
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    tensors["mean"] = 8 * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def complaint(path: Path, header: dict, tensors: dict[str, np.ndarray]) -> str:
+    """What a forged file is refused with; empty if it is taken."""
+    try:
+        load_model(forge(path, header, tensors))
+    except ModelFileError as error:
+        assert str(error).startswith(f"{path}: the model file contradicts itself")
+        assert str(error).endswith("; train the model again")
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(("n", "refused"), [(4000, False), (4001, True), (2, True)])
+def test_the_number_of_landmarks_is_limited(tiny_file, tmp_path, n, refused):
+    header, tensors = parts(tiny_file)
+    mesh_of(header, tensors, n)
+    words = "the mesh does not belong to the landmarks" if n == 2 else f"it has {n} landmarks, and 4000 are the most"
+    tensors["triangles"] = tensors["triangles"] if n > 2 else np.array([[0, 1, 1]], np.int32)
+    assert (words in complaint(tmp_path / "forged.liaam", header, tensors)) == refused
+
+
+@pytest.mark.parametrize(
+    ("diagonal", "refused"), [(7.99, True), (8.01, False), (1999.9, False), (2000.1, True), (2500.0, True)]
+)
+def test_the_size_of_the_frame_is_limited(tiny_file, tmp_path, diagonal, refused):
+    header, tensors = parts(tiny_file)
+    tensors["mean"] = tensors["mean"] * (diagonal / diagonal_of(tensors["mean"]))
+    message = complaint(tmp_path / "forged.liaam", header, tensors)
+    assert ("a reference frame of no sensible size (8 to 2000 pixels)" in message) == refused
+
+
+def test_a_frame_far_away_is_refused(tiny_file, tmp_path):
+    header, tensors = parts(tiny_file)
+    tensors["mean"] = tensors["mean"] + 2500.0
+    assert "no sensible size" in complaint(tmp_path / "forged.liaam", header, tensors)
+
+
+@pytest.mark.parametrize(("n", "refused"), [(1, False), (2, False), (3, True), (4, True)])
+def test_triangles_that_overlap_are_refused(tiny_file, tmp_path, n, refused):
+    header, tensors = parts(tiny_file)
+    each = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 3], [1, 2, 3]], np.int32)
+    tensors["mean"] = np.array([[-6, -6], [6, -6], [6, 6], [-6, 6.0]])
+    tensors["triangles"] = each[:n]
+    assert ("the mesh overlaps itself" in complaint(tmp_path / "forged.liaam", header, tensors)) == refused
+
+
+@pytest.mark.parametrize(("n", "refused"), [(8, False), (9, True)])
+def test_more_triangles_than_a_mesh_can_have_are_refused(tiny_file, tmp_path, n, refused):
+    header, tensors = parts(tiny_file)
+    tensors["mean"] = np.array([[-6, -6], [6, -6], [0, -5.5], [-6, 6.0]])
+    tensors["triangles"] = np.repeat(np.array([[0, 1, 2]], np.int32), n, axis=0)
+    assert ("the mesh overlaps itself" in complaint(tmp_path / "forged.liaam", header, tensors)) == refused
+
+
+@pytest.mark.parametrize(("blurs", "refused"), [(10, False), (11, True)])
+def test_the_number_of_levels_is_limited(tiny_file, tmp_path, blurs, refused):
+    header, tensors = parts(tiny_file)
+    header["views"][MESH]["blurs"] = [1.0] * blurs
+    for i in range(1, blurs):
+        tensors |= {key.replace("/0/", f"/{i}/"): v for key, v in tensors.items() if key.startswith("mesh/0/")}
+    assert ("blurs" in complaint(tmp_path / "forged.liaam", header, tensors)) == refused
+    if not refused:
+        assert len(load_model(tmp_path / "forged.liaam").levels) == 10
+
+
+@pytest.mark.parametrize(("blur", "refused"), [(-0.01, True), (0, False), (10, False), (10.01, True)])
+def test_the_blur_is_limited(tiny_file, tmp_path, blur, refused):
+    header, tensors = parts(tiny_file)
+    header["views"][MESH]["blurs"] = [blur]
+    assert ("blurs" in complaint(tmp_path / "forged.liaam", header, tensors)) == refused
+
+
+def spanned(mean: np.ndarray, count: int) -> np.ndarray:
+    """So many orthonormal deformations of landmarks that are no similarities."""
+    similarities = similarity_modes(mean)
+    noise = np.random.default_rng(1).normal(size=(count, mean.size))
+    noise -= noise @ similarities.T @ similarities
+    return np.linalg.qr(noise.T)[0].T.copy()
+
+
+@pytest.mark.parametrize(("count", "words"), [(4, ""), (5, "5 shape modes of 4 landmarks")])
+def test_there_are_as_many_shape_modes_as_ways_to_deform(tiny_file, tmp_path, count, words):
+    header, tensors = parts(tiny_file)
+    modes = np.zeros((count, 8))
+    modes[: min(count, 4)] = spanned(tensors["mean"], 4)
+    tensors["mesh/shape.modes"], tensors["mesh/shape.eigenvalues"] = modes, np.ones(count)
+    message = complaint(tmp_path / "forged.liaam", header, tensors)
+    assert words in message and bool(message) == bool(words)
+
+
+@pytest.mark.parametrize("key", ["mesh/shape.modes", "mesh/0/log.modes"])
+@pytest.mark.parametrize(("length", "refused"), [(0.93, True), (0.97, False), (1.03, False), (1.07, True)])
+def test_modes_may_be_off_their_length_by_rounding_only(tiny_file, tmp_path, key, length, refused):
+    header, tensors = parts(tiny_file)
+    tensors[key] = tensors[key] * tensors[key].dtype.type(length)
+    assert bool(complaint(tmp_path / "forged.liaam", header, tensors)) == refused
+
+
+def test_as_many_appearance_modes_as_pictures_are_taken(tiny_file, tmp_path):
+    header, tensors = parts(tiny_file)
+    tensors["mesh/0/log.modes"] = np.repeat(tensors["mesh/0/log.modes"][:1], 4, axis=0)
+    tensors["mesh/0/log.eigenvalues"] = np.zeros(4)
+    assert not complaint(tmp_path / "forged.liaam", header, tensors)
+
+
+def set_usable(value):
+    def change(header, tensors):
+        tensors["mesh/0/log.usable"][0] = value
+
+    return change
+
+
+def set_variance(key, value):
+    def change(header, tensors):
+        tensors[key][0, 1, 1] = value
+
+    return change
+
+
+def entry(key, value):
+    def change(header, tensors):
+        header[key] = value
+
+    return change
+
+
+def pixels(value):
+    def change(header, tensors):
+        header["views"][MESH]["n_pixels"] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (set_usable(1.0), ""),
+        (set_usable(1.01), "mesh/0/log.usable has values out of range"),
+        (set_usable(-0.01), "mesh/0/log.usable has values out of range"),
+        (set_variance("mesh/0/log.unexplained", 0.0), ""),
+        (set_variance("mesh/0/log.unexplained", -1e-3), "mesh/0/log.unexplained has variances below 0"),
+        (set_variance("mesh/shape.unexplained", -1e-3), "mesh/shape.unexplained has variances below 0"),
+        (entry("contours", [[[0, 3], True]]), ""),
+        (entry("contours", [[[0, -1], True]]), "names a landmark that does not exist"),
+        (entry("contours", [[[0, 4], True]]), "names a landmark that does not exist"),
+        (entry("contours", 5), "not iterable"),
+        (entry("theta", 7.0), "theta"),
+        (entry("response", {"stored": [0.5]}), "response curve"),
+        (pixels(1.5), "1.5 is no count"),
+        (pixels(0), "0 is no count"),
+        (lambda header, tensors: tensors.pop("mesh/0/value.mean"), "an appearance is missing"),
+        (lambda header, tensors: tensors.pop("mesh/0/value.modes"), "value.modes"),
+    ],
+)
+def test_values_at_their_limits(tiny_file, tmp_path, change, words):
+    header, tensors = parts(tiny_file)
+    tensors = {key: value.copy() for key, value in tensors.items()}
+    change(header, tensors)
+    message = (
+        complaint(tmp_path / "forged.liaam", header, tensors).replace("'0/", "'mesh/0/").replace("(0/", "(mesh/0/")
+    )
+    assert words.removeprefix("mesh/") in message and bool(message) == bool(words)
+
+
+# How far fits can be trusted
+
+
+RELIABILITY = {
+    "landmarks": np.tile(np.eye(2), (4, 1, 1)),
+    "weights": np.array([-1.0, 4.0, -0.5]),
+    "understated": np.array([1.5]),
+    "ordinary": np.array([0.75]),
+}
+
+
+def trusted(path: Path, **changes) -> tuple[dict, dict[str, np.ndarray]]:
+    header, tensors = parts(path)
+    known = RELIABILITY | {key: np.asarray(value, np.float64) for key, value in changes.items()}
+    return header, tensors | {f"surroundings/reliability.{key}": value.copy() for key, value in known.items()}
+
+
+def test_what_is_known_of_fits_is_kept(tiny_file, tmp_path):
+    first = load_model(forge(tmp_path / "first.liaam", *trusted(tiny_file)))
+    assert first.views[MESH].reliability is None
+    first.save(tmp_path / "second.liaam")
+    for path in ("first.liaam", "second.liaam"):
+        known = load_model(tmp_path / path).views[SURROUNDINGS].reliability
+        assert known is not None
+        np.testing.assert_array_equal(known.landmarks, RELIABILITY["landmarks"])
+        np.testing.assert_array_equal(known.weights, RELIABILITY["weights"])
+        assert (known.understated, known.ordinary) == (1.5, 0.75)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"understated": [1.0], "ordinary": [0.0]}, ""),
+        ({"ordinary": [1.0]}, ""),
+        ({"understated": [0.99]}, "reliability.understated is below 1"),
+        ({"ordinary": [-0.01]}, "reliability.ordinary is no probability"),
+        ({"ordinary": [1.01]}, "reliability.ordinary is no probability"),
+        ({"ordinary": [0.5, 0.5]}, "reliability.ordinary has type float64 and shape (2,)"),
+        ({"understated": [[1.0]]}, "reliability.understated has type float64 and shape (1, 1)"),
+        ({"weights": [1.0, 2.0]}, "reliability.weights has type float64 and shape (2,)"),
+        ({"weights": [1.0, 2.0, np.inf]}, "reliability.weights has values that are not numbers"),
+        ({"landmarks": np.tile(-np.eye(2), (4, 1, 1))}, "reliability.landmarks has variances below 0"),
+        ({"landmarks": np.zeros((3, 2, 2))}, "reliability.landmarks has type float64 and shape (3, 2, 2)"),
+    ],
+)
+def test_what_is_known_of_fits_is_checked(tiny_file, tmp_path, changes, words):
+    message = complaint(tmp_path / "forged.liaam", *trusted(tiny_file, **changes))
+    assert words in message and bool(message) == bool(words)
+
+
+def test_quality_is_a_probability_of_the_evidence():
+    known = Reliability(**{**RELIABILITY, "understated": 1.5, "ordinary": 0.8})
+    assert known.quality(np.array([0.25, 0.0])) == 0.5
+    assert known.quality(np.array([0.5, 1.0])) == pytest.approx(1 / (1 + np.exp(-0.5)))
+    assert known.quality(np.array([1e9, 0.0])) == pytest.approx(1.0)
+    assert 0 < known.quality(np.array([-1e9, 0.0])) < 1e-20
+    assert known.quality(np.array([np.nan, 0.0])) == 0.0
+    assert known.little == pytest.approx(4 ** (2 / 3) / (1 + 4 ** (2 / 3)))  # two thirds of the log odds of 4 to 1
+    assert replace(known, ordinary=1.0).little == pytest.approx(1.0, abs=1e-5)
+    assert replace(known, ordinary=0.0).little == pytest.approx(0.0, abs=1e-5)
+
+
+# What the header says
+
+
+def test_a_file_without_relit_copies_says_nothing_of_them(tiny_file, tmp_path):
+    header, tensors = parts(tiny_file)
+    del header["n_textures"]
+    loaded = load_model(forge(tmp_path / "old.liaam", header, tensors))
+    assert (loaded.n_images, loaded.n_textures) == (4, 0)
+    assert repr(loaded) == f"AAM('', 4 landmarks, {loaded.n_pixels} pixels, 4 images)"
+
+
+def test_the_camera_is_kept_to_the_last_digit(tiny_file, tmp_path):
+    camera = CameraModel(theta=2.1234567890123456, response=2.2, vignetting=(-0.1,), noise=NoiseModel(1e-3, 1e-6))
+    replace(load_model(tiny_file), camera=camera).save(tmp_path / "face.liaam")
+    assert load_model(tmp_path / "face.liaam").camera == camera
+
+
+def test_long_names_are_cut(tiny_file, tmp_path):
+    header, tensors = parts(tiny_file)
+    assert load_model(forge(tmp_path / "a.liaam", header | {"name": "x" * 1000}, tensors)).name == "x" * 1000
+    assert load_model(forge(tmp_path / "b.liaam", header | {"name": "x" * 1001}, tensors)).name == "x" * 1000
+
+
+def test_a_pipe_is_refused_instead_of_waiting(tmp_path):
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("this system has no named pipes")
+    os.mkfifo(tmp_path / "face.liaam")
+    assert_refused(tmp_path / "face.liaam", "the model file is no ordinary file; make one with 'liaam train FOLDER")
 
 
 @pytest.mark.parametrize("name", ["\ud800", "x" * 100_000, "\u00e9"])

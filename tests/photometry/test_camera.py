@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from liaam.calibration import AngleEstimate
 from liaam.errors import CameraError
 from liaam.photometry import CameraModel, NoiseModel, ResponseCurve, load_camera
+from liaam.photometry.camera import least_share
 from liaam.photometry.encoding import SATURATED
 
 KNOWN = CameraModel(
@@ -76,6 +77,9 @@ def change(path, **facts):
         ({"response": {"stored": [0.5, 0.5 + 1e-8, 1], "linear": [1e-2, 0.5, 1]}}, "contradicts itself.*almost equal"),
         ({"response": {"stored": [1e-300, 1.1e-300], "linear": [1e-9, 1]}}, "contradicts itself.*response"),
         ({"respnse": "srgb"}, "unknown entry respnse"),
+        ({"theta_deg": 10**400}, "contradicts itself"),
+        ({"theta_deg": None}, "contradicts itself"),
+        ({"vignetting": 3}, "contradicts itself"),
     ],
 )
 def test_a_file_that_makes_no_sense_is_refused(tmp_path, facts, fault):
@@ -201,3 +205,109 @@ def test_what_is_no_file_on_disk_is_refused_before_it_is_read(tmp_path, kind):
     message = {"large": "more than the", "long name": "name too long"}.get(kind, "is not a regular file")
     with pytest.raises(CameraError, match=f"(?i){message}"):
         load_camera(path)
+
+
+def test_a_camera_file_needs_its_angle_only(tmp_path):
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({"format": "liaam-camera", "version": 1, "theta_deg": 90}))
+    assert load_camera(path) == CameraModel(theta=np.pi / 2)
+    path.write_text(json.dumps({"format": "liaam-camera", "version": 1}))
+    with pytest.raises(CameraError, match=r"camera.json: a camera file needs theta_deg; its entries are theta_deg"):
+        load_camera(path)
+
+
+def test_the_history_of_a_camera_is_text_that_can_be_written(tmp_path):
+    path = tmp_path / "camera.json"
+    change(path, history=["a\ud800b", 7])
+    assert load_camera(path).history == ("a?b", "7")
+
+
+def test_unknown_angles_and_noise_are_written_as_null():
+    facts = CameraModel().describe()
+    assert (facts["theta_standard_error_deg"], facts["noise"]) == (None, None)
+    assert facts["theta_deg"] == round(facts["theta_deg"], 9)
+
+
+@pytest.mark.parametrize(
+    ("facts", "allowed"),
+    [
+        ({"theta": 2 * np.pi}, True),
+        ({"theta": -2 * np.pi}, True),
+        ({"theta": 6.3}, False),
+        ({"theta": -6.3}, False),
+        ({"theta": np.nan}, False),
+        ({"theta_deviation": 0.0}, True),
+        ({"theta_deviation": -1e-9}, False),
+        ({"theta_deviation": np.inf}, False),
+        ({"theta_deviation": np.nan}, False),
+        ({"vignetting": (0.0,) * 16}, True),
+        ({"vignetting": (0.0,) * 17}, False),
+        ({"vignetting": (-0.98,)}, True),
+        ({"vignetting": (-0.981,)}, False),
+        ({"vignetting": (49.0,)}, True),
+        ({"vignetting": (49.1,)}, False),
+        ({"vignetting": (-3.9, 3.9)}, True),
+        ({"vignetting": (-4.0, 4.0)}, False),  # bright in the corners, and black on the way there
+    ],
+)
+def test_cameras_at_their_limits(facts, allowed):
+    if allowed:
+        assert CameraModel(**facts)
+        return
+    with pytest.raises(CameraError, match=next(iter(facts))):
+        CameraModel(**facts)
+
+
+@pytest.mark.parametrize(
+    ("slope", "offset", "allowed"),
+    [(0, 0, True), (1e8, 1e8, True), (1.01e8, 0, False), (0, 1.01e8, False), (-1e-9, 0, False), (0, -1e-9, False)],
+)
+def test_noise_at_its_limits(slope, offset, allowed):
+    if allowed:
+        assert NoiseModel(slope, offset)
+        return
+    with pytest.raises(CameraError, match=f"noise of slope {slope} and offset {offset}: give two numbers"):
+        NoiseModel(slope, offset)
+
+
+def test_a_picture_of_one_pixel_has_no_corners():
+    assert CameraModel(vignetting=(-0.5,)).falloff(1, 1).tolist() == [[1.0]]
+
+
+def test_the_least_share_of_light_may_lie_anywhere():
+    assert least_share((-0.3,)) == pytest.approx(0.7)
+    assert least_share((-2.0, 2.0)) == pytest.approx(0.5, abs=1e-3)
+    assert least_share(()) == 1.0
+
+
+CURVE = ResponseCurve((0.1, 1.0), (0.1, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("own", "raw", "asked", "expected"),
+    [
+        ("srgb", True, None, "linear"),
+        (2.2, True, None, "linear"),
+        (CURVE, True, None, CURVE),
+        ("srgb", False, None, "srgb"),
+        (2.2, False, None, 2.2),
+        (CURVE, True, "1.8", 1.8),
+        ("linear", False, "srgb", "srgb"),
+    ],
+)
+def test_pictures_have_the_response_that_is_known_best(own, raw, asked, expected):
+    assert CameraModel(response=own).suited_to(raw=raw, response=asked).response == expected
+
+
+def test_flattening_changes_only_what_is_neither_dark_nor_clipped():
+    camera = CameraModel(vignetting=(-0.5,), response="linear")
+    image = np.full((9, 9, 3), 0.3, np.float32)
+    image[0, 0], image[0, 8], image[8, 0] = 0.029, 0.99, np.inf
+    flat = camera.flatten(image)
+    assert flat[4, 4] == pytest.approx(np.full(3, 0.3))
+    assert flat[8, 8] == pytest.approx(np.full(3, 0.6))
+    assert flat[0, 0] == pytest.approx(np.full(3, 0.029))
+    assert flat[0, 8] == pytest.approx(np.full(3, 0.99))
+    assert np.isnan(flat[8, 0]).all()
+    whole = camera.flatten(np.full((9, 9, 3), 5, np.uint8))
+    assert whole.dtype == np.float32 and whole == pytest.approx(np.full((9, 9, 3), 5 / 255))

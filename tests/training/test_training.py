@@ -410,7 +410,7 @@ def rod(rng: np.random.Generator, ratio: float) -> tuple[np.ndarray, np.ndarray]
         return cv2.resize(values, size, interpolation=cv2.INTER_CUBIC)
 
     length, width = 400 * rng.uniform(0.93, 1.07), 400 / ratio * rng.uniform(0.93, 1.07)
-    centre, angle = rng.uniform(195, 215, 2) + [60, 0], rng.uniform(-0.3, 0.3)
+    centre, angle = rng.uniform(195, 215, 2) + np.array([60, 0]), rng.uniform(-0.3, 0.3)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     along, across = np.moveaxis((np.stack(np.mgrid[:400, :540][::-1], axis=-1) - centre) @ turn, -1, 0)
     image = blotches(rng, 9, 12, (540, 400))
@@ -432,6 +432,6 @@ def test_objects_many_times_as_long_as_wide_are_trained_and_fitted(ratio):
     model = train(rods[:5], diagonal=200.0, leave_out=False)
     assert (signed_areas(model.shape_model.mean, model.triangles) > 0).all()
     image, outline = rods[5]
-    result = Fitter(model, "li").fit(image, outline + [3, 2])
+    result = Fitter(model, "li").fit(image, outline + np.array([3, 2]))
     assert result.status.ok
     assert np.abs(result.shape - outline).max() < 1

@@ -193,7 +193,7 @@ def _view(
     needed = {"value", "log"} if name == MESH else set()
     if not all(level.appearances and needed <= set(level.appearances) for level in levels):
         raise ValueError(f"view {name} lacks an appearance")
-    if signed_areas(mean, triangles).sum() > ROOMY * max(n_pixels, 1):
+    if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
     view = make_view(name, _shape_model(about, tensors, mean), triangles, levels, _reliability(tensors, n))
     if n_pixels != view.warp.frame.n_pixels:
@@ -204,7 +204,7 @@ def _view(
 def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
     n = len(mean)
     modes = _tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
-    if len(modes) > max(2 * n - 4, 0):  # they are orthogonal to each other and to the four similarity vectors
+    if len(modes) > 2 * n - 4:  # they are orthogonal to each other and to the four similarity vectors
         raise ValueError(f"{len(modes)} shape modes are too many for {n} landmarks")
     basis = np.concatenate([modes, similarity_modes(mean)])
     if not _are_unit(modes) or np.abs(modes @ basis.T - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:

@@ -118,7 +118,7 @@ class CameraModel:
         if not self.vignetting:
             return image
         stored = stored_values(image)
-        light = to_linear(stored, self.response) / self.falloff(*image.shape[:2])[..., None]
+        light = to_linear(np.minimum(stored, 1.0), self.response) / self.falloff(*image.shape[:2])[..., None]
         flat = np.clip(from_linear(light, self.response), DARK, SATURATED).astype(np.float32)
         flat = np.where((stored < DARK) | (stored > SATURATED), stored, flat)
         return np.where(np.isfinite(image), flat, np.float32(np.nan)) if image.dtype.kind == "f" else flat

@@ -73,7 +73,7 @@ def parse_response(text: "str | float | Mapping | ResponseCurve") -> Response:
         return text
     try:
         gamma = float(text)
-    except ValueError:
+    except (TypeError, ValueError):
         gamma = np.nan
     if not 0.2 <= gamma <= 5.0:
         raise ImageError(f"response {text!r} is unknown: use 'srgb', 'linear' or a gamma between 0.2 and 5")

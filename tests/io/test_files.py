@@ -1,0 +1,112 @@
+"""Finding files, and saying why one cannot be found."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from liaam.errors import ImageError, LandmarkError, LiaamError
+from liaam.io.files import existing_file, is_number, make_folder, natural_key, read_bytes, writable
+
+
+def complaint(path: Path, kind: str = "image") -> str:
+    with pytest.raises(ImageError) as caught:
+        existing_file(path, ImageError, kind)
+    assert str(path) in str(caught.value)
+    return str(caught.value)
+
+
+def test_natural_order() -> None:
+    assert sorted(["b1", "a10", "A2", "a²", "7"], key=natural_key) == ["7", "A2", "a10", "a²", "b1"]
+    assert sorted(["x010", "x9", "x10", "x0009y"], key=natural_key) == ["x9", "x0009y", "x010", "x10"]
+    long = "1" + "0" * 9000  # longer than int() takes
+    assert sorted([f"{long}1", long, "9"], key=natural_key) == ["9", long, f"{long}1"]
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("1", True), ("-2.5e3", True), ("nan", False), ("inf", False), ("", False)]
+)
+def test_cells_that_are_numbers(text: str, number: bool) -> None:
+    assert is_number(text) is number
+
+
+def test_halves_of_surrogate_pairs_cannot_be_written() -> None:
+    assert writable("aä\U0001f600") == "aä\U0001f600"
+    assert writable("a\ud800b") == "a?b"
+
+
+def test_a_file_that_is_there_is_given_as_a_path(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(b"x")
+    assert existing_file(str(tmp_path / "a.png"), ImageError, "image") == tmp_path / "a.png"
+
+
+def test_what_is_no_file_says_what_it_is(tmp_path: Path) -> None:
+    assert complaint(tmp_path, "RAW file") == f"{tmp_path} is a folder; give the name of one RAW file inside it."
+    (tmp_path / "a.png").touch()
+    assert complaint(tmp_path / "a.png") == f"{tmp_path / 'a.png'} is empty (0 bytes): copy or export it again."
+    assert complaint(Path("/dev/null")) == "/dev/null is not an ordinary file: give one on disk."
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ([], "Nothing in {folder} has a similar name: check the path."),
+        (["other.txt"], "Nothing in {folder} has a similar name: check the path."),
+        (["face_01.png"], "Did you mean face_01.png?"),
+        (["face_01.png", "face_02.png"], "Did you mean face_02.png or face_01.png?"),
+        ([f"face_0{i}.png" for i in range(1, 6)], "Did you mean face_05.png or face_04.png or face_03.png?"),
+    ],
+)
+def test_a_missing_file_names_at_most_three_like_it(tmp_path: Path, names: list[str], words: str) -> None:
+    for name in names:
+        (tmp_path / name).touch()
+    path = tmp_path / "face_0.png"
+    assert complaint(path) == f"{path} does not exist. {words.format(folder=tmp_path)}"
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "no" / "a.png"
+    assert complaint(path) == f"{path} does not exist. The folder {path.parent} does not exist either: check the path."
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"), [(PermissionError(13, "Permission denied"), "Permission denied"), (OSError("odd"), "odd")]
+)
+def test_a_file_or_folder_that_may_not_be_read_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: OSError, reason: str
+) -> None:
+    def forbidden(*_: object, **__: object) -> None:
+        raise fault
+
+    monkeypatch.setattr(os, "scandir", forbidden)
+    assert complaint(tmp_path) == f"{tmp_path} cannot be read ({reason}): check the name and the rights."
+    (tmp_path / "a.pts").write_bytes(b"x")
+    monkeypatch.setattr(Path, "read_bytes", forbidden)
+    with pytest.raises(LandmarkError) as caught:
+        read_bytes(tmp_path / "a.pts", LandmarkError, 1)
+    assert str(caught.value) == f"{tmp_path / 'a.pts'} cannot be read ({reason}): check the rights on the file."
+
+
+def test_files_are_read_up_to_a_limit(tmp_path: Path) -> None:
+    path = tmp_path / "a.pts"
+    path.write_bytes(b"x" * 2000)
+    assert read_bytes(path, LandmarkError, 2000) == b"x" * 2000
+    with pytest.raises(LandmarkError) as caught:
+        read_bytes(path, LandmarkError, 1999)
+    assert str(caught.value) == f"{path} has 2,000 bytes, more than the 1,999 allowed: split it into smaller files."
+
+
+def test_folders_for_results_are_made(tmp_path: Path) -> None:
+    make_folder(tmp_path / "a" / "b")
+    make_folder(tmp_path / "a" / "b")
+    assert (tmp_path / "a" / "b").is_dir()
+    (tmp_path / "c").touch()
+    with pytest.raises(LiaamError) as caught:
+        make_folder(tmp_path / "c")
+    assert str(caught.value) == f"{tmp_path / 'c'} is a file, so the folder cannot be made; give another with -o"
+    with pytest.raises(LiaamError) as caught:
+        make_folder(tmp_path / "c" / "d")
+    assert str(caught.value) == (
+        f"{tmp_path / 'c' / 'd'}: the folder cannot be made ({os.strerror(errno.ENOTDIR)}); give another with -o"
+    )
