@@ -77,6 +77,13 @@ def test_what_is_written_is_on_the_disk_before_and_after_it_gets_its_name(
     assert forced == [("new", "old"), ("folder", "new")]
 
 
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "no" / "a.txt"
+    with pytest.raises(ModelFileError) as caught:
+        write_bytes_atomically(path, b"x", ModelFileError)
+    assert str(caught.value) == f"{path} cannot be written: the folder {path.parent} does not exist. Make it first."
+
+
 def test_no_file_is_left_open(tmp_path: Path) -> None:
     if not Path("/proc/self/fd").is_dir():
         pytest.skip("this system does not list descriptors")

@@ -7,6 +7,7 @@ import threading
 import time
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import pytest
 from liaam.errors import LiaamError, VideoError
 from liaam.io import VideoReader, video_writer, write_image
 from liaam.io import video as io_video
-from liaam.io.video import SOUGHT
+from liaam.io.video import SOUGHT, can_enter, check_video_name, is_video
 
 N = 30
 
@@ -515,3 +516,225 @@ def test_fewer_large_frames_are_decoded_ahead(video, monkeypatch):
             time.sleep(0.05)
             assert len(reader._queue.queue) == n_ahead
             assert len(list(reader)) == N
+
+
+# Cameras
+
+
+class FakeCapture:
+    """Stands for a camera of OpenCV: so many pictures of blue, and then none."""
+
+    def __init__(self, n: int = 5, rate: float = 29.97, is_open: bool = True) -> None:
+        self.left, self.rate, self.is_open, self.released = n, rate, is_open, False
+        self.asked = None
+
+    def __call__(self, number: int) -> "FakeCapture":
+        self.number = number
+        return self
+
+    def isOpened(self) -> bool:  # noqa: N802
+        return self.is_open
+
+    def get(self, what: int) -> float:
+        self.asked = what
+        return self.rate
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        self.left -= 1
+        if self.left < 0:
+            return False, None
+        return True, np.full((4, 6, 3), [200, self.left, 0], np.uint8)
+
+    def release(self) -> None:
+        self.released = True
+
+
+@pytest.fixture
+def camera(monkeypatch):
+    """Put a camera in OpenCV's place; gives a way to make it."""
+    import cv2
+
+    def plug(**options) -> FakeCapture:
+        capture = FakeCapture(**options)
+        monkeypatch.setattr(cv2, "VideoCapture", capture)
+        return capture
+
+    return plug
+
+
+def test_a_camera_gives_pictures_until_it_is_unplugged(camera, monkeypatch):
+    import cv2
+
+    monkeypatch.setattr(io_video, "AHEAD_LIVE", 16)
+    capture = camera()
+    with VideoReader(91) as video:
+        assert (video.name, video.live, video.n_frames, video.announces) == ("camera 91", True, None, False)
+        assert video.rate == 30
+        frames = list(video)
+    assert (capture.number, capture.asked, capture.released) == (91, cv2.CAP_PROP_FPS, True)
+    assert [frame.index for frame in frames] == list(range(5))
+    assert [frame.image[3, 5].tolist() for frame in frames] == [[0, i, 200] for i in (4, 3, 2, 1, 0)]
+    times = [frame.time for frame in frames]
+    assert times == sorted(times) and times[0] >= 0 and times[-1] < 60
+    assert video.fault == "the camera gave no more pictures; is it still plugged in?"
+    assert video.ended
+
+
+@pytest.mark.parametrize(("told", "rate"), [(0.0, 25), (0.3, 25), (1.4, 1), (59.94, 60), (-1.0, 1)])
+def test_the_rate_of_a_camera_that_tells_none_is_assumed(camera, told, rate):
+    camera(rate=told)
+    assert VideoReader(91).rate == rate
+
+
+def test_a_part_of_what_a_camera_gives(camera, monkeypatch):
+    monkeypatch.setattr(io_video, "AHEAD_LIVE", 16)
+    camera(n=9)
+    with VideoReader(91, 2, 5) as video:
+        assert video.n_frames == 3
+        assert [frame.index for frame in video] == [2, 3, 4]
+    assert not video.ended and video.fault == ""
+
+
+def test_pictures_of_a_camera_that_nobody_takes_are_dropped(camera, monkeypatch):
+    monkeypatch.setattr(io_video, "_WAIT", 0.001)
+    camera(n=20)
+    with VideoReader(91) as video:
+        video._thread.join(10)
+        assert not video._thread.is_alive() or video._queue.full()
+        indices = [frame.index for frame in video]
+    assert len(indices) <= 2
+    assert all(index >= 18 for index in indices)
+
+
+def test_a_camera_that_is_not_there_names_those_that_are(camera, monkeypatch):
+    capture = camera(is_open=False)
+    glob = Path.glob
+    for names, words in (
+        (["video2", "video0"], r"camera 91 cannot be opened \(there are 0, 2\)"),
+        ([], r"camera 91 cannot be opened \(this machine shows none\)"),
+    ):
+        there = [Path("/dev") / name for name in names]
+        monkeypatch.setattr(Path, "glob", lambda self, what, t=there: t if str(self) == "/dev" else glob(self, what))
+        with pytest.raises(VideoError, match=words):
+            VideoReader(91)
+        assert capture.released
+
+
+def test_the_log_of_opencv_is_quiet_only_while_a_camera_is_opened(camera):
+    import cv2
+
+    log = cv2.utils.logging
+    before, seen = log.getLogLevel(), []
+    capture = camera(is_open=False)
+    capture.get = lambda what: seen.append(log.getLogLevel()) or 25.0
+    with pytest.raises(VideoError):
+        VideoReader(91)
+    assert seen == [log.LOG_LEVEL_SILENT]
+    assert log.getLogLevel() == before
+
+
+def test_a_camera_of_linux_is_opened_by_pyav_or_else_by_opencv(camera, monkeypatch, video):
+    import av
+
+    capture, opened, real = camera(), [], av.open
+    exists = Path.exists
+    monkeypatch.setattr(Path, "exists", lambda self: str(self) == "/dev/video91" or exists(self))
+
+    def open_(path, **options):
+        opened.append((path, options))
+        return real(str(video))
+
+    monkeypatch.setattr(av, "open", open_)
+    with VideoReader(91) as reader:
+        assert (reader.n_frames, reader.live, reader.rate) == (None, True, 25)
+        assert next(iter(reader)).image.shape == (48, 64, 3)
+    assert opened == [("/dev/video91", {"format": "v4l2", "metadata_errors": "replace"})]
+
+    def refuse(*_, **__):
+        raise OSError("busy")
+
+    monkeypatch.setattr(av, "open", refuse)
+    with VideoReader(91) as reader:
+        assert next(iter(reader)).image.shape == (4, 6, 3)
+    assert capture.released
+
+
+# Odds and ends
+
+
+@pytest.mark.parametrize("angle", [0, 90, -90, 180, 270, 89.7])
+def test_pictures_are_upright(video, angle):
+    file = io_video._File(video)
+    image = picture(0, 4, 6)
+    frame = SimpleNamespace(rotation=angle)
+    file.reformatter = SimpleNamespace(reformat=lambda frame, format: SimpleNamespace(to_ndarray=lambda: image))
+    upright = file._picture(frame)
+    file.close()
+    np.testing.assert_array_equal(upright, np.rot90(image, round(angle / 90)))
+    assert upright.flags.c_contiguous
+
+
+def test_what_is_a_video_is_told_by_its_beginning(video, tmp_path):
+    assert is_video(video)
+    (tmp_path / "a.mp4").write_bytes(b"no video at all " * 50)
+    assert not is_video(tmp_path / "a.mp4")
+    assert not is_video(tmp_path / "none.mp4")
+
+
+def test_films_that_can_be_entered_in_the_middle(tmp_path):
+    film = write_long(tmp_path / "film.mp4", "libx264", {"g": "20", "bf": "2"}, 120)
+    assert can_enter(film, 100)
+    once = write_long(tmp_path / "once.mp4", "libx264", {"g": "500", "bf": "0"}, 120)
+    assert can_enter(once, 100)  # at its beginning
+    for i in range(3):
+        write_image(tmp_path / f"{i}.jpg", picture(i))
+    bare = tmp_path / "film.mjpeg"
+    bare.write_bytes(b"".join((tmp_path / f"{i % 3}.jpg").read_bytes() for i in range(120)))
+    assert not can_enter(bare, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "codecs", "codec"),
+    [("a.mp4", {"libx264", "mpeg4"}, "h264"), ("a.mp4", {"mpeg4"}, "mpeg4"), ("a.webm", {"libvpx-vp9"}, "vp9")],
+)
+def test_the_first_encoder_that_there_is_is_taken(tmp_path, monkeypatch, name, codecs, codec):
+    import av
+
+    monkeypatch.setattr(av, "codecs_available", codecs)
+    with av.open(str(write(tmp_path / name, [picture(0)]))) as container:
+        assert container.streams.video[0].codec_context.name == codec
+        assert container.streams.video[0].codec_context.pix_fmt == "yuv420p"
+
+
+@pytest.mark.parametrize(("name", "encoder"), [("a.mp4", "libx264"), ("a.webm", "libvpx-vp9")])
+def test_a_missing_encoder_is_named(tmp_path, monkeypatch, name, encoder):
+    import av
+
+    monkeypatch.setattr(av, "codecs_available", set())
+    with pytest.raises(VideoError, match=rf"{name}: this PyAV has no encoder for it \({encoder}\); install PyAV's own"):
+        write(tmp_path / name, [picture(0)])
+
+
+@pytest.mark.parametrize("rate", [Fraction(30000, 1001), 29.97, 7, 1])
+def test_the_rate_comes_back(tmp_path, rate):
+    with VideoReader(write(tmp_path / "film.mp4", map(picture, range(5)), rate)) as reader:
+        assert float(reader.rate) == pytest.approx(float(rate), rel=1e-4)
+        np.testing.assert_allclose([frame.time for frame in reader], np.arange(5) / float(rate), atol=1e-3)
+
+
+def test_a_name_that_is_no_video_is_told_with_one_that_is():
+    check_video_name(Path("film.MP4"))
+    with pytest.raises(VideoError) as caught:
+        check_video_name(Path("film.gif"))
+    assert str(caught.value) == (
+        "film.gif: a video's name ends in .mp4, .m4v, .mov, .mkv, .avi, .webm, such as film.mp4"
+    )
+
+
+def test_an_error_while_decoding_comes_out_where_frames_are_taken(video, monkeypatch):
+    def broken(self, frame):
+        raise MemoryError("full")
+
+    monkeypatch.setattr(io_video._File, "_picture", broken)
+    with VideoReader(video) as reader, pytest.raises(MemoryError, match="full"):
+        list(reader)
