@@ -20,6 +20,7 @@ def complaint(path: Path, kind: str = "image") -> str:
 def test_natural_order() -> None:
     assert sorted(["b1", "a10", "A2", "a²", "7"], key=natural_key) == ["7", "A2", "a10", "a²", "b1"]
     assert sorted(["x010", "x9", "x10", "x0009y"], key=natural_key) == ["x9", "x0009y", "x010", "x10"]
+    assert sorted(["a1b10c2d", "a1b9c20d", "a1b9c3d"], key=natural_key) == ["a1b9c3d", "a1b9c20d", "a1b10c2d"]
     long = "1" + "0" * 9000  # longer than int() takes
     assert sorted([f"{long}1", long, "9"], key=natural_key) == ["9", long, f"{long}1"]
 
@@ -54,6 +55,7 @@ def test_what_is_no_file_says_what_it_is(tmp_path: Path) -> None:
         ([], "Nothing in {folder} has a similar name: check the path."),
         (["other.txt"], "Nothing in {folder} has a similar name: check the path."),
         (["face_01.png"], "Did you mean face_01.png?"),
+        (["fuse_10.jpg"], "Did you mean fuse_10.jpg?"),
         (["face_01.png", "face_02.png"], "Did you mean face_02.png or face_01.png?"),
         ([f"face_0{i}.png" for i in range(1, 6)], "Did you mean face_05.png or face_04.png or face_03.png?"),
     ],
@@ -110,3 +112,12 @@ def test_folders_for_results_are_made(tmp_path: Path) -> None:
     assert str(caught.value) == (
         f"{tmp_path / 'c' / 'd'}: the folder cannot be made ({os.strerror(errno.ENOTDIR)}); give another with -o"
     )
+
+
+def test_a_folder_that_cannot_be_made_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError("odd")
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(LiaamError, match=r"the folder cannot be made \(odd\)"):
+        make_folder(tmp_path / "a")

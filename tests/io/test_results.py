@@ -16,6 +16,7 @@ def test_a_fit_is_written_three_times(tmp_path):
         assert np.array_equal(read_landmarks(path).points, POINTS)
     content = json.loads(paths[2].read_text())
     assert content == {"status": "converged", "cost": 0.5, "landmarks": POINTS.tolist()}
+    assert paths[2].read_text().startswith('{\n "status": "converged",\n "cost": 0.5,\n "landmarks": [\n  [\n   1.5,')
     assert paths[2].read_text().endswith("}\n")
 
 
