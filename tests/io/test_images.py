@@ -376,11 +376,27 @@ def test_truncated_tiff_with_its_tags_first(tmp_path: Path, rng, dtype: type) ->
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_png_whose_last_chunk_promises_too_much(tmp_path: Path, rng, dtype: type) -> None:
+@pytest.mark.parametrize("size", [b"\x7f\0\0\0", b"\0\0\0\1"])  # OpenCV would make room for 2 GB
+def test_png_whose_last_chunk_promises_too_much(tmp_path: Path, rng, dtype: type, size: bytes) -> None:
     write_image(tmp_path / "a.png", colour(rng, dtype))
     data = (tmp_path / "a.png").read_bytes()
-    (tmp_path / "a.png").write_bytes(data[:-12] + b"\x7f" + data[-11:])  # OpenCV would make room for 2 GB
+    (tmp_path / "a.png").write_bytes(data[:-12] + size + data[-8:])
     assert "ends within a chunk" in refusal(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("lost", [1, 4, 11, 12, 13])
+def test_png_that_lacks_a_few_bytes(tmp_path: Path, rng, lost: int) -> None:
+    write_image(tmp_path / "a.png", colour(rng, np.uint8))
+    data = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(data[:-lost])
+    assert refusal(tmp_path / "a.png") == (
+        f"{tmp_path / 'a.png'} is cut short (it ends within a chunk): copy it again."
+    )
+
+
+def test_deep_tiff_with_alpha(rng) -> None:
+    array = colour(rng, np.uint16, (5, 7, 4))
+    np.testing.assert_array_equal(decode_image(make_tiff(array, {338: [2]})), array[..., :3])
 
 
 def test_too_many_pixels_are_refused_before_decoding(tmp_path: Path) -> None:

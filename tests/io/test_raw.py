@@ -153,7 +153,8 @@ def test_half_size_is_passed_on(fake, dng):
 
 
 def test_too_many_pixels_are_refused_before_decoding(fake, dng):
-    assert "10 x 8 pixels, more than the 79 allowed" in refusal(dng, max_pixels=79)
+    message = refusal(dng, max_pixels=79)
+    assert message.startswith(f"{dng} has 10 x 8 pixels, more than the 79 allowed")
     assert fake.opened[0].asked == {}
     assert fake.opened[0].closed
     assert read_image(dng, max_pixels=80).shape == (8, 10, 3)

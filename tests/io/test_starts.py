@@ -65,3 +65,49 @@ def test_a_start_that_may_not_be_looked_at_is_told(monkeypatch):
     monkeypatch.setattr(Path, "stat", forbidden)
     with pytest.raises(StartError, match=r"secret/anna.pts cannot be read \(Permission denied\)"):
         check_start("secret/anna.pts")
+
+
+@pytest.mark.parametrize(("text", "shown"), [("x" * 100, "x" * 100), ("x" * 101, "x" * 100 + "...")])
+def test_a_message_shows_the_beginning_of_a_long_start(text, shown):
+    with pytest.raises(StartError) as caught:
+        check_start(text)
+    assert str(caught.value) == (
+        f"--init {shown}: there is no such file or folder, and it is no box x0,y0,x1,y1 and no x,y,size either"
+    )
+
+
+def test_names_that_no_file_can_have_are_no_files(tmp_path):
+    (tmp_path / "notes.txt").write_text("hello")
+    for text in (f"{tmp_path}/notes.txt/anna.pts", "a\0b", "x" * 5000):
+        assert start_file(text, IMAGE) is None
+        with pytest.raises(StartError, match="there is no such file or folder"):
+            check_start(text)
+
+
+def test_what_is_neither_file_nor_folder_is_no_start(tmp_path):
+    assert start_file("/dev/null", IMAGE) is None
+    (tmp_path / "anna.pts").mkdir()  # has the name of a file
+    (tmp_path / "anna.BOX").write_text("1,2,3")
+    with pytest.raises(StartError) as caught:
+        read_start(str(tmp_path), IMAGE, SIZE)
+    assert str(caught.value) == f"anna.png: {tmp_path} holds no landmark file for it (anna.pts or the like)"
+    assert read_start(str(tmp_path / "anna.BOX"), IMAGE, SIZE) == [1, 2, 3]
+
+
+def test_a_box_file_is_small_text(tmp_path):
+    path = tmp_path / "anna.box"
+    path.write_bytes(b"\xef\xbb\xbf1,2,3".ljust(1000))
+    assert read_start(str(path), IMAGE, SIZE) == [1, 2, 3]
+    path.write_bytes(b"1,2,3".ljust(1001))
+    with pytest.raises(StartError, match="more than the 1,000 allowed"):
+        read_start(str(path), IMAGE, SIZE)
+    path.write_bytes(b"1,2,\xff")
+    with pytest.raises(StartError, match=r"anna\.box: it is no box x0,y0,x1,y1 and no x,y,size either"):
+        read_start(str(path), IMAGE, SIZE)
+
+
+def test_relative_landmarks_are_read_for_the_size_of_the_image(tmp_path):
+    (tmp_path / "anna.asf").write_text("1\n0 0 0.5 0.25 0 0 0\n")
+    start = read_start(str(tmp_path), IMAGE, SIZE)
+    assert not isinstance(start, list)
+    assert start.points.tolist() == [[50, 20]]

@@ -225,7 +225,8 @@ def test_the_history_of_a_camera_is_text_that_can_be_written(tmp_path):
 def test_unknown_angles_and_noise_are_written_as_null():
     facts = CameraModel().describe()
     assert (facts["theta_standard_error_deg"], facts["noise"]) == (None, None)
-    assert facts["theta_deg"] == round(facts["theta_deg"], 9)
+    facts = CameraModel(theta=1 / 3, theta_deviation=0.01).describe()
+    assert (facts["theta_deg"], facts["theta_standard_error_deg"]) == (19.098593171, 0.572957795)
 
 
 @pytest.mark.parametrize(

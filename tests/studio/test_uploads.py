@@ -94,6 +94,34 @@ class TestTaken:
                 uploads.source(upload.id)
             assert refused.value.status == 404
 
+    def test_so_many_bytes_are_kept_and_the_newest_in_any_case(self):
+        uploads = Uploads(Pictures(), Settings(uploads_bytes=2 * len(PNG)))
+        added = [uploads.add(PNG, f"{i}.png") for i in range(2)]
+        assert len(uploads) == 2
+        uploads.add(PNG, "2.png")
+        assert len(uploads) == 2
+        with pytest.raises(Refusal):
+            uploads.get(added[0].id)
+        small = Uploads(Pictures(), Settings(uploads_bytes=1))
+        assert small.get(small.add(PNG, "a.png").id).data == PNG
+        last = small.add(PNG, "b.png")
+        assert len(small) == 1 and small.get(last.id).name == "b.png"
+
+    def test_pictures_at_the_limits(self):
+        uploads = Uploads(Pictures(), Settings(pixels=24 * 32, upload_bytes=len(PNG)))
+        assert uploads.add(PNG, "a.png").width == 32
+        with pytest.raises(Refusal, match=f"a.png has {len(PNG) + 1:,} bytes, more than {len(PNG):,}: make it smaller"):
+            uploads.add(PNG + b"x", "a.png")
+
+    def test_who_listens_is_told_of_each(self, uploads):
+        heard = []
+        uploads.listeners.append(heard.append)
+        upload = uploads.add(PNG, "folder/a.png")
+        (source,) = heard
+        assert (source.name, source.tag) == ("a.png", f"upload-{upload.id}")
+        assert (source.width, source.height) == (32, 24)
+        assert len(upload.id) >= 12
+
     def test_a_picture_can_be_decoded_again_while_it_is_kept(self):
         uploads = Uploads(Pictures(decoded=24 * 32 * 3), Settings(uploads_kept=2))
         first = uploads.source(uploads.add(PNG, "a.png").id)
@@ -245,3 +273,25 @@ class TestBodies:
         with pytest.raises(Refusal, match="send application/json") as refused:
             asyncio.run(read_json(Request(b"{}", kind=kind), 99))  # type: ignore[arg-type]
         assert refused.value.status == 415
+
+    def test_the_type_may_have_a_charset_and_capitals(self):
+        asked = Request(b"[1]", kind=" Application/JSON ; charset=utf-8")
+        assert asyncio.run(read_json(asked, 3)) == [1]  # type: ignore[arg-type]
+
+    def test_messages_are_short(self):
+        with pytest.raises(Refusal) as refused:
+            asyncio.run(read_json(Request(b"{}", kind="x" * 60), 99))  # type: ignore[arg-type]
+        assert str(refused.value) == f"the request is of type '{'x' * 50}': send application/json"
+        with pytest.raises(Refusal) as refused:
+            asyncio.run(read_json(Request(b'"' + b"\\ud800" * 60 + b'"'), 999))  # type: ignore[arg-type]
+        reason = str(refused.value).removeprefix("the request is not JSON (").removesuffix(")")
+        assert len(reason) <= 100 and "surrogates" in reason
+
+    def test_a_request_that_tells_no_type_is_refused(self):
+        asked = Request(b"{}")
+        asked.headers = {}
+        with pytest.raises(Refusal, match="the request is of type ''"):
+            asyncio.run(read_json(asked, 99))  # type: ignore[arg-type]
+
+    def test_escapes_are_read(self):
+        assert asyncio.run(read_json(Request(b'"\\u00e9\\ud83d\\ude00"'), 99)) == "\u00e9\U0001f600"  # type: ignore[arg-type]

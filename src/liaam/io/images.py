@@ -339,9 +339,10 @@ def _pnm_header(file: Any) -> _Header:
     match = _PNM_HEADER.match(file.read(10_000))
     if match is None:
         raise ValueError("its header is incomplete")
-    if match["maximum"] is None and match["kind"] not in b"14":
+    bilevel = match["kind"] in b"14"
+    if match["maximum"] is None and not bilevel:
         raise ValueError("its header is incomplete")
-    maximum = 1 if match["kind"] in b"14" else int(match["maximum"])
+    maximum = 1 if bilevel else int(match["maximum"])
     if not 1 <= maximum <= 65535:
         raise ValueError(f"its header gives {maximum} as the largest value")
     deep = maximum > 255
