@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import ImageError
-from liaam.io import RAW_SUFFIXES, image_size, is_raw, read_image, read_raw, write_image
+from liaam.io import RAW_SUFFIXES, image_size, is_raw, read_image, read_preview, read_raw, write_image
 
 BLACK, WHITE = 64, 4095
 BYTE, ASCII, SHORT, LONG, RATIONAL, SIGNED_RATIONAL = 1, 2, 3, 4, 5, 10
@@ -145,6 +145,12 @@ def test_images_are_raw_by_their_ending(fake, tmp_path, suffix):
 @pytest.mark.parametrize("name", ["a.png", "a.tif", "dng", "a.dng.jpg", ".dng"])
 def test_other_files_are_not_raw(name):
     assert not is_raw(name)
+
+
+def test_a_preview_of_a_raw_file_is_all_of_it(fake, dng):
+    np.testing.assert_array_equal(read_preview(dng, 5), fake.image)
+    with pytest.raises(ImageError, match="more than the 79 allowed"):
+        read_preview(dng, 5, max_pixels=79)
 
 
 def test_half_size_is_passed_on(fake, dng):
