@@ -127,6 +127,7 @@ def test_curves_are_given_and_written_by_their_points():
         ((0.1, 1.0), (1.1e2, 1.1e4), "takes white to linear light of about 1e4"),
         ((0.02, 1.0), (0.02**10.1, 1.0), r"like a gamma of 10\.1 on the whole"),
         ((0.5, 0.500001, 1.0), (0.1, 0.5, 1.0), "two points that are almost one"),
+        ((1e-3, np.nextafter(1e-3, 1), 1.0), (1e-3, np.nextafter(1e-3, 1), 1.0), "two points that are almost one"),
     ],
 )
 def test_points_that_are_no_response_are_refused(stored, linear, words):
@@ -178,3 +179,9 @@ def test_what_is_black_has_no_light_under_a_curve():
     assert from_linear(np.array([-1.0, 0.0, 1e-12]), GAMMA).tolist() == [0.0, 0.0, 0.0]
     assert to_linear(np.array(1e-6), GAMMA) == pytest.approx(1e-6**2.2)
     assert from_linear(np.array(1e-9), GAMMA) == pytest.approx(1e-9 ** (1 / 2.2))
+
+
+def test_a_curve_is_inverted_to_the_last_digits():
+    bent = ResponseCurve((0.05, 0.2, 0.4, 0.9), (0.001, 0.05, 0.2, 0.95))
+    values = np.geomspace(0.002, 1.5, 400)
+    np.testing.assert_allclose(from_linear(to_linear(values, bent), bent), values, rtol=1e-12)

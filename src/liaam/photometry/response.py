@@ -210,11 +210,7 @@ def _encode_curve(linear: np.ndarray, curve: ResponseCurve) -> np.ndarray:
     """Invert a curve by a table and two Newton steps in logarithms."""
     spline, wanted = _spline(curve), np.log(np.maximum(linear, SMALLEST))
     grid = np.linspace(spline.x[0], spline.x[-1], 2048)
-    ends = _power_law_ends(spline, np.array([grid[0] - 1.0, grid[-1] + 1.0]), slope=True)
-    heights = spline(grid)
-    found = np.interp(wanted, heights, grid)
-    found = np.where(wanted < heights[0], grid[0] + (wanted - heights[0]) / ends[0], found)
-    found = np.where(wanted > heights[-1], grid[-1] + (wanted - heights[-1]) / ends[1], found)
-    for _ in range(2):
+    found = np.interp(wanted, spline(grid), grid)
+    for _ in range(2):  # beyond the points, the first step leaves them and the second follows the straight end
         found = found - (_power_law_ends(spline, found) - wanted) / _power_law_ends(spline, found, slope=True)
     return np.where(linear > SMALLEST, np.exp(found), 0.0)
