@@ -7,6 +7,7 @@ imports, decorators, ``__all__``, and swaps that raise a TypeError at once.
 from __future__ import annotations
 
 import ast
+import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -129,7 +130,9 @@ def _variants(node: ast.AST, wording: bool) -> Iterator[ast.AST]:
             yield ast.Constant(b"XX" + value)
         case ast.If(test=test) | ast.While(test=test) | ast.IfExp(test=test):
             if not isinstance(test, ast.Compare | ast.BoolOp | ast.UnaryOp | ast.Constant):
-                yield type(node)(**{**dict(ast.iter_fields(node)), "test": ast.UnaryOp(ast.Not(), test)})
+                other = copy.copy(node)
+                other.test = ast.UnaryOp(ast.Not(), test)
+                yield other
         case ast.Return(value=value):
             if value is None:
                 yield ast.Pass()

@@ -434,4 +434,4 @@ def test_objects_many_times_as_long_as_wide_are_trained_and_fitted(ratio):
     image, outline = rods[5]
     result = Fitter(model, "li").fit(image, outline + np.array([3, 2]))
     assert result.status.ok
-    assert np.abs(result.shape - outline).max() < 1
+    assert np.abs(result.landmarks - outline).max() < 1
