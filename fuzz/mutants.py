@@ -64,7 +64,7 @@ class Source:
         self.n_all = len(self.mutants)
         if again is not None:
             self.mutants = [m for m in self.mutants if f"{module} {m.change}" in again]
-        if sample is not None and sample < self.n_all:
+        if sample is not None and sample < len(self.mutants):
             self.mutants = random.Random(f"{seed} {module}").sample(self.mutants, sample)
 
     def code(self) -> types.CodeType:

@@ -87,6 +87,8 @@ def _text(node: ast.AST) -> str:
 
 
 def _is_left_alone(node: ast.AST, function: str) -> bool:
+    if isinstance(node, ast.keyword) and node.arg == "strict":  # of zip: says what cannot be
+        return True
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitOr) and not function:  # of types
         return True
     if isinstance(node, ast.Import | ast.ImportFrom | ast.Global | ast.Nonlocal):

@@ -331,7 +331,9 @@ def test_missing_file_suggests_close_names(tmp_path: Path) -> None:
 
 
 def test_folder_empty_file_and_text(tmp_path: Path) -> None:
-    assert "is a folder" in refusal(tmp_path)
+    assert refusal(tmp_path) == f"{tmp_path} is a folder; give the name of one image inside it."
+    with pytest.raises(ImageError, match="give the name of one image inside it"):
+        image_size(tmp_path)
     (tmp_path / "empty.png").touch()
     assert "is empty (0 bytes)" in refusal(tmp_path / "empty.png")
     (tmp_path / "text.png").write_text("hello")

@@ -234,6 +234,8 @@ def test_a_collection_with_names_for_some(tmp_path: Path) -> None:
     )
     found = read_collection(tmp_path / "a.csv")
     assert (found["a.jpg"].names, found["b.jpg"].names) == (("nose", "eye"), ())
+    write_landmarks(tmp_path / "c.csv", named)
+    assert (tmp_path / "c.csv").read_bytes() == b"x,y,name\r\n1.0,2.0,nose\r\n,,eye\r\n"
     write_landmarks(tmp_path / "b.csv", np.array([[1.5, 2.0]]))
     assert (tmp_path / "b.csv").read_bytes() == b"x,y\r\n1.5,2.0\r\n"
 
@@ -306,6 +308,13 @@ def coco(*annotations: dict) -> dict:
 )
 def test_the_largest_annotation_counts(tmp_path: Path, annotations: tuple[dict, ...], x: int) -> None:
     assert read_collection(save(tmp_path, "a.json", coco(*annotations)))["a.jpg"].points.tolist() == [[x, 0]]
+
+
+def test_categories_that_say_nothing_or_are_not_used(tmp_path: Path) -> None:
+    empty = {"id": 1, "keypoints": None, "skeleton": None}
+    unused = {"id": 2, "skeleton": [[1, 2, 3]]}
+    found = read_collection(save(tmp_path, "a.json", {**COCO, "categories": [empty, unused]}))
+    assert (found["a.jpg"].names, found["a.jpg"].contours) == ((), ())
 
 
 def test_a_message_names_three_of_many_images(tmp_path: Path) -> None:

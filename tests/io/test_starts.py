@@ -76,6 +76,15 @@ def test_a_message_shows_the_beginning_of_a_long_start(text, shown):
     )
 
 
+def test_a_fault_without_a_reason_is_shown_as_it_is(monkeypatch):
+    def broken(*_, **__):
+        raise OSError("odd")
+
+    monkeypatch.setattr(Path, "stat", broken)
+    with pytest.raises(StartError, match=r"--init: a.pts cannot be looked at \(odd\): check the rights on it"):
+        check_start("a.pts")
+
+
 def test_names_that_no_file_can_have_are_no_files(tmp_path):
     (tmp_path / "notes.txt").write_text("hello")
     for text in (f"{tmp_path}/notes.txt/anna.pts", "a\0b", "x" * 5000):

@@ -169,7 +169,9 @@ def test_beyond_its_points_a_curve_is_a_power():
     assert log_slope(np.array(0.1), steep) > 100  # at the point itself
     np.testing.assert_allclose(from_linear(ratio, steep), stored, rtol=1e-9)
     flat = ResponseCurve((0.1, 0.5, 0.50001, 0.6), (0.1, 0.9, 0.9000000001, 1.0))  # almost flat in between
-    assert (log_slope(np.linspace(0.1, 0.9, 50), flat) > 0).all()
+    values = np.linspace(0.1, 0.9, 50)
+    assert (log_slope(values, flat) * values).min() >= 1e-3
+    assert log_slope(np.array(0.500005), flat) * 0.500005 == pytest.approx(1e-3)
     above = np.array([0.7, 0.9])
     np.testing.assert_allclose(from_linear(to_linear(above, flat), flat), above, rtol=1e-6)
 
@@ -185,3 +187,11 @@ def test_a_curve_is_inverted_to_the_last_digits():
     bent = ResponseCurve((0.05, 0.2, 0.4, 0.9), (0.001, 0.05, 0.2, 0.95))
     values = np.geomspace(0.002, 1.5, 400)
     np.testing.assert_allclose(from_linear(to_linear(values, bent), bent), values, rtol=1e-12)
+
+
+def test_pictures_are_srgb_unless_told_otherwise():
+    values = np.array([0.02, 0.5, 0.9])
+    np.testing.assert_array_equal(to_linear(values), srgb_to_linear(values))
+    np.testing.assert_array_equal(from_linear(values), linear_to_srgb(values))
+    np.testing.assert_array_equal(log_slope(values), log_slope(values, "srgb"))
+    assert log_slope(np.array(0.04045)) == pytest.approx(1 / 0.04045)

@@ -40,7 +40,7 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
             )
             for image, annotation in chosen.items()
         }
-    except (TypeError, KeyError, ValueError, AttributeError, IndexError) as fault:
+    except (TypeError, KeyError, ValueError, AttributeError) as fault:
         raise LandmarkError(
             f"{path} lacks the parts of a COCO keypoints file (images, annotations, categories): export it again."
         ) from fault
