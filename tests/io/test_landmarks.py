@@ -220,8 +220,8 @@ def test_tables_in_other_shapes(tmp_path: Path) -> None:
     assert (tabs.points.tolist(), tabs.names) == ([[1, 2], [3, 4]], ("nose, tip; end", ""))
     empty = read_landmarks(save(tmp_path, "a.csv", "x,y,name\n1,2,\n,,\n"))  # a row of nothing is a missing landmark
     assert (empty.missing.tolist(), empty.names) == ([False, True], ())
-    short = read_landmarks(save(tmp_path, "a.csv", "x;y\n1,5;2\n"))
-    assert short.points.tolist() == [[1.5, 2]]
+    short = read_landmarks(save(tmp_path, "a.csv", "x;y\n1,5;2,25\n"))
+    assert short.points.tolist() == [[1.5, 2.25]]
     commas = read_landmarks(save(tmp_path, "a.csv", "x,y,a;b\n1,2,3\n"))  # a comma comes first
     assert commas.points.tolist() == [[1, 2]]
 

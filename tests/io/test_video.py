@@ -734,3 +734,102 @@ def test_an_error_while_decoding_comes_out_where_frames_are_taken(video, monkeyp
     monkeypatch.setattr(io_video._File, "_picture", broken)
     with VideoReader(video) as reader, pytest.raises(MemoryError, match="full"):
         list(reader)
+
+
+@pytest.mark.parametrize(("height", "width"), [(48, 64), (47, 64), (48, 63), (47, 63)])
+def test_a_frame_that_lacks_a_row_or_column_gets_its_neighbour(height, width):
+    writer = io_video.VideoWriter(None, Path("film.mp4"), Fraction(25))
+    writer._size = (48, 64)
+    image = picture(0, height, width)
+    fitted = writer._fitted(image)
+    assert fitted.shape == (48, 64, 3) and fitted.flags.c_contiguous
+    np.testing.assert_array_equal(fitted[:height, :width], image)
+    np.testing.assert_array_equal(fitted[-1, :width], image[-1])
+    np.testing.assert_array_equal(fitted[:height, -1], image[:, -1])
+
+
+@pytest.mark.parametrize(("height", "width"), [(46, 64), (48, 62), (49, 64), (48, 65), (96, 128)])
+def test_a_frame_of_another_size_is_scaled(height, width):
+    writer = io_video.VideoWriter(None, Path("film.mp4"), Fraction(25))
+    writer._size = (48, 64)
+    fitted = writer._fitted(picture(0, height, width))
+    assert fitted.shape == (48, 64, 3)
+    assert np.abs(fitted.astype(int) - picture(0)).max() <= 4
+
+
+def test_a_file_that_does_not_say_how_long_it_is(tmp_path):
+    film = write(tmp_path / "film.mkv", map(picture, range(5)))
+    with VideoReader(film) as video:
+        assert (video.n_frames, video.announces) == (None, False)
+        assert len(list(video)) == 5
+        assert video.ended
+    assert VideoReader(film, 1, 3).n_frames == 2
+    assert VideoReader(write(tmp_path / "film.mp4", map(picture, range(5)))).announces
+
+
+def test_frames_without_a_time_come_at_the_rate(video):
+    file = io_video._File(video)
+    file._frames_of = lambda packet: [SimpleNamespace(time=None)] if packet.size else []
+    times = [time for time, _ in file]
+    file.close()
+    np.testing.assert_allclose(times, np.arange(N) / 25)
+
+
+def test_times_that_stand_still_or_run_backwards_go_on_at_the_rate(video):
+    file, stamps = io_video._File(video), iter([5.0, 5.5, 5.5, 5.2, 7.0])
+    file._frames_of = lambda packet: [SimpleNamespace(time=stamp) for stamp in itertools.islice(stamps, 1)]
+    times = [time for time, _ in file]
+    file.close()
+    np.testing.assert_allclose(times, [0.0, 0.5, 0.54, 0.58, 2.0])
+
+
+def test_pieces_that_cannot_be_decoded_are_counted(video):
+    file = io_video._File(video)
+
+    def broken() -> None:
+        raise file.errors(1, "bad")
+
+    assert file.damage == ""
+    assert file._frames_of(SimpleNamespace(decode=broken)) == []
+    file._frames_of(SimpleNamespace(decode=broken))
+    assert (file.n_damaged, file.n_seen) == (2, 2)
+    assert file.damage == f"{video} is damaged: 2 pieces of it could not be decoded and are missing"
+    file.close()
+
+
+def test_a_file_that_cannot_be_read_on_gives_what_comes_before(video, monkeypatch):
+    begun = io_video._File._begin
+
+    def begin(self, av, stream):
+        begun(self, av, stream)
+        real = self.container
+
+        def demux(stream):
+            for i, packet in enumerate(real.demux(stream)):
+                if i == 12:
+                    raise self.errors(5, "Input/output error")
+                yield packet
+
+        self.container = SimpleNamespace(demux=demux, close=real.close)
+
+    monkeypatch.setattr(io_video._File, "_begin", begin)
+    with VideoReader(video) as reader:
+        n = len(list(reader))
+    assert 0 < n <= 12
+    assert reader.fault == (f"{video} is damaged after frame {n} (Input/output error); what comes before was read")
+
+
+@pytest.mark.parametrize("pieces", [None, [(None, True)], [(0, True), (0, True)], [(7, False)]])
+def test_a_film_that_cannot_be_entered_is_read_from_its_beginning(video, pieces):
+    file = io_video._File(video)
+
+    def listed(count):
+        if pieces is None:
+            raise file.errors(1, "bad")
+        return pieces
+
+    file._pieces = listed
+    file.skip_to(20)
+    assert file.begun is None
+    assert [round(time * 25) for time, _ in file] == list(range(N))
+    file.close()
