@@ -59,7 +59,7 @@ class Source:
         parts = PARTS.get(module)
         every = [mutant for mutant in mutants_of(self.tree) if parts is None or mutant.function in parts]
         known = {(line, change) for name, line, change, _ in EQUIVALENT if name == module}
-        self.mutants = [m for m in every if (rows[m.line - 1].strip(), m.change) not in known]
+        self.mutants = [m for m in every if (rows[m.line - 1].strip().partition("  #")[0], m.change) not in known]
         self.n_equivalent = len(every) - len(self.mutants)
         self.n_all = len(self.mutants)
         if again is not None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from fuzz.mutants import interval, living
+from fuzz.mutants import Source, interval, living
+from fuzz.mutants_of import EQUIVALENT
 from fuzz.mutations import mutants_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -85,6 +86,12 @@ def test_constants_and_defaults_belong_to_no_function():
 @pytest.mark.parametrize(("killed", "tried", "text"), [(0, 0, ""), (90, 100, ", 95 % of 82.6% to 94.5%")])
 def test_the_interval_of_a_share(killed, tried, text):
     assert interval(killed, tried) == text
+
+
+def test_mutants_that_no_test_could_kill_are_there():
+    for module in {name for name, *_ in EQUIVALENT}:
+        listed = [entry for entry in EQUIVALENT if entry[0] == module]
+        assert Source(module, None, 1).n_equivalent >= len(listed), f"a line of {module} was changed: {listed}"
 
 
 def test_the_living_are_read_from_a_report():

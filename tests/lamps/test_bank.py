@@ -60,17 +60,17 @@ def test_lamps_come_back_as_they_were_saved(tmp_path):
 )
 def test_files_of_another_kind_are_refused(tmp_path, header):
     assert complaint(write(tmp_path, header)) == (
-        "this file holds no lamps; make one with 'liaam lamps FOLDER -o LAMPS'"
+        "this file contains no lamps; make one with 'liaam lamps FOLDER -o LAMPS'"
     )
 
 
 def test_what_is_no_file_is_refused(tmp_path):
     make = "; make one with 'liaam lamps FOLDER -o LAMPS'"
-    assert complaint(tmp_path) == f"the file of lamps is a folder{make}"
-    assert complaint(tmp_path / "none") == f"the file of lamps does not exist{make}"
-    assert complaint(Path("/dev/null")) == f"the file of lamps is no ordinary file{make}"
+    assert complaint(tmp_path) == f"the lamp file is a folder{make}"
+    assert complaint(tmp_path / "none") == f"the lamp file does not exist{make}"
+    assert complaint(Path("/dev/null")) == f"the lamp file is no ordinary file{make}"
     (tmp_path / "text").write_text("hello, this is no safetensors file at all")
-    assert "this is no complete file of lamps (" in complaint(tmp_path / "text")
+    assert "this is not a complete lamp file (" in complaint(tmp_path / "text")
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_lamps_at_the_limits_are_taken(tmp_path, tensors):
     ],
 )
 def test_what_contradicts_itself_is_refused(tmp_path, changes):
-    assert complaint(write(tmp_path, **changes)) == ("the file of lamps contradicts itself; copy it or make it again")
+    assert complaint(write(tmp_path, **changes)) == ("the lamp file contradicts itself; copy it again or make it again")
 
 
 @pytest.mark.parametrize(("n", "taken"), [(2, True), (3, False)])
@@ -126,3 +126,15 @@ def test_the_number_of_lamps_is_limited(tmp_path, monkeypatch, n, taken):
         assert len(load_lamps(path)) == n
     else:
         assert "contradicts itself" in complaint(path)
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"), [(OSError(5, "Input/output error"), "Input/output error"), (OSError("odd"), "odd")]
+)
+def test_a_file_that_cannot_be_read_says_why(tmp_path, monkeypatch, fault, reason):
+    def broken(*_, **__):
+        raise fault
+
+    path = write(tmp_path)
+    monkeypatch.setattr("safetensors.safe_open", broken)
+    assert complaint(path) == f"the lamp file cannot be read ({reason})"

@@ -212,7 +212,7 @@ def test_a_camera_file_needs_its_angle_only(tmp_path):
     path.write_text(json.dumps({"format": "liaam-camera", "version": 1, "theta_deg": 90}))
     assert load_camera(path) == CameraModel(theta=np.pi / 2)
     path.write_text(json.dumps({"format": "liaam-camera", "version": 1}))
-    with pytest.raises(CameraError, match=r"camera.json: a camera file needs theta_deg; its entries are theta_deg"):
+    with pytest.raises(CameraError, match=r"camera.json: the entry theta_deg is missing; the entries are theta_deg"):
         load_camera(path)
 
 

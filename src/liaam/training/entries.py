@@ -21,8 +21,8 @@ from liaam.model.shape import align
 
 FLATTEST = 0.02
 """Least ratio of the landmarks' minor to major spread: that of a rod 80 times as long as wide, or a spindle 60 times.
-Measured on generated rods: all methods find those up to 20 times as long as wide. At 40 times the search fails, but fits
-from a start end within half a pixel if the diagonal is at least 200 pixels. Flatter meshes lack pixels."""
+Measured on generated rods: all methods find those up to 20 times as long as wide. At 40 times the search fails, but
+fits from a start end within half a pixel if the diagonal is at least 200 pixels. Flatter meshes lack pixels."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,9 @@ def check_flat(mean: np.ndarray) -> None:
     along, across = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)
     if across < FLATTEST * along:
         raise TrainingError(
-            f"the landmarks lie on one line or at one point, or almost so (their minor spread is {across / along:.1%} of "
-            f"the major one, {FLATTEST:.0%} are needed); check their order and units, or add landmarks off that line"
+            "the landmarks lie on one line or at one point, or almost so (their minor spread is "
+            f"{across / along:.1%} of the major one, {FLATTEST:.0%} are needed); check their order and units, or add "
+            "landmarks off that line"
         )
 
 
