@@ -18,6 +18,7 @@ from PIL import Image
 
 from liaam.errors import ImageError
 from liaam.io import (
+    IMAGE_SUFFIXES,
     decode_image,
     encoded_size,
     image_size,
@@ -151,6 +152,14 @@ def test_float64_becomes_float32(tmp_path: Path) -> None:
     back = read_image(tmp_path / "a.tiff")
     assert back.dtype == np.float32
     assert back[0, 0, 0] == np.float32(0.1)
+
+
+@pytest.mark.parametrize("suffix", IMAGE_SUFFIXES)
+def test_every_ending_is_of_its_format(tmp_path: Path, suffix: str) -> None:
+    write_image(tmp_path / f"a{suffix}", np.full((8, 8), 90, np.uint8))
+    with Image.open(tmp_path / f"a{suffix}") as image:
+        kinds = {"jpg": "JPEG", "jpeg": "JPEG", "tif": "TIFF", "tiff": "TIFF", "png": "PNG", "bmp": "BMP"}
+        assert image.format == kinds.get(suffix[1:], "PPM")
 
 
 def test_jpeg_keeps_colour_to_a_few_levels(tmp_path: Path) -> None:

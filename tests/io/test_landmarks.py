@@ -612,6 +612,10 @@ def test_other_formats_drop_what_is_invisible(tmp_path: Path, suffix: str) -> No
     assert read_landmarks(tmp_path / f"a{suffix}").invisible == ()
 
 
+def test_invisible_points_are_in_order_and_there_once() -> None:
+    assert Landmarks(np.zeros((3, 2)), invisible=(2, 0, 2)).invisible == (0, 2)
+
+
 def test_invisible_points_have_to_be_there(tmp_path: Path) -> None:
     with pytest.raises(LandmarkError, match=r"landmark 2 \(counting from 0\) is marked invisible, but there are 2"):
         Landmarks(np.zeros((2, 2)), invisible=(2,))
