@@ -22,7 +22,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "liaam.io.landmarks.tem": LANDMARKS,
     "liaam.io.video": ("tests/io/test_video.py",),
     "liaam.model.file": ("tests/model/test_model_file.py",),
-    "liaam.io.tensors": ("tests/lamps/test_bank.py", "tests/model/test_model_file.py"),
+    "liaam.io.tensors": ("tests/lamps/test_bank.py",),
     "liaam.lamps.bank": ("tests/lamps/test_bank.py",),
     "liaam.photometry.camera": ("tests/photometry/test_camera.py",),
     "liaam.photometry.response": ("tests/photometry/test_response.py", "tests/photometry/test_camera.py"),
