@@ -253,7 +253,9 @@ class _File:
         stream = self.container.streams.video[0]
         if stream.codec_context is None:
             self.container.close()
-            raise VideoError(f"{path} has a codec that FFmpeg does not know: export it again, for example as .mp4 with H.264")
+            raise VideoError(
+                f"{path} has a codec that FFmpeg does not know: export it again, for example as .mp4 with H.264"
+            )
         self._begin(av, stream)
         self.has_size = bool(stream.width and stream.height)
         try:
