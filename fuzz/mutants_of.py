@@ -36,13 +36,6 @@ PARTS: dict[str, tuple[str, ...]] = {"liaam.lamps.bank": ("load_lamps", "_names"
 
 EQUIVALENT: tuple[tuple[str, str, str, str], ...] = (
     (
-        "liaam.io.atomic",
-        'temp = target.parent / f".liaam-{secrets.token_hex(8)}{target.suffix}"',
-        "8 -> 9",
-        "any number of random letters will do",
-    ),
-    ("liaam.io.atomic", "temp.touch(exist_ok=False)", "False -> True", "there is no file of a random name"),
-    (
         "liaam.io.files",
         'numbers = ((len(digits), digits) for digits in (word.lstrip("0") for word in words[1::2]))',
         "'0' -> 'XX0'",

@@ -98,9 +98,9 @@ def test_no_file_is_left_open(tmp_path: Path) -> None:
     [
         (
             OSError(28, "No space left on device"),
-            r"a\.txt cannot be written \(No space left on device\): check the rights",
+            r"a\.txt cannot be written \(No space left on device\): check the permissions",
         ),
-        (OSError("odd"), r"a\.txt cannot be written \(odd\): check the rights and the free space"),
+        (OSError("odd"), r"a\.txt cannot be written \(odd\): check the permissions and the free space"),
     ],
 )
 def test_the_disk_s_fault_is_named(tmp_path: Path, fault: OSError, words: str) -> None:

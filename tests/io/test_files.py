@@ -46,7 +46,7 @@ def test_what_is_no_file_says_what_it_is(tmp_path: Path) -> None:
     assert complaint(tmp_path, "RAW file") == f"{tmp_path} is a folder; give the name of one RAW file inside it."
     (tmp_path / "a.png").touch()
     assert complaint(tmp_path / "a.png") == f"{tmp_path / 'a.png'} is empty (0 bytes): copy or export it again."
-    assert complaint(Path("/dev/null")) == "/dev/null is not an ordinary file: give one on disk."
+    assert complaint(Path("/dev/null")) == "/dev/null is not a regular file: give a file on disk."
 
 
 @pytest.mark.parametrize(
@@ -82,12 +82,12 @@ def test_a_file_or_folder_that_may_not_be_read_says_why(
         raise fault
 
     monkeypatch.setattr(os, "scandir", forbidden)
-    assert complaint(tmp_path) == f"{tmp_path} cannot be read ({reason}): check the name and the rights."
+    assert complaint(tmp_path) == f"{tmp_path} cannot be read ({reason}): check the name and permissions."
     (tmp_path / "a.pts").write_bytes(b"x")
     monkeypatch.setattr(Path, "read_bytes", forbidden)
     with pytest.raises(LandmarkError) as caught:
         read_bytes(tmp_path / "a.pts", LandmarkError, 1)
-    assert str(caught.value) == f"{tmp_path / 'a.pts'} cannot be read ({reason}): check the rights on the file."
+    assert str(caught.value) == f"{tmp_path / 'a.pts'} cannot be read ({reason}): check its permissions."
 
 
 def test_files_are_read_up_to_a_limit(tmp_path: Path) -> None:
@@ -106,11 +106,13 @@ def test_folders_for_results_are_made(tmp_path: Path) -> None:
     (tmp_path / "c").touch()
     with pytest.raises(LiaamError) as caught:
         make_folder(tmp_path / "c")
-    assert str(caught.value) == f"{tmp_path / 'c'} is a file, so the folder cannot be made; give another with -o"
+    assert (
+        str(caught.value) == f"{tmp_path / 'c'} is a file, so the folder cannot be created; give another folder with -o"
+    )
     with pytest.raises(LiaamError) as caught:
         make_folder(tmp_path / "c" / "d")
     assert str(caught.value) == (
-        f"{tmp_path / 'c' / 'd'}: the folder cannot be made ({os.strerror(errno.ENOTDIR)}); give another with -o"
+        f"{tmp_path / 'c' / 'd'}: the folder cannot be created ({os.strerror(errno.ENOTDIR)}); give another folder with -o"
     )
 
 
@@ -119,5 +121,5 @@ def test_a_folder_that_cannot_be_made_says_why(tmp_path: Path, monkeypatch: pyte
         raise OSError("odd")
 
     monkeypatch.setattr(Path, "mkdir", refuse)
-    with pytest.raises(LiaamError, match=r"the folder cannot be made \(odd\)"):
+    with pytest.raises(LiaamError, match=r"the folder cannot be created \(odd\)"):
         make_folder(tmp_path / "a")

@@ -284,7 +284,7 @@ def test_dlib_images_may_lack_twenty_parts_for_each_that_they_have(tmp_path: Pat
     if not refused:
         assert len(read_collection(path)) == n
         return
-    with pytest.raises(LandmarkError, match=r"its 21 images have hardly any of the 21 part names in common"):
+    with pytest.raises(LandmarkError, match=r"its 21 images share hardly any of the 21 part names"):
         read_collection(path)
 
 
@@ -436,6 +436,8 @@ BAD = [
     ("a.xml", DLIB.replace("width='20'", "width='wide'"), "'wide' in a box of image 'a.jpg'"),
     ("a.xml", '<!DOCTYPE d [<!ENTITY a "aaaa">]><d>&a;</d>', "not safe to read"),
     ("a.xml", '<!DOCTYPE d [<!ENTITY a "aaaa">]><d>&a;</d>'.encode("utf-16"), "not safe to read"),
+    ("a.xml", "<!DOCTYPE d><dataset/>", "not safe to read"),
+    ("a.xml", "<dataset/><!ENTITY a 'a'>", "not safe to read"),
     ("a.xml", DLIB, "holds the landmarks of 2 images (a.jpg, sub/b.jpg ...)"),
     ("a.json", "{}", "lacks the parts of a COCO"),
     ("a.json", {**COCO, "images": [7]}, "lacks the parts of a COCO"),
@@ -448,7 +450,7 @@ BAD = [
     ("a.json", {**COCO, "annotations": [{**COCO["annotations"][2], "bbox": [0, 0, "w", 1]}]}, "'w' in a box is not a"),
     ("a.json", {**COCO, "annotations": [{**COCO["annotations"][2], "bbox": [0, 0, 1, "h"]}]}, "'h' in a box is not a"),
     ("a.json", {**COCO, "annotations": [{**COCO["annotations"][2], "bbox": [0, 0]}]}, "lacks the parts of a COCO"),
-    ("a.json", {**COCO, "categories": [{"id": 1, "skeleton": [[1, 2, 3]]}]}, "no list of pairs of keypoints' numbers"),
+    ("a.json", {**COCO, "categories": [{"id": 1, "skeleton": [[1, 2, 3]]}]}, "not a list of pairs of keypoint numbers"),
     ("a.json", {**COCO, "categories": [{"id": 1, "skeleton": [[0, 1]]}]}, "names landmark -1"),
     ("a.json", "3", "lacks the parts of a COCO"),
     ("a.json", {**COCO, "annotations": []}, "is COCO without keypoints"),

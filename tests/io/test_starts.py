@@ -72,7 +72,7 @@ def test_a_message_shows_the_beginning_of_a_long_start(text, shown):
     with pytest.raises(StartError) as caught:
         check_start(text)
     assert str(caught.value) == (
-        f"--init {shown}: there is no such file or folder, and it is no box x0,y0,x1,y1 and no x,y,size either"
+        f"--init {shown}: there is no such file or folder, and it is neither a box x0,y0,x1,y1 nor x,y,size"
     )
 
 
@@ -81,7 +81,7 @@ def test_a_fault_without_a_reason_is_shown_as_it_is(monkeypatch):
         raise OSError("odd")
 
     monkeypatch.setattr(Path, "stat", broken)
-    with pytest.raises(StartError, match=r"--init: a.pts cannot be looked at \(odd\): check the rights on it"):
+    with pytest.raises(StartError, match=r"--init: a.pts cannot be read \(odd\): check its permissions"):
         check_start("a.pts")
 
 
@@ -99,7 +99,7 @@ def test_what_is_neither_file_nor_folder_is_no_start(tmp_path):
     (tmp_path / "anna.BOX").write_text("1,2,3")
     with pytest.raises(StartError) as caught:
         read_start(str(tmp_path), IMAGE, SIZE)
-    assert str(caught.value) == f"anna.png: {tmp_path} holds no landmark file for it (anna.pts or the like)"
+    assert str(caught.value) == f"anna.png: {tmp_path} holds no landmark file for it; add one such as anna.pts"
     assert read_start(str(tmp_path / "anna.BOX"), IMAGE, SIZE) == [1, 2, 3]
 
 
@@ -111,7 +111,7 @@ def test_a_box_file_is_small_text(tmp_path):
     with pytest.raises(StartError, match="more than the 1,000 allowed"):
         read_start(str(path), IMAGE, SIZE)
     path.write_bytes(b"1,2,\xff")
-    with pytest.raises(StartError, match=r"anna\.box: it is no box x0,y0,x1,y1 and no x,y,size either"):
+    with pytest.raises(StartError, match=r"anna\.box: it is neither a box x0,y0,x1,y1 nor x,y,size"):
         read_start(str(path), IMAGE, SIZE)
 
 

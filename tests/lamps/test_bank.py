@@ -68,7 +68,7 @@ def test_what_is_no_file_is_refused(tmp_path):
     make = "; make one with 'liaam lamps FOLDER -o LAMPS'"
     assert complaint(tmp_path) == f"the lamp file is a folder{make}"
     assert complaint(tmp_path / "none") == f"the lamp file does not exist{make}"
-    assert complaint(Path("/dev/null")) == f"the lamp file is no ordinary file{make}"
+    assert complaint(Path("/dev/null")) == f"the lamp file is not a regular file{make}"
     (tmp_path / "text").write_text("hello, this is no safetensors file at all")
     assert "this is not a complete lamp file (" in complaint(tmp_path / "text")
 
@@ -138,3 +138,19 @@ def test_a_file_that_cannot_be_read_says_why(tmp_path, monkeypatch, fault, reaso
     path = write(tmp_path)
     monkeypatch.setattr("safetensors.safe_open", broken)
     assert complaint(path) == f"the lamp file cannot be read ({reason})"
+
+
+def test_a_file_without_a_header_is_refused(tmp_path):
+    path = tmp_path / "heads.lamps"
+    path.write_bytes(save({"mean": MEAN, "fields": fields()}))
+    assert "contains no lamps" in complaint(path)
+
+
+@pytest.mark.parametrize("dtype", ["BF16", "F8_E4M3"])
+def test_types_that_numpy_lacks_are_refused(tmp_path, dtype):
+    n_bytes = 12 if dtype == "BF16" else 6
+    about = {"dtype": dtype, "shape": [3, 2], "data_offsets": [0, n_bytes]}
+    text = json.dumps({"__metadata__": {"liaam": json.dumps(HEADER)}, "mean": about}).encode()
+    path = tmp_path / "heads.lamps"
+    path.write_bytes(len(text).to_bytes(8, "little") + text + bytes(n_bytes))
+    assert "this is not a complete lamp file (" in complaint(path)
