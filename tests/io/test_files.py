@@ -112,7 +112,10 @@ def test_folders_for_results_are_made(tmp_path: Path) -> None:
     with pytest.raises(LiaamError) as caught:
         make_folder(tmp_path / "c" / "d")
     assert str(caught.value) == (
-        f"{tmp_path / 'c' / 'd'}: the folder cannot be created ({os.strerror(errno.ENOTDIR)}); give another folder with -o"
+ (
+        f"{tmp_path / 'c' / 'd'}: the folder cannot be created ({os.st"
+        f"rerror(errno.ENOTDIR)}); give another folder with -o"
+    )
     )
 
 
