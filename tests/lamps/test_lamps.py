@@ -122,7 +122,7 @@ def test_grey_pictures_stay_grey_and_faults_stay_finite(lamps, pictures):
         (lambda p: [p[0], sample("head2-left", p[1].image[:-9], p[1].landmarks.points)], "differ in size"),
         (lambda p: [p[0], sample("head2-left", p[1].image, p[1].landmarks.points[1:])], "57 to 58 landmarks"),
         (lambda p: [(p[0].image, p[0].landmarks.points)], "liaam.load_folder"),
-        (lambda p: [], "no pictures to learn lamps from"),
+        (lambda p: [], "no images to learn lamps from"),
     ],
 )
 def test_pictures_that_tell_no_lamps_are_refused(pictures, change, message):
