@@ -111,11 +111,9 @@ def test_folders_for_results_are_made(tmp_path: Path) -> None:
     )
     with pytest.raises(LiaamError) as caught:
         make_folder(tmp_path / "c" / "d")
+    reason = os.strerror(errno.ENOTDIR)
     assert str(caught.value) == (
- (
-        f"{tmp_path / 'c' / 'd'}: the folder cannot be created ({os.st"
-        f"rerror(errno.ENOTDIR)}); give another folder with -o"
-    )
+        f"{tmp_path / 'c' / 'd'}: the folder cannot be created ({reason}); give another folder with -o"
     )
 
 

@@ -450,8 +450,8 @@ def test_tiff_that_cannot_be_given_as_stored(
         (b"P5 1 1 65536 \0\0", "gives 65536 as the largest value"),
         (b"P5 0 1 255 \0", "a size of 0 x 1 pixels"),
         (b"P5 1 0 255 \0", "a size of 1 x 0 pixels"),
-        (b"P5 2 1 65535 \0\1\0", "4 bytes of pixels promised, 3 there"),
-        (b"P6 1 1 65535 \0\1\0\1\0", "6 bytes of pixels promised, 5 there"),
+        (b"P5 2 1 65535 \0\1\0", "4 bytes of pixels expected, 3 found"),
+        (b"P6 1 1 65535 \0\1\0\1\0", "6 bytes of pixels expected, 5 found"),
     ],
 )
 def test_pnm_that_is_not_whole(tmp_path: Path, data: bytes, words: str) -> None:
@@ -465,7 +465,7 @@ def test_pnm_that_is_not_whole(tmp_path: Path, data: bytes, words: str) -> None:
 def test_tiff_whose_strips_or_tiles_lie_behind_its_end(tmp_path: Path, tag: int) -> None:
     data = make_tiff(np.zeros((2, 2), np.uint8), {324: [10], 325: [10_000]} if tag == 324 else {279: [5]})
     (tmp_path / "a.tif").write_bytes(data)
-    assert "its pixels end before the file should" in refusal(tmp_path / "a.tif")
+    assert "it ends before its pixels do" in refusal(tmp_path / "a.tif")
 
 
 def test_deep_tiff_whose_pixels_are_nonsense(tmp_path: Path) -> None:

@@ -576,7 +576,7 @@ def test_a_camera_gives_pictures_until_it_is_unplugged(camera, monkeypatch):
     assert [frame.image[3, 5].tolist() for frame in frames] == [[0, i, 200] for i in (4, 3, 2, 1, 0)]
     times = [frame.time for frame in frames]
     assert times == sorted(times) and times[0] >= 0 and times[-1] < 60
-    assert video.fault == "the camera gave no more pictures; is it still plugged in?"
+    assert video.fault == "the camera sends no more images; check that it is still connected"
     assert video.ended
 
 
@@ -610,8 +610,8 @@ def test_a_camera_that_is_not_there_names_those_that_are(camera, monkeypatch):
     capture = camera(is_open=False)
     glob = Path.glob
     for names, words in (
-        (["video2", "video0"], r"camera 91 cannot be opened \(there are 0, 2\)"),
-        ([], r"camera 91 cannot be opened \(this machine shows none\)"),
+        (["video2", "video0"], r"camera 91 cannot be opened \(available: 0, 2\)"),
+        ([], r"camera 91 cannot be opened \(no camera found\)"),
     ):
         there = [Path("/dev") / name for name in names]
         monkeypatch.setattr(Path, "glob", lambda self, what, t=there: t if str(self) == "/dev" else glob(self, what))
@@ -707,7 +707,7 @@ def test_a_missing_encoder_is_named(tmp_path, monkeypatch, name, encoder):
     import av
 
     monkeypatch.setattr(av, "codecs_available", set())
-    with pytest.raises(VideoError, match=rf"{name}: this PyAV has no encoder for it \({encoder}\); install PyAV's own"):
+    with pytest.raises(VideoError, match=rf"{name}: this PyAV lacks the encoder {encoder}; install PyAV from PyPI"):
         write(tmp_path / name, [picture(0)])
 
 
@@ -769,7 +769,7 @@ def test_a_file_that_does_not_say_how_long_it_is(tmp_path):
 
 def test_frames_without_a_time_come_at_the_rate(video):
     file = io_video._File(video)
-    file._frames_of = lambda packet: [SimpleNamespace(time=None)] if packet.size else []
+    file._frames_of = lambda packet: [SimpleNamespace(time=None, width=64, height=48)] if packet.size else []
     times = [time for time, _ in file]
     file.close()
     np.testing.assert_allclose(times, np.arange(N) / 25)
@@ -777,7 +777,9 @@ def test_frames_without_a_time_come_at_the_rate(video):
 
 def test_times_that_stand_still_or_run_backwards_go_on_at_the_rate(video):
     file, stamps = io_video._File(video), iter([5.0, 5.5, 5.5, 5.2, 7.0])
-    file._frames_of = lambda packet: [SimpleNamespace(time=stamp) for stamp in itertools.islice(stamps, 1)]
+    file._frames_of = lambda packet: [
+        SimpleNamespace(time=stamp, width=64, height=48) for stamp in itertools.islice(stamps, 1)
+    ]
     times = [time for time, _ in file]
     file.close()
     np.testing.assert_allclose(times, [0.0, 0.5, 0.54, 0.58, 2.0])
@@ -793,7 +795,7 @@ def test_pieces_that_cannot_be_decoded_are_counted(video):
     assert file._frames_of(SimpleNamespace(decode=broken)) == []
     file._frames_of(SimpleNamespace(decode=broken))
     assert (file.n_damaged, file.n_seen) == (2, 2)
-    assert file.damage == f"{video} is damaged: 2 pieces of it could not be decoded and are missing"
+    assert file.damage == f"{video} is damaged: 2 packets could not be decoded and are missing"
     file.close()
 
 
@@ -816,7 +818,7 @@ def test_a_file_that_cannot_be_read_on_gives_what_comes_before(video, monkeypatc
     with VideoReader(video) as reader:
         n = len(list(reader))
     assert 0 < n <= 12
-    assert reader.fault == (f"{video} is damaged after frame {n} (Input/output error); what comes before was read")
+    assert reader.fault == (f"{video} is damaged after frame {n} (Input/output error); only earlier frames were read")
 
 
 @pytest.mark.parametrize("pieces", [None, [(None, True)], [(0, True), (0, True)], [(7, False)]])

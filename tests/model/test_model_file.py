@@ -759,7 +759,7 @@ def test_a_pipe_is_refused_instead_of_waiting(tmp_path):
     if not hasattr(os, "mkfifo"):
         pytest.skip("this system has no named pipes")
     os.mkfifo(tmp_path / "face.liaam")
-    assert_refused(tmp_path / "face.liaam", "the model file is no ordinary file; make one with 'liaam train FOLDER")
+    assert_refused(tmp_path / "face.liaam", "the model file is not a regular file; make one with 'liaam train FOLDER")
 
 
 @pytest.mark.parametrize("name", ["\ud800", "x" * 100_000, "\u00e9"])
