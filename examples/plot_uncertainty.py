@@ -1,0 +1,52 @@
+"""
+Uncertainty
+===========
+
+A fit says how sure it is: a quality from 0 to 1 for the whole fit, and a covariance for each landmark.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import liaam
+from liaam.datasets.scenes import Camera, Head, Pose, make_set, render
+from liaam.plotting import overlay
+
+# %%
+# Both are calibrated in training: the images are left out in turn and fitted by a model of the others. This takes about
+# as long as the training itself.
+
+head = Head(5)
+training = make_set(8, head=head, seed=1, size=(200, 150))
+model = liaam.train([(scene.image, scene.landmarks) for scene in training], diagonal=80)
+
+# %%
+# Noise makes the ellipses larger
+# -------------------------------
+# The same face with a clean and with a noisy camera. Each ellipse should hold the true landmark with a probability of
+# 95 %.
+
+cameras = {"clean": Camera(), "noisy": Camera(read_noise=0.03)}
+scenes = {name: render(head, Pose(yaw=0.05), camera=camera, size=(200, 150)) for name, camera in cameras.items()}
+
+figure, axes = plt.subplots(1, 2, figsize=(7, 4.6), layout="constrained")
+for axis, (name, scene) in zip(axes, scenes.items(), strict=True):
+    result = liaam.fit(model, scene.image)
+    axis.imshow(overlay(scene.image, result.shape, model, covariances=result.landmark_covariances))
+    axis.set_title(f"{name}: quality {result.quality:.2f}, mean deviation {result.deviations.mean():.2f} px")
+    axis.axis("off")
+
+# %%
+# An image without the object
+# ---------------------------
+# A fit to something else settles too. Its quality is low, and the status is not ``converged``.
+
+rng = np.random.default_rng(0)
+wall = np.repeat(rng.integers(90, 140, (50, 38)), 4, axis=0).repeat(4, axis=1)[..., None] + rng.integers(-9, 9, (200, 152, 3))
+result = liaam.fit(model, wall.astype(np.uint8))
+print(f"{result.status}: quality {result.quality:.2f}")
+print(result.message)
+
+# %%
+# In your own code, test ``result.status.ok`` before you use the landmarks, or set a limit for ``result.quality``.
+# :doc:`/explanation/uncertainty` explains where both numbers come from, and how well they hold on real faces.
