@@ -9,13 +9,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_extensions"))
 
-import matplotlib as mpl
 from sphinx_gallery.sorting import ExplicitOrder
 
 import liaam
-
-# This must come before numba compiles anything: a page of the gallery is executed on as many threads as there are cores.
-mpl.rcParams["figure.dpi"] = 100
 
 project = "liaam"
 author = "The liaam developers"

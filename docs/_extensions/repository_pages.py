@@ -1,7 +1,7 @@
 """Show Markdown files of the repository, such as CONTRIBUTING.md, as pages of the site, and keep their links right.
 
-Markdown in the repository links to files. Here a link to a file that is a page becomes a link to the page, and a link
-to any other file of the repository, such as a module, becomes plain text.
+Markdown in the repository links to files. Here a link to a file that is a page, or to an example, becomes a link to the
+page. A link to any other file of the repository, such as a module, becomes plain text.
 """
 
 import os
@@ -34,6 +34,8 @@ def read(app: Sphinx, docname: str, source: list[str]) -> None:
         app.env.note_dependency(str(files[docname]))
         text, home = files[docname].read_text(encoding="utf-8"), files[docname].parent
     pages = {file.resolve(): site / f"{page}.md" for page, file in files.items()}
+    pages |= {path: site / "gallery" / f"{path.stem}.rst" for path in (root / "examples").glob("plot_*.py")}
+    pages[root / "examples/README.rst"] = site / "gallery/index.rst"
     source[0] = with_links(text, home, path.parent, target_of(site, root, pages))
 
 
