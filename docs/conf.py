@@ -49,7 +49,10 @@ repository_pages = {
     "project/benchmarks": "benchmarks/README.md",
     "project/fuzzing": "fuzz/README.md",
     "project/experiments": "experiments/README.md",
-    **{f"project/notes/{path.stem}": f"experiments/notes/{path.name}" for path in HERE.parent.glob("experiments/notes/*.md")},
+    **{
+        f"project/notes/{path.stem}": f"experiments/notes/{path.name}"
+        for path in HERE.parent.glob("experiments/notes/*.md")
+    },
 }
 
 # API reference

@@ -59,7 +59,7 @@ print(summary.statuses)
 # %%
 # The table has one row per image: path, status, angle, cost, landmarks.
 
-with open(folder / "table.csv", newline="", encoding="utf-8") as file:
+with (folder / "table.csv").open(newline="", encoding="utf-8") as file:
     rows = list(csv.DictReader(file))
 found = [np.array([[float(row[f"x{i}"]), float(row[f"y{i}"])] for i in range(model.n_points)]) for row in rows]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 import liaam
 from liaam.datasets.scenes import photograph, poster, uneven_light
-from liaam.plotting_photometry import checkerboard
+from liaam.plotting.photometry import checkerboard
 
 # %%
 # The second image is taken from a slightly different place, under another light.

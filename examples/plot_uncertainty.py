@@ -42,7 +42,9 @@ for axis, (name, scene) in zip(axes, scenes.items(), strict=True):
 # A fit to something else settles too. Its quality is low, and the status is not ``converged``.
 
 rng = np.random.default_rng(0)
-wall = np.repeat(rng.integers(90, 140, (50, 38)), 4, axis=0).repeat(4, axis=1)[..., None] + rng.integers(-9, 9, (200, 152, 3))
+wall = np.repeat(rng.integers(90, 140, (50, 38)), 4, axis=0).repeat(4, axis=1)[..., None] + rng.integers(
+    -9, 9, (200, 152, 3)
+)
 result = liaam.fit(model, wall.astype(np.uint8))
 print(f"{result.status}: quality {result.quality:.2f}")
 print(result.message)

@@ -1,0 +1,134 @@
+"""The documentation: links between files of the repository hold, code names what exists, and the tutorial runs."""
+
+import ast
+import re
+import shlex
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import typer
+
+from liaam import FitResult
+from liaam.cli.main import app
+
+ROOT = Path(__file__).resolve().parents[1]
+
+BUILT = {"_build", "gallery", "generated"}
+"""Folders below docs/ that the build of the site writes."""
+
+PAGES = sorted(
+    path
+    for pattern in ("*.md", "docs/**/*.md", "benchmarks/*.md", "experiments/**/*.md", "fuzz/*.md")
+    for path in ROOT.glob(pattern)
+    if not BUILT & set(path.relative_to(ROOT).parts)
+)
+
+LINK = re.compile(r"\]\(([^()\s]+)\)")
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+def blocks(path: Path, language: str) -> list[str]:
+    return [code for kind, code in BLOCK.findall(text_of(path)) if kind == language]
+
+
+def anchors(path: Path) -> set[str]:
+    """Anchors of a page: its headings, as GitHub and MyST name them, and labels."""
+    text = BLOCK.sub("", text_of(path))
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    slugs = {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+    return slugs | set(re.findall(r"^\(([\w-]+)\)=$", text, re.MULTILINE))
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_links_between_files_hold(path):
+    for link in LINK.findall(BLOCK.sub("", text_of(path))):
+        if "://" in link or link.startswith("mailto:"):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (path.parent / name).resolve() if name else path
+        assert target.exists(), f"{link} does not exist"
+        if anchor and target.suffix == ".md":
+            assert anchor in anchors(target), f"{link}: there is no such heading"
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_python_in_pages_names_what_exists(path):
+    for code in blocks(path, "python"):
+        for node in ast.walk(ast.parse(code)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("liaam"):
+                module = import_module(str(node.module))
+                for alias in node.names:
+                    assert hasattr(module, alias.name), f"{node.module} has no {alias.name}"
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "liaam":
+                assert hasattr(import_module("liaam"), node.attr) or import_module(f"liaam.{node.attr}"), node.attr
+
+
+def options_of(words: list[str]) -> set[str]:
+    """Options of a command that is written out, such as liaam calibrate chart A B --rows 4."""
+    command = typer.main.get_command(app)
+    while hasattr(command, "commands"):
+        assert words, "the command is not named"
+        assert words[0] in command.commands, f"there is no command {words[0]}"
+        command, words = command.commands[words[0]], words[1:]
+    return {name for parameter in command.params for name in parameter.opts} | {"--help"}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_commands_in_pages_have_these_options(path):
+    lines = [line for code in blocks(path, "sh") for line in code.replace("\\\n", " ").splitlines()]
+    for line in lines:
+        for part in re.split(r"&&|\|", line):
+            words = shlex.split(part, comments=True)
+            if words[:1] != ["liaam"] or words == ["liaam"]:
+                continue
+            known = options_of(words[1:])
+            for word in words[1:]:
+                if re.match(r"-{1,2}[a-z]", word):
+                    assert word.partition("=")[0] in known, f"{line}: there is no {word}"
+
+
+def test_the_readme_is_short_and_says_how_to_install_and_test():
+    text = text_of(ROOT / "README.md")
+    assert len(text.splitlines()) <= 80
+    assert "pip install . && liaam demo" in text
+    assert 'pip install -e ".[test]" && pytest -n logical' in text
+
+
+def test_every_note_on_measurements_is_a_page_of_the_site():
+    notes = {path.name for path in (ROOT / "experiments/notes").glob("*.md")}
+    assert notes == {path.name for path in (ROOT / "docs/project/notes").glob("*.md")}
+
+
+def test_every_example_has_its_place_in_the_gallery():
+    listed = re.findall(r'"(plot_\w+\.py)"', text_of(ROOT / "docs/conf.py"))
+    assert sorted(listed) == sorted(path.name for path in (ROOT / "examples").glob("*.py"))
+
+
+def test_the_tutorial_runs(tmp_path, monkeypatch):
+    """Its code and its commands, in order; only the installation is left out."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for kind, code in BLOCK.findall(text_of(ROOT / "docs/tutorial/first-model.md")):
+        if kind == "python":
+            exec(code, names)
+        elif kind == "sh" and "pip install" not in code:
+            for line in code.splitlines():
+                words = shlex.split(line, comments=True)
+                assert words[0] == "liaam"
+                subprocess.run([sys.executable, "-m", *words], check=True)
+    result = names["result"]
+    assert isinstance(result, FitResult)
+    assert result.status == "converged"
+    assert result.quality > 0.5
+    assert all((tmp_path / name).exists() for name in ("faces-model.png", "fits/new.json", "new.pts", "new_flat.png"))
