@@ -1,6 +1,7 @@
 """Settings of the documentation site: ``sphinx-build -W --keep-going docs docs/_build``."""
 
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -32,7 +33,7 @@ extensions = [
     "repository_pages",
 ]
 templates_path = ["_templates"]
-exclude_patterns = ["_build", "_extensions", "figures", "gallery/*.ipynb", "gallery/*.py"]
+exclude_patterns = ["_build", "_extensions", "figures", "gallery/*.ipynb", "gallery/*.py", "gallery/backreferences"]
 suppress_warnings = ["config.cache"]
 
 # Markdown
@@ -56,6 +57,7 @@ repository_pages = {
 }
 
 # API reference
+shutil.rmtree(HERE / "reference/generated", ignore_errors=True)  # pages of names that are gone
 autosummary_generate = True
 autodoc_typehints = "none"
 autodoc_preserve_defaults = True
@@ -84,7 +86,7 @@ sphinx_gallery_conf = {
     "filename_pattern": "/plot_",
     "within_subsection_order": ExplicitOrder(ORDER),
     "doc_module": ("liaam",),
-    "backreferences_dir": "reference/generated/backreferences",
+    "backreferences_dir": "gallery/backreferences",
     "image_srcset": ["2x"],
     "download_all_examples": False,
     "show_memory": False,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from distributed import LocalCluster
+from distributed import Client
 
 import liaam
 from liaam.batch import Settings, run_batch
@@ -46,13 +46,13 @@ print(sum(result.status.ok for result in results), "of", len(results), "fits can
 # of its scheduler, such as ``tcp://host:8786``. The command line does the same:
 # ``liaam batch face.liaam images -o table.csv --scheduler tcp://host:8786``.
 
-with LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+with Client(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0") as client:
     summary = run_batch(
         folder / "face.liaam",
         folder / "*.png",
         folder / "table.csv",
         Settings(covariance=False),
-        scheduler=cluster.scheduler_address,
+        scheduler=client.scheduler_info()["address"],
     )
 print(summary.statuses)
 

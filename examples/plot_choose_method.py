@@ -11,7 +11,7 @@ import numpy as np
 
 import liaam
 from liaam.datasets.scenes import Expression, Head, Pose, lateral, make_set, render
-from liaam.plotting import colour_of, overlay
+from liaam.plotting import overlay
 
 # %%
 # The model is trained under soft, frontal light; the test image is lit from the left.
@@ -41,7 +41,7 @@ for axis, (method, fit) in zip(axes, fits.items(), strict=True):
 figure, axis = plt.subplots(figsize=(6, 3.5), layout="constrained")
 for method, fit in fits.items():
     errors = [np.linalg.norm(step.shape - test.landmarks, axis=1).mean() for step in fit.history]
-    axis.plot(errors, color=colour_of(method), label=method)
+    axis.plot(errors, label=method)
 axis.set(xlabel="accepted step", ylabel="mean error, pixels", ylim=(0, None))
 axis.legend()
 

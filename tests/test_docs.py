@@ -7,6 +7,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -76,7 +77,7 @@ def test_python_in_pages_names_what_exists(path):
 
 def options_of(words: list[str]) -> set[str]:
     """Options of a command that is written out, such as liaam calibrate chart A B --rows 4."""
-    command = typer.main.get_command(app)
+    command: Any = typer.main.get_command(app)
     while hasattr(command, "commands"):
         assert words, "the command is not named"
         assert words[0] in command.commands, f"there is no command {words[0]}"

@@ -79,7 +79,7 @@ def draw_lamps(path: Path) -> None:
 
     lamps = learn_lamps([*photographed(1, Pose()), *photographed(2, Pose(yaw=0.1))], "day")
     other = photographed(5, Pose(yaw=-0.15))[0]
-    save_figure(figure_of_lamps(lamps, other.image, other.landmarks.points), path, dpi=110)
+    save_figure(figure_of_lamps(lamps, other.read_image(), other.landmarks.points), path, dpi=110)
 
 
 def keep(figure: Path, name: str) -> None:
