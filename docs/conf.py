@@ -3,6 +3,7 @@
 import os
 import shutil
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -91,15 +92,17 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "show_memory": False,
     "show_signature": False,
+    "capture_repr": (),
     "min_reported_time": 1000,
     "write_computation_times": False,
     "remove_config_comments": True,
 }
 
 # Pages
+FONTS = Path(str(find_spec("ziamath").origin)).parent / "fonts"  # STIX Two Math
 html_theme = "pydata_sphinx_theme"
 html_title = "liaam"
-html_static_path = ["_static"]
+html_static_path = ["_static", str(FONTS)]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_copy_source = False

@@ -22,7 +22,9 @@ from liaam.datasets.scenes import Head, lateral, make_set
 
 head = Head(5)
 training = make_set(8, head=head, seed=1, size=(160, 120))
-model = liaam.train([(scene.image, scene.landmarks) for scene in training], diagonal=80, leave_out=False)
+model = liaam.train(
+    [(scene.image, scene.landmarks) for scene in training], diagonal=80, leave_out=False
+)
 
 folder = Path(tempfile.mkdtemp())
 model.save(folder / "face.liaam")
@@ -36,7 +38,9 @@ for i, scene in enumerate(scenes):
 # :func:`liaam.fit_many` fits on threads and returns the results in the order of the images.
 
 results = liaam.fit_many(model, [scene.image for scene in scenes])
-print(sum(result.status.ok for result in results), "of", len(results), "fits can be used")
+print(
+    sum(result.status.ok for result in results), "of", len(results), "fits can be used"
+)
 
 # %%
 # On a cluster
@@ -46,7 +50,9 @@ print(sum(result.status.ok for result in results), "of", len(results), "fits can
 # of its scheduler, such as ``tcp://host:8786``. The command line does the same:
 # ``liaam batch face.liaam images -o table.csv --scheduler tcp://host:8786``.
 
-with Client(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0") as client:
+with Client(
+    n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0"
+) as client:
     summary = run_batch(
         folder / "face.liaam",
         folder / "*.png",
@@ -61,11 +67,19 @@ print(summary.statuses)
 
 with (folder / "table.csv").open(newline="", encoding="utf-8") as file:
     rows = list(csv.DictReader(file))
-found = [np.array([[float(row[f"x{i}"]), float(row[f"y{i}"])] for i in range(model.n_points)]) for row in rows]
+found = [
+    np.array(
+        [[float(row[f"x{i}"]), float(row[f"y{i}"])] for i in range(model.n_points)]
+    )
+    for row in rows
+]
 
 figure, axes = plt.subplots(2, 6, figsize=(9, 4.4), layout="constrained")
 for axis, scene, shape, row in zip(axes.ravel(), scenes, found, rows, strict=False):
     axis.imshow(scene.image)
     axis.plot(*shape.T, ".", color="#ff4060", markersize=2)
-    axis.set_title(f"{row['status']}, {np.linalg.norm(shape - scene.landmarks, axis=1).mean():.2f} px", fontsize=8)
+    axis.set_title(
+        f"{row['status']}, {np.linalg.norm(shape - scene.landmarks, axis=1).mean():.2f} px",
+        fontsize=8,
+    )
     axis.axis("off")

@@ -37,7 +37,9 @@ print(estimate.message)
 # bright to have a value.
 
 model = CameraModel(theta=estimate.theta, theta_deviation=estimate.standard_error)
-figure_of_invariants({name: (image, invariant_image(image, model)) for name, image in images.items()})
+figure_of_invariants(
+    {name: (image, invariant_image(image, model)) for name, image in images.items()}
+)
 
 # %%
 # A wrong angle leaves shadows in the image. This is the sweep that ``liaam invariant --sweep`` draws.

@@ -18,15 +18,29 @@ from liaam.plotting import overlay
 
 head = Head(5)
 training = make_set(8, head=head, seed=1, size=(240, 180))
-model = liaam.train([(scene.image, scene.landmarks) for scene in training], diagonal=100, leave_out=False)
-test = render(head, Pose(yaw=0.06), Expression(smile=0.3), lights=lateral("left"), seed=2, size=(240, 180))
+model = liaam.train(
+    [(scene.image, scene.landmarks) for scene in training],
+    diagonal=100,
+    leave_out=False,
+)
+test = render(
+    head,
+    Pose(yaw=0.06),
+    Expression(smile=0.3),
+    lights=lateral("left"),
+    seed=2,
+    size=(240, 180),
+)
 
 # %%
 # All methods start from the same box around the landmarks, a few pixels off.
 
 (x0, y0), (x1, y1) = test.landmarks.min(axis=0), test.landmarks.max(axis=0)
 box = (x0 + 3, y0 - 2, x1 + 4, y1 - 1)
-fits = {method: liaam.fit(model, test.image, box, method) for method in ("grey", "rgb", "li", "soft-li")}
+fits = {
+    method: liaam.fit(model, test.image, box, method)
+    for method in ("grey", "rgb", "li", "soft-li")
+}
 
 figure, axes = plt.subplots(1, 4, figsize=(9, 3.4), layout="constrained")
 for axis, (method, fit) in zip(axes, fits.items(), strict=True):
@@ -40,7 +54,10 @@ for axis, (method, fit) in zip(axes, fits.items(), strict=True):
 
 figure, axis = plt.subplots(figsize=(6, 3.5), layout="constrained")
 for method, fit in fits.items():
-    errors = [np.linalg.norm(step.shape - test.landmarks, axis=1).mean() for step in fit.history]
+    errors = [
+        np.linalg.norm(step.shape - test.landmarks, axis=1).mean()
+        for step in fit.history
+    ]
     axis.plot(errors, label=method)
 axis.set(xlabel="accepted step", ylabel="mean error, pixels", ylim=(0, None))
 axis.legend()
@@ -48,7 +65,9 @@ axis.legend()
 # %%
 # ``li`` also estimates the angle of the camera's invariant projection. The true angle of this camera is known.
 
-print(f"estimated {np.rad2deg(fits['li'].theta):.1f}°, true {np.rad2deg(test.theta):.1f}°")
+print(
+    f"estimated {np.rad2deg(fits['li'].theta):.1f}°, true {np.rad2deg(test.theta):.1f}°"
+)
 
 # %%
 # Use the default, ``soft-li``, unless you have a reason not to. :doc:`/how-to/choose-a-method` has the reasons.

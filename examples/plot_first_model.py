@@ -49,10 +49,20 @@ figure_of_model(model)
 # The new image has a light that the model has never seen. :func:`liaam.fit` searches for the object, so it needs no
 # start.
 
-test = render(head, Pose(yaw=0.06), Expression(smile=0.3), lights=lateral("left"), seed=2, size=(240, 180))
+test = render(
+    head,
+    Pose(yaw=0.06),
+    Expression(smile=0.3),
+    lights=lateral("left"),
+    seed=2,
+    size=(240, 180),
+)
 result = liaam.fit(model, test.image)
 error = np.linalg.norm(result.shape - test.landmarks, axis=1).mean()
-print(result.status, f"after {result.n_iterations} iterations, mean error {error:.2f} pixels")
+print(
+    result.status,
+    f"after {result.n_iterations} iterations, mean error {error:.2f} pixels",
+)
 
 figure, axes = plt.subplots(1, 2, figsize=(6, 4), layout="constrained")
 axes[0].imshow(test.image)

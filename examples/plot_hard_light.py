@@ -29,7 +29,9 @@ samples = []
 for person in (1, 2):
     for name, light in lights.items():
         scene = render(Head(person), lights=light, size=SIZE)
-        samples.append(Sample(f"{person}-{name}", scene.image, Landmarks(scene.landmarks)))
+        samples.append(
+            Sample(f"{person}-{name}", scene.image, Landmarks(scene.landmarks))
+        )
 
 lamps = learn_lamps(samples, training_lamp="day")
 
@@ -46,7 +48,10 @@ figure_of_lamps(lamps, other.image, other.landmarks)
 
 pairs = []
 for person in (3, 4, 5, 6, 7, 8):
-    pairs += [(scene.image, scene.landmarks) for scene in make_set(2, Head(person), seed=person, size=SIZE)]
+    pairs += [
+        (scene.image, scene.landmarks)
+        for scene in make_set(2, Head(person), seed=person, size=SIZE)
+    ]
 
 models = {
     "one light": liaam.train(pairs, diagonal=80, leave_out=False),
@@ -56,8 +61,11 @@ models = {
 # %%
 # Fit four heads that neither model has seen, under a light that is in none of the training images.
 
-light = lateral("left", azimuth=1.15, ambient_strength=0.08)
-tests = [render(Head(person), Pose(yaw=0.05), lights=light, size=SIZE) for person in (11, 12, 13, 14)]
+light = lateral("left", azimuth=1.5, ambient_strength=0.03)
+tests = [
+    render(Head(person), Pose(yaw=0.05), lights=light, size=SIZE)
+    for person in (11, 12, 13, 14)
+]
 
 figure, axes = plt.subplots(2, 4, figsize=(8, 5.4), layout="constrained")
 for row, (name, model) in zip(axes, models.items(), strict=True):

@@ -34,7 +34,9 @@ for axis in axes.ravel():
 # %%
 # The correlation between the two images puts a number on it.
 
-(found,) = agreement(averaged([scene.image for scene in scenes.values()], camera, block=2))
+(found,) = agreement(
+    averaged([scene.image for scene in scenes.values()], camera, block=2)
+)
 print(f"invariant {found.invariant:.3f}, logarithm of grey {found.log_grey:.3f}")
 
 # %%
@@ -42,6 +44,11 @@ print(f"invariant {found.invariant:.3f}, logarithm of grey {found.log_grey:.3f}"
 
 for offset in (0, 10, 20, 40):
     theta = camera.theta + np.deg2rad(offset)
-    images = [invariant_image(scene.image, CameraModel(theta=theta)) for scene in scenes.values()]
+    images = [
+        invariant_image(scene.image, CameraModel(theta=theta))
+        for scene in scenes.values()
+    ]
     both = np.isfinite(images[0]) & np.isfinite(images[1])
-    print(f"angle off by {offset:2d}°: correlation {np.corrcoef(images[0][both], images[1][both])[0, 1]:.3f}")
+    print(
+        f"angle off by {offset:2d}°: correlation {np.corrcoef(images[0][both], images[1][both])[0, 1]:.3f}"
+    )

@@ -29,9 +29,13 @@ faults = liaam.find_label_faults(shapes)
 for fault in faults:
     print(f"image {fault.picture}: {fault.message}")
 
-figure, axes = plt.subplots(1, len(faults), figsize=(4 * len(faults), 5), layout="constrained", squeeze=False)
+figure, axes = plt.subplots(
+    1, len(faults), figsize=(4 * len(faults), 5), layout="constrained", squeeze=False
+)
 for axis, fault in zip(axes[0], faults, strict=True):
-    axis.imshow(overlay_of_faults(scenes[fault.picture].image, shapes[fault.picture], [fault]))
+    axis.imshow(
+        overlay_of_faults(scenes[fault.picture].image, shapes[fault.picture], [fault])
+    )
     axis.set_title(f"image {fault.picture}: {fault.kind}")
     axis.axis("off")
 

@@ -27,12 +27,30 @@ print(registration.status, f"after {registration.n_iterations} iterations")
 # %%
 # The homography maps pixels of the first image to pixels of the second. Its error at the corners of the image:
 
-corners = np.array([[0, 0, 1], [size[1] - 1, 0, 1], [size[1] - 1, size[0] - 1, 1], [0, size[0] - 1, 1]], float)
-places = [(corners @ matrix.T)[:, :2] / (corners @ matrix.T)[:, 2:] for matrix in (registration.homography, moved)]
-print("errors at the corners, pixels:", np.linalg.norm(places[0] - places[1], axis=1).round(2))
+corners = np.array(
+    [
+        [0, 0, 1],
+        [size[1] - 1, 0, 1],
+        [size[1] - 1, size[0] - 1, 1],
+        [0, size[0] - 1, 1],
+    ],
+    float,
+)
+places = [
+    (corners @ matrix.T)[:, :2] / (corners @ matrix.T)[:, 2:]
+    for matrix in (registration.homography, moved)
+]
+print(
+    "errors at the corners, pixels:",
+    np.linalg.norm(places[0] - places[1], axis=1).round(2),
+)
 
 aligned, _ = registration.warp(second)
-images = {"first": first, "second": second, "first and aligned second": checkerboard(first, aligned)}
+images = {
+    "first": first,
+    "second": second,
+    "first and aligned second": checkerboard(first, aligned),
+}
 figure, axes = plt.subplots(1, 3, figsize=(10, 2.9), layout="constrained")
 for axis, (name, image) in zip(axes, images.items(), strict=True):
     axis.imshow(image)

@@ -14,12 +14,23 @@ from liaam.relighting import Relighter
 
 head = Head(5)
 training = make_set(10, head=head, seed=1, size=(240, 180))
-model = liaam.train([(scene.image, scene.landmarks) for scene in training], diagonal=100, leave_out=False)
+model = liaam.train(
+    [(scene.image, scene.landmarks) for scene in training],
+    diagonal=100,
+    leave_out=False,
+)
 
 # %%
 # Fit an image under hard light from the left.
 
-test = render(head, Pose(yaw=0.06), Expression(smile=0.3), lights=lateral("left"), seed=2, size=(240, 180))
+test = render(
+    head,
+    Pose(yaw=0.06),
+    Expression(smile=0.3),
+    lights=lateral("left"),
+    seed=2,
+    size=(240, 180),
+)
 fitter = liaam.Fitter(model)
 result = fitter.fit(test.image)
 relighter = Relighter.of(fitter, test.image, result)
@@ -48,16 +59,23 @@ for axis, (name, image) in zip(axes, images.items(), strict=True):
 # The generated face can be rendered under the light of training, so the error is known. Both images are compared as
 # logarithms of linear light inside the mesh, up to one exposure.
 
-truth = render(head, Pose(yaw=0.06), Expression(smile=0.3), seed=2, size=(240, 180)).image
+truth = render(
+    head, Pose(yaw=0.06), Expression(smile=0.3), seed=2, size=(240, 180)
+).image
 inside = relighter.shading().any(axis=2)
 
 
 def spread(image):
-    log = [np.log((picture[inside].astype(float) / 255 + 0.02) ** 2.2) for picture in (image, truth)]
+    log = [
+        np.log((picture[inside].astype(float) / 255 + 0.02) ** 2.2)
+        for picture in (image, truth)
+    ]
     return np.std(log[0] - log[1])
 
 
-print(f"input: {spread(test.image):.2f}, without shading: {spread(relighter.flat()):.2f}")
+print(
+    f"input: {spread(test.image):.2f}, without shading: {spread(relighter.flat()):.2f}"
+)
 
 # %%
 # :doc:`/explanation/relighting` says how this works and how far to trust it.

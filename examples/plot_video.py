@@ -9,12 +9,22 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.datasets.scenes import Ambient, Expression, Head, PointLight, Pose, make_set, render
+from liaam.datasets.scenes import (
+    Ambient,
+    Expression,
+    Head,
+    PointLight,
+    Pose,
+    make_set,
+    render,
+)
 from liaam.plotting import overlay
 
 head = Head(5)
 training = make_set(8, head=head, seed=1, size=(200, 150))
-model = liaam.train([(scene.image, scene.landmarks) for scene in training], diagonal=80, leave_out=False)
+model = liaam.train(
+    [(scene.image, scene.landmarks) for scene in training], diagonal=80, leave_out=False
+)
 
 # %%
 # A generated video of 16 frames: the head turns, the mouth opens and closes, and the lamp swings.
@@ -23,7 +33,10 @@ frames = []
 for i in range(16):
     phase = 2 * np.pi * i / 16
     lights = (PointLight((np.sin(phase), 0.2, 0.8), 4000.0, 1.0), Ambient(7000.0, 0.3))
-    pose, expression = Pose(yaw=0.15 * np.sin(phase)), Expression(mouth_open=0.2 - 0.2 * np.cos(phase))
+    pose, expression = (
+        Pose(yaw=0.15 * np.sin(phase)),
+        Expression(mouth_open=0.2 - 0.2 * np.cos(phase)),
+    )
     frames.append(render(head, pose, expression, lights, size=(200, 150), seed=i))
 
 # %%
