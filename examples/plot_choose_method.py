@@ -44,8 +44,8 @@ fits = {
 
 figure, axes = plt.subplots(1, 4, figsize=(9, 3.4), layout="constrained")
 for axis, (method, fit) in zip(axes, fits.items(), strict=True):
-    error = np.linalg.norm(fit.shape - test.landmarks, axis=1).mean()
-    axis.imshow(overlay(test.image, fit.shape, model))
+    error = np.linalg.norm(fit.landmarks - test.landmarks, axis=1).mean()
+    axis.imshow(overlay(test.image, fit.landmarks, model))
     axis.set_title(f"{method}: {error:.2f} px")
     axis.axis("off")
 
@@ -55,7 +55,7 @@ for axis, (method, fit) in zip(axes, fits.items(), strict=True):
 figure, axis = plt.subplots(figsize=(6, 3.5), layout="constrained")
 for method, fit in fits.items():
     errors = [
-        np.linalg.norm(step.shape - test.landmarks, axis=1).mean()
+        np.linalg.norm(step.landmarks - test.landmarks, axis=1).mean()
         for step in fit.history
     ]
     axis.plot(errors, label=method)

@@ -10,7 +10,7 @@ import numpy as np
 
 import liaam
 from liaam.datasets.scenes import Expression, Head, Pose, lateral, make_set, render
-from liaam.plotting import figure_of_model, overlay
+from liaam.plotting import figure_of_model
 
 # %%
 # Training images
@@ -58,7 +58,7 @@ test = render(
     size=(240, 180),
 )
 result = liaam.fit(model, test.image)
-error = np.linalg.norm(result.shape - test.landmarks, axis=1).mean()
+error = np.linalg.norm(result.landmarks - test.landmarks, axis=1).mean()
 print(
     result.status,
     f"after {result.n_iterations} iterations, mean error {error:.2f} pixels",
@@ -67,11 +67,9 @@ print(
 figure, axes = plt.subplots(1, 2, figsize=(6, 4), layout="constrained")
 axes[0].imshow(test.image)
 axes[0].set_title("new image")
-axes[1].imshow(overlay(test.image, result.shape, model))
-axes[1].set_title("fit")
-for axis in axes:
-    axis.axis("off")
+axes[0].axis("off")
+result.plot(ax=axes[1]).set_title("fit")
 
 # %%
-# ``result.status.ok`` says whether the landmarks can be used. They are in ``result.shape``, and
+# ``result.status.ok`` says whether the landmarks can be used. They are in ``result.landmarks``, and
 # :func:`liaam.write_landmarks` writes them to a file. ``model.save("face.liaam")`` keeps the model.

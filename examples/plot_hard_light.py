@@ -73,9 +73,9 @@ for row, (name, model) in zip(axes, models.items(), strict=True):
     for axis, test in zip(row, tests, strict=True):
         box = (*test.landmarks.min(axis=0), *test.landmarks.max(axis=0))
         result = liaam.fit(model, test.image, box)
-        errors.append(np.linalg.norm(result.shape - test.landmarks, axis=1).mean())
+        errors.append(np.linalg.norm(result.landmarks - test.landmarks, axis=1).mean())
         axis.imshow(test.image)
-        axis.plot(*result.shape.T, ".", color="#ff4060", markersize=3)
+        axis.plot(*result.landmarks.T, ".", color="#ff4060", markersize=3)
         axis.set_title(f"{name}: {errors[-1]:.1f} px", fontsize=9)
         axis.axis("off")
     print(f"{name}: mean error {np.mean(errors):.2f} pixels")

@@ -39,7 +39,7 @@ for axis, method in zip(
     axes, ("grey", "grey+huber", "grey+tukey", "soft-li"), strict=True
 ):
     result = liaam.fit(model, image, box, method)
-    error = np.linalg.norm(result.shape - test.landmarks, axis=1).mean()
-    axis.imshow(overlay(image, result.shape, model))
+    error = np.linalg.norm(result.landmarks - test.landmarks, axis=1).mean()
+    axis.imshow(overlay(image, result.landmarks, model))
     axis.set_title(f"{method}: {error:.2f} px")
     axis.axis("off")

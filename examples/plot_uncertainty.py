@@ -39,7 +39,10 @@ for axis, (name, scene) in zip(axes, scenes.items(), strict=True):
     result = liaam.fit(model, scene.image)
     axis.imshow(
         overlay(
-            scene.image, result.shape, model, covariances=result.landmark_covariances
+            scene.image,
+            result.landmarks,
+            model,
+            covariances=result.landmark_covariances,
         )
     )
     axis.set_title(f"{name}: {result.status}, quality {result.quality:.2f}", fontsize=9)

@@ -116,6 +116,7 @@ def test_every_example_has_its_place_in_the_gallery():
     assert sorted(listed) == sorted(path.name for path in (ROOT / "examples").glob("*.py"))
 
 
+@pytest.mark.slow
 def test_the_tutorial_runs(tmp_path, monkeypatch):
     """Its code and its commands, in order; only the installation is left out."""
     monkeypatch.chdir(tmp_path)
