@@ -3,7 +3,7 @@
 import os
 import shutil
 import sys
-from importlib.util import find_spec
+from importlib.resources import files
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -99,7 +99,7 @@ sphinx_gallery_conf = {
 }
 
 # Pages
-FONTS = Path(str(find_spec("ziamath").origin)).parent / "fonts"  # STIX Two Math
+FONTS = files("ziamath") / "fonts"  # STIX Two Math
 html_theme = "pydata_sphinx_theme"
 html_title = "liaam"
 html_static_path = ["_static", str(FONTS)]

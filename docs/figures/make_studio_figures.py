@@ -1,4 +1,4 @@
-"""Make the pictures of docs/studio.md: ``python -m docs.figures.make_studio_figures``, from the root of the checkout.
+"""Make the studio's images: ``python -m docs.figures.make_studio_figures``, from the root of the checkout.
 
 Needs what the studio's benchmark needs: Playwright and a Chromium. The portraits are generated.
 """
