@@ -73,7 +73,7 @@ def test_light_invariance_pays_on_real_spot_lit_faces(shared_data, tmp_path):
     assert len(summary["persons"]) == 21
     assert summary["left_out"] == ["person 02: the pictures are grey"]
     assert li["nme_median"] <= 0.049
-    # The aim was 0.87; measured 0.88-0.89 for every seed, since rgb is better than expected (experiments/notes/methods.md).
+    # The aim was 0.87; measured 0.88-0.89 for every seed, since rgb is better than expected (experiments/notes).
     assert li["nme_median"] <= 0.90 * rgb["nme_median"]
     assert li["converged"] >= 0.90
     assert summary["bound_median"] == pytest.approx(0.0364, abs=5e-4)
