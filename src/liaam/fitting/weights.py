@@ -1,7 +1,7 @@
-"""How pixels are weighed: by noise, by the model's errors, or by a robust loss (docs/explanation/theory.md).
+"""Weights of pixels: from noise, the model's errors, or a robust loss (docs/explanation/theory.md).
 
-Weights are worked out between steps and frozen within one. Compiled; arrays of pixels are flat, residual e = i k + r is
-row r of pixel i. :mod:`liaam.fitting.reference` says what each function has to give.
+Weights are updated between steps and fixed within one. Compiled; arrays of pixels are flat, residual e = i k + r is
+row r of pixel i. :mod:`liaam.fitting.reference` defines the result of each function.
 """
 
 import numpy as np
@@ -18,29 +18,30 @@ BY_MODEL, BY_NOISE, BY_ROWS = 0, 1, 2
 """Kinds of weights (:attr:`liaam.fitting.level.Row.weights`)."""
 
 UNKNOWN = 1e5
-"""Variance that stands for a pixel whose logarithm says nothing."""
+"""Variance assigned to a pixel whose logarithm is not usable."""
 
 LEAST_UNEXPLAINED = 0.02
-"""Share of the residual's variance that is never put down to noise."""
+"""Lower bound on the unexplained variance, as a fraction of the residual's."""
 
 MOST_DIRECTION_NOISE = 0.5
-"""Variance of each component of a direction that says nothing."""
+"""Upper bound on the variance of each component of a direction: that of a random direction."""
 
 ALIKE = 0.2
-"""Relative change of a variance below which pixels are not weighed anew."""
+"""Change of the logarithm of an unexplained variance below which weights are kept."""
 
 CHANGED = 0.02
-"""Share of the pixels that may have come to say something, or ceased to, before they are weighed anew."""
+"""Fraction of pixels that may become usable, or cease to be, before weights are updated."""
 
 FACTORS = np.concatenate((np.zeros(1), np.geomspace(1e-3, 30.0, 19)))
-"""Factors on the model's learnt errors, of which the likeliest is taken."""
+"""Candidate factors on the model's learnt errors; the most likely one is used."""
 
 LEARNT = 5
+"""Index of the loss ``learnt``."""
 
 
 @jit
 def exponential(x: np.float32) -> np.float32:
-    """Exponential of logarithms of light, to a few millionths between -8 and 8, float32, and no branch in it."""
+    """Return the exponential of a logarithm of light, branch-free, to a few millionths between -8 and 8."""
     y = x if x < F(20.0) else F(20.0)
     y = (y if y > F(-20.0) else F(-20.0)) * F(1 / 32)
     high = F(1 / 6) + y * (F(1 / 24) + y * (F(1 / 120) + y * F(1 / 720)))
@@ -54,11 +55,11 @@ def exponential(x: np.float32) -> np.float32:
 
 @jit
 def log_noise(logs: np.ndarray, table: np.ndarray, first: float, steps: float, out: np.ndarray) -> None:
-    """Standard deviations of logarithms by noise, interpolated in a table; beyond it the nearest counts."""
+    """Interpolate standard deviations of logarithms due to noise in a table, constant beyond its ends."""
     last, top = len(table) - 2, F(len(table) - 1)
     for i in range(len(logs)):
         at = (logs[i] - first) * steps
-        at = at if at > F(0.0) else F(0.0)  # NaN has no place
+        at = at if at > F(0.0) else F(0.0)  # also for NaN
         at = at if at < top else top
         at_least = np.int32(at)
         at_least = at_least if at_least < last else np.int32(last)
@@ -82,27 +83,27 @@ def row_variances(
     known: Single1,
     sums: Double2,
 ) -> None:
-    """Variance of the rows of ``soft`` by the picture's noise, to first order, and squares of residuals beside it.
+    """Compute the variance of the rows of ``soft`` due to noise, to first order, and sums of squared residuals.
 
-    With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the root follows from |o| itself.
+    With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the square root follows from |o|.
 
     Parameters
     ----------
     values, residual, usable : (8 n,), (n k,), (n,) float32
     own : (n k,) float32
-        Root of the model's own weights.
+        Square root of the model's weights.
     metric : (8 k,) float32
     table, span, kept
-        Noise, as of :class:`liaam.fitting.level.Picture`.
+        Noise (fields of :class:`liaam.fitting.level.Picture`).
     colours : bool
-        Whether the model knows colours.
+        Whether the model was trained on colour images.
     planes : (10, 512) float32
-        Room.
+        Scratch.
     variance : (n k,) float32
     known : (n,) float32
-        1 where the logarithms of colours say something, else 0.
+        1 where the logarithms of all colours are usable, else 0.
     sums : (k, 3) float64
-        Of each row: how many pixels count, their squared residuals, and these less the variance by noise.
+        For each row: number of pixels that count, sum of squared residuals, and that sum minus the noise variance.
     """
     n, k = len(usable), len(sums)
     first, steps = F(span[0]), F((len(table) - 1) / (span[1] - span[0]))
@@ -111,22 +112,22 @@ def row_variances(
     clear(sums)
     for begin in range(0, n, PLANE):
         size = PLANE if begin + PLANE < n else n - begin
-        told = known[begin : begin + size]
+        usable_logs = known[begin : begin + size]
         for i in range(size):
-            told[i] = F(1.0) if colours and values[SIZE * (begin + i) + 5] >= F(0.99) else F(0.0)
+            usable_logs[i] = F(1.0) if colours and values[SIZE * (begin + i) + 5] >= F(0.99) else F(0.0)
             counts[i] = F(1.0) if usable[begin + i] * own[(begin + i) * k] > F(0.0) else F(0.0)
             light[i], spread[i] = F(LOG_FLOOR), F(0.0)
         for c in range(3):
-            out, share = planes[7 + c], F(BRIGHTNESS[c])
+            out, scale = planes[7 + c], F(BRIGHTNESS[c])
             for i in range(size):
                 logs[i] = values[SIZE * (begin + i) + 2 + c]
             log_noise(logs[:size], table, first, steps, deviation)
             for i in range(size):
-                brightness, square = share * exponential(logs[i]), deviation[i] * deviation[i]
+                brightness, square = scale * exponential(logs[i]), deviation[i] * deviation[i]
                 light[i] += brightness
                 spread[i] += square * brightness * brightness
-                # A blur averages noise away, but not what the logarithm's curvature makes of it.
-                out[i] = keep * square + F(0.25) * square * square if told[i] > F(0.0) else F(UNKNOWN)
+                # The blur reduces noise, but not the bias that the logarithm's curvature makes of it.
+                out[i] = keep * square + F(0.25) * square * square if usable_logs[i] > F(0.0) else F(UNKNOWN)
         for i in range(size):
             x, y = values[SIZE * (begin + i)], values[SIZE * (begin + i) + 1]
             rest = F(1.0) - x * x - y * y
@@ -160,13 +161,11 @@ def row_variances(
 
 @compiled
 def unexplained_by(sums: Double2, out: Double2) -> float:
-    """Variance that the model leaves unexplained by groups of rows, of sums (k, 3), to ``out`` (2, 2), the second row.
+    """Compute the unexplained variance of both groups of rows, from sums (k, 3), and return the number of residuals.
 
-    Gives how many residuals count.
-
-    It is alike within the gradient's rows and within the invariant's, and is what the residual at hand has beyond
-    noise: where the light is as in training the invariant is precise, where it is not, or where colours carry JPEG's
-    errors, it steps back behind the gradient, and the other way round in noise.
+    It is the residual's variance minus that of noise, one number for the gradient's rows and one for the invariant.
+    Under the light of training the invariant gets the larger weight. Under another light, or with JPEG's errors of
+    colour, the gradient does. The result is written to the second row of ``out`` (2, 2).
     """
     counted = 0.0
     for group in range(2):
@@ -183,8 +182,9 @@ def unexplained_by(sums: Double2, out: Double2) -> float:
 
 @compiled
 def changed(known: Single1, before: Single1, unexplained: Double2) -> bool:
-    """Whether weights by rows are others than before: what is unexplained, (2, 2) before and now, or which pixels'
-    colour is known. What is unexplained is then noted as what was before.
+    """Return whether weights by rows need an update, and if so keep the current unexplained variance as the last one.
+
+    They do if ``unexplained``, (2, 2) last and current, or the set of pixels with usable colour has changed.
     """
     for group in range(2):
         change = np.log(unexplained[1, group] / unexplained[0, group])
@@ -209,25 +209,25 @@ def weigh_by_rows(
     usable: Single1,
     out: Single1,
 ) -> float:
-    """Roots of weights by variances, noise's and the model's, brought to a mean weight of 1 over the pixels that count.
+    """Compute square roots of inverse variances (noise plus model), scaled to mean weight 1 over the pixels that count.
 
     Parameters
     ----------
     variance : (n k,) float32
-        By noise; becomes that of the residual, correlation included.
+        Variance due to noise; replaced by that of the residual, including correlation.
     unexplained : (2, 2) float64
-        The model's, by group of rows: before, and now.
+        Unexplained variance by group of rows; the second row is current.
     correlated : float
-        Pixels that stand for one independent residual.
+        Number of pixels per independent residual.
     own : (n k,) float32
-        Root of the model's own weights.
+        Square root of the model's weights.
     usable : (n,) float32
     out : (n k,) float32
 
     Returns
     -------
     float
-        Variance that weighs 1.
+        Variance at weight 1.
     """
     n, mass, count = len(usable), 0.0, 0
     k = len(own) // n
@@ -269,25 +269,25 @@ def weigh_by_noise(
     by_model: Double1,
     variance: Single1,
 ) -> float:
-    """Variance of the channels by noise, and by the model's errors: as likely a multiple of those learnt as can be.
+    """Compute variances due to noise and due to the model's errors, the latter scaled by its most likely factor.
 
     Parameters
     ----------
     values, residual, usable, own, metric, table, span, kept
-        As of :func:`row_variances`; the picture's first three channels are logarithms.
+        See :func:`row_variances`; the image's first three channels are logarithms.
     errors : (n,) float64
-        Variance of the model's errors as learnt.
+        Learnt variance of the model's errors.
     noise : (8 n,) float32
-        Variance of the channels by noise.
+        Output: variance of the channels due to noise.
     by_model : (n,) float64
-        By the model's errors.
+        Output: variance due to the model's errors.
     variance : (n k,) float32
-        Of the residual by both.
+        Output: variance of the residual due to both.
 
     Returns
     -------
     float
-        Variance that weighs 1.
+        Variance at weight 1.
     """
     n = len(usable)
     k, steps = len(residual) // n, (len(table) - 1) / (span[1] - span[0])
@@ -295,8 +295,8 @@ def weigh_by_noise(
         for c in range(3):
             log_noise(values[SIZE * i + c : SIZE * i + c + 1], table, F(span[0]), F(steps), noise[SIZE * i + c :])
             square = noise[SIZE * i + c] ** 2
-            # A blur averages noise away, but not what the logarithm's curvature makes of it: log(rho + n) is low by
-            # up to half its relative variance on average.
+            # The blur reduces noise, but not the bias due to the logarithm's curvature: E log(rho + n) is below
+            # log(rho) by half the relative variance.
             noise[SIZE * i + c] = kept[0] * kept[0] * square + 0.25 * square * square
         for r in range(k):
             variance[i * k + r] = F(0.0)
@@ -336,11 +336,10 @@ def root_by_noise(
     own: Single1,
     growth: Single1,
 ) -> None:
-    """Root of weights by noise at an angle theta_2, and its relative derivative by that (n k,) float32, if there is
-    room.
+    """Compute the square root of noise weights at theta_2 and its relative derivative (``growth``, empty to skip).
 
-    Whitening by the noise is differentiated along with the residual: var L(theta) depends on the angle, and a weight
-    frozen at the old angle leaves the plain sum of squares' pull towards angles of little noise.
+    The derivative of the weights is part of eq 10 here, because var L(theta) depends on the angle. With weights fixed
+    at the last angle, the sum of squares is biased towards angles of low noise.
     """
     k = len(metric) // SIZE
     for i in range(len(by_model)):
@@ -357,7 +356,7 @@ def root_by_noise(
 
 @compiled
 def loss_weight(loss: int, u: float) -> float:
-    """Weight of a residual of u standard deviations, by a loss of :data:`liaam.fitting.losses.LOSSES`."""
+    """Return the weight of a residual of u standard deviations, for a loss of :data:`liaam.fitting.losses.LOSSES`."""
     if loss == 0:  # huber
         return 1.345 / u if u > 1.345 else 1.0
     if loss == 1:  # l1: below a tenth of a standard deviation the weight stops growing
@@ -373,7 +372,7 @@ def loss_weight(loss: int, u: float) -> float:
 
 @compiled
 def median(numbers: Double1) -> float:
-    """Median (the upper one of an even count) of finite numbers (n,), which are put into another order; 0 of none."""
+    """Return the (upper) median of finite numbers (n,) and reorder them; 0 if there are none."""
     low, high, middle = 0, len(numbers) - 1, len(numbers) // 2
     while low < high:
         pivot, i, j = numbers[(low + high) // 2], low, high
@@ -406,20 +405,22 @@ def weigh_by_loss(
     sizes: Double2,
     weighed: Single1,
 ) -> None:
-    """Multiply the root of weights (n k,) float32, in place, by that of a robust loss' weights.
+    """Multiply square roots of weights (n k,) float32, in place, by those of a robust loss.
 
     Parameters
     ----------
     loss : int
+        Index in :data:`liaam.fitting.losses.LOSSES`.
     gaussian_median : float
-        Of Gaussian residuals in standard deviations (:attr:`liaam.fitting.level.Row.median`).
+        Median magnitude of Gaussian residuals (:attr:`liaam.fitting.level.Row.median`).
     residual, usable, own : (n k,), (n,), (n k,) float32
     variance : (n k,) float32
-        Of the residuals; empty where it is not known.
+        Variance of the residuals; empty if unknown.
     errors : (n,) float64
-        Variance of the model's errors as learnt.
+        Learnt variance of the model's errors.
     sizes : (2, n) float64
-        Room.
+        Scratch.
+    weighed : (n k,) float32
     """
     n, count, learnt, room, sizes = len(usable), 0, loss == LEARNT, sizes[1], sizes[0]
     k = len(residual) // n
@@ -431,7 +432,7 @@ def weigh_by_loss(
         sizes[i] = np.sqrt(square / k)
         if usable[i] * own[i * k] > F(0.0) and np.isfinite(sizes[i]):
             room[count], count = sizes[i], count + 1
-    # A picture under another light leaves more everywhere: the median pixel still counts.
+    # The scale is robust: a change of light raises all residuals, and the median pixel still counts.
     scale, least = median(room[:count]) / gaussian_median, 1.0 if learnt else 1e-9
     scale, mean = scale if scale > least else least, 0.0
     for i in range(n):
@@ -440,22 +441,19 @@ def weigh_by_loss(
             sizes[i] /= np.sqrt(errors[i] + 1e-12)
             mean += sizes[i] / count if usable[i] * own[i * k] > F(0.0) else 0.0
     for i in range(n):
-        share = np.sqrt(sizes[i] / mean if learnt and mean > 0.0 else sizes[i])
+        factor = np.sqrt(sizes[i] / mean if learnt and mean > 0.0 else sizes[i])
         for e in range(i * k, i * k + k):
-            weighed[e] *= F(share)
+            weighed[e] *= F(factor)
 
 
 @compiled
 def normalisation(
     rows: Single2, values: Single1, metric: Single1, usable: Single1, own: Single1, scales: Double1
 ) -> None:
-    """Gain and offset that bring samples to the mean and deviation of the model's mean (the first row).
-
-    Over the pixels that count, to :attr:`liaam.fitting.level.Work.scales`.
-    """
+    """Write to ``scales`` the gain and offset that match mean and deviation of the mean appearance (the first row)."""
     k, mean = len(metric) // SIZE, rows[0]
     centre, middle, spread, deviation, count = 0.0, 0.0, 0.0, 0.0, 0
-    for about_mean in range(2):  # squares about the mean: squares alone would drown it in rounding
+    for about_mean in range(2):  # two passes, to limit rounding errors
         for e in range(len(mean)):
             i, r, seen = e // k, e % k, 0.0
             if usable[i] * own[i * k] == F(0.0):
@@ -475,7 +473,7 @@ def normalisation(
 
 @compiled
 def any_of(usable: Single1) -> bool:
-    """Whether the picture says anything at any pixel."""
+    """Return whether any pixel is usable."""
     for i in range(len(usable)):  # noqa: SIM110 (compiled)
         if usable[i] > F(0.0):
             return True
