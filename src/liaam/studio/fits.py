@@ -51,10 +51,10 @@ LAYER_BYTES = 100_000_000
 """Bytes of encoded layers in the cache."""
 
 LIGHT_BYTES = 300_000_000
-"""Bytes of relighters in the cache: a handful at 1280 pixels, one or two at 2048."""
+"""Maximum bytes of relighters in the cache: several at 1280 pixels, one or two at 2048."""
 
 MODELS_KEPT = 2
-"""Number of models whose fits are cached: the one in use and the one before. Each has fitters of tens of megabytes."""
+"""Number of models whose fits are cached: the current and the previous one. Each has tens of megabytes of fitters."""
 
 FITTERS_KEPT = 16
 
@@ -203,7 +203,7 @@ class Fits:
         uploads.listeners.append(self.search_soon)
 
     def forget_former(self, current: ModelInUse | None) -> None:
-        """Empty the caches of what former models made, when another model comes into use."""
+        """Remove the results of earlier models from the caches; a listener of :class:`ModelStore`."""
         if current is None:
             return
         self._recent.append(current)

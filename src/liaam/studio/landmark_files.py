@@ -216,7 +216,7 @@ class LandmarkFiles:
             self._state.write(f"kept/{target.stem}.{revision_of(data)}{target.suffix}", data)
 
     def _invisible_of(self, name: str, revision: str | None) -> dict[str, Any] | None:
-        """Return the marks of a revision of a file: the newest, or the ones before if the newest was not written."""
+        """Return the invisible points of a revision of a file: the newest, or the previous one if a write failed."""
         newest = self._invisible.get(name)
         found = [] if newest is None else [newest, newest.get("before")]
         return next((marks for marks in found if marks is not None and marks["revision"] == revision), None)
@@ -224,7 +224,7 @@ class LandmarkFiles:
     def _remember_invisible(self, name: str, before: str | None, data: bytes, invisible: Sequence[int]) -> None:
         """Save which points of a ``.pts`` are invisible, since the format cannot.
 
-        This comes before the file is written, so the marks of its present revision ``before`` are kept too.
+        This happens before the file is written, so the entry of its current revision ``before`` is kept as well.
         """
         known = {key: marks for key, marks in self._invisible.items() if key != name}
         marks, old = {"revision": revision_of(data), "points": list(invisible)}, self._invisible_of(name, before)

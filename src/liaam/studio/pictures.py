@@ -46,8 +46,7 @@ DECODED_AT_ONCE = 50_000_000
 per pixel."""
 
 WORKED_ON_AT_ONCE = 50_000_000
-"""Pixels of pictures that are fitted or drawn at a time. With the picture that takes 5 to 45 bytes a pixel, most for
-pictures of floats."""
+"""Pixels of pictures that are fitted or drawn concurrently. They take 5 to 45 bytes per pixel, most if float."""
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
@@ -118,7 +117,7 @@ class Kept(Generic[K, V]):
             self._put(key, value)
 
     def keep_only(self, wanted: Callable[[K, V], bool]) -> None:
-        """Forget all values but those wanted."""
+        """Remove all values for which ``wanted(key, value)`` is false."""
         with self._lock:
             for key in [key for key, (value, _) in self._values.items() if not wanted(key, value)]:
                 self.weight -= self._values.pop(key)[1]
@@ -245,7 +244,7 @@ class Pictures:
         self._encoded: Kept[Hashable, bytes] = Kept(encoded, len)
         # A page requests many thumbnails at once, and pictures being decoded are as large as cached ones.
         self.room = Room(DECODED_AT_ONCE)
-        # Held while a picture is worked on, before it is decoded: whoever waits holds no picture.
+        # Acquired before a picture is decoded, so that a waiting thread does not hold one.
         self.work_room = Room(WORKED_ON_AT_ONCE)
 
     def pixels(self, source: Source) -> np.ndarray:
@@ -260,9 +259,9 @@ class Pictures:
 
     @contextmanager
     def at_work(self, source: Source) -> Iterator[np.ndarray]:
-        """Give a decoded picture to work on; a thread waits while others work on pictures that are too large together.
+        """Yield the decoded picture, within a limit of the pixels that all threads process concurrently.
 
-        Not to be nested, nor to be held while another thread's :meth:`Kept.get` is waited for that needs it.
+        Do not nest this, and do not hold it while waiting for a :meth:`Kept.get` that needs it: both can deadlock.
         """
         with self.work_room.of(source.width * source.height):
             yield self.pixels(source)
