@@ -5,7 +5,7 @@ IMAGES = ("tests/io/test_images.py",)
 
 TESTS: dict[str, tuple[str, ...]] = {
     "liaam.io.atomic": ("tests/io/test_atomic.py",),
-    "liaam.io.files": ("tests/io/test_files.py",),
+    "liaam.io.files": ("tests/io/test_io_files.py",),
     "liaam.io.images": (*IMAGES, "tests/io/test_raw.py"),
     "liaam.io.pixels": (*IMAGES, "tests/io/test_raw.py"),
     "liaam.io.raw": ("tests/io/test_raw.py",),

@@ -632,9 +632,9 @@ except IndexError as error:
 
 
 def test_an_array_of_another_kind_is_refused():
-    with pytest.raises(TypeError, match="no C-contiguous span"):
+    with pytest.raises(TypeError, match="not a C-contiguous span"):
         compiled.mask(np.zeros(4), np.ones(4, np.float32), np.zeros(4, np.float32))
-    with pytest.raises(TypeError, match="no C-contiguous span"):
+    with pytest.raises(TypeError, match="not a C-contiguous span"):
         compiled.mask(np.zeros(8, np.float32)[::2], np.ones(4, np.float32), np.zeros(4, np.float32))
 
 

@@ -122,10 +122,7 @@ def test_who_knows_the_token_is_let_in():
 def test_who_does_not_is_told_what_to_open(known):
     asked = ask(HOST, known)
     assert (asked.status, asked.inside) == (401, [])
-    assert asked.error == (
-        "this browser does not know the studio's token: open the address that 'liaam studio' printed, "
-        "with its ?token=..."
-    )
+    assert asked.error == "this browser does not have the studio's token: open the address that 'liaam studio' printed"
     assert "connection" not in asked.headers
 
 
@@ -186,9 +183,7 @@ def test_requests_come_from_the_studio_s_own_page(headers, status):
     assert asked.status == status
     assert bool(asked.inside) == (status == 200)
     if status != 200:
-        assert {421: "this server does not go by that name", 403: "the request comes from another site"}[
-            status
-        ] in asked.error
+        assert {421: "this server has another name", 403: "the request comes from another site"}[status] in asked.error
 
 
 def test_whence_a_request_comes_is_asked_before_its_token():
@@ -304,7 +299,7 @@ def test_a_body_that_does_not_come_is_not_waited_for():
     quick = Settings(**{**SETTINGS.__dict__, "body_seconds": 0.1})
     asked = ask(HOST, TOKEN, parts=[b"x", b"y"], wait=0.4, settings=quick)
     assert (asked.status, asked.inside) == (408, [])
-    assert asked.error == "the rest of the request did not come in time: send it again"
+    assert asked.error == "the rest of the request did not arrive in time: send it again"
     assert asked.n_read == 1  # nothing more is read of who sends nothing
 
 
