@@ -117,7 +117,7 @@ def read_baseline(path: Path) -> dict[str, Any]:
         found = json.loads(path.read_text())
     except ValueError as fault:
         raise BaselineError(
-            f"{path} is not JSON ({fault}); take it from the repository, or delete it and save anew"
+            f"{path} is not JSON ({fault}); restore it, or delete it and save a new one"
         ) from None
     parts = found.values() if isinstance(found, dict) else [None]
     if not all(isinstance(part, dict) and {"machine", "metrics"} <= part.keys() for part in parts):
