@@ -50,7 +50,7 @@ for axis, (method, fit) in zip(axes, fits.items(), strict=True):
     axis.axis("off")
 
 # %%
-# The error after each iteration tells how a method gets there. ``grey`` and ``rgb`` settle too, but in the wrong place.
+# The error after each iteration shows the path of each method. ``grey`` and ``rgb`` converge too, but in the wrong place.
 
 figure, axis = plt.subplots(figsize=(6, 3.5), layout="constrained")
 for method, fit in fits.items():

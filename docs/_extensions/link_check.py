@@ -68,7 +68,7 @@ def faults_of(path: Path, page: Page, pages: dict[Path, Page]) -> list[str]:
         if not file.exists():
             faults.append(f"links to {target}, which does not exist")
         elif address.fragment and file in pages and unquote(address.fragment) not in pages[file].anchors:
-            faults.append(f"links to {target}, but there is no such place on that page")
+            faults.append(f"links to {target}, but that page has no such anchor")
     return faults
 
 

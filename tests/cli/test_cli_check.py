@@ -58,8 +58,8 @@ def test_check_finds_shows_and_mends(run, scenes, spoilt, tmp_path):
     assert SPOILT in text
     assert "in reverse order" in " ".join(text.split())
     assert sorted(path.name for path in (tmp_path / "o").iterdir()) == [f"{SPOILT}.pts", f"{SPOILT}_faults.png"]
-    mended = read_landmarks(tmp_path / "o" / f"{SPOILT}.pts").points
-    assert np.abs(mended - scenes[int(SPOILT[-1])].landmarks).max() < 1e-3
+    corrected = read_landmarks(tmp_path / "o" / f"{SPOILT}.pts").points
+    assert np.abs(corrected - scenes[int(SPOILT[-1])].landmarks).max() < 1e-3
     picture = read_image(tmp_path / "o" / f"{SPOILT}_faults.png").astype(int)
     red = (picture[..., 0] > 200) & (picture[..., 1] < 80) & (picture[..., 2] < 80)
     assert red.sum() > 50  # landmarks at fault

@@ -47,9 +47,9 @@ def test_a_run_that_goes_the_other_way_round_is_found_and_mended(shapes, shift):
     order[first : first + 8] = np.roll(order[first : first + 8][::-1], shift)
     (fault,) = find_label_faults(exchanged(shapes, 5, order))
     assert (fault.picture, fault.kind) == (5, "reversed")
-    mended = exchanged(shapes, 5, order)[5][fault.order]
-    assert np.abs(mended - shapes[5]).max() == 0.0
-    assert fault.distance > 4 * fault.mended
+    corrected = exchanged(shapes, 5, order)[5][fault.order]
+    assert np.abs(corrected - shapes[5]).max() == 0.0
+    assert fault.distance > 4 * fault.corrected_distance
     assert "in reverse order" in fault.message
 
 
@@ -100,7 +100,7 @@ def test_landmarks_in_another_order_as_a_whole_are_found(shapes, kind, step, shi
     assert (fault.picture, fault.kind) == (6, kind)
     assert fault.points == tuple(range(len(shapes[0])))
     np.testing.assert_array_equal(exchanged(shapes, 6, order)[6][fault.order], shapes[6])
-    assert fault.distance > 4 * fault.mended
+    assert fault.distance > 4 * fault.corrected_distance
 
 
 def test_outlines_that_are_alike_from_everywhere_have_no_beginning(rng):
@@ -161,8 +161,8 @@ def test_what_is_invisible_goes_with_its_landmark(shapes):
     order[first : first + 8] = order[first : first + 8][::-1]
     made = exchanged(shapes, 5, order)
     (fault,) = find_label_faults(made)
-    mended = fault.mended_landmarks(Landmarks(made[5], invisible=(first, first + 1)))
-    assert mended.invisible == (first + 6, first + 7)
+    corrected = fault.corrected_landmarks(Landmarks(made[5], invisible=(first, first + 1)))
+    assert corrected.invisible == (first + 6, first + 7)
 
 
 def test_the_faults_of_imm_are_found(shared_data):

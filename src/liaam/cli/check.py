@@ -83,7 +83,7 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
         make_folder(place.parent)
         for fault in own:
             if fault.is_order:
-                write_reordered(place, fault.mended_landmarks(sample.landmarks))
+                write_reordered(place, fault.corrected_landmarks(sample.landmarks))
                 reordered += 1
         try:
             picture = overlay_of_faults(sample.read_image(), sample.landmarks.points, own)

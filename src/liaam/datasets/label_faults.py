@@ -58,7 +58,7 @@ class LabelFault:
         Indices of the landmarks.
     order : (n,) int64
         Correction: ``landmarks[order]`` has the order of the other images. The identity for stray landmarks.
-    distance, mended : float
+    distance, corrected_distance : float
         Root mean square distance of these landmarks to their expected positions, pixels: in the present order, and in
         the corrected order.
     expected : (n, 2) float64
@@ -70,7 +70,7 @@ class LabelFault:
     points: tuple[int, ...]
     order: np.ndarray
     distance: float
-    mended: float
+    corrected_distance: float
     expected: np.ndarray
 
     @property
@@ -78,7 +78,7 @@ class LabelFault:
         """Whether another order corrects the error."""
         return self.kind != "stray"
 
-    def mended_landmarks(self, landmarks: Landmarks) -> Landmarks:
+    def corrected_landmarks(self, landmarks: Landmarks) -> Landmarks:
         """Reorder the image's landmarks as in the other images; names and contours keep their order."""
         hidden = np.isin(self.order, landmarks.invisible)
         return replace(landmarks, points=landmarks.points[self.order], invisible=tuple(np.flatnonzero(hidden).tolist()))
@@ -94,7 +94,7 @@ class LabelFault:
             "exchanged": f"points {numbers} are exchanged",
             "stray": f"points {numbers} are far off" if len(self.points) > 1 else f"point {numbers} is far off",
         }[self.kind]
-        corrected = f", {self.mended:.1f} px in the corrected order" if self.is_order else ""
+        corrected = f", {self.corrected_distance:.1f} px in the corrected order" if self.is_order else ""
         return f"{fault} ({self.distance:.1f} px off{corrected})"
 
 
