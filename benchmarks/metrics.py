@@ -116,9 +116,7 @@ def read_baseline(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text())
     except ValueError as fault:
-        raise BaselineError(
-            f"{path} is not JSON ({fault}); restore it, or delete it and save a new one"
-        ) from None
+        raise BaselineError(f"{path} is not JSON ({fault}); restore it, or delete it and save a new one") from None
     parts = found.values() if isinstance(found, dict) else [None]
     if not all(isinstance(part, dict) and {"machine", "metrics"} <= part.keys() for part in parts):
         raise BaselineError(f"{path} is not a baseline; restore it, or delete it and save a new one")

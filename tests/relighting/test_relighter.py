@@ -11,7 +11,7 @@ from liaam.errors import LiaamError, MethodError
 from liaam.fitting import Fitter
 from liaam.model.mesh import ReferenceFrame, delaunay
 from liaam.relighting import Relighter
-from liaam.relighting.beyond import around, continued
+from liaam.relighting.extrapolation import around, continued
 from liaam.relighting.painting import eight_bits, log_light
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import piecewise_smooth

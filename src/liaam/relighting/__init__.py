@@ -1,9 +1,9 @@
 """Relighting: the fitted object under the light of training (paper eq 11), or under any other light.
 
-``appearance`` computes the appearance under the training light, and ``together`` does so jointly with the shading.
-``painting`` warps values from the reference frame to an image. ``beyond`` and ``carrying`` extrapolate them outside the
-mesh. ``shading`` separates an image into shading and appearance. ``relief`` makes a surface for new lights.
-``relighter`` combines them for one fitted image.
+``appearance`` computes the appearance under the training light, and ``joint`` does so jointly with the shading.
+``painting`` warps values from the reference frame to an image; ``extrapolation`` extends them beyond the mesh by
+``domain_transform``. ``shading`` separates an image into shading and appearance. ``relief`` makes a surface for new
+lights. ``relighter`` combines them for one fitted image.
 """
 
 from liaam.relighting.appearance import ShadowFree, shadow_free

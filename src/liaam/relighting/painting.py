@@ -7,7 +7,7 @@ from liaam.model.mesh import ReferenceFrame, signed_areas
 from liaam.photometry import Response, from_linear, to_linear
 from liaam.photometry.encoding import as_colour, stored_values
 from liaam.relighting.appearance import ShadowFree
-from liaam.relighting.beyond import around
+from liaam.relighting.extrapolation import around
 
 LARGEST = 10
 """Size of a shape, relative to the image, beyond which it is not painted."""

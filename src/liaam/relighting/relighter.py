@@ -14,11 +14,11 @@ from liaam.photometry import Response
 from liaam.photometry.encoding import DARK, as_colour, refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
-from liaam.relighting.beyond import around, continued
+from liaam.relighting.extrapolation import around, continued
+from liaam.relighting.joint import appearance_in_light
 from liaam.relighting.painting import REACH, box_around, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
-from liaam.relighting.together import appearance_in_light
 
 AMBIENT = 0.25
 """Default fraction of ambient light."""

@@ -95,7 +95,7 @@ def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray) -> Shading:
     seen : Seen
     log_rgb : (n_pixels, 3) float32
         Appearance under the training light, with corrected landmarks
-        (:func:`liaam.relighting.together.appearance_in_light`).
+        (:func:`liaam.relighting.joint.appearance_in_light`).
 
     Returns
     -------

@@ -10,9 +10,9 @@ from liaam.datasets.scenes import Head
 from liaam.model import MESH
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.relighting.appearance import ShadowFree
-from liaam.relighting.carrying import averaged
+from liaam.relighting.domain_transform import averaged
+from liaam.relighting.joint import appearance_in_light, light_curve
 from liaam.relighting.shading import Seen
-from liaam.relighting.together import appearance_in_light, light_curve
 
 AMBIENT, LAMP = np.array([0.10, 0.12, 0.15]), np.array([1.1, 0.9, 0.6])
 NOISE = 1e-6
