@@ -249,7 +249,7 @@ def test_two_methods_are_compared(fit_tab, artefacts):
     fit_tab.locator("[data-testid=tab-compare]").click()
     wait_for(
         fit_tab,
-        "() => /nearer|Equally/.test(document.querySelector('[data-testid=compare-verdict]').textContent)",
+        "() => /is closer|Equally/.test(document.querySelector('[data-testid=compare-verdict]').textContent)",
     )
     sides = [fit_tab.evaluate(f"() => window.liaamStudio.compare.{side}.fit") for side in ("left", "right")]
     nearer = min(sides, key=lambda fit: fit["error"]["pixels"])
