@@ -110,13 +110,13 @@ def lamps() -> Lamps:
 
 
 @pytest.fixture(scope="session")
-def trained_once(tmp_path_factory, testrun_uid) -> Callable[[str, Callable[[], AAM]], AAM]:
+def trained_once(tmp_path_factory) -> Callable[[str, Callable[[], AAM]], AAM]:
     """Train a model once for all workers: the first that needs it trains, the others wait and read its file."""
     folder = tmp_path_factory.getbasetemp()
     folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
 
     def model_of(name: str, make: Callable[[], AAM]) -> AAM:
-        path = folder / f"{name}-{testrun_uid}.liaam"
+        path = folder / f"{name}.liaam"
         with open(path.with_suffix(".lock"), "w") as lock:  # noqa: PTH123 (held while training)
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():

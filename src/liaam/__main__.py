@@ -18,7 +18,8 @@ def main() -> None:
         print("stopped", file=sys.stderr)
         sys.exit(130)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to be said while Python ends
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as under nohup
+            signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback while Python ends
 
 
 def _on_unraisable(what: Any) -> None:

@@ -43,7 +43,8 @@ def ellipses(points: np.ndarray, covariances: np.ndarray, share: float = 0.95, n
     -------
     (m, n, 2) float64
     """
-    values, axes = np.linalg.eigh(np.nan_to_num(covariances))
+    known = np.isfinite(covariances).all(axis=(1, 2), keepdims=True)
+    values, axes = np.linalg.eigh(np.where(known, covariances, 0.0))
     # The squared Mahalanobis distance has a chi-squared distribution with two degrees of freedom.
     radii = np.sqrt(-2.0 * np.log(1.0 - share) * np.maximum(values, 0.0))
     turn = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
@@ -82,7 +83,8 @@ def plot_landmarks(
     ax = ax or new_axes()[1]
     if image is None:
         ax.set_aspect("equal")
-        ax.invert_yaxis()
+        if not ax.yaxis_inverted():
+            ax.invert_yaxis()
     else:
         ax.imshow(as_picture(image))
         ax.set_autoscale_on(False)

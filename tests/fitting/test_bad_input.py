@@ -24,7 +24,9 @@ def start(lit_scene) -> np.ndarray:
 def test_a_grey_picture_is_refused_by_methods_that_compare_colours(model, lit_scene, start, method):
     grey = lit_scene.image.mean(axis=2)
     for image in (grey, grey[..., None], np.repeat(grey[..., None], 3, axis=2), np.round(grey * 255).astype(np.uint8)):
-        with pytest.raises(ImageError, match=f"portrait: the image is grey .* method {method} .* use method 'grey'"):
+        with pytest.raises(
+            ImageError, match=f"portrait: the image is grey .* method {method} .* use method 'soft-li' or 'grey'"
+        ):
             Fitter(model, method).fit(image, start, name="portrait")
 
 
@@ -140,7 +142,7 @@ def test_a_model_of_grey_pictures_compares_no_colours(scenes, method):
     pairs = [(scene.image.mean(axis=2), scene.landmarks) for scene in scenes[:3]]
     model = train(pairs, diagonal=40.0, camera=CameraModel(response="linear"))
     assert not model.is_colour
-    with pytest.raises(MethodError, match="trained on grey images; use method 'grey'"):
+    with pytest.raises(MethodError, match="trained on grey images; use method 'soft-li' or 'grey'"):
         Fitter(model, method)
 
 

@@ -362,5 +362,5 @@ def test_a_terminal_shows_progress_where_it_takes_long(monkeypatch, patience, sh
 def test_without_a_terminal_progress_is_shown_to_who_asks_for_it(model, lit_scene, capsys, show, shown):
     fit_many(model, [lit_scene.image] * 3, disturb(lit_scene.landmarks), progress=show, **FEW)
     captured = capsys.readouterr()
-    assert ("3/3 pictures" in captured.err) is shown
+    assert ("3/3 images" in captured.err) is shown
     assert not captured.out

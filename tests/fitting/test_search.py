@@ -335,7 +335,7 @@ def test_a_flat_picture_fails_with_a_status(model):
 
 
 def test_finding_all_of_nothing_is_an_error(model):
-    with pytest.raises(StartError, match=r"wall\.png: no object was found .*0\.00.*--init"):
+    with pytest.raises(StartError, match=r"wall\.png: no object was found .*0\.00.*give a start"):
         Fitter(model, "grey").find_all(FLAT["plain"], name="wall.png")
 
 

@@ -21,13 +21,13 @@ EXACT = {"tolerance": 1e-4, "hurry": 0.0, "max_iterations": 300, "shape_prior": 
     ("options", "match"),
     [
         ({"elimination": "magic"}, "'magic' does not exist; there are varpro, joint"),
-        ({"max_iterations": -1}, "may not be negative"),
-        ({"tolerance": -0.1}, "may not be negative"),
-        ({"hurry": -0.1}, "may not be negative"),
+        ({"max_iterations": -1}, "of at least 0|from 0 to"),
+        ({"tolerance": -0.1}, "of at least 0|from 0 to"),
+        ({"hurry": -0.1}, "of at least 0|from 0 to"),
         ({"hurry": np.nan}, "finite"),
         ({"notice": np.inf}, "finite"),
-        ({"damping": -1.0}, "may not be negative"),
-        ({"shape_prior": -1.0}, "may not be negative"),
+        ({"damping": -1.0}, "of at least 0|from 0 to"),
+        ({"shape_prior": -1.0}, "of at least 0|from 0 to"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options, match):

@@ -66,7 +66,7 @@ def on_cluster(job: Job, chunks: Iterable[Chunk], address: str) -> Finished:
                     elif items is not alone:
                         alone += [(path,) for path in chunk]
                     else:
-                        yield chunk, [row_of_death(*chunk)]
+                        yield chunk, [row_of_death(job, *chunk)]
         finally:
             executor.shutdown(wait=False)  # cancels pending chunks
 

@@ -133,10 +133,14 @@ class Journal:
         start_of : callable
             Returns the file with the start of an image, or None.
         """
-        with self._change():
-            self._base.execute("UPDATE pictures SET seen = 0")
-            self._base.executemany(_LIST, map(partial(_entry, start_of), pictures))
-            self._base.execute("DELETE FROM pictures WHERE NOT seen")
+        entries = map(partial(_entry, start_of), pictures)
+        try:
+            with self._change():
+                self._base.execute("UPDATE pictures SET seen = 0")
+                self._base.executemany(_LIST, _foreign(entries))
+                self._base.execute("DELETE FROM pictures WHERE NOT seen")
+        except _ListError as error:
+            raise error.fault from None
 
     @property
     def total(self) -> int:
@@ -253,6 +257,21 @@ class Journal:
                 f"{self._file} cannot be read or written ({error}): check the permissions and the free space; if it "
                 f"is damaged, remove {self.folder} and start again"
             ) from error
+
+
+class _ListError(Exception):
+    """An error of the list of images, which is not one of the journal."""
+
+    def __init__(self, fault: OSError) -> None:
+        super().__init__(str(fault))
+        self.fault = fault
+
+
+def _foreign(entries: Iterable[Any]) -> Iterator[Any]:
+    try:
+        yield from entries
+    except OSError as fault:
+        raise _ListError(fault) from fault
 
 
 def _digest(path: bytes, status: Any, row: Any) -> bytes:

@@ -31,11 +31,10 @@ def in_processes(job: Job, chunks: Iterable[Chunk], jobs: int) -> Finished:
         yield from _one_by_one(job, suspects)
 
 
-def row_of_death(path: str) -> KeptRow:
+def row_of_death(job: Job, path: str) -> KeptRow:
     """Return the row of an image that crashed its worker."""
     message = f"{path}: the worker process died (killed or out of memory); check the image, or make it smaller"
-    row = failed_row(path, message)
-    return kept({**row, "seconds": None})
+    return kept(job.complete(failed_row(path, message), None))
 
 
 def _one_by_one(job: Job, paths: list[str]) -> Finished:
@@ -56,4 +55,4 @@ def _one_by_one(job: Job, paths: list[str]) -> Finished:
                 "worker processes cannot start: a script that uses more than one job needs "
                 "'if __name__ == \"__main__\":'; for other causes see the line above; --jobs 1 uses no workers"
             )
-        yield chunk, [row_of_death(*chunk)]
+        yield chunk, [row_of_death(job, *chunk)]

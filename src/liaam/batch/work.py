@@ -165,9 +165,12 @@ class Job:
             row = failed_row(path, f"unexpected {type(fault).__name__} ({fault}); please report it with the image")
         else:
             row = _row_of(path, result)
-        if not self.settings.covariance:
-            del row["covariance"]
-        return {**row, "seconds": round(perf_counter() - begin, 4)}
+        return self.complete(row, round(perf_counter() - begin, 4))
+
+    def complete(self, row: Row, seconds: float | None) -> Row:
+        """Add the time to a row, and drop the covariance unless it is wanted."""
+        kept = row if self.settings.covariance else {key: row[key] for key in row if key != "covariance"}
+        return {**kept, "seconds": seconds}
 
     def _fit(self, path: str) -> "FitResult":
         picture = Path(self.folder, path)

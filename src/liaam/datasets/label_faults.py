@@ -92,10 +92,10 @@ class LabelFault:
             "reversed": f"points {numbers} are in reverse order",
             "shifted": f"points {numbers} start at another point",
             "exchanged": f"points {numbers} are exchanged",
-            "stray": f"points {numbers} are far off" if len(self.points) > 1 else f"point {numbers} is far off",
+            "stray": f"points {numbers} are misplaced" if len(self.points) > 1 else f"point {numbers} is misplaced",
         }[self.kind]
         corrected = f", {self.corrected_distance:.1f} px in the corrected order" if self.is_order else ""
-        return f"{fault} ({self.distance:.1f} px off{corrected})"
+        return f"{fault} ({self.distance:.1f} px from where they are expected{corrected})"
 
 
 def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = None) -> list[LabelFault]:

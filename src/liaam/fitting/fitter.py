@@ -2,13 +2,13 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from liaam.errors import ImageError, StartError
+from liaam.errors import ImageError, MethodError, ModelFileError, StartError
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.level import GAIN
 from liaam.fitting.levels import Stage, Target, is_sane, solve_levels, trace
@@ -100,9 +100,16 @@ class Fitter:
         **options,
     ) -> "Fitter":
         """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name."""
-        return cls(model, method, SolverOptions.of(**options), kernel, camera, margin, restarts, rotations)
+        known = [option.name for option in fields(SolverOptions)]
+        for name in options:
+            if name not in known:
+                own = "camera, rotations, restarts, margin, kernel"
+                raise MethodError(f"option {name!r} does not exist; there are {own}, {', '.join(known)}")
+        return cls(model, method, SolverOptions(**options), kernel, camera, margin, restarts, rotations)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.model, AAM):
+            raise ModelFileError(f"{self.model!r} is not a model; for a file give liaam.load_model(path)")
         self.objectives  # noqa: B018 (raise errors now, not at the first image)
         self.finder  # noqa: B018
 
@@ -149,12 +156,13 @@ class Fitter:
         StartError
             If there are none; the message has the best score.
         """
+        image, name = load_picture(image, name)
         found = self.find(image, limit=None, name=name)
         sure = [candidate for candidate in found if not candidate.doubtful]
         if not sure:
             raise StartError(
                 f"{name}: no object was found (the best score is {found[0].score:.2f}, {DOUBTFUL:g} is needed); "
-                "give a start (--init), or fit the best place anyway (without --all)"
+                "give a start, or fit the best place anyway"
             )
         return sure
 
@@ -188,7 +196,7 @@ class Fitter:
             result, prior, target, found = self._likeliest(target, result, found, region)
         if self.restarts and self._falls_short(_with_prior(result, prior)):
             result = self._fit_again(target, result)
-        path = Path(image) if isinstance(image, (str, os.PathLike)) else None
+        path = Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None
         return replace(_with_prior(result, prior), found=found, contours=self.model.contours, image=path)
 
     def _fit_from(self, target: Target) -> FitResult:
@@ -265,7 +273,7 @@ class Fitter:
         if self._method.needs_colour and is_grey(image) and np.ptp(stored_values(image)) > 0:
             raise ImageError(
                 f"{name}: the image is grey (three equal channels), but method {self._method.name} "
-                "compares colours; use method 'grey'"
+                "compares colours; use method 'soft-li' or 'grey'"
             )
         init = self.find(image, name=name)[0] if init is None else init
         found = init if isinstance(init, Candidate) else None

@@ -145,7 +145,7 @@ def _fits(
 ) -> Generator[Any, None, None]:
     done, perform = 0, partial(_fit, fitter, errors)
     threads = workers if n_images is None else max(1, min(workers, n_images))
-    with one_thread(), progress_bar("pictures", n_images, progress) as tell:
+    with one_thread(), progress_bar("images", n_images, progress) as tell:
         fits = in_order(perform, tasks, threads, tick=lambda: tell(done))
         with closing(fits):
             for result in fits:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from liaam.drawing import Contours, new_axes, plot_landmarks, png_bytes, zoom_to
+from liaam.errors import LiaamError
 from liaam.evaluation import finite_list
 from liaam.fitting.methods import Method
 from liaam.fitting.picture import load_picture
@@ -188,8 +189,9 @@ class FitResult:
     image: np.ndarray | Path | None = None
 
     def __repr__(self) -> str:
+        quality = "unknown" if np.isnan(self.quality) else f"{self.quality:.2f}"
         counts = f"{len(self.landmarks)} landmarks, {self.n_iterations} iterations"
-        return f"FitResult({self.method.name}: {self.status}, {counts})"
+        return f"FitResult({self.method.name}: {self.status}, quality {quality}, {counts})"
 
     @property
     def message(self) -> str:
@@ -280,7 +282,10 @@ class FitResult:
 
     def _repr_png_(self) -> bytes | None:
         """Show the object with its landmarks in a notebook; None, for the usual text, if the image is not known."""
-        pixels = self._pixels()
+        try:
+            pixels = self._pixels()
+        except LiaamError:  # the file has gone
+            return None
         if pixels is None or not np.isfinite(self.landmarks).any():
             return None
         figure, ax = new_axes()

@@ -1,6 +1,7 @@
 """Options of the solver, and the solution of one level. The loop itself is :mod:`liaam.fitting.loop`."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from numbers import Integral, Real
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from liaam.fitting.problem import FitProblem
 
 ELIMINATIONS = ("varpro", "joint")
 ANGLE_STARTS = ("best", "model")
+
+MOST_ITERATIONS = 1_000_000
+"""Largest number of steps that makes sense."""
 
 
 HURRY = {"expected": (0.25, 3), "own": (0.1, 10)}
@@ -68,30 +72,24 @@ class SolverOptions:
     angle_start: str = "best"
     scoring: int | None = None
 
-    @classmethod
-    def of(cls, **options) -> "SolverOptions":
-        """Make options from keyword arguments; an unknown name raises a MethodError that lists the options."""
-        known = [field.name for field in fields(cls)]
-        for name in options:
-            if name not in known:
-                raise MethodError(f"option {name!r} does not exist; there are {', '.join(known)}")
-        return cls(**options)
-
     def __post_init__(self) -> None:
         """Raise an error for invalid options."""
         if self.elimination not in ELIMINATIONS:
             raise MethodError(f"elimination {self.elimination!r} does not exist; there are {', '.join(ELIMINATIONS)}")
         if self.angle_start not in ANGLE_STARTS:
             raise MethodError(f"angle_start {self.angle_start!r} does not exist; there are {', '.join(ANGLE_STARTS)}")
-        hurry = 0.0 if self.hurry is None else self.hurry
-        if not np.isfinite([hurry, self.tolerance, self.notice, self.damping, self.shape_prior, self.observable]).all():
-            raise MethodError("tolerance, hurry, notice, damping, shape_prior and observable must be finite numbers")
-        scoring = 0 if self.scoring is None else self.scoring
-        least = min(self.max_iterations, hurry, self.tolerance, self.notice, self.damping, self.shape_prior, scoring)
-        if least < 0:
-            raise MethodError(
-                "max_iterations, tolerance, hurry, notice, damping, shape_prior and scoring may not be negative"
-            )
+        for name in ("tolerance", "hurry", "notice", "damping", "shape_prior", "observable"):
+            value = getattr(self, name)
+            if value is None and name == "hurry":
+                continue
+            if not isinstance(value, Real) or not 0.0 <= float(value) < np.inf:
+                raise MethodError(f"{name} {value!r}: give a finite number of at least 0")
+        for name in ("max_iterations", "scoring"):
+            value = getattr(self, name)
+            if value is None and name == "scoring":
+                continue
+            if not isinstance(value, Integral) or not 0 <= int(value) <= MOST_ITERATIONS:
+                raise MethodError(f"{name} {value!r}: give a whole number from 0 to {MOST_ITERATIONS:,}")
 
     def controls(
         self, expected: bool, reweigh: bool, look: bool, blur: float = 0.0, max_iterations: int | None = None

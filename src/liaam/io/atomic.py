@@ -27,6 +27,9 @@ try:
 except ImportError:  # Windows, where temporary files are neither locked nor swept
     fcntl = None
 
+_UNLOCKED = "0" * 8
+"""Stands in names for the machine if the disk has no usable locks; such files are swept by their age only."""
+
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 _TEMPORARY = re.compile(r"\.liaam-([0-9a-f]{8})[0-9a-f]{8,16}(\..*)?", re.DOTALL)
 _DAY = 86400.0
@@ -130,27 +133,49 @@ def _remove_unlocked(path: Path, age: float) -> None:
         try:
             facts = os.fstat(descriptor)
             is_old = not age or time.time() - facts.st_mtime > age
-            if stat.S_ISREG(facts.st_mode) and is_old and lock(descriptor):
+            if stat.S_ISREG(facts.st_mode) and is_old and lock(descriptor) and _is_at(path, facts):
                 path.unlink()
         finally:
             os.close(descriptor)
 
 
+def _is_at(path: Path, facts: os.stat_result) -> bool:
+    """Whether a path still names the same file: another process may have replaced it before it was locked."""
+    return os.path.samestat(facts, path.lstat())
+
+
 @contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
-    """Make an empty file beside another, locked, and remove it in the end if it is still there."""
-    temp = target.parent / f".liaam-{_HOST}{secrets.token_hex(8)}{target.suffix}"
+    """Make an empty file beside another, locked if the disk has locks, and remove it at the end if it still exists."""
+    name = f"{secrets.token_hex(8)}{target.suffix}"
+    temp, unlocked = (target.parent / f".liaam-{tag}{name}" for tag in (_HOST, _UNLOCKED))
     descriptor = -1
-    try:  # from before it is there, or a Ctrl-C might leave it
+    try:  # before the file exists, or Ctrl-C might leave it
         descriptor = _made(temp)
-        if fcntl is None:  # Windows renames no file that is open
-            os.close(descriptor)
+        if not _is_writable(temp):
+            os.close(descriptor)  # and so unlocked
+            descriptor = -1
+            temp = temp.rename(unlocked)
         yield temp
     finally:
-        with contextlib.suppress(OSError):  # after a success there is nothing left to remove
-            temp.unlink()
-        if fcntl is not None and descriptor >= 0:
+        for path in (temp, unlocked):
+            with contextlib.suppress(OSError):  # after a success there is nothing left to remove
+                path.unlink()
+        if descriptor >= 0:
             os.close(descriptor)
+
+
+def _is_writable(temp: Path) -> bool:
+    """Whether a locked file can be written by its name. SMB locks refuse that, and Windows renames no open file."""
+    if fcntl is None:
+        return False
+    try:
+        with temp.open("r+b") as file:
+            file.write(b"x")
+            file.truncate(0)
+    except PermissionError:
+        return False
+    return True
 
 
 def _made(temp: Path) -> int:

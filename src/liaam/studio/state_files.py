@@ -51,7 +51,10 @@ class StateFiles:
                     known = secrets.token_hex(16)
                     with suppress(LiaamError):  # the id is then valid until the studio ends
                         self.write("id", known)
-                facts = self.folder.root.stat()
+                try:
+                    facts = self.folder.root.stat()
+                except OSError as fault:
+                    raise Refusal(409, f"the folder cannot be read ({fault.strerror or fault}): restore it") from fault
                 self._id = revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
             return self._id
 

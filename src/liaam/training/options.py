@@ -1,7 +1,8 @@
 """Options of training: their meaning, defaults and valid ranges."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ MOST_SMOOTH = 200
 minute for 1000, and grows with the cube."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrainingOptions:
     """How to train; each option has a default that suits most data.
 
@@ -81,6 +82,10 @@ class TrainingOptions:
         """Check that the values are in range."""
         for variance in (self.variance, *self.appearance_variances.values()):
             check_variance(variance)
+        if not isinstance(self.diagonal, Real):
+            raise TrainingError(f"diagonal {self.diagonal!r}: give a number of pixels")
+        if not isinstance(self.n_copies, Integral):
+            raise TrainingError(f"copies {self.copies!r}: give a whole number")
         if not 16 <= self.diagonal <= MAX_DIAGONAL:
             raise TrainingError(
                 f"diagonal {self.diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels"
@@ -115,7 +120,7 @@ class TrainingOptions:
     @property
     def blurs_by_view(self) -> dict[str, Blurs]:
         """Blur of each level, by view."""
-        size = min(1.0, self.diagonal / FULL_SIZE)
+        size = min(1.0, float(self.diagonal) / FULL_SIZE)
         usual = {**BLURS, SURROUNDINGS: tuple(max(LEAST_BLUR, size * blur) for blur in BLURS[SURROUNDINGS])}
         return _by_view("blurs", self.blurs, usual)
 
@@ -143,6 +148,8 @@ def _by_view(option: str, given: Any, usual: Mapping[str, Any]) -> dict[str, Any
 
 
 def _check_blurs(view: str, blurs: Blurs) -> None:
+    if not isinstance(blurs, Sequence) or not all(isinstance(blur, Real) for blur in blurs):
+        raise TrainingError(f"blurs {blurs!r} of the view {view}: give a tuple of numbers, from coarse to fine")
     falling = list(blurs) == sorted(blurs, reverse=True)
     if not 1 <= len(blurs) <= MAX_LEVELS or not falling or not 0 <= blurs[-1] <= blurs[0] <= MAX_BLUR:
         raise TrainingError(

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from liaam.errors import TrainingError
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.lamps import Copies, Lamps, learn_lamps
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, make_view
@@ -63,6 +64,8 @@ def train(
         If there are fewer than 3 shapes, or shapes of different lengths, missing (NaN) or folded landmarks, black
         images and the like. The message names the sample.
     """
+    if not isinstance(options, TrainingOptions | None):
+        raise TrainingError(f"options {options!r}: give TrainingOptions, or options, camera and lamps by name")
     options = (options or TrainingOptions()).changed(changes)
     camera = camera or CameraModel()
     entries, contours, edges = read_entries(data)
