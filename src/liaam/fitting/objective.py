@@ -404,7 +404,8 @@ def make_objectives(
     """
     if method.needs_colour and not model.is_colour:
         raise MethodError(
-            f"method {method.name} compares colours, but the model was trained on grey images; use method 'grey'"
+            f"method {method.name} compares colours, but the model was trained on grey images; "
+            "use method 'soft-li' or 'grey'"
         )
     _check_holds(model, method)
     get_kernel(kernel)
