@@ -274,6 +274,8 @@ class _Pairing:
         self.root = root
         self.wanted = wanted
         self.left_out: list[LeftOut] = []
+        self.reported: set[Path] = set()
+        """Images whose landmark file was left out, with the reason."""
         self.options: dict[Path, list[_Option]] = {image: [] for image in wanted}
         self.by_stem: dict[Path, Path] = {}
         self.by_name: dict[str, list[Path]] = defaultdict(list)
@@ -287,18 +289,19 @@ class _Pairing:
         image = self.by_stem.get(file.with_suffix(""))
         if image is not None and image not in self.options and not form.may_be_collection:
             return
+        host = image
         try:
             if image is None and form.parse_with_size is not None:
-                image = self._host(file)
+                host = image = self._host(file)
             if image is None and not form.may_be_collection:
                 self._leave_out(file, "no image has its name")
                 return
             size = image_size(image) if image is not None and form.parse_with_size is not None else None
             parsed = parse_landmark_file(file, size)
         except ImageError as fault:
-            self._leave_out(file, f"the header of its image cannot be read: {fault}")
+            self._leave_out(file, f"its image cannot be read: {fault}", host)
         except LandmarkError as fault:
-            self._leave_out(file, f"the landmarks cannot be read: {fault}")
+            self._leave_out(file, f"the landmarks cannot be read: {fault}", host)
         else:
             self._add_parsed(file, image, parsed)
 
@@ -311,11 +314,11 @@ class _Pairing:
             options = sorted(self.options[image], key=_preference)
             if image != best:
                 self._leave_out(image, f"another image has the same name: {best.name} is used")
-            elif not options:
-                self._leave_out(image, "the image has no landmarks")
-            else:
+            elif options:
                 samples.append(Sample(_name(self.root, image), image, options[0].landmarks, options[0].file))
                 self._leave_out_unused(options)
+            elif image not in self.reported:
+                self._leave_out(image, "the image has no landmarks")
         return samples
 
     def _winners(self) -> dict[Path, Path]:
@@ -364,8 +367,11 @@ class _Pairing:
             used = options[0].file.name
             self._leave_out(unused.file, f"another landmark file takes precedence: {used} is used")
 
-    def _leave_out(self, path: Path, reason: str) -> None:
+    def _leave_out(self, path: Path, reason: str, image: Path | None = None) -> None:
+        """Record a file that is not used, and the image that it leaves without landmarks, if any."""
         self.left_out.append(LeftOut(path, reason))
+        if image is not None:
+            self.reported.add(image)
 
 
 def _preference(option: _Option) -> tuple[bool, int]:
