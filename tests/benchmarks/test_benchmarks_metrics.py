@@ -175,7 +175,7 @@ def test_the_command_refuses_a_broken_baseline_before_it_runs(baseline, capsys):
     assert command.main(["one", "--save"]) == 1
     out, err = capsys.readouterr()
     assert out == ""
-    assert "take it from the repository" in err
+    assert "restore it, or delete it" in err
 
 
 def test_the_command_names_the_benchmarks_there_are(baseline, capsys):
