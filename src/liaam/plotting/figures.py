@@ -141,11 +141,13 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
     show_picture(axes[0, 0], mean, "mean appearance")
     show_picture(axes[1, 0], mean, f"mesh, {model.n_points} landmarks")
     axes[1, 0].triplot(*(shape_model.mean - model.frame.origin).T, model.triangles, color="#19a979", lw=0.7)
-    show_picture(axes[0, 1], _log_picture(model), "mean of the logarithms")
+    show_picture(axes[0, 1], _log_picture(model), "mean log image")
     axes[1, 1].axis("off")
     if model.is_colour:
         invariant = model.levels[-1].appearances["invariant"].mean[:, 0]
-        axes[1, 1].imshow(np.ma.masked_invalid(model.frame.picture(invariant, np.nan)), cmap="viridis")
+        values = model.frame.picture(invariant, np.nan)
+        # Without NaN below the mask: Matplotlib resamples what is masked, too, and may warn of it.
+        axes[1, 1].imshow(np.ma.masked_array(np.nan_to_num(values), np.isnan(values)), cmap="viridis")
         axes[1, 1].set_title("mean invariant", fontsize=10)
     for i in range(shown):
         _show_shape_mode(axes[0, 2 + i], model, i)
