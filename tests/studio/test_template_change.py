@@ -7,6 +7,7 @@ import pytest
 from small_projects import POINTS, TRIANGLE, by_name, put, refused, states
 
 from liaam.io import Contour, Landmarks, read_landmarks, write_landmarks
+from liaam.studio import template_change
 from liaam.studio.folder import STATE
 from liaam.studio.project import Project
 
@@ -113,3 +114,12 @@ def test_a_template_is_read_from_any_landmark_file(small):
     xml = "<dataset><images><image file='a.png'><box><part name='left' x='1' y='2'/><part name='right' x='3' y='2'/>"
     template = small.read_template("all.xml", f"{xml}</box></image></images></dataset>".encode())
     assert template.names == ("left", "right") and template.mirror == (1, 0)
+
+
+@pytest.mark.parametrize(
+    "fault", [{"invisible": 3.0}, {"invisible": [1.5]}, {"invisible": [-1]}, {"before": 3}, {"text": None}, {"more": 1}]
+)
+def test_items_of_a_damaged_change_are_not_applied(fault):
+    item = {"file": "a.pts", "before": None, "text": "x", "invisible": [0]}
+    assert template_change._is_item(item)
+    assert not template_change._is_item(item | fault)

@@ -167,9 +167,16 @@ def _mapping(data: Any, n: int, old: Template | None, has_marks: bool) -> list[i
 
 
 def _is_change(data: Any) -> bool:
-    keys = {"file", "before", "text", "invisible"}
-    valid = all(set(item) == keys and isinstance(item["text"], str) and _is_own(item["file"]) for item in data["files"])
-    return valid and is_template(data["template"])
+    return all(_is_item(item) for item in data["files"]) and is_template(data["template"])
+
+
+def _is_item(item: Any) -> bool:
+    """Whether an item describes one landmark file to rewrite."""
+    if set(item) != {"file", "before", "text", "invisible"} or not isinstance(item["text"], str):
+        return False
+    invisible = item["invisible"]
+    numbers = isinstance(invisible, list) and all(isinstance(i, int) and i >= 0 for i in invisible)
+    return numbers and isinstance(item["before"], str | None) and _is_own(item["file"])
 
 
 def _is_own(name: str) -> bool:
