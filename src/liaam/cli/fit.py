@@ -103,9 +103,8 @@ def row_of(result: "FitResult") -> tuple[str, ...]:
 
     start = "given" if result.found is None else f"found, {result.found.score:.2f}"
     angle = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
-    quality = "unknown" if np.isnan(result.quality) else f"{result.quality:.2f}"
     error = f"{np.median(result.deviations):.1f} px" if result.status.ok else "–"
-    return start, str(result.status), quality, error, str(result.n_iterations), angle
+    return start, str(result.status), result.quality_text, error, str(result.n_iterations), angle
 
 
 @dataclass(frozen=True)

@@ -189,9 +189,8 @@ class FitResult:
     image: np.ndarray | Path | None = None
 
     def __repr__(self) -> str:
-        quality = "unknown" if np.isnan(self.quality) else f"{self.quality:.2f}"
         counts = f"{len(self.landmarks)} landmarks, {self.n_iterations} iterations"
-        return f"FitResult({self.method.name}: {self.status}, quality {quality}, {counts})"
+        return f"FitResult({self.method.name}: {self.status}, quality {self.quality_text}, {counts})"
 
     @property
     def message(self) -> str:
@@ -199,6 +198,11 @@ class FitResult:
         if self.status.ok and np.isnan(self.quality):
             return f"{self.status.message} {_NO_QUALITY}"
         return self.status.message
+
+    @property
+    def quality_text(self) -> str:
+        """The quality with two digits, or ``unknown``."""
+        return "unknown" if np.isnan(self.quality) else f"{self.quality:.2f}"
 
     @property
     def deviations(self) -> np.ndarray:
@@ -267,13 +271,12 @@ class FitResult:
         -------
         matplotlib.axes.Axes
         """
-        quality = "unknown" if np.isnan(self.quality) else f"{self.quality:.2f}"
         return plot_landmarks(
             self._pixels() if image is None else load_picture(image, "image")[0],
             self.landmarks,
             covariances=self.landmark_covariances if ellipses else None,
             contours=self.contours,
-            title=f"{self.method.name}: {self.status}, quality {quality}",
+            title=f"{self.method.name}: {self.status}, quality {self.quality_text}",
             ax=ax,
         )
 
