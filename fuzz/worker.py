@@ -29,7 +29,7 @@ class Limits:
     seconds: float = 2.0
     """Processor time. The wall-clock limit is five times as much."""
     n_bytes: int = 10**9
-    """Resident memory, in addition to that of a prepared child."""
+    """Resident memory, in addition to that of a prepared child and of the input."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +130,8 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
             except Exception as error:  # an error of the fuzzer, which must not lose the results of other cases
                 pipe.send(Failure(job.name, job.seed, case, "making", _in_short(error)))
                 continue
+            n_bytes = len(data) if isinstance(data, bytes) else 0
+            _forget_peak()  # of making the input
             progress.wall, progress.processor = time.monotonic(), time.process_time()
             progress.case = case  # from here on the parent enforces the time limit
             outcome = outcome_of(target, data)
@@ -138,7 +140,7 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
             fault = None if isinstance(outcome, str) else outcome
             progress.slowest = max(progress.slowest, time.process_time() - progress.processor)
             progress.case = -1
-            growth = _memory("VmHWM") - base
+            growth = _memory("VmHWM") - base - n_bytes
             progress.growth = max(progress.growth, growth)
             if growth > limits.n_bytes and fault is None:
                 fault = "memory", f"{growth / 1e6:.0f} MB more than before"

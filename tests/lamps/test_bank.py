@@ -1,6 +1,7 @@
 """Files of lamps: what is written comes back; what is broken is refused by name."""
 
 import json
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -149,8 +150,33 @@ def test_a_file_without_a_header_is_refused(tmp_path):
 @pytest.mark.parametrize("dtype", ["BF16", "F8_E4M3"])
 def test_types_that_numpy_lacks_are_refused(tmp_path, dtype):
     n_bytes = 12 if dtype == "BF16" else 6
-    about = {"dtype": dtype, "shape": [3, 2], "data_offsets": [0, n_bytes]}
-    text = json.dumps({"__metadata__": {"liaam": json.dumps(HEADER)}, "mean": about}).encode()
+    values = fields().tobytes()
+    about = {
+        "__metadata__": {"liaam": json.dumps(HEADER)},
+        "mean": {"dtype": dtype, "shape": [3, 2], "data_offsets": [0, n_bytes]},
+        "fields": {"dtype": "F16", "shape": [1, SIDE, SIDE, 3], "data_offsets": [n_bytes, n_bytes + len(values)]},
+    }
+    text = json.dumps(about).encode()
     path = tmp_path / "heads.lamps"
-    path.write_bytes(len(text).to_bytes(8, "little") + text + bytes(n_bytes))
+    path.write_bytes(len(text).to_bytes(8, "little") + text + bytes(n_bytes) + values)
     assert "this is not a complete lamp file (" in complaint(path)
+
+
+def test_large_tensors_of_a_wrong_shape_are_not_read(tmp_path):
+    n_bytes = 2 * 4 * SIDE**3
+    about = {
+        "__metadata__": {"liaam": json.dumps(HEADER)},
+        "mean": {"dtype": "F64", "shape": [1, 2], "data_offsets": [0, 16]},
+        "fields": {"dtype": "F16", "shape": [4, SIDE, SIDE, SIDE], "data_offsets": [16, 16 + n_bytes]},
+    }
+    text = json.dumps(about).encode()
+    path = tmp_path / "heads.lamps"
+    with path.open("wb") as file:
+        file.write(len(text).to_bytes(8, "little") + text)
+        file.truncate(8 + len(text) + 16 + n_bytes)
+    tracemalloc.start()
+    try:
+        assert "contradicts itself" in complaint(path)
+        assert tracemalloc.get_traced_memory()[1] < n_bytes / 4
+    finally:
+        tracemalloc.stop()

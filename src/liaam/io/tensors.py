@@ -8,9 +8,12 @@ import numpy as np
 
 from liaam.errors import LiaamError
 
+Shapes = dict[str, tuple[int, ...]]
+"""Shapes of a file's tensors."""
+
 
 def read_tensors(
-    path: Path, parse: Callable[[str], Any], error: type[LiaamError], kind: str, make: str, broken: str
+    path: Path, parse: Callable[[str, Shapes], Any], error: type[LiaamError], kind: str, make: str, broken: str
 ) -> tuple[Any, dict[str, np.ndarray]]:
     """Read the header and the tensors of a file. safetensors checks their sizes against the file's length.
 
@@ -18,7 +21,8 @@ def read_tensors(
     ----------
     path : Path
     parse : callable
-        Parses the metadata entry ``liaam`` (empty if missing) into a header, or raises. Called before reading tensors.
+        Parses the metadata entry ``liaam`` (empty if missing) and the shapes of the tensors into a header, or raises.
+        Called before reading tensors, so that large tensors of a wrong shape take no memory.
     error : type of LiaamError
         The class of error to raise.
     kind, make : str
@@ -38,8 +42,10 @@ def read_tensors(
             what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
             raise error(f"{path}: the {kind} {what}; make one with '{make}'")
         with safe_open(path, framework="numpy") as file:
-            header = parse((file.metadata() or {}).get("liaam", ""))
-            return header, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (no mapping)
+            keys = list(file.keys())
+            shapes = {key: tuple(file.get_slice(key).get_shape()) for key in keys}
+            header = parse((file.metadata() or {}).get("liaam", ""), shapes)
+            return header, {key: file.get_tensor(key) for key in keys}
     except (SafetensorError, AttributeError, TypeError) as fault:  # the last two for number types that numpy lacks
         raise error(f"{path}: {broken.format(fault=fault)}") from fault
     except OSError as fault:

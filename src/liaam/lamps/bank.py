@@ -15,7 +15,7 @@ import numpy as np
 
 from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
-from liaam.io.tensors import read_tensors
+from liaam.io.tensors import Shapes, read_tensors
 from liaam.model.shape import align
 from liaam.photometry import Response, is_grey
 from liaam.photometry.encoding import stored_values
@@ -185,36 +185,46 @@ def load_lamps(path: str | os.PathLike) -> Lamps:
     """
     path = Path(path)
     broken = "this is not a complete lamp file ({fault}); copy it again or make it again"
-    names, tensors = read_tensors(path, lambda text: _names(path, text), LiaamError, "lamp file", MAKE, broken)
-    mean, fields = tensors.get("mean"), tensors.get("fields")
-    if mean is None or fields is None or not _are_sound(mean, fields, names):
-        raise LiaamError(f"{path}: the lamp file contradicts itself; copy it again or make it again")
+    names, tensors = read_tensors(path, lambda *header: _names(path, *header), LiaamError, "lamp file", MAKE, broken)
+    mean, fields = tensors["mean"], tensors["fields"]
+    if not _are_sound(mean, fields):
+        raise LiaamError(f"{path}: {_CONTRADICTORY}")
     return Lamps(mean, fields, tuple(names))
 
 
-def _names(path: Path, text: str) -> Any:
-    """Read the names of the lamps from a file's header."""
+_CONTRADICTORY = "the lamp file contradicts itself; copy it again or make it again"
+
+
+def _names(path: Path, text: str, shapes: Shapes) -> list[str]:
+    """Read the names of the lamps from a file's header, and check them against the tensors' shapes."""
     try:
         about = json.loads(text)
     except (ValueError, RecursionError):
         about = None
     if not isinstance(about, dict) or (about.get("format"), about.get("schema")) != (FORMAT, SCHEMA_VERSION):
         raise LiaamError(f"{path}: this file contains no lamps; make one with '{MAKE}'")
-    return about.get("names")
+    names = about.get("names")
+    if not _are_lamps(names, shapes.get("mean", ()), shapes.get("fields", ())):
+        raise LiaamError(f"{path}: {_CONTRADICTORY}")
+    return names
 
 
-def _are_sound(mean: np.ndarray, fields: np.ndarray, names: Any) -> bool:
+def _are_lamps(names: Any, mean: tuple[int, ...], fields: tuple[int, ...]) -> bool:
+    return (
+        isinstance(names, list)
+        and 1 <= len(names) <= MOST
+        and all(isinstance(name, str) for name in names)
+        and len(mean) == 2
+        and mean[0] >= 3
+        and mean[1] == 2
+        and fields == (len(names), SIDE, SIDE, 3)
+    )
+
+
+def _are_sound(mean: np.ndarray, fields: np.ndarray) -> bool:
     return (
         mean.dtype == np.float64
-        and mean.ndim == 2
-        and mean.shape[1] == 2
-        and len(mean) >= 3
         and fields.dtype == np.float16
-        and fields.shape[1:] == (SIDE, SIDE, 3)
-        and 1 <= len(fields) <= MOST
         and bool(np.isfinite(fields).all())
         and bool((np.abs(mean) <= 1.0).all())
-        and isinstance(names, list)
-        and len(names) == len(fields)
-        and all(isinstance(name, str) for name in names)
     )

@@ -114,7 +114,7 @@ def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
         "train it again"
     )
     make = "liaam train FOLDER -o MODEL"
-    return read_tensors(path, lambda text: _checked_header(path, text), ModelFileError, "model file", make, broken)
+    return read_tensors(path, lambda text, _: _checked_header(path, text), ModelFileError, "model file", make, broken)
 
 
 def _checked_header(path: Path, text: str) -> dict:
