@@ -165,8 +165,8 @@ class Session:
         codes = _codes(source.code())
         for function in functions:
             code = codes.get((function.__code__.co_qualname, function.__code__.co_firstlineno))
-            if code is not None and function.__code__.co_freevars == code.co_freevars:
-                function.__code__ = code
+            if code is not None:
+                _replace(function, code)
         for cache in self.caches:
             cache.cache_clear()
         return self._fail_again(names)
@@ -177,6 +177,19 @@ class Session:
             if self.failed:
                 return 1
         return 0
+
+
+def _replace(function: types.FunctionType, code: types.CodeType) -> None:
+    """Give a function another code. A method that no longer calls super() has lost a free variable: make it anew."""
+    had = function.__code__.co_freevars
+    if code.co_freevars == had:
+        function.__code__ = code
+        return
+    cells = dict(zip(had, function.__closure__ or (), strict=True))
+    if "__class__" in cells and set(code.co_freevars) <= set(had):
+        closure = tuple(cells[name] for name in code.co_freevars)
+        new = types.FunctionType(code, function.__globals__, function.__name__, function.__defaults__, closure)
+        setattr(cells["__class__"].cell_contents, function.__name__, new)
 
 
 def _codes(code: types.CodeType) -> dict[tuple[str, int], types.CodeType]:

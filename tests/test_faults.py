@@ -18,7 +18,7 @@ from liaam.batch.work import Job
 from liaam.datasets import load_folder
 from liaam.datasets.scenes import Head, make_set
 from liaam.errors import LiaamError
-from liaam.io import VideoReader, atomic, atomic_path, write_bytes_atomically, write_image, write_landmarks
+from liaam.io import VideoReader, write_image, write_landmarks
 from liaam.model.shape import diagonal_of
 from liaam.training import train
 from setups import train_on
@@ -120,85 +120,6 @@ def test_a_batch_goes_on_once_there_is_space(world, tmp_path, suffix):
         assert names_in(tmp_path)[0] == f"r{suffix}.parts" and f"r{suffix}" not in names_in(tmp_path)
     assert batch_of(world, output).statuses == {"converged": 5}
     assert names_in(tmp_path) == [f"r{suffix}", f"r{suffix}.json"]
-
-
-# Temporary files ------------------------------------------------------------------------------------
-
-WRITER = """
-import os, signal, sys
-from liaam.io import atomic_path
-with atomic_path(sys.argv[1]) as temporary:
-    temporary.write_bytes(b"half")
-    print(temporary.name, flush=True)
-    sys.stdin.readline()
-"""
-
-
-@pytest.fixture
-def writer():
-    """Start a process that writes a file, and is in the middle of it; gives it, and its temporary file."""
-    started = []
-
-    def start(path):
-        line = [sys.executable, "-c", WRITER, path]
-        process = subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        started.append(process)
-        return process, path.with_name(process.stdout.readline().strip())
-
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-def test_what_a_killed_writer_left_goes_with_the_next_write(tmp_path, writer):
-    for name in ("a.csv", "b.csv"):
-        process, temporary = writer(tmp_path / name)
-        assert temporary.exists()
-        process.kill()
-        process.wait()
-    process, alive = writer(tmp_path / "c.csv")
-    assert names_in(tmp_path) == [alive.name]  # the first two are gone, as the third began
-    write_bytes_atomically(tmp_path / "d.csv", b"whole")
-    assert names_in(tmp_path) == [alive.name, "d.csv"]
-    process.communicate("\n")
-    assert names_in(tmp_path) == ["c.csv", "d.csv"]
-
-
-def test_only_temporary_files_without_a_writer_are_swept(tmp_path):
-    def left(name, age=0.0):
-        (tmp_path / name).write_bytes(b"left")
-        os.utime(tmp_path / name, (time.time() - age,) * 2)
-        return name
-
-    ours, others = f".liaam-{atomic._HOST}0000000", ".liaam-00000000"
-    gone = [left(f"{ours}1.csv"), left(f"{ours}2"), left(f"{ours}3.png", -1e9), left(f"{others}00000001.x", 90_000)]
-    kept = [left(f"{others}00000002.csv"), left(".liaam-mine.csv"), left("liaam.csv"), left(f"{ours}4x")]
-    (tmp_path / f"{ours}5.csv").mkdir()
-    (tmp_path / f"{ours}6.csv").symlink_to("liaam.csv")
-    os.mkfifo(tmp_path / f"{ours}7.csv")
-    atomic.sweep(tmp_path)
-    assert names_in(tmp_path) == sorted([*kept, f"{ours}5.csv", f"{ours}6.csv", f"{ours}7.csv"])
-    assert not any((tmp_path / name).exists() for name in gone)
-    with atomic_path(tmp_path / "x.csv") as temporary:
-        atomic.sweep(tmp_path)
-        assert temporary.exists()
-
-
-def test_a_ctrl_c_as_a_temporary_file_is_made_leaves_none(tmp_path, monkeypatch):
-    real = os.open
-
-    def opened_and_stopped(path, *arguments, **options):
-        descriptor = real(path, *arguments, **options)
-        if ".liaam-" in str(path):
-            os.close(descriptor)
-            raise KeyboardInterrupt
-        return descriptor
-
-    monkeypatch.setattr(os, "open", opened_and_stopped)
-    with pytest.raises(KeyboardInterrupt):
-        write_bytes_atomically(tmp_path / "a.csv", b"whole")
-    assert names_in(tmp_path) == []
 
 
 # Clocks that jump -----------------------------------------------------------------------------------

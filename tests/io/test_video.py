@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError, VideoError
-from liaam.io import VideoReader, video_writer, write_image
+from liaam.io import VideoFrame, VideoReader, video_writer, write_image
 from liaam.io import video as io_video
 from liaam.io.video import SOUGHT, can_enter, check_video_name, is_video
 
@@ -304,6 +304,47 @@ def test_without_pyav(monkeypatch, tmp_path, video):
         VideoReader(video)
     with pytest.raises(VideoError, match=r'pip install "liaam\[video\]"'):
         write(tmp_path / "film.mp4", [picture(0)])
+
+
+def frame_of(n_bytes: int) -> VideoFrame:
+    return VideoFrame(0, 0.0, np.broadcast_to(np.uint8(0), (1, n_bytes // 3, 3)))  # takes no memory
+
+
+def test_frames_decoded_ahead_are_limited_in_number_and_bytes():
+    ahead = io_video._Ahead(3)
+    assert not ahead.full() and ahead.empty()
+    ahead.put(frame_of(120_000_000))
+    assert (ahead.qsize(), ahead.full()) == (1, False)
+    ahead.put(frame_of(90_000_000))
+    assert ahead.full()
+    assert ahead.get().image.nbytes == 120_000_000
+    assert (ahead.qsize(), ahead.full()) == (1, False)
+    ahead.put(None)
+    ahead.put(VideoError("stop"))
+    assert ahead.full()
+    assert [type(ahead.get()) for _ in range(3)] == [VideoFrame, type(None), VideoError]
+    assert ahead.empty()
+    ahead.put(frame_of(900_000_000))  # one always fits
+    assert ahead.full()
+
+
+def test_dropping_a_frame_that_was_just_taken_does_nothing(video):
+    VideoReader(video)._drop()
+
+
+def test_no_file_is_left_open(tmp_path, video, monkeypatch):
+    listed = Path("/proc/self/fd")
+    if not listed.is_dir():
+        pytest.skip("this system does not list descriptors")
+    (tmp_path / "text.txt").write_bytes(b"no video at all " * 50)
+    film = film_of_noise(tmp_path / "film.mp4", 150)
+    before = len(list(listed.iterdir()))
+    assert is_video(video) and not is_video(tmp_path / "text.txt")
+    assert can_enter(film, 120)
+    assert len(read(film, 110)) == 40
+    monkeypatch.setattr(io_video, "MAX_PIXELS", 100)
+    assert not is_video(video)
+    assert len(list(listed.iterdir())) == before
 
 
 # What cannot be written

@@ -13,7 +13,6 @@ import re
 import secrets
 import shutil
 import socket
-import stat
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -103,7 +102,7 @@ def sweep(folder: Path) -> None:
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             name = _TEMPORARY.fullmatch(entry.name)
-            if name is not None:
+            if name is not None and entry.is_file(follow_symlinks=False):
                 _remove_unlocked(Path(entry.path), 0.0 if name[1] == _HOST else _DAY)
 
 
@@ -129,11 +128,11 @@ def lock(descriptor: int, *, wait: bool = False) -> bool:
 def _remove_unlocked(path: Path, age: float) -> None:
     """Remove a file that nobody writes to and that is at least so old, in seconds."""
     with contextlib.suppress(OSError):
-        descriptor = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+        descriptor = os.open(path, os.O_RDWR)
         try:
             facts = os.fstat(descriptor)
             is_old = not age or time.time() - facts.st_mtime > age
-            if stat.S_ISREG(facts.st_mode) and is_old and lock(descriptor) and _is_at(path, facts):
+            if is_old and lock(descriptor) and _is_at(path, facts):
                 path.unlink()
         finally:
             os.close(descriptor)
@@ -149,19 +148,19 @@ def _temporary_file(target: Path) -> Iterator[Path]:
     """Make an empty file beside another, locked if the disk has locks, and remove it at the end if it still exists."""
     name = f"{secrets.token_hex(8)}{target.suffix}"
     temp, unlocked = (target.parent / f".liaam-{tag}{name}" for tag in (_HOST, _UNLOCKED))
-    descriptor = -1
+    descriptor = None
     try:  # before the file exists, or Ctrl-C might leave it
         descriptor = _made(temp)
         if not _is_writable(temp):
             os.close(descriptor)  # and so unlocked
-            descriptor = -1
+            descriptor = None
             temp = temp.rename(unlocked)
         yield temp
     finally:
         for path in (temp, unlocked):
             with contextlib.suppress(OSError):  # after a success there is nothing left to remove
                 path.unlink()
-        if descriptor >= 0:
+        if descriptor is not None:
             os.close(descriptor)
 
 
