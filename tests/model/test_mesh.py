@@ -1,5 +1,9 @@
 """The mesh over the mean shape and the pixels of the reference frame."""
 
+import os
+import threading
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -185,3 +189,16 @@ def test_surroundings_of_points_on_one_line_are_refused(width):
     line = np.column_stack([np.linspace(0, 50, 6), width * np.arange(6)])
     with pytest.raises(TrainingError, match="lie on one line"):
         surroundings(line, np.array([[0, 1, 2]]))
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="this system does not report resident memory")
+def test_a_frame_used_in_one_thread_is_freed_in_another():
+    points, resident = 12 * SQUARE, []
+    for _ in range(15):
+        frame = ReferenceFrame(points, delaunay(points))
+        thread = threading.Thread(target=frame.gradient, args=(np.ones((frame.n_pixels, 1)),))
+        thread.start()
+        thread.join()
+        del frame
+        resident.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
+    assert resident[-1] - resident[1] < 20e6

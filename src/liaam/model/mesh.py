@@ -228,18 +228,14 @@ class ReferenceFrame:
         Those of the cubic spline through the pixels. Pixels with one neighbour along an axis use the difference to it;
         those with none get 0.
         """
-        return np.stack([solve(np.asarray(difference @ values, np.float64)) for difference, solve in self._slopes], 1)
-
-    def __getstate__(self) -> dict:
-        """Omit the factorised splines, which cannot be pickled and are cheap to recompute."""
-        return {name: value for name, value in self.__dict__.items() if name != "_slopes"}
+        return np.stack([slopes(values) for slopes in self._slopes], 1)
 
     @cached_property
-    def _slopes(self) -> list:
+    def _slopes(self) -> "list[_SplineSlopes]":
         width, height = self.size
         number = np.full((height, width), -1, dtype=np.int64)
         number[self.pixels[:, 0], self.pixels[:, 1]] = np.arange(self.n_pixels)
-        return [_spline_slopes(number, axis) for axis in (1, 0)]
+        return [_SplineSlopes.along(lines) for lines in (number, number.T)]
 
     def picture(self, values: np.ndarray, fill: float = 0.0) -> np.ndarray:
         """Arrange per-pixel values as an image.
@@ -260,35 +256,49 @@ class ReferenceFrame:
         return out
 
 
-def _spline_slopes(number: np.ndarray, axis: int) -> tuple:
-    """Sparse difference matrix and sparse solver for the slopes of cubic splines along an axis.
+@dataclass(frozen=True, eq=False)
+class _SplineSlopes:
+    """Slopes of the cubic splines through runs of neighbouring pixels.
 
-    ``number`` holds the index of each pixel inside the mesh, -1 outside. The slopes m of a spline through f obey
-    (m[-1] + 4 m[0] + m[1]) / 6 = (f[1] - f[-1]) / 2. Central differences lose a third of the slope of a wave of four
-    pixels, and with it the information of fine texture about the shape.
+    The slopes m of a spline through f obey (m[-1] + 4 m[0] + m[1]) / 6 = (f[1] - f[-1]) / 2. Central differences lose a
+    third of the slope of a wave of four pixels, and with it the information of fine texture about the shape.
+
+    Attributes
+    ----------
+    order : (n,) int64
+        Pixels along the lines, so that neighbours follow each other.
+    before, after : (n,) bool
+        Whether a pixel has a neighbour on either side.
+    bands : (3, n) float64
+        The tridiagonal system, as of :func:`scipy.linalg.solve_banded`.
     """
-    from scipy.sparse import csc_array, csr_array
-    from scipy.sparse.linalg import splu
 
-    inside = number >= 0
-    own = number[inside]
-    padded = np.pad(number, 1, constant_values=-1)
-    before, after = (np.roll(padded, shift, axis)[1:-1, 1:-1][inside] for shift in (1, -1))
-    between = (before >= 0) & (after >= 0)
-    left, right = np.where(before >= 0, before, own), np.where(after >= 0, after, own)
-    step = np.where(between, 0.5, np.where(left != right, 1.0, 0.0))
-    difference = csr_array(
-        (np.concatenate([step, -step]), (np.tile(own, 2), np.concatenate([right, left]))), shape=(len(own), len(own))
-    )
-    sixth = np.full(between.sum(), 1 / 6)
-    system = csc_array(
-        (
-            np.concatenate([np.where(between, 4 / 6, 1.0), sixth, sixth]),
-            (np.concatenate([own, own[between], own[between]]), np.concatenate([own, before[between], after[between]])),
-        ),
-        shape=(len(own), len(own)),
-    )
-    return difference, splu(system).solve
+    order: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    bands: np.ndarray
+
+    @classmethod
+    def along(cls, lines: np.ndarray) -> "_SplineSlopes":
+        """Prepare for lines of pixel numbers (m, length), -1 where there is no pixel."""
+        inside = lines >= 0
+        after = np.pad(inside, ((0, 0), (0, 1)))[:, 1:][inside]
+        before = np.pad(inside, ((0, 0), (1, 0)))[:, :-1][inside]
+        between = before & after
+        bands = np.stack([np.roll(between / 6, 1), np.where(between, 4 / 6, 1.0), np.roll(between / 6, -1)])
+        return cls(lines[inside], before, after, bands)
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Compute the slopes (n, k) of values (n, k)."""
+        from scipy.linalg import solve_banded
+
+        place, values = np.arange(len(self.order)), np.asarray(values, np.float64)[self.order]
+        step = np.where(self.before & self.after, 0.5, 1.0)[:, None]
+        slopes = np.empty_like(values)
+        slopes[self.order] = solve_banded(
+            (1, 1), self.bands, step * (values[place + self.after] - values[place - self.before]), check_finite=False
+        )
+        return slopes
 
 
 MAX_RASTER_PIXELS = 2e7
