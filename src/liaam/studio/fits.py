@@ -47,11 +47,11 @@ LIGHT_SIZE = 2048
 """Longest side in pixels of a relit picture on the page. Splitting a picture into appearance and shading takes about a
 second per megapixel. Exported files have the full size."""
 
-LAYER_BYTES = 100_000_000
+LAYER_BYTES = 50_000_000
 """Bytes of encoded layers in the cache."""
 
-LIGHT_BYTES = 300_000_000
-"""Maximum bytes of relighters in the cache: several at 1280 pixels, one or two at 2048."""
+LIGHT_BYTES = 200_000_000
+"""Maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048."""
 
 MODELS_KEPT = 2
 """Number of models whose fits are cached: the current and the previous one. Each has tens of megabytes of fitters."""

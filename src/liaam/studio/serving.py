@@ -23,8 +23,11 @@ PORTS_TRIED = 20
 GRACE = 2
 """Seconds for running requests to finish when the server stops."""
 
-LARGE_BLOCK = 8 << 20
+LARGE_BLOCK = 1 << 20
 """Bytes from which on a block of memory is returned to the system when it is freed."""
+
+ARENAS = 2
+"""Number of heaps for smaller blocks. By default there are eight for each core, and each keeps freed memory."""
 
 KEEP_ALIVE = 5
 """Seconds that a connection may be idle between requests."""
@@ -176,13 +179,15 @@ def _return_freed_memory() -> None:
     """Make glibc return large blocks to the system when they are freed.
 
     By default each thread keeps freed blocks of up to 32 MB, and pictures are decoded in many threads in blocks of
-    16 MB. Under 200 concurrent uploads this lowers the memory from 2.0 GB to 0.9 GB.
+    16 MB. Under 200 concurrent uploads this lowers the memory from 2.0 GB to 0.9 GB. With a limit of 8 MB instead of
+    1 MB, and more heaps, memory grew from 1.4 GB to 2.5 GB within three hours of work.
     """
     import ctypes
 
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
         mallopt(-3, LARGE_BLOCK)  # M_MMAP_THRESHOLD
+        mallopt(-8, ARENAS)  # M_ARENA_MAX
 
 
 def _listen(host: str, port: int) -> socket.socket:
