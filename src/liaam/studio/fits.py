@@ -47,7 +47,7 @@ LIGHT_SIZE = 2048
 """Longest side in pixels of a relit picture on the page. Splitting a picture into appearance and shading takes about a
 second per megapixel. Exported files have the full size."""
 
-LAYER_BYTES = 50_000_000
+LAYER_BYTES = 30_000_000
 """Bytes of encoded layers in the cache."""
 
 LIGHT_BYTES = 200_000_000

@@ -39,7 +39,7 @@ CHROMA_MASKED = -32768
 """Value in chroma of a pixel that is dark or saturated in a channel, so that its logarithm is undefined."""
 
 DECODED_BYTES = 150_000_000
-ENCODED_BYTES = 100_000_000
+ENCODED_BYTES = 50_000_000
 
 DECODED_AT_ONCE = 50_000_000
 """Pixels decoded concurrently: two pictures of an ordinary camera, or one of the largest. Decoding takes 7 to 14 bytes
