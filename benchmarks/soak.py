@@ -36,7 +36,7 @@ values), so that their files are as large as photographs'."""
 METHODS = ("soft-li", "li", "grey", "igo", "chroma")
 EXPORTS = ("pts", "ljson", "csv", "json", "overlay", "flat", "shading", "relit")
 LIGHTS = ((1, 0, 0.5), (-1, 0, 0.5), (0, -1, 0.5))
-REST = 5.0
+REST = 10.0
 """Seconds between the last answer of an hour and the look at the memory."""
 
 BAR_PERCENT = 10.0
