@@ -92,7 +92,7 @@ class Registration:
     cost : float
         Mean squared residual, in the method's units.
     n_iterations : int
-        Number of steps, refused ones included.
+        Number of steps, rejected ones included.
     corner_deviation : (4,) float64
         Standard errors of the mapped corners of the first image, pixels of the second (square root of the sum of both
         axes' variances). The Gauss-Newton covariance behind them accounts for noise only.

@@ -32,7 +32,7 @@ def check(
         ),
     ] = None,
 ) -> None:
-    """Find landmarks that are swapped, in reverse order, or far from where the other images have them.
+    """Find landmarks that are swapped, in reverse order, or far from their expected positions.
 
     Changes nothing in the folder. The exit status is 1 if faults are found.
     """

@@ -21,7 +21,7 @@ TrainingLampOption = Annotated[
     str | None,
     typer.Option(
         "--training-lamp",
-        help="Lamp, as written in the image names, that lights the training images, such as 07.",
+        help="Name of the training light in the names of the lamp images, such as 07.",
     ),
 ]
 

@@ -40,15 +40,13 @@ Pictures = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Images
 Output = Annotated[Path, typer.Option("--output", "-o", help="Camera file to write.")]
 Start = Annotated[
     Path | None,
-    typer.Option("--camera", help="Camera file to start from. Keeps its values that are not estimated here."),
+    typer.Option("--camera", help="Camera file to start from. Values not estimated here are kept."),
 ]
 ResponseOption = Annotated[
     str | None,
     typer.Option("--response", help="Response: srgb, linear, or a gamma. By default that of --camera, or else srgb."),
 ]
-Trust = Annotated[
-    bool, typer.Option("--trust", help="Write the angle even if it is not physical or its minimum is uncertain.")
-]
+Trust = Annotated[bool, typer.Option("--trust", help="Write the angle even if it is implausible or uncertain.")]
 Align = Annotated[bool, typer.Option("--align/--no-align", help="Align the images with the first one.")]
 FreeBalance = Annotated[
     bool,
@@ -417,7 +415,7 @@ def invariant(
         int, typer.Option(help="For --compare: average blocks of this many pixels across first.", min=1)
     ] = 2,
     dark: Annotated[
-        float, typer.Option(help="For --compare: ignore pixels whose value, of 255, is lower.", min=0, max=250)
+        float, typer.Option(help="For --compare: ignore pixels below this value of 255.", min=0, max=250)
     ] = 8.0,
     mask: Annotated[Path | None, typer.Option(help="For --compare: image that is white where pixels count.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-invariant"),
@@ -513,7 +511,7 @@ def register_command(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Image to write. By default B_registered.png.")
     ] = None,
-    method: Annotated[str | None, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = None,
+    method: Annotated[str | None, typer.Option("--method", "-m", help="Fitting method. By default igo+tukey.")] = None,
     group: Annotated[str, typer.Option("--warp", help="homography, affine, similarity or translation.")] = "homography",
     camera_file: Annotated[Path | None, typer.Option("--camera", help="Camera file of 'liaam calibrate'.")] = None,
     response: ResponseOption = None,

@@ -17,7 +17,7 @@ def studio(
         typer.Option("--model", help="Model to start with. By default the model last trained in this folder."),
     ] = None,
     host: Annotated[
-        str, typer.Option(help="Address to listen on. Addresses other than the loopback admit other machines.")
+        str, typer.Option(help="Address to listen on. Other addresses give other machines access.")
     ] = "127.0.0.1",
     port: Annotated[
         int | None, typer.Option(help="Port to listen on. By default the first free port from 8765.")

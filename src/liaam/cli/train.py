@@ -53,8 +53,8 @@ def train(
     lamps: Annotated[
         Path | None,
         typer.Option(
-            help="Also train on the images as relit by other lamps: a file of 'liaam lamps', or a folder of a few "
-            "objects under several lamps, named by object and lamp, such as 037-00."
+            help="Also train on copies of the images under other lamps. Give a file of 'liaam lamps', or a folder of "
+            "a few objects under several lamps, named by object and lamp, such as 037-00."
         ),
     ] = None,
     training_lamp: TrainingLampOption = None,

@@ -96,8 +96,8 @@ class Dataset:
         Parameters
         ----------
         which : str, iterable of str, or callable
-            Patterns such as ``"01-*"`` (``*``, ``?``, ``[...]``), of which a sample's name must match one,
-            or a predicate.
+            Patterns such as ``"01-*"`` (``*``, ``?``, ``[...]``): keep samples whose name matches one of them. Or a
+            predicate.
 
         Raises
         ------

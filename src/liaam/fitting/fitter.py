@@ -149,7 +149,7 @@ class Fitter:
         return self.finder.find(camera.flatten(image), limit=limit, least=least, response=camera.response)
 
     def find_all(self, image, name: str = "image") -> list[Candidate]:
-        """Find all objects in an image whose detection is certain.
+        """Find all objects in an image, without uncertain detections.
 
         Raises
         ------
@@ -368,7 +368,7 @@ class Fitter:
         return self.model.camera if self.camera is None else self.camera
 
     def judged(self, image: np.ndarray, stages: Sequence[Stage]) -> FitResult:
-        """Return the result of the stages of a fit to a flattened image, with status, quality and covariances."""
+        """Make the result of a fit from its stages: compute status, quality and covariances."""
         stage, has_angle = stages[-1], self._method.has_angles
         solution, history = stage.solution, trace(stages)
         known = self.reliability

@@ -52,7 +52,7 @@ STEPS = ("own", "scored", "expected")
 
 @dataclass(frozen=True)
 class Method:
-    """A row of the table: how the difference between model and image is measured.
+    """A fitting method: how the difference between model and image is measured.
 
     The residual of a pixel is ``P(theta_2) E(I(W(x; p))) - P(theta_1) (A0 + sum_i lambda_i A_i)`` minus
     the extra modes, with ``E`` the encoding and ``P`` the metric. With ``E = log`` and ``P = L`` this is eq 9.

@@ -139,10 +139,10 @@ class FitResult:
     cost : float
         Mean squared residual, in the method's units.
     n_iterations : int
-        Number of steps, refused ones included.
+        Number of steps, rejected ones included.
     history : tuple of Iteration
-        Each level's start and every accepted step; the last is the result. If the last step was too short to matter, it
-        has the cost of the state before it.
+        Each level's start and every accepted step; the last is the result. If the last step was negligible, its cost is
+        that before the step.
     covariance : (n_q, n_q) float64
         Covariance of (p, free angles), given the image and the prior. It accounts for correlation by the blur and (for
         ``soft-li``) by the model's errors, and is scaled up if left-out images showed larger errors.
@@ -152,15 +152,15 @@ class FitResult:
     evidence : (2,) float64
         Explained contrast, and the shape's distance from the mean (:func:`liaam.fitting.fitter.evidence`).
     quality : float
-        Probability, 0 to 1, that the fit is right, calibrated on left-out training images; 0 if the status says that
-        the object is lost. NaN for methods other than ``soft-li`` and for models trained without leaving out.
+        Probability, 0 to 1, that the fit is right, calibrated on left-out training images; 0 if the fit has
+        failed. NaN for methods other than ``soft-li`` and for models trained without leaving out.
     method : Method
         The fitted method.
     found : Candidate, optional
         The detection that the fit started from; None if the start was given.
     n_starts : int
         Number of starts, more than 1 after restarts (:attr:`liaam.fitting.Fitter.restarts`). All other attributes,
-        also ``history`` and ``start``, are of the fit that was kept.
+        also ``history`` and ``start``, describe the fit that was kept.
     contours : tuple of (indices, closed)
         Lines between landmarks, for drawing.
     image : array or Path, optional

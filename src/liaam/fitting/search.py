@@ -595,16 +595,16 @@ def find(
     limit : int or None
         Largest number of objects; None for all, up to :data:`MOST`.
     least : float
-        Minimum score; :data:`DOUBTFUL` is a sensible one.
+        Minimum score, such as :data:`DOUBTFUL`.
     response : Response, optional
         Response of the image's camera; by default the training camera's.
 
     Returns
     -------
     list of Candidate
-        Candidates without overlap, the best first. With ``limit=1``, the search stops at the first certain place, large
-        ones first. Empty only if ``least`` is above 0: without any detection, the result is the mean shape in the
-        middle of the image with score 0.
+        Candidates without overlap, the best first. With ``limit=1``, the search goes from large to small and stops at
+        the first certain detection. Empty only if ``least`` is above 0: without any detection, the result is the mean
+        shape in the middle of the image with score 0.
 
     Raises
     ------

@@ -31,7 +31,7 @@ class SolverOptions:
     Attributes
     ----------
     max_iterations : int
-        Maximum number of steps per level, refused ones included.
+        Maximum number of steps per level, rejected ones included.
     tolerance : float
         Stop when a step moves the landmarks by less than this root mean square, model pixels.
     hurry : float, optional
@@ -40,7 +40,7 @@ class SolverOptions:
         continue until ``tolerance``.
     notice : float
         Stop also when a step is shorter than this fraction of its own standard deviation, root mean square over the
-        parameters. Applies to ``soft-li``, which knows that deviation. Measured on IMM: 0.03 saves a third of the
+        parameters. Applies to ``soft-li``, which estimates that deviation. Measured on IMM: 0.03 saves a third of the
         iterations at the same errors; with 0.1, fits from distant starts stop too early.
     elimination : {"varpro", "joint"}
         Solve for lambda at every state (variable projection), or update it by the joint step (the paper, eq 5).
@@ -50,9 +50,9 @@ class SolverOptions:
     shape_prior : float
         Strength of the Gaussian prior on the shape modes: 1 as learnt, 0 none (the paper).
     observable : float
-        Estimate a common turn of both angles only if its curvature exceeds this multiple of the curvature due to noise.
-        Measured: 1-16 without a change of light, since the model's errors are not pure noise; 100 and more under a
-        lateral light in generated scenes.
+        Estimate a common change of both angles only if its curvature exceeds this multiple of the curvature due to
+        noise. Measured: 1-16 without a change of light, since the model's errors are not pure noise; 100 and more under
+        a lateral light in generated scenes.
     angle_start : {"best", "model"}
         Start theta_2 at its closed-form optimum for the initial shape, or at the model's angle.
     scoring : int, optional

@@ -124,7 +124,7 @@ class CameraModel:
         return np.where(np.isfinite(image), flat, np.float32(np.nan)) if image.dtype.kind == "f" else flat
 
     def suited_to(self, *, raw: bool, response: str | None = None) -> "CameraModel":
-        """Return a copy with the response of some images: the given one, or linear for RAW files."""
+        """Return a copy with the given response, or by default a linear one for RAW files."""
         if response is not None:
             return replace(self, response=parse_response(response))
         # Keep a measured response; srgb or a gamma describes the camera's processed images, not its RAW files.

@@ -82,7 +82,7 @@ class TrackingOptions:
         Maximum number of frames between two searches. The first wait is one frame, and each is twice the previous one.
     review : int
         Interval, in frames, of additional fits from the mean shape, which replace the tracked fit if clearly better.
-        They need a method with a known quality of fits. 0 for never.
+        They need a method that estimates the quality. 0 for never.
     """
 
     smooth: bool = True

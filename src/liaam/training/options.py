@@ -38,7 +38,7 @@ minute for 1000, and grows with the cube."""
 
 @dataclass(frozen=True, eq=False)
 class TrainingOptions:
-    """How to train; each option has a default that suits most data.
+    """Options of training. The defaults suit most data.
 
     Attributes
     ----------
@@ -62,8 +62,8 @@ class TrainingOptions:
         the mean shape.
     copies : int, optional
         Relit copies of each image that the default method, the search, ``varied`` and ``aia`` also learn from. Every
-        other copy is mirrored if the object is symmetric; without lamps there is one mirrored copy. There are fewer
-        copies of many images. Default: :data:`COPIES`, or 0 if all of the variance is kept.
+        other copy is mirrored if the object is symmetric; without lamps there is one mirrored copy. With many
+        images there are fewer copies of each. Default: :data:`COPIES`, or 0 if all of the variance is kept.
     leave_out : bool
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.

@@ -46,7 +46,7 @@ def train(
         Lamps under which copies of the images are relit, or images of a few objects under several lamps to learn these
         from (:func:`liaam.lamps.learn_lamps`).
     training_lamp : str, optional
-        Name of the lamp, in the names of the images of ``lamps``, that is the light of ``data``.
+        Name of the light of ``data`` in the names of the images of ``lamps``.
     name : str
         Name of the model, for display.
     progress : callable, optional
