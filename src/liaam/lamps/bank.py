@@ -203,7 +203,7 @@ def _names(path: Path, text: str, shapes: Shapes) -> list[str]:
         about = None
     if not isinstance(about, dict) or (about.get("format"), about.get("schema")) != (FORMAT, SCHEMA_VERSION):
         raise LiaamError(f"{path}: this file contains no lamps; make one with '{MAKE}'")
-    names = about.get("names")
+    names: Any = about.get("names")
     if not _are_lamps(names, shapes.get("mean", ()), shapes.get("fields", ())):
         raise LiaamError(f"{path}: {_CONTRADICTORY}")
     return names
