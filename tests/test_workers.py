@@ -119,6 +119,47 @@ def test_what_a_worker_raises_is_raised_with_where_it_was():
     assert "in refuse" in caught.value.__notes__[0]
 
 
+def lock(number):
+    return threading.Lock() if number == 2 else number
+
+
+def test_a_result_that_cannot_be_pickled_is_reported_as_such():
+    with pytest.raises(TypeError, match=r"cannot pickle '_thread\.lock'") as caught:
+        list(in_workers(lock, [1, 2, 3], 1))
+    assert "In a worker process" in caught.value.__notes__[0]
+
+
+class OneWay(Exception):  # noqa: N818
+    """An error that can be pickled but not unpickled."""
+
+    def __init__(self, one, two):
+        super().__init__(f"{one} and {two}")
+
+
+def raise_one_way(_number):
+    raise OneWay("this", "that")
+
+
+def test_an_error_that_cannot_be_unpickled_is_reported_with_its_name():
+    with pytest.raises(RuntimeError, match="OneWay: this and that") as caught:
+        list(in_workers(raise_one_way, [1], 1))
+    assert "in raise_one_way" in caught.value.__notes__[0]
+
+
+def die_or_wait(number):
+    if number == 0:
+        os._exit(3)
+    time.sleep(60)
+
+
+def test_a_death_is_noticed_at_once_if_the_others_need_not_finish():
+    began = time.perf_counter()
+    with pytest.raises(WorkerDied) as death:
+        list(in_workers(die_or_wait, [0, 1], 2, stop_at_death=True))
+    assert death.value.items == [0]
+    assert time.perf_counter() - began < 30
+
+
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals of POSIX")
 def test_a_ctrl_c_while_processes_start_is_not_lost():
     with pytest.raises(KeyboardInterrupt):

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import traceback
@@ -13,6 +14,7 @@ from functools import partial
 from itertools import islice
 from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from typing import Generic, TypeVar, cast
 
 Item = TypeVar("Item")
@@ -54,6 +56,7 @@ def in_workers(
     *,
     prepare: Callable[..., object] | None = None,
     inherited: tuple = (),
+    stop_at_death: bool = False,
 ) -> Generator[tuple[Item, Result], None, None]:
     """Process items in worker processes. Yield (item, result) in order of completion.
 
@@ -71,11 +74,15 @@ def in_workers(
         Called once in each worker before its first item.
     inherited : tuple
         Arguments of ``prepare`` that can only be passed to a process when it starts, such as shared memory.
+    stop_at_death : bool
+        Whether the death of a worker ends the other workers, too. By default they finish their items first.
 
     Raises
     ------
     WorkerDied
-        After all finished items are yielded.
+        If a worker died, after the finished items are yielded.
+    Exception
+        What ``perform`` raised, or why its result cannot be pickled, with the worker's traceback as a note.
     """
     rest = iter(items)
     first = list(islice(rest, jobs))
@@ -97,7 +104,7 @@ def in_workers(
             workers += (_Worker(inherited) for _ in first)
         for worker, item in zip(workers, first, strict=True):
             give(worker, item, (perform, prepare))
-        while busy:
+        while busy and not (lost and stop_at_death):
             for pipe in cast(list[Connection], connection.wait(list(busy))):
                 worker = busy.pop(pipe)
                 done = worker.item
@@ -156,18 +163,27 @@ def _work(pipe: Connection, inherited: tuple) -> None:
         if prepare is not None:
             prepare(*inherited)
         while message := pipe.recv():
-            pipe.send(_answer(perform, *message))
+            pipe.send_bytes(_answer(perform, *message))
     except (EOFError, OSError):  # nobody waits for it any more
         return
 
 
-def _answer(perform: Callable[[Item], Result], item: Item) -> tuple[bool, Result | Exception]:
-    """Whether an item could be done, and its result, or why not."""
+def _answer(perform: Callable[[Item], object], item: Item) -> "bytes | memoryview":
+    """Pickle whether an item could be done, and its result or error."""
     try:
-        return True, perform(item)
+        return ForkingPickler.dumps((True, perform(item)))
     except Exception as fault:
-        fault.add_note(f"In a worker process:\n{traceback.format_exc()}")
-        return False, fault
+        return ForkingPickler.dumps((False, _portable(fault, f"In a worker process:\n{traceback.format_exc()}")))
+
+
+def _portable(fault: Exception, note: str) -> Exception:
+    """Return an error with a note; of class RuntimeError, if it cannot be pickled and unpickled."""
+    try:
+        pickle.loads(pickle.dumps(fault))
+    except Exception:
+        fault = RuntimeError(f"{type(fault).__name__}: {fault}")
+    fault.add_note(note)
+    return fault
 
 
 def flow(

@@ -437,6 +437,17 @@ class Deadly(Job):
         return super().row(path)
 
 
+class Unlucky(Job):
+    """A job whose worker is killed the first two times that it gets a certain image."""
+
+    def row(self, path):
+        deaths = Path(self.folder, "deaths")
+        if path == "face4.png" and len(deaths.read_text()) < 2:
+            deaths.write_text(deaths.read_text() + "x")
+            os._exit(3)
+        return super().row(path)
+
+
 class Unborn(Job):
     """A job that no worker can begin."""
 
@@ -460,6 +471,13 @@ def test_a_picture_that_kills_its_worker_is_a_row(world):
     assert set(rows) == set(chain(*CHUNKS))
     assert [path for path, row in rows.items() if "died" in row["message"]] == ["die.png"]
     assert {row["status"] for path, row in rows.items() if path.startswith("face")} == {"converged"}
+
+
+def test_a_picture_whose_worker_was_killed_by_chance_is_fitted_again_alone(world):
+    (world.pictures / "deaths").write_text("")
+    rows = statuses_of(in_processes(job_of(world, Unlucky), [*CHUNKS[1:], ("face4.png",)], 1))
+    assert (world.pictures / "deaths").read_text() == "xx"
+    assert {path: row["status"] for path, row in rows.items()} == dict.fromkeys(("face4.png", "face6.png"), "converged")
 
 
 def test_workers_that_cannot_start_are_an_error(world):

@@ -196,7 +196,8 @@ def test_a_file_that_ends_early_says_so(head_model, moving, tmp_path):
 
 
 def test_a_worker_that_dies_is_told(job, monkeypatch):
-    def dies(*_, **__):
+    def dies(*_, stop_at_death, **__):
+        assert stop_at_death  # a stretch takes minutes
         raise WorkerDied([Stretch(1, 8, 16)])
         yield
 

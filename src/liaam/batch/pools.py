@@ -38,13 +38,17 @@ def row_of_death(job: Job, path: str) -> KeptRow:
 
 
 def _one_by_one(job: Job, paths: list[str]) -> Finished:
-    """Fit images one at a time with one worker, to find the image that crashes it."""
-    # The empty chunk detects a worker that cannot start, which no image causes.
-    rest = iter(paths)
+    """Fit images one at a time with one worker, to find the image that crashes it.
+
+    An image is tried twice, since the first worker may have been killed for another reason, such as the memory of
+    other programs.
+    """
+    rest: Iterator[Chunk] = ((path,) for path in paths)
+    died: set[Chunk] = set()
     while True:
-        chunks: Iterator[Chunk] = chain([()], ((path,) for path in rest))
         try:
-            for chunk, rows in in_workers(fit_chunk, chunks, 1, prepare=partial(prepare, job)):
+            # The empty chunk detects a worker that cannot start, which no image causes.
+            for chunk, rows in in_workers(fit_chunk, chain([()], rest), 1, prepare=partial(prepare, job)):
                 if chunk:
                     yield chunk, rows
             return
@@ -55,4 +59,8 @@ def _one_by_one(job: Job, paths: list[str]) -> Finished:
                 "worker processes cannot start: a script that uses more than one job needs "
                 "'if __name__ == \"__main__\":'; for other causes see the line above; --jobs 1 uses no workers"
             )
-        yield chunk, [row_of_death(job, *chunk)]
+        if chunk in died:
+            yield chunk, [row_of_death(job, *chunk)]
+        else:
+            died.add(chunk)
+            rest = chain([chunk], rest)

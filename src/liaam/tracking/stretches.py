@@ -258,7 +258,9 @@ def _each(job: TrackJob, stretches: list[Stretch], jobs: int, shared: "_Shared")
             yield stretch, track_stretch(job, stretch, seen=partial(shared.seen, stretch))
         return
     workers = min(jobs, len(stretches))
-    yield from in_workers(_track, stretches, workers, prepare=partial(_prepare, job), inherited=(shared,))
+    yield from in_workers(
+        _track, stretches, workers, prepare=partial(_prepare, job), inherited=(shared,), stop_at_death=True
+    )
 
 
 def _in_order(each: Found) -> Found:
