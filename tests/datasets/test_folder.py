@@ -94,7 +94,7 @@ def test_collections(tmp_path: Path) -> None:
         tmp_path / name for name in ("all.csv", "all.xml", "all.json")
     ]
     assert all((sample.landmarks.points == SQUARE).all() for sample in dataset)
-    assert reasons(dataset) == {"all.csv": "it names images that do not exist: gone.png (1 in total)"}
+    assert reasons(dataset) == {"all.csv": "it names images that do not exist: gone.png"}
 
 
 def test_an_entry_s_path_decides_between_images_of_one_name(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_an_entry_s_path_decides_between_images_of_one_name(tmp_path: Path) -> N
     dataset = load_folder(tmp_path, recursive=True)
     assert names(dataset) == ["two/a"]
     np.testing.assert_array_equal(dataset[0].landmarks.points, SQUARE)
-    assert reasons(dataset)["all.csv"] == "it names images that do not exist: a.png (1 in total)"
+    assert reasons(dataset)["all.csv"] == "it names images that do not exist: a.png"
 
 
 def test_recursive_or_not(tmp_path: Path) -> None:
@@ -211,17 +211,86 @@ def test_of_two_images_of_one_stem_the_one_with_landmarks_is_taken(tmp_path: Pat
 def test_missing_folder_no_images_no_pairs(tmp_path: Path) -> None:
     with pytest.raises(ImageError, match="does not exist: name the folder"):
         load_folder(tmp_path / "no")
-    with pytest.raises(ImageError, match=r"contains no image \(.*\.png.*subfolders"):
+    with pytest.raises(ImageError, match=r"contains no image \(.*\.png.*\): name another folder"):
         load_folder(tmp_path)
     add_image(tmp_path / "a.png")
     with pytest.raises(ImageError, match="is a file, not a folder"):
         load_folder(tmp_path / "a.png")
-    with pytest.raises(ImageError, match=r"no image like 'b\*'"):
+    with pytest.raises(ImageError, match=r"no image like 'b\*': its images are a\.png\. Change"):
         load_folder(tmp_path, "b*")
-    with pytest.raises(LandmarkError, match=r"none of the 1 images has landmarks\. Add a file such as a\.pts"):
+    with pytest.raises(
+        LandmarkError, match=r"none of the 1 images has landmarks \(a\.png\)\. Add a file such as a\.pts"
+    ):
         load_folder(tmp_path)
     (tmp_path / "a.pts").write_text("junk")
     with pytest.raises(LandmarkError, match=r"The first fault: .*a\.pts has no '\{'"):
+        load_folder(tmp_path)
+
+
+NTS = "1 4 2 0 dim=2\n1.0 1.0 5.0 1.0 5.0 4.0 1.0 4.0\n"
+
+
+@pytest.mark.parametrize("name", ["a.nts", "a.roi", "points.txt", "all.dat"])
+def test_files_in_an_unknown_format_are_named_with_the_formats_that_can_be_read(tmp_path: Path, name: str) -> None:
+    add_image(tmp_path / "a.png")
+    (tmp_path / name).write_bytes(b"\0Iout\xff" if name == "a.roi" else NTS.encode())
+    (tmp_path / "README.txt").write_text("These 12 images are ours. Do not copy them.")
+    with pytest.raises(LandmarkError, match=rf"unknown format: {name}\. Convert them to one of \.pts, "):
+        load_folder(tmp_path)
+    add_pair(tmp_path, "b")
+    told = reasons(load_folder(tmp_path))
+    assert told.keys() == {"a.png", name}
+    assert told[name].startswith("unknown format; landmarks are read from .pts, ")
+
+
+def test_other_files_are_not_named_if_every_image_has_landmarks(tmp_path: Path) -> None:
+    add_pair(tmp_path, "a")
+    (tmp_path / "a.nts").write_text(NTS)
+    assert load_folder(tmp_path).left_out == ()
+
+
+def test_images_in_subfolders_only_offer_recursive(tmp_path: Path) -> None:
+    for stem in ("a", "b"):
+        add_pair(tmp_path / "one", stem)
+    with pytest.raises(
+        ImageError, match=r"subfolders only \(one/a\.png, one/b\.png\): add --recursive .*recursive=True"
+    ):
+        load_folder(tmp_path)
+    assert len(load_folder(tmp_path, recursive=True)) == 2
+
+
+def test_files_without_a_readable_image_are_named_by_their_types(tmp_path: Path) -> None:
+    for stem in ("a", "b"):
+        (tmp_path / f"{stem}.heic").write_bytes(b"x")
+        write_landmarks(tmp_path / f"{stem}.pts", SQUARE)
+    with pytest.raises(ImageError, match=r"only files of type \.heic \(2\), \.pts \(2\): convert the images"):
+        load_folder(tmp_path)
+
+
+def test_landmark_files_with_other_names_than_the_images_are_listed(tmp_path: Path) -> None:
+    for i in range(9):
+        add_image(tmp_path / f"img{i}.png")
+        write_landmarks(tmp_path / f"img{i}_points.pts", SQUARE)
+    with pytest.raises(LandmarkError) as caught:
+        load_folder(tmp_path)
+    message = str(caught.value)
+    assert "none of the 9 images has landmarks (img0.png, img1.png, img2.png and 6 more)" in message
+    assert "without an image: img0_points.pts, img1_points.pts" in message
+    assert "and 3 more. Name each after its image, as in img0.pts" in message
+
+
+def test_landmark_files_in_a_subfolder_are_found(tmp_path: Path) -> None:
+    add_image(tmp_path / "a.png")
+    (tmp_path / "marks").mkdir()
+    write_landmarks(tmp_path / "marks" / "a.pts", SQUARE)
+    with pytest.raises(LandmarkError, match=r"in subfolders \(marks/a\.pts\): put each beside its image"):
+        load_folder(tmp_path)
+
+
+def test_a_table_that_names_other_images_is_quoted(tmp_path: Path) -> None:
+    add_image(tmp_path / "a.png")
+    write_collection(tmp_path / "all.csv", {"old/b.png": Landmarks(SQUARE)})
+    with pytest.raises(LandmarkError, match=r"all\.csv: it names images that do not exist: old/b\.png\. Correct"):
         load_folder(tmp_path)
 
 
@@ -262,7 +331,7 @@ def test_report(tmp_path: Path) -> None:
         "4 landmarks each, 1 missing in total; 300-W points (.pts): 3",
         "left out 1: 3 landmarks where most have 4 (few.pts)",
         "  first: those of few",
-        "left out 4: the image has no landmarks (p.png, q.png, r.png, ...)",
+        "left out 4: the image has no landmarks (p.png, q.png, r.png, s.png)",
     ]
     assert Dataset(()).report() == "0 samples"
 

@@ -18,8 +18,9 @@ from typing import overload
 
 import numpy as np
 
+from liaam.datasets.advice import ABSENT, NO_IMAGE, UNKNOWN, no_images, no_pairs, unread_landmarks
 from liaam.errors import ImageError, LandmarkError, LiaamError
-from liaam.io.files import natural_key
+from liaam.io.files import natural_key, some_names
 from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image
 from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, parse_landmark_file
 from liaam.io.raw import RAW_SUFFIXES
@@ -29,6 +30,9 @@ _UNIT = (1.0, 1.0)  # placeholder for the image's size when only its name is nee
 
 PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
 """Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
+
+
+_BARE = "the image has no landmarks"
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +110,7 @@ class Dataset:
         """
         kept = tuple(filter(which if callable(which) else _matcher(which), self.samples))
         if not kept:
-            some = _some([sample.name for sample in self.samples])
+            some = some_names([sample.name for sample in self.samples])
             raise LiaamError(
                 f"no sample of {self.source or 'the data set'} matches {which!r}: the names are like {some}."
             )
@@ -121,7 +125,7 @@ class Dataset:
             groups[left.reason.partition(":")[0]].append(left)
         for reason, members in groups.items():
             detail = members[0].reason.partition(": ")[2]
-            lines.append(f"left out {len(members)}: {reason} ({_some([left.path.name for left in members])})")
+            lines.append(f"left out {len(members)}: {reason} ({some_names([left.path.name for left in members])})")
             lines += [f"  first: {detail}"] if detail else []
         return "\n".join(lines)
 
@@ -177,14 +181,15 @@ def load_folder(
     images = [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
     wanted = [image for image in images if pattern is None or _matches(root, image, pattern)]
     if not wanted:
-        endings = ", ".join(PICTURE_SUFFIXES)
-        like = f" like '{pattern}'" if pattern else ""
-        hint = "" if recursive else ", or include subfolders (recursive)"
-        raise ImageError(f"{root} contains no image{like} ({endings}): name another folder{hint}.")
+        raise ImageError(no_images(root, files, pattern, recursive))
     marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
     samples, left_out = pair_files(root, images, _track(marks, progress), wanted)
+    bare = [left.path for left in left_out if left.reason == _BARE]
+    unread = unread_landmarks(files, bare)
     if not samples:
-        raise LandmarkError(_no_pairs(root, wanted, left_out))
+        reasons = [(left.path, left.reason) for left in left_out]
+        raise LandmarkError(no_pairs(root, wanted, reasons, unread, recursive))
+    left_out += [LeftOut(file, UNKNOWN) for file in unread]
     samples, odd = _same_count(samples)
     left_out = sorted([*left_out, *odd], key=lambda left: natural_key(str(left.path)))
     return Dataset(tuple(samples), tuple(left_out), str(root))
@@ -294,7 +299,7 @@ class _Pairing:
             if image is None and form.parse_with_size is not None:
                 host = image = self._host(file)
             if image is None and not form.may_be_collection:
-                self._leave_out(file, "no image has its name")
+                self._leave_out(file, NO_IMAGE)
                 return
             size = image_size(image) if image is not None and form.parse_with_size is not None else None
             parsed = parse_landmark_file(file, size)
@@ -318,7 +323,7 @@ class _Pairing:
                 samples.append(Sample(_name(self.root, image), image, options[0].landmarks, options[0].file))
                 self._leave_out_unused(options)
             elif image not in self.reported:
-                self._leave_out(image, "the image has no landmarks")
+                self._leave_out(image, _BARE)
         return samples
 
     def _winners(self) -> dict[Path, Path]:
@@ -332,7 +337,7 @@ class _Pairing:
         if isinstance(parsed, dict):
             self._add_collection(file, parsed)
         elif image is None:
-            self._leave_out(file, "no image has its name")
+            self._leave_out(file, NO_IMAGE)
         elif image in self.options:
             self.options[image].append(_Option(file, parsed, own=True))
 
@@ -345,7 +350,7 @@ class _Pairing:
             elif image in self.options:
                 self.options[image].append(_Option(file, landmarks, own=False))
         if absent:
-            self._leave_out(file, f"it names images that do not exist: {_some(absent)} ({len(absent)} in total)")
+            self._leave_out(file, f"{ABSENT}: {some_names(absent)}")
 
     def _host(self, file: Path) -> Path | None:
         """Find the image that is named inside a landmark file."""
@@ -382,10 +387,6 @@ def _rank(file: Path, suffixes: tuple[str, ...]) -> int:
     return suffixes.index(file.suffix.lower())
 
 
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:3]) + ", ..." * (len(names) > 3)
-
-
 def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[LeftOut]]:
     """Keep the samples that have the most common number of landmarks."""
     usual = Counter(len(sample.landmarks) for sample in samples).most_common(1)[0][0]
@@ -398,14 +399,3 @@ def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[LeftOut]]:
         if len(sample.landmarks) != usual
     ]
     return [sample for sample in samples if len(sample.landmarks) == usual], odd
-
-
-def _no_pairs(root: Path, wanted: list[Path], left_out: list[LeftOut]) -> str:
-    unreadable = [left.reason for left in left_out if "cannot be read" in left.reason]
-    if unreadable:
-        return f"{root}: no image has readable landmarks. The first fault: {unreadable[0]}"
-    stem = wanted[0].stem
-    return (
-        f"{root}: none of the {len(wanted)} images has landmarks. Add a file such as {stem}.pts for each image "
-        f"({', '.join(LANDMARK_SUFFIXES)}), or a .csv, .xml or .json file that names the images."
-    )

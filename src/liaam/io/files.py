@@ -6,6 +6,7 @@ import difflib
 import math
 import os
 import re
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,11 @@ def natural_key(text: str) -> list[Any]:
     words = re.split(r"([0-9]+)", text.casefold())  # every second one is a number, perhaps too long for int
     numbers = ((len(digits), digits) for digits in (word.lstrip("0") for word in words[1::2]))
     return [*chain.from_iterable(zip(words[::2], numbers, strict=False)), words[-1]]
+
+
+def some_names(names: Sequence[str], most: int = 6, joint: str = ", ") -> str:
+    """Join the first names, and add the number of the rest."""
+    return joint.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def is_number(text: str) -> bool:

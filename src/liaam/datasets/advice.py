@@ -1,0 +1,124 @@
+"""Messages about folders whose images and landmarks do not match: what is wrong, and what to do."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+
+from liaam.io.files import is_number, some_names
+from liaam.io.images import IMAGE_SUFFIXES
+from liaam.io.landmarks import LANDMARK_SUFFIXES
+from liaam.io.raw import RAW_SUFFIXES
+
+NO_IMAGE = "no image has its name"
+"""Reason for leaving out a landmark file."""
+
+UNKNOWN = f"unknown format; landmarks are read from {', '.join(LANDMARK_SUFFIXES)}"
+"""Reason for leaving out a file that seems to hold landmarks."""
+
+ABSENT = "it names images that do not exist"
+
+_SEARCHED = 20_000
+"""Maximum number of paths in subfolders that are looked at."""
+
+_SAMPLE = 4096
+"""Number of bytes of a file that decide whether it is a table of numbers."""
+
+
+def unread_landmarks(files: Sequence[Path], bare: Sequence[Path]) -> list[Path]:
+    """Return files that seem to hold landmarks in an unknown format.
+
+    These are files named like an image without landmarks, and tables of numbers.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        All files of the folder.
+    bare : sequence of Path
+        Images without landmarks.
+    """
+    stems = {image.with_suffix("") for image in bare}
+    known = {*IMAGE_SUFFIXES, *RAW_SUFFIXES, *LANDMARK_SUFFIXES}
+    others = [file for file in files if file.suffix.lower() not in known]
+    return [file for file in others if stems and (file.with_suffix("") in stems or _has_numbers(file))]
+
+
+def _has_numbers(file: Path) -> bool:
+    """Return whether a file begins with text that consists mostly of numbers."""
+    try:
+        with file.open("rb") as opened:
+            text = opened.read(_SAMPLE).decode("ascii")
+    except (OSError, UnicodeDecodeError):
+        return False
+    words = [word for word in re.split(r"[\s,;=]+", text) if word]
+    return sum(map(is_number, words)) > max(5, len(words) / 2)
+
+
+def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive: bool) -> str:
+    """Describe a folder without (matching) images."""
+    endings = ", ".join((*IMAGE_SUFFIXES, *RAW_SUFFIXES))
+    images = [file.name for file in files if _is_image(file)]
+    if images:
+        return f"{root} contains no image like '{pattern}': its images are {some_names(images)}. Change the pattern."
+    below = [] if recursive else _below(root, (*IMAGE_SUFFIXES, *RAW_SUFFIXES))
+    if below:
+        return (
+            f"{root} contains images in its subfolders only ({some_names(below)}): add --recursive (in Python, "
+            "recursive=True) to include them."
+        )
+    others = Counter(file.suffix.lower() for file in files if file.suffix)
+    if others:
+        found = ", ".join(f"{suffix} ({n})" for suffix, n in others.most_common(5))
+        return (
+            f"{root} contains no image that can be read ({endings}), only files of type {found}: convert the images, "
+            "or name another folder."
+        )
+    return f"{root} contains no image ({endings}): name another folder."
+
+
+def no_pairs(
+    root: Path, wanted: Sequence[Path], left_out: Sequence[tuple[Path, str]], unread: Sequence[Path], recursive: bool
+) -> str:
+    """Describe a folder in which no image has landmarks; ``left_out`` has files and reasons."""
+    count = f"none of the {len(wanted)} images has landmarks"
+    text = f"{root}: {count} ({some_names([image.name for image in wanted], 3)})."
+    if unread:
+        names = some_names([file.name for file in unread])
+        return f"{text} Files in an unknown format: {names}. Convert them to one of {', '.join(LANDMARK_SUFFIXES)}."
+    unreadable = [reason for _, reason in left_out if "cannot be read" in reason]
+    if unreadable:
+        return f"{root}: no image has readable landmarks. The first fault: {unreadable[0]}"
+    own = f"{wanted[0].stem}.pts"
+    orphans = [path.name for path, reason in left_out if reason == NO_IMAGE]
+    absent = [f"{path.name}: {reason}" for path, reason in left_out if reason.startswith(ABSENT)]
+    if absent:
+        return f"{text} {absent[0]}. Correct these names."
+    if orphans:
+        return f"{text} Landmark files without an image: {some_names(orphans)}. Name each after its image, as in {own}."
+    below = [] if recursive else _below(root, LANDMARK_SUFFIXES)
+    if below:
+        return f"{text} Landmark files are in subfolders ({some_names(below)}): put each beside its image."
+    return (
+        f"{text} Add a file such as {own} for each image ({', '.join(LANDMARK_SUFFIXES)}), or one file that names the "
+        "images."
+    )
+
+
+def _is_image(file: Path) -> bool:
+    return file.suffix.lower() in IMAGE_SUFFIXES or file.suffix.lower() in RAW_SUFFIXES
+
+
+def _below(root: Path, suffixes: Sequence[str]) -> list[str]:
+    """Return the paths, inside a folder, of the files in its subfolders that have one of these suffixes."""
+
+    def paths() -> Iterator[Path]:
+        for place, folders, names in os.walk(root):
+            folders[:] = sorted(name for name in folders if not name.startswith("."))
+            yield from (Path(place, name) for name in sorted(names) if Path(place) != root and name[0] != ".")
+
+    found = [path for path in islice(paths(), _SEARCHED) if path.suffix.lower() in suffixes]
+    return [path.relative_to(root).as_posix() for path in found]
