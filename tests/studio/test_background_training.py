@@ -210,18 +210,25 @@ def test_a_process_that_is_killed_is_told(setting):
 
 
 def test_pictures_that_do_not_serve_are_left_out(setting):
-    from liaam.io import read_image
-
     project, models, _, trainer = setting(5, 5)
-    grey = read_image(project.root / "p2.png").mean(axis=2).astype(np.uint8)
-    write_image(project.root / "p2.png", grey)
     (project.root / "p1.png").write_bytes((project.root / "p1.png").read_bytes()[:9000])
     trainer.start()
     ended = trainer.wait(240)
     assert ended.state == "done", ended
-    assert models.current.model.n_images == 3
-    left_out = models.current.facts["left_out"]
-    assert "cut short" in left_out["p1.png"] and "grey" in left_out["p2.png"]
+    assert models.current.model.n_images == 4
+    assert "cut short" in models.current.facts["left_out"]["p1.png"]
+
+
+def test_grey_pictures_are_learnt_from_and_named(setting):
+    from liaam.io import read_image
+
+    project, models, _, trainer = setting(5, 5)
+    write_image(project.root / "p2.png", read_image(project.root / "p2.png").mean(axis=2).astype(np.uint8))
+    trainer.start()
+    ended = trainer.wait(240)
+    assert ended.state == "done", ended
+    assert models.current.model.n_images == 5 and models.current.model.is_colour
+    assert "1 of 5 images are grey (p2.png)" in ended.message
 
 
 def test_what_cannot_be_learnt_from_is_told(setting):

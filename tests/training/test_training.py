@@ -252,9 +252,84 @@ def test_landmarks_outside_the_image_are_refused(pairs, shift):
     refused(pairs, "image 1: 58 of 58 landmarks lie outside the image of 180×240 pixels")
 
 
-def test_one_grey_image_among_colours_is_refused_by_name(pairs):
-    pairs[1][0][:] = pairs[1][0].mean(axis=2, keepdims=True)
-    refused(pairs, "image 2 is grey .* but others are in colour")
+def test_one_landmark_far_outside_is_refused_rather_than_called_a_fold(pairs):
+    pairs[1][1][7] = [-400.0, 120.0]
+    refused(pairs, r"image 2: 1 of 58 landmarks lie outside .* \(point 8 by 400 pixels\)\. Check")
+
+
+def test_all_images_whose_landmarks_lie_outside_are_named(pairs):
+    for i in (0, 2):
+        pairs[i][1][:] *= 5.0
+    refused(pairs, r"image 1: .* outside .*; image 3: .* outside .*correct or remove them")
+
+
+def test_a_third_of_the_object_may_lie_outside(scenes):
+    pairs = [(scene.image, scene.landmarks) for scene in scenes[:5]]
+    image, points = pairs[0]
+    cut = int(np.quantile(points[:, 0], 0.35))
+    pairs[0] = (image[:, cut:], points - [cut, 0])
+    model = train(pairs, diagonal=40.0, camera=LINEAR, leave_out=False)
+    assert model.levels[-1].appearances["value"].usable.min() == pytest.approx(0.8)
+
+
+def grey_of(image):
+    return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)
+
+
+@pytest.fixture
+def mixed(scenes) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Five images and landmarks, of which the second and the fifth image are grey."""
+    return [
+        (grey_of(scene.image) if i in (1, 4) else scene.image, scene.landmarks) for i, scene in enumerate(scenes[:5])
+    ]
+
+
+OPTIONS = {"diagonal": 40.0, "camera": LINEAR, "blurs": (0.0,), "variance": 1.0}
+
+
+def test_grey_images_among_colours_teach_shape_and_gradients_only(mixed):
+    with pytest.warns(UserWarning, match=r"^2 of 5 images are grey \(image 2, image 5\): soft-li learns"):
+        model = train(mixed, copies=1, leave_out=True, **OPTIONS)
+    colours = train([mixed[i] for i in (0, 2, 3)], copies=1, leave_out=False, **OPTIONS)
+    assert model.is_colour
+    assert len(model.shape_model.modes) == 4
+    own, of_colours = model.levels[0].appearances, colours.levels[0].appearances
+    assert {name: own[name].n_modes for name in ("value", "log", "invariant")} == {"value": 2, "log": 2, "invariant": 2}
+    # Shapes differ, so that the meshes are not the same, but the colours are.
+    assert np.abs(own["value"].mean.mean(axis=0) - of_colours["value"].mean.mean(axis=0)).max() < 0.01
+    soft = model.views[SURROUNDINGS].levels[0].appearances["soft"]
+    assert soft.n_modes > colours.views[SURROUNDINGS].levels[0].appearances["soft"].n_modes
+    assert np.abs(soft.mean[..., 2]).mean() > 0.9 * np.abs(of_colours["invariant"].mean).mean()
+
+
+def test_relit_copies_of_grey_images_teach_no_colours(mixed, monkeypatch):
+    """Lamps change colours, but a relit grey image has no invariant of the object."""
+    monkeypatch.setattr(
+        "liaam.lamps.Copies.of_picture", lambda _self, _i, image, points, *_: [(image * [1, 0.8, 0.6], points)]
+    )
+    with pytest.warns(UserWarning):
+        soft = train(mixed, copies=1, leave_out=False, **OPTIONS).views[SURROUNDINGS].levels[0].appearances["soft"]
+    colours = train([mixed[i] for i in (0, 2, 3)], copies=1, leave_out=False, **OPTIONS)
+    expected = colours.views[SURROUNDINGS].levels[0].appearances["soft"]
+    assert soft.mean[..., 2].mean() == pytest.approx(expected.mean[..., 2].mean(), abs=0.02)
+
+
+def test_too_few_colour_images_are_used_as_grey(mixed):
+    with pytest.warns(
+        UserWarning, match=r"only 2 of 4 images are in colour \(image 1, image 3\); all are used as grey"
+    ):
+        model = train([mixed[i] for i in (0, 1, 2, 4)], leave_out=False, **OPTIONS)
+    assert not model.is_colour
+    assert np.ptp(model.levels[0].appearances["value"].mean, axis=1).max() < 1e-5
+
+
+def test_colour_images_that_are_all_left_out_together_leave_something_to_learn_from(scenes):
+    """The folds of a grey majority may hold all colour images in one."""
+    many = [(grey_of(scenes[i % 8].image), scenes[i % 8].landmarks + i / 8) for i in range(30)]
+    many[:3] = [(scenes[i].image, scenes[i].landmarks) for i in range(3)]
+    with pytest.warns(UserWarning, match="27 of 30 images are grey"):
+        model = train(many, leave_out=False, **{**OPTIONS, "variance": "auto"})
+    assert np.isfinite(model.levels[0].appearances["log"].unexplained).all()
 
 
 def test_an_image_of_one_pixel_is_refused_by_name(pairs):

@@ -34,16 +34,20 @@ def check(
 ) -> None:
     """Find landmarks that are swapped, in reverse order, or far from their expected positions.
 
-    Changes nothing in the folder. The exit status is 1 if faults are found.
+    Also names grey images among colour images, damaged images, and files that do not match. Changes nothing in the
+    folder. The exit status is 1 if faults are found.
     """
     data = read_folder(folder, images, recursive)
+    damaged = check_pixels(data)
     complete = complete_samples(data)
     if len(complete) < len(data):
         complain(f"skipped {len(data) - len(complete)} of {len(data)} images with missing landmarks")
     with progress_bar() as progress:
         faults = faults_by_sample(complete, progress)
     if not faults:
-        say("no faults found in single images")
+        say("no faults found in the landmarks of single images")
+        if damaged:
+            raise typer.Exit(1)
         return
     table = table_of("image", "landmarks")
     for sample, own in faults:
@@ -53,6 +57,29 @@ def check(
     if output is not None:
         write_faults(output, folder, faults)
     raise typer.Exit(1)
+
+
+def check_pixels(data: "Dataset") -> bool:
+    """Name images that are damaged, and grey images among colour images. Return whether any is damaged."""
+    from liaam.photometry import is_grey
+    from liaam.photometry.encoding import as_colour
+    from liaam.training.images import GREY_USE
+    from liaam.workers import in_threads
+
+    def look(sample: "Sample") -> bool | LiaamError:
+        try:
+            return is_grey(as_colour(sample.read_image(), sample.name))
+        except LiaamError as error:
+            return error
+
+    found = in_threads(look, data.samples)
+    damaged = [each for each in found if isinstance(each, LiaamError)]
+    for error in damaged:
+        complain(str(error))
+    grey = [sample.name for sample, each in zip(data, found, strict=True) if each is True]
+    if grey and len(grey) + len(damaged) < len(data):
+        say(f"{len(grey)} of {len(data)} images are grey ({', '.join(grey)}): {GREY_USE}")
+    return bool(damaged)
 
 
 def complete_samples(data: "Dataset") -> "list[Sample]":

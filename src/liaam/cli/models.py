@@ -59,10 +59,12 @@ def info(
 
 
 def count_modes(model: "AAM") -> str:
-    """Describe the number of shape modes, and that of views where it differs."""
+    """Describe the number of shape modes, for ``soft-li`` and the other methods where it differs."""
+    from liaam.model import MESH, SURROUNDINGS
+
     counts = {name: len(view.shape_model.modes) for name, view in model.views.items()}
-    others = [f"{count} of {name}" for name, count in counts.items() if count != len(model.shape_model.modes)]
-    return f"{len(model.shape_model.modes)}" + (f" ({', '.join(others)})" if others else "")
+    own, others = counts.get(SURROUNDINGS, counts[MESH]), counts[MESH]
+    return f"{own}" if own == others else f"{own} for soft-li, {others} for the other methods"
 
 
 def describe(model: "AAM", path: Path) -> dict[str, str]:
@@ -74,9 +76,9 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     width, height = model.frame.size
     return {
         "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
-        "trained on": f"{model.n_images} {'colour' if model.is_colour else 'grey'} images{_copies(model)}",
+        "trained on": f"{model.n_images} {'' if model.is_colour else 'grey '}images{_copies(model)}",
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
-        "shape modes": f"{count_modes(model)} + 4 (position, size, turn); spread {spread:.1f} px",
+        "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",

@@ -4,6 +4,7 @@ import io
 import os
 import sys
 import unicodedata
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -119,6 +120,15 @@ def say(text: str) -> None:
 def complain(text: str) -> None:
     """Print a line of plain text to standard error."""
     error_console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """Print warnings of liaam as lines on standard error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *_, **__: complain(str(message))
+        yield
 
 
 def table_of(*header: str) -> Table:

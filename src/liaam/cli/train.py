@@ -11,7 +11,7 @@ from liaam.cli.check import warn_of_faults
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, camera_for, check_output, read_folder
 from liaam.cli.lamps import TrainingLampOption, read_lamps
 from liaam.cli.models import count_modes
-from liaam.cli.terminal import complain, progress_bar, say
+from liaam.cli.terminal import complain, progress_bar, say, warnings_as_lines
 from liaam.errors import LiaamError
 
 
@@ -98,7 +98,7 @@ def train(
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
     light = None if lamps is None else read_lamps(lamps, training_lamp, recursive, camera.response)
     warn_of_faults(data, folder)
-    with progress_bar(counted=False) as progress:
+    with progress_bar(counted=False) as progress, warnings_as_lines():
         model = train_model(
             data,
             camera=camera,
@@ -113,13 +113,13 @@ def train(
         )
     model.save(output)
     learnt = "" if light is None else f" and {model.n_textures - model.n_images} copies under {len(light)} lamps"
-    modes = f"{count_modes(model)} shape and {model.levels[-1].appearances['value'].n_modes} appearance modes"
-    say(f"{output}: {modes} from {model.n_images} images{learnt}, {model.n_pixels} pixels")
+    modes = f"shape modes: {count_modes(model)}; pixels: {model.n_pixels}"
+    say(f"{output}: trained on {model.n_images} images{learnt}; {modes}")
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
-        f"left-out bound: even a perfect fit to a new image has an error of {bound:.1f} pixels "
-        f"({bound / model.diagonal:.1%} of the object's size)"
+        f"limit of accuracy: fits to new images are off by at least about {bound / model.diagonal:.1%} of the object's "
+        "size; more training images lower it"
     )
     if leave_out and view.reliability is None:
         complain("fits have no calibrated quality: too few fits to left-out images were right; train on more images")

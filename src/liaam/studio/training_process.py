@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -86,19 +87,15 @@ class _Picture:
         self.landmarks = Landmarks(item.points, contours)
         self.path = item.path
         self.fault: str | None = None
-        self.grey: bool | None = None
 
     def read_image(self) -> np.ndarray:
         from liaam.io import read_image
-        from liaam.photometry import is_grey
 
         try:
-            image = read_image(self.path)
+            return read_image(self.path)
         except ImageError as fault:
             self.fault = str(fault)
             raise
-        self.grey = is_grey(image)
-        return image
 
 
 @dataclass
@@ -108,6 +105,7 @@ class _Worker:
     job: Job
     send: Callable[[tuple[str, Any]], None]
     left_out: dict[str, str] = field(default_factory=dict)
+    warned: str = ""
 
     def run(self) -> str:
         """Train and apply the quick model, then the careful one; return a summary."""
@@ -119,7 +117,7 @@ class _Worker:
         if waiting:
             self._propose(model, waiting)
         without = f", without {', '.join(self.left_out)}" if self.left_out else ""
-        return f"trained on {model.n_images} pictures{without}"
+        return f"trained on {model.n_images} pictures{without}{self.warned}"
 
     def _progress(self, phase: str) -> Progress:
         def progress(done: int, total: int, what: str) -> None:
@@ -134,12 +132,15 @@ class _Worker:
         items = [_Picture(item, self.job.contours) for item in self.job.done if item.name not in self.left_out]
         while True:
             try:
-                model = train(
-                    items, leave_out=leave_out, name=self.job.name, progress=self._progress("training"), **OPTIONS
-                )
+                with warnings.catch_warnings(record=True) as caught:
+                    warnings.simplefilter("always", UserWarning)
+                    model = train(
+                        items, leave_out=leave_out, name=self.job.name, progress=self._progress("training"), **OPTIONS
+                    )
+                self.warned = "".join(f"; {warning.message}" for warning in caught)
                 break
             except (ImageError, TrainingError):
-                unfit = _unfit(items)
+                unfit = {item.name: item.fault for item in items if item.fault is not None}
                 if not unfit or len(items) - len(unfit) < LEAST:
                     raise
                 self.left_out |= unfit
@@ -165,17 +166,6 @@ class _Worker:
                 batch, last_sent = {}, monotonic()
         self.send(("proposals", batch))
         progress(len(pictures), len(pictures), "")
-
-
-def _unfit(items: list[_Picture]) -> dict[str, str]:
-    """Return pictures that cannot be read, or else the minority of grey or colour pictures, each with the reason."""
-    broken = {item.name: item.fault for item in items if item.fault is not None}
-    if broken:
-        return broken
-    grey = [item for item in items if item.grey]
-    colour = [item for item in items if item.grey is False]
-    fewer, kind = (grey, "grey") if len(grey) <= len(colour) else (colour, "in colour")
-    return {item.name: f"the picture is {kind}, unlike most of the others" for item in fewer}
 
 
 def propose(fitter: Fitter, path: Path) -> dict[str, Any]:

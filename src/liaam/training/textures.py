@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from liaam.errors import TrainingError
 from liaam.fitting.methods import ENCODING_OF
 from liaam.lamps import Copies
 from liaam.model import (
@@ -20,7 +19,7 @@ from liaam.model.appearance import (
 from liaam.model.sampling import make_patch, sample_texture
 from liaam.model.shape import align
 from liaam.model.warp import PiecewiseAffineWarp
-from liaam.photometry import Response, exposure_faults, invariant_row, is_grey
+from liaam.photometry import Response, invariant_row
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry
 from liaam.training.options import Blurs
@@ -39,12 +38,15 @@ class Sampled:
     textures : dict of str to list of Textures
     owners : (n_textures,) int
         Sample of each texture of :data:`COPIED_APPEARANCES`; each sample is followed by its copies.
+    coloured : (m,) int
+        Samples of the other appearances: those in colour, or all if all are grey.
     grey : bool
         Whether all images are grey.
     """
 
     textures: dict[str, list[Textures]]
     owners: np.ndarray
+    coloured: np.ndarray
     grey: bool
 
     @property
@@ -58,52 +60,52 @@ class Sampled:
         return np.diff(self.owners, prepend=-1) == 0
 
     def rows(self, name: str, samples: np.ndarray) -> np.ndarray:
-        """Indices of the textures of some samples."""
-        return np.flatnonzero(np.isin(self.owners, samples)) if name in COPIED_APPEARANCES else samples
+        """Indices of an appearance's textures of some samples."""
+        return np.flatnonzero(np.isin(self.owners if name in COPIED_APPEARANCES else self.coloured, samples))
 
     def folds(self, name: str, folds: list[np.ndarray]) -> list[np.ndarray]:
         """Convert folds of samples to folds of textures of an appearance."""
-        return [self.rows(name, fold) for fold in folds]
+        rows = [each for each in (self.rows(name, fold) for fold in folds) if len(each)]
+        # Grey images may be in all folds but one.
+        return rows if len(rows) > 1 else list(np.concatenate(rows)[:, None])
 
 
-def sample_all(entries: list[Entry], model: AAM, blurs: dict[str, Blurs], steps: Steps, copied: Copies) -> Sampled:
-    """Sample the textures of all entries and their copies at each blur of the views' levels."""
+def sample_all(
+    entries: list[Entry], grey: np.ndarray, model: AAM, blurs: dict[str, Blurs], steps: Steps, copied: Copies
+) -> Sampled:
+    """Sample the textures of all entries and their copies at each blur of the views' levels.
+
+    Grey images (mask ``grey``) among colour images have no colours to learn: only their gradients are sampled.
+    """
     camera, owners = model.camera, copied.owners
+    coloured = np.arange(len(entries)) if grey.all() else np.flatnonzero(~grey)
     view_of = {name: view for view, known in SAMPLED.items() for name in known if name != "varied" or copied.are_relit}
-    counts = {name: len(owners) if name in COPIED_APPEARANCES else len(entries) for name in view_of}
+    counts = {name: len(owners) if name in COPIED_APPEARANCES else len(coloured) for name in view_of}
     warps = {name: model.views[view].warp for name, view in view_of.items()}
     room = {name: [_room(n, warps[name], name) for _ in blurs[view_of[name]]] for name, n in counts.items()}
 
-    def sample(image: np.ndarray, points: np.ndarray, name: str, row: int) -> None:
+    def sample(image: np.ndarray, points: np.ndarray, name: str, row: int, colour: bool) -> None:
         encoding = ENCODING_OF[name]
         for (values, usable), blur in zip(room[name], blurs[view_of[name]], strict=True):
             found = sample_appearance(image, points, warps[name], encoding, camera.response, blur)
-            values[row], usable[row] = _learnt(encoding, *found, camera.theta)
+            values[row], usable[row] = _learnt(encoding, *found, camera.theta, colour)
 
     copied_names = [name for name in view_of if name in COPIED_APPEARANCES]
-    grey, first = [], np.searchsorted(owners, np.arange(len(entries)))
+    first = np.searchsorted(owners, np.arange(len(entries)))
     for i, entry in enumerate(entries):
         steps.next(entry.name)
-        image = as_colour(entry.read_image(), entry.name)
-        _check_inside(entry, image)
-        grey.append(is_grey(image))
-        image = camera.flatten(image)
+        image = camera.flatten(as_colour(entry.read_image(), entry.name))
+        own = np.flatnonzero(coloured == i)
         for name in view_of:
-            sample(image, entry.points, name, first[i] if name in COPIED_APPEARANCES else i)
+            for row in [first[i]] if name in COPIED_APPEARANCES else own:
+                sample(image, entry.points, name, int(row), not grey[i])
         made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
         for row, (copy, points) in enumerate(made, first[i] + 1):
             steps.next(f"a copy of {entry.name}")
             for name in copied_names:
-                sample(copy, points, name, row)
-        _check_light(entry, image, model.warp.interpolate(entry.points), room["log"][-1][1][i])
-    if any(grey) and not all(grey):
-        name = entries[grey.index(True)].name
-        raise TrainingError(
-            f"{name} is grey (three equal channels) but others are in colour; remove the grey images, "
-            "or convert all to grey"
-        )
+                sample(copy, points, name, row, not grey[i])
     textures = {name: [Textures.of(*each) for each in by_blur] for name, by_blur in room.items()}
-    return Sampled(textures, owners, all(grey))
+    return Sampled(textures, owners, coloured, bool(grey.all()))
 
 
 def _room(n: int, warp: PiecewiseAffineWarp, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -113,16 +115,18 @@ def _room(n: int, warp: PiecewiseAffineWarp, name: str) -> tuple[np.ndarray, np.
     return np.empty(shape, np.float32), np.empty(shape if name == "soft" else shape[:2], np.float32)
 
 
-def _learnt(encoding: str, values: np.ndarray, usable: np.ndarray, theta: float) -> tuple[np.ndarray, np.ndarray]:
+def _learnt(
+    encoding: str, values: np.ndarray, usable: np.ndarray, theta: float, colour: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Convert samples in an encoding to values to learn, (n_pixels, c), and their usable mask.
 
-    For ``soft``, log RGB is projected to the invariant.
+    For ``soft``, log RGB is projected to the invariant, which is unusable without colour.
     """
     if encoding != "soft":
         return values[:, : CHANNELS[encoding]], usable
     direction, log_rgb, known = np.split(values, [2, 5], axis=1)
     rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=1)
-    return rows, np.column_stack([usable, usable, usable * (known[:, 0] > 0.99)])
+    return rows, np.column_stack([usable, usable, usable * ((known[:, 0] > 0.99) & colour)])
 
 
 def sample_appearance(
@@ -159,24 +163,3 @@ def sample_appearance(
     border = np.clip(points, 0, np.array(image.shape[1::-1]) - 1.0)
     values, usable = sample_texture(patch, border)
     return values, usable * (border == points).all(axis=1)
-
-
-def _check_inside(entry: Entry, image: np.ndarray) -> None:
-    height, width = image.shape[:2]
-    outside = np.asarray(((entry.points < -0.5) | (entry.points > [width - 0.5, height - 0.5])).any(axis=1))
-    if outside.mean() > 0.1:
-        raise TrainingError(
-            f"{entry.name}: {outside.sum()} of {len(outside)} landmarks lie outside the image of {width}×{height} "
-            "pixels; check that the landmarks belong to this image and this size"
-        )
-
-
-def _check_light(entry: Entry, image: np.ndarray, points: np.ndarray, usable: np.ndarray) -> None:
-    if usable.mean() >= 0.2:
-        return
-    inside = np.clip(np.rint(points).astype(int), 0, np.array(image.shape[1::-1]) - 1)
-    dark, clipped = exposure_faults(image[inside[:, 1], inside[:, 0]])
-    raise TrainingError(
-        f"{entry.name}: the object is almost completely {'black' if dark >= clipped else 'saturated'} "
-        f"({usable.mean():.0%} of its pixels are usable); remove this image or correct its exposure"
-    )

@@ -14,6 +14,7 @@ from liaam.photometry import CameraModel
 from liaam.progress import Progress
 from liaam.training.appearances import mesh_appearances, soft_appearance
 from liaam.training.entries import check_flat, check_fold, mesh_of, read_entries
+from liaam.training.images import check_images
 from liaam.training.left_out import fitted_of, folds_of, reliability_of
 from liaam.training.options import TrainingOptions
 from liaam.training.steps import Steps, learning_cost, total_cost
@@ -88,6 +89,7 @@ def train(
         name=name,
         n_textures=len(copied.owners),
     )
+    entries, grey = check_images(entries, model.warp)
     for entry in entries:
         check_fold(entry, model.frame)
 
@@ -95,7 +97,7 @@ def train(
     left_out = folds if options.leave_out else []
     n_levels, n_fitted = sum(map(len, blurs.values())), sum(len(fitted_of(fold, folds)) for fold in left_out)
     steps = Steps(progress, total_cost(len(copied.owners), n_levels, len(left_out), n_fitted))
-    sampled = sample_all(entries, model, blurs, steps, copied)
+    sampled = sample_all(entries, grey, model, blurs, steps, copied)
     learn = {
         MESH: lambda i: mesh_appearances(sampled, i, camera.theta, kept[MESH], folds),
         SURROUNDINGS: lambda i: {"soft": soft_appearance(sampled, i, kept[SURROUNDINGS], folds)},

@@ -1,0 +1,133 @@
+"""Check the training images before any work: landmarks outside the image, exposure, and grey among colour images."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from liaam.errors import TrainingError
+from liaam.io.files import some_names
+from liaam.model.shape import diagonal_of
+from liaam.model.warp import PiecewiseAffineWarp
+from liaam.photometry import exposure_faults, is_grey
+from liaam.photometry.encoding import as_colour
+from liaam.training.entries import Entry
+from liaam.workers import in_threads
+
+LEAST_INSIDE = 0.5
+"""Least fraction of the mesh inside the image. Pixels outside have no weight, and their values are estimated from the
+other images; fits stop at the same fraction (``FitStatus.LEFT_IMAGE``)."""
+
+FAR = 0.35
+"""Largest distance of a landmark from the image, in diagonals of the landmarks' box. Landmarks a little outside are
+usual in photographs that cut an object off, by up to half of it; farther ones are mistakes that distort the shapes."""
+
+LEAST_USABLE = 0.2
+"""Least fraction of the object that is neither black nor saturated."""
+
+LEAST_COLOUR = 3
+"""Least number of colour images to learn colours from."""
+
+GREY_USE = "soft-li learns from their brightness, the other methods leave them out"
+"""What grey images among colour images are used for."""
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What is known of an image: whether it is grey, and its faults (empty if there are none)."""
+
+    grey: bool
+    outside: str
+    exposure: str
+
+
+def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[list[Entry], np.ndarray]:
+    """Read and check all images. If too few are in colour, they are converted to grey.
+
+    Warns, in one line, if only some images are grey.
+
+    Parameters
+    ----------
+    entries : sequence of Entry
+    warp : PiecewiseAffineWarp
+        Its mesh covers the object.
+
+    Returns
+    -------
+    entries : list of Entry
+    grey : (n,) bool
+        Whether each image is grey.
+
+    Raises
+    ------
+    TrainingError
+        If objects are outside their images, black or saturated. The message names all these images.
+    """
+    looks = in_threads(partial(_look, warp), entries)
+    outside = [f"{entry.name}: {look.outside}" for entry, look in zip(entries, looks, strict=True) if look.outside]
+    if outside:
+        raise TrainingError(
+            f"{some_names(outside, joint='; ')}. Check that these landmarks belong to their images, and to images of "
+            "this size; correct or remove them"
+        )
+    exposure = [f"{entry.name}: {look.exposure}" for entry, look in zip(entries, looks, strict=True) if look.exposure]
+    if exposure:
+        raise TrainingError(f"{some_names(exposure, joint='; ')}. Remove these images or correct their exposure")
+    grey = np.array([look.grey for look in looks])
+    if not grey.any() or grey.all():
+        return list(entries), grey
+    names = [entry.name for entry, own in zip(entries, grey, strict=True) if own]
+    others = [entry.name for entry, own in zip(entries, grey, strict=True) if not own]
+    if len(others) < LEAST_COLOUR:
+        _warn(f"only {len(others)} of {len(entries)} images are in colour ({', '.join(others)}); all are used as grey")
+        return [replace(entry, read_image=partial(_read_grey, entry)) for entry in entries], np.ones(len(entries), bool)
+    _warn(f"{len(names)} of {len(entries)} images are grey ({some_names(names, 20)}): {GREY_USE}")
+    return list(entries), grey
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, stacklevel=4)  # the caller of train
+
+
+def _look(warp: PiecewiseAffineWarp, entry: Entry) -> _Look:
+    image = as_colour(entry.read_image(), entry.name)
+    inside = np.array(image.shape[1::-1]) - 0.5
+    points = warp.interpolate(entry.points)
+    return _Look(is_grey(image), _outside(entry.points, points, inside), _exposure(image, points))
+
+
+def _outside(landmarks: np.ndarray, points: np.ndarray, inside: np.ndarray) -> str:
+    """Describe how far landmarks, or the mesh's pixels, lie outside an image. Empty if that is no fault."""
+    beyond = np.maximum(-0.5 - landmarks, landmarks - inside).max(axis=1)
+    covered = float(((points > -0.5) & (points < inside)).all(axis=1).mean())
+    if covered >= LEAST_INSIDE and beyond.max() <= FAR * diagonal_of(landmarks):
+        return ""
+    n, worst = int((beyond > 0).sum()), int(beyond.argmax())
+    size = "×".join(f"{side + 0.5:.0f}" for side in inside)
+    return (
+        f"{n} of {len(landmarks)} landmarks lie outside the image of {size} pixels (point {worst + 1} by "
+        f"{beyond[worst]:.0f} pixels)"
+    )
+
+
+def _exposure(image: np.ndarray, points: np.ndarray) -> str:
+    """Describe an object that is black or saturated almost everywhere; empty otherwise."""
+    x, y = np.clip(np.rint(points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
+    dark, clipped = exposure_faults(image[y, x])
+    usable = max(0.0, 1.0 - dark - clipped)
+    if usable >= LEAST_USABLE:
+        return ""
+    return (
+        f"the object is almost completely {'black' if dark >= clipped else 'saturated'} ({usable:.0%} of its pixels "
+        "are usable)"
+    )
+
+
+def _read_grey(entry: Entry) -> np.ndarray:
+    """Read an image as three equal channels."""
+    image = as_colour(entry.read_image(), entry.name)
+    import cv2  # heavy: imported when first needed
+
+    return cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
