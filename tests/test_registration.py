@@ -179,6 +179,7 @@ def test_pictures_with_nan_and_other_types_are_taken():
     ("options", "error", "fault"),
     [
         ({"method": "nonsense"}, MethodError, "nonsense"),
+        ({"method": "soft-li"}, MethodError, "soft-li needs a trained model, not a second image; use li, igo or grey"),
         ({"group": "rubber"}, MethodError, "homography"),
         ({"mask": np.ones((3, 3), bool)}, ImageError, "mask is 3×3"),
         ({"init": np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 1.0]])}, ImageError, "behind"),

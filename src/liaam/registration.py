@@ -204,6 +204,8 @@ def register(
     a, name_a = load_picture(a, "first image")
     b, name_b = load_picture(b, "second image")
     method = scored(_with_constants(get_method(method)), options)
+    if method.encoding == "soft":
+        raise MethodError(f"method {method.name} needs a trained model, not a second image; use li, igo or grey")
     if group not in GENERATORS:
         raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GENERATORS)}")
     for picture, name in ((a, name_a), (b, name_b)):

@@ -162,7 +162,8 @@ class Fitter:
         if not sure:
             raise StartError(
                 f"{name}: no object was found (the best score is {found[0].score:.2f}, {DOUBTFUL:g} is needed); "
-                "give a start, or fit the best place anyway"
+                "give a start (--init), search for rotated objects (--rotations all), or fit the best place anyway "
+                "(without --all)"
             )
         return sure
 

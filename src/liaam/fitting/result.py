@@ -74,10 +74,12 @@ _MESSAGES = {
         "More than half of the object lies outside the image; start inside it, or use a wider image."
     ),
     FitStatus.TOO_DARK: (
-        "Most of the object is too dark for its colour to be measured; use a brighter image, or method 'grey'."
+        "Most of the object is too dark for its colour to be measured; use method 'soft-li' or 'grey', or a brighter "
+        "image."
     ),
     FitStatus.SATURATED: (
-        "Most of the object is overexposed, so its colour cannot be measured; use a darker image, or method 'grey'."
+        "Most of the object is overexposed, so its colour cannot be measured; use method 'soft-li' or 'grey', or a "
+        "darker image."
     ),
     FitStatus.NO_TEXTURE: ("The image has no texture where the fit started; check the start and the file."),
 }

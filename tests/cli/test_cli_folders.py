@@ -1,0 +1,126 @@
+"""Odd folders and images, as a new user has them: every mishap has a message that names the remedy."""
+
+import re
+
+import numpy as np
+import pytest
+
+from liaam.datasets.scenes import Head, make_set
+from liaam.io import read_image, write_image, write_landmarks
+
+FAST = ("--diagonal", 40, "--copies", 0, "--no-leave-out")
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return make_set(9, head=Head(5), size=(200, 150))
+
+
+@pytest.fixture
+def folder(scenes, tmp_path):
+    """Nine landmarked portraits."""
+    path = tmp_path / "faces"
+    path.mkdir()
+    for i, scene in enumerate(scenes):
+        write_image(path / f"face{i}.png", scene.image)
+        write_landmarks(path / f"face{i}.pts", scene.landmarks)
+    return path
+
+
+def make_grey(*paths):
+    for path in paths:
+        write_image(path, read_image(path).mean(axis=2).astype(np.uint8))
+
+
+def test_a_mixed_folder_trains_with_one_line_about_its_grey_images(run, folder, tmp_path):
+    make_grey(folder / "face1.png", folder / "face4.png")
+    code, out, err = run("train", folder, "-o", tmp_path / "m.liaam", *FAST)
+    assert code == 0, err
+    line = (
+        "2 of 9 images are grey (face1, face4): soft-li learns from their brightness, the other methods leave them out"
+    )
+    assert err == f"{line}\n"
+    assert "trained on 9 images; shape modes: " in out
+    code, out, err = run("check", folder)
+    assert (code, err) == (0, "")
+    assert line in out
+
+
+def test_a_folder_of_grey_images_only_is_not_worth_a_line(run, folder):
+    make_grey(*folder.glob("*.png"))
+    code, out, _ = run("check", folder)
+    assert code == 0 and "are grey" not in out
+
+
+def test_check_names_damaged_images(run, folder):
+    (folder / "face2.png").write_bytes((folder / "face2.png").read_bytes()[:2000])
+    code, _, err = run("check", folder)
+    assert code == 1
+    assert "face2.png" in err
+
+
+@pytest.mark.parametrize("command", ["train", "check"])
+def test_files_that_do_not_match_are_listed(run, folder, tmp_path, command):
+    (folder / "face2.pts").rename(folder / "face2_old.pts")
+    (folder / "face5.pts").rename(folder / "face5.nts")
+    _, out, _ = run(command, folder, *(("-o", tmp_path / "m.liaam", *FAST) if command == "train" else ()))
+    assert "left out 2: the image has no landmarks (face2.png, face5.png)" in out
+    assert "left out 1: no image has its name (face2_old.pts)" in out
+    assert re.search(r"left out 1: unknown format; landmarks are read from \.pts, .* \(face5\.nts\)", out)
+
+
+@pytest.mark.parametrize("command", ["train", "check"])
+def test_subfolders_offer_recursive(run, folder, command):
+    options = ("-o", folder.parent / "m.liaam") if command == "train" else ()
+    code, _, err = run(command, folder.parent, *options)
+    assert code == 1
+    assert "images in its subfolders only (faces/face0.png" in err and "add --recursive" in err
+
+
+def test_an_unknown_format_names_those_that_can_be_read(run, folder, tmp_path):
+    for path in folder.glob("*.pts"):
+        path.rename(path.with_suffix(".nts"))
+    code, _, err = run("train", folder, "-o", tmp_path / "m.liaam")
+    assert code == 1
+    assert "unknown format: face0.nts, face1.nts" in err and "Convert them to one of .pts, " in err
+
+
+def test_landmarks_of_another_size_of_the_image_are_named_before_any_work(run, scenes, folder, tmp_path):
+    for i in (0, 3):
+        write_landmarks(folder / f"face{i}.pts", scenes[i].landmarks * 3.0)
+    code, _, err = run("train", folder, "-o", tmp_path / "m.liaam", *FAST)
+    assert code == 1
+    assert re.search(r"face0: \d+ of 58 landmarks lie outside the image of 150×200 pixels .*; face3: ", err)
+    assert "images of this size; correct or remove them" in err
+
+
+@pytest.fixture(scope="module")
+def model_file(tmp_path_factory):
+    from liaam.training import train
+
+    path = tmp_path_factory.mktemp("model") / "face.liaam"
+    train([(s.image, s.landmarks) for s in make_set(8, head=Head(5), size=(200, 150))], diagonal=100).save(path)
+    return path
+
+
+def test_an_image_of_three_faces_offers_all_and_init(run, model_file, scenes, tmp_path):
+    image = tmp_path / "three.png"
+    write_image(image, np.concatenate([scenes[i].image for i in range(3)], axis=1))
+    _, out, err = run("fit", model_file, image, "-o", tmp_path / "fits")
+    assert "converged" in out
+    assert "three.png: the image holds more such objects: add --all to fit each of them, or --init to choose one" in err
+    _, out, err = run("fit", model_file, image, "-o", tmp_path / "fits", "--all")
+    assert out.count("converged") == 3
+    assert "more such objects" not in err
+
+
+def test_a_turned_object_offers_rotations(run, model_file, scenes, tmp_path):
+    image = tmp_path / "turned.png"
+    write_image(image, np.ascontiguousarray(np.rot90(scenes[0].image)))
+    code, _, err = run("fit", model_file, image, "-o", tmp_path / "fits")
+    assert code == 1
+    assert "turned.png: the search may have found something else" in err and "add --rotations all" in err
+    code, _, err = run("fit", model_file, image, "-o", tmp_path / "none", "--all")
+    assert code == 1 and "--rotations all" in err
+    code, out, err = run("fit", model_file, image, "-o", tmp_path / "turned", "--rotations", "all")
+    assert code == 0 and "converged" in out
