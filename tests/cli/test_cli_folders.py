@@ -52,11 +52,14 @@ def test_a_folder_of_grey_images_only_is_not_worth_a_line(run, folder):
     assert code == 0 and "are grey" not in out
 
 
-def test_check_names_damaged_images(run, folder):
+@pytest.mark.parametrize("command", ["train", "check"])
+def test_all_damaged_images_are_named(run, folder, tmp_path, command):
     (folder / "face2.png").write_bytes((folder / "face2.png").read_bytes()[:2000])
-    code, _, err = run("check", folder)
+    (folder / "face5.png").write_bytes(b"")
+    options = ("-o", tmp_path / "m.liaam", *FAST) if command == "train" else ()
+    code, _, err = run(command, folder, *options)
     assert code == 1
-    assert "face2.png" in err
+    assert "face2.png is cut short" in err and "face5.png is empty" in err
 
 
 @pytest.mark.parametrize("command", ["train", "check"])

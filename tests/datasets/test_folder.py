@@ -283,8 +283,23 @@ def test_landmark_files_in_a_subfolder_are_found(tmp_path: Path) -> None:
     add_image(tmp_path / "a.png")
     (tmp_path / "marks").mkdir()
     write_landmarks(tmp_path / "marks" / "a.pts", SQUARE)
-    with pytest.raises(LandmarkError, match=r"in subfolders \(marks/a\.pts\): put each beside its image"):
+    with pytest.raises(LandmarkError, match=r"in other folders \(marks/a\.pts\): put each beside its image"):
         load_folder(tmp_path)
+    (tmp_path / "images").mkdir()
+    (tmp_path / "a.png").rename(tmp_path / "images" / "a.png")
+    with pytest.raises(LandmarkError, match=r"in other folders \(marks/a\.pts\): put each beside its image"):
+        load_folder(tmp_path, recursive=True)
+
+
+def test_images_in_an_unsupported_format_are_named(tmp_path: Path) -> None:
+    for stem in ("a", "b"):
+        add_pair(tmp_path, stem)
+    (tmp_path / "b.png").rename(tmp_path / "b.heic")
+    told = reasons(load_folder(tmp_path))
+    assert told == {
+        "b.pts": "no image has its name",
+        "b.heic": "unsupported image format; convert it to .png, .tif or .jpg",
+    }
 
 
 def test_a_table_that_names_other_images_is_quoted(tmp_path: Path) -> None:

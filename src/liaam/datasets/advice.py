@@ -10,7 +10,7 @@ from itertools import islice
 from pathlib import Path
 
 from liaam.io.files import is_number, some_names
-from liaam.io.images import IMAGE_SUFFIXES
+from liaam.io.images import IMAGE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.io.raw import RAW_SUFFIXES
 
@@ -19,6 +19,9 @@ NO_IMAGE = "no image has its name"
 
 UNKNOWN = f"unknown format; landmarks are read from {', '.join(LANDMARK_SUFFIXES)}"
 """Reason for leaving out a file that seems to hold landmarks."""
+
+UNKNOWN_IMAGE = "unsupported image format; convert it to .png, .tif or .jpg"
+"""Reason for leaving out an image that has landmarks."""
 
 ABSENT = "it names images that do not exist"
 
@@ -47,6 +50,12 @@ def unread_landmarks(files: Sequence[Path], bare: Sequence[Path]) -> list[Path]:
     return [file for file in others if stems and (file.with_suffix("") in stems or _has_numbers(file))]
 
 
+def unread_images(files: Sequence[Path], orphans: Sequence[Path]) -> list[Path]:
+    """Return images of unsupported formats that are named like landmark files without an image."""
+    stems = {path.with_suffix("") for path in orphans}
+    return [file for file in files if file.suffix.lower() in UNREAD_SUFFIXES and file.with_suffix("") in stems]
+
+
 def _has_numbers(file: Path) -> bool:
     """Return whether a file begins with text that consists mostly of numbers."""
     try:
@@ -67,7 +76,7 @@ def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive:
     below = [] if recursive else _below(root, (*IMAGE_SUFFIXES, *RAW_SUFFIXES))
     if below:
         return (
-            f"{root} contains images in its subfolders only ({some_names(below)}): add --recursive (in Python, "
+            f"{root} contains images in its subfolders only ({some_names(below, 3)}): add --recursive (in Python, "
             "recursive=True) to include them."
         )
     others = Counter(file.suffix.lower() for file in files if file.suffix)
@@ -93,15 +102,18 @@ def no_pairs(
     if unreadable:
         return f"{root}: no image has readable landmarks. The first fault: {unreadable[0]}"
     own = f"{wanted[0].stem}.pts"
-    orphans = [path.name for path, reason in left_out if reason == NO_IMAGE]
+    orphans = [path for path, reason in left_out if reason == NO_IMAGE]
+    elsewhere = [path for path in orphans if path.stem in {image.stem for image in wanted}]
     absent = [f"{path.name}: {reason}" for path, reason in left_out if reason.startswith(ABSENT)]
     if absent:
         return f"{text} {absent[0]}. Correct these names."
-    if orphans:
-        return f"{text} Landmark files without an image: {some_names(orphans)}. Name each after its image, as in {own}."
-    below = [] if recursive else _below(root, LANDMARK_SUFFIXES)
+    below = [] if recursive or orphans else _below(root, LANDMARK_SUFFIXES)
+    below = below or [path.relative_to(root).as_posix() for path in elsewhere]
     if below:
-        return f"{text} Landmark files are in subfolders ({some_names(below)}): put each beside its image."
+        return f"{text} Landmark files are in other folders ({some_names(below, 3)}): put each beside its image."
+    if orphans:
+        names = some_names([path.name for path in orphans])
+        return f"{text} Landmark files without an image: {names}. Name each after its image, as in {own}."
     return (
         f"{text} Add a file such as {own} for each image ({', '.join(LANDMARK_SUFFIXES)}), or one file that names the "
         "images."

@@ -18,7 +18,16 @@ from typing import overload
 
 import numpy as np
 
-from liaam.datasets.advice import ABSENT, NO_IMAGE, UNKNOWN, no_images, no_pairs, unread_landmarks
+from liaam.datasets.advice import (
+    ABSENT,
+    NO_IMAGE,
+    UNKNOWN,
+    UNKNOWN_IMAGE,
+    no_images,
+    no_pairs,
+    unread_images,
+    unread_landmarks,
+)
 from liaam.errors import ImageError, LandmarkError, LiaamError
 from liaam.io.files import natural_key, some_names
 from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image
@@ -189,7 +198,9 @@ def load_folder(
     if not samples:
         reasons = [(left.path, left.reason) for left in left_out]
         raise LandmarkError(no_pairs(root, wanted, reasons, unread, recursive))
+    orphans = [left.path for left in left_out if left.reason == NO_IMAGE]
     left_out += [LeftOut(file, UNKNOWN) for file in unread]
+    left_out += [LeftOut(file, UNKNOWN_IMAGE) for file in unread_images(files, orphans)]
     samples, odd = _same_count(samples)
     left_out = sorted([*left_out, *odd], key=lambda left: natural_key(str(left.path)))
     return Dataset(tuple(samples), tuple(left_out), str(root))

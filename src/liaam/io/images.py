@@ -26,6 +26,9 @@ from liaam.io.raw import is_raw, raw_size, read_raw
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
 """Suffixes (lower case) of the image files that can be read and written, lossless ones first."""
 
+UNREAD_SUFFIXES = (".gif", ".webp", ".heic", ".heif", ".avif", ".jxl", ".svg", ".psd", ".jp2", ".exr")
+"""Suffixes of images that are not supported, to name them in messages."""
+
 _MAX_BYTES = 4_000_000_000
 _SIGNATURES = (
     (b"\x89PNG\r\n\x1a\n", "PNG"),

@@ -13,7 +13,7 @@ import numpy as np
 from liaam.datasets.folder import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
 from liaam.io.files import natural_key
-from liaam.io.images import image_size
+from liaam.io.images import UNREAD_SUFFIXES, image_size
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.photometry.encoding import as_colour
 from liaam.studio.folder import Folder
@@ -21,9 +21,6 @@ from liaam.studio.safety import Refusal
 
 OWN_SUFFIXES = (".pts", ".ljson")
 """Suffixes of the landmark files that the studio writes, in the order in which they are read."""
-
-_UNREAD = (".gif", ".webp", ".heic", ".heif", ".avif", ".jxl", ".svg", ".psd", ".jp2", ".exr")
-"""Suffixes of pictures that are not supported and are reported to the user."""
 
 _NAMED = 3
 """Maximum number of file names in a message."""
@@ -218,7 +215,7 @@ class Listing:
 
     def passed_over(self) -> list[str]:
         """Return messages about files that look like pictures but are skipped."""
-        unread = [file.name for file in self.files.values() if file.suffix in _UNREAD]
+        unread = [file.name for file in self.files.values() if file.suffix in UNREAD_SUFFIXES]
         kinds = Counter(Path(name).suffix.lower() for name in unread)
         lines = []
         if unread:

@@ -133,5 +133,6 @@ def check_fold(entry: Entry, frame: ReferenceFrame) -> None:
     if share > FOLD_TOLERANCE:
         raise TrainingError(
             f"{entry.name}: its landmarks fold the mesh ({share:.0%} of the area is flipped); check that its points "
-            "are in the same order as in the other images, and that the image is not mirrored"
+            "are in the same order as in the other images, that none is misplaced, and that the image is not mirrored "
+            "('liaam check' finds such points)"
         )

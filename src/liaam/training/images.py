@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from liaam.errors import TrainingError
+from liaam.errors import ImageError, TrainingError
 from liaam.io.files import some_names
 from liaam.model.shape import diagonal_of
 from liaam.model.warp import PiecewiseAffineWarp
@@ -38,9 +38,10 @@ GREY_USE = "soft-li learns from their brightness, the other methods leave them o
 class _Look:
     """What is known of an image: whether it is grey, and its faults (empty if there are none)."""
 
-    grey: bool
-    outside: str
-    exposure: str
+    grey: bool = False
+    outside: str = ""
+    exposure: str = ""
+    damage: str = ""
 
 
 def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[list[Entry], np.ndarray]:
@@ -62,10 +63,15 @@ def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[l
 
     Raises
     ------
+    ImageError
+        If images cannot be read.
     TrainingError
-        If objects are outside their images, black or saturated. The message names all these images.
+        If objects are outside their images, black or saturated. The messages name all these images.
     """
     looks = in_threads(partial(_look, warp), entries)
+    damaged = [look.damage for look in looks if look.damage]
+    if damaged:
+        raise ImageError(some_names(damaged, joint="; "))
     outside = [f"{entry.name}: {look.outside}" for entry, look in zip(entries, looks, strict=True) if look.outside]
     if outside:
         raise TrainingError(
@@ -92,7 +98,10 @@ def _warn(text: str) -> None:
 
 
 def _look(warp: PiecewiseAffineWarp, entry: Entry) -> _Look:
-    image = as_colour(entry.read_image(), entry.name)
+    try:
+        image = as_colour(entry.read_image(), entry.name)
+    except ImageError as fault:
+        return _Look(damage=str(fault))
     inside = np.array(image.shape[1::-1]) - 0.5
     points = warp.interpolate(entry.points)
     return _Look(is_grey(image), _outside(entry.points, points, inside), _exposure(image, points))
