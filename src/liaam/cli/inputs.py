@@ -8,7 +8,7 @@ import typer
 
 from liaam.cli.terminal import say
 from liaam.errors import CameraError, LiaamError
-from liaam.io.files import real_path
+from liaam.io.files import real_path, some_names
 
 if TYPE_CHECKING:
     import numpy as np
@@ -175,4 +175,4 @@ def check_output(output: Path) -> None:
 
 def names_of(paths: Sequence[Path]) -> str:
     """Return the names of the first six files and the number of the rest."""
-    return ", ".join(path.name for path in paths[:6]) + (f" and {len(paths) - 6} more" if len(paths) > 6 else "")
+    return some_names([path.name for path in paths])
