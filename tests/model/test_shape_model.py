@@ -16,8 +16,8 @@ from liaam.model.shape import (
     procrustes_mean,
     rotation,
     scaled_mean,
+    shape_model_on,
     similarity_modes,
-    train_shape_model,
 )
 from liaam.model.shape_prior import SHARES, fit_freedom, smooth_covariance, spread_points
 
@@ -25,6 +25,11 @@ from liaam.model.shape_prior import SHARES, fit_freedom, smooth_covariance, spre
 def similarity(scale: float, angle: float, x: float, y: float) -> Similarity:
     c, s = scale * np.cos(angle), scale * np.sin(angle)
     return Similarity(np.array([[c, -s], [s, c]]), np.array([x, y]))
+
+
+def train_shape_model(shapes: np.ndarray, diagonal: float, variance, prior: str = "sample"):
+    mean = scaled_mean(shapes, diagonal)
+    return shape_model_on(mean, shapes, variance, choose_recipe(mean, shapes, prior))
 
 
 poses = st.builds(similarity, st.floats(0.1, 10), st.floats(-3, 3), st.floats(-500, 500), st.floats(-500, 500))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 import math
 import os
 import re
@@ -91,6 +92,15 @@ def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:
         return path.read_bytes()
     except OSError as fault:
         raise error(f"{path} cannot be read ({fault.strerror or fault}): check its permissions.") from fault
+
+
+def json_object(text: str | bytes) -> dict[str, Any] | None:
+    """Parse a JSON object. Return None for anything else."""
+    try:
+        parsed = json.loads(text)
+    except (ValueError, TypeError, RecursionError):
+        return None
+    return parsed if isinstance(parsed, dict) else None
 
 
 def _closest(path: Path) -> str:

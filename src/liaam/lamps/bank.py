@@ -15,6 +15,7 @@ import numpy as np
 
 from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
+from liaam.io.files import json_object
 from liaam.io.tensors import Shapes, read_tensors
 from liaam.model.shape import align
 from liaam.photometry import Response, is_grey
@@ -197,11 +198,8 @@ _CONTRADICTORY = "the lamp file contradicts itself; copy it again or make it aga
 
 def _names(path: Path, text: str, shapes: Shapes) -> list[str]:
     """Read the names of the lamps from a file's header, and check them against the tensors' shapes."""
-    try:
-        about = json.loads(text)
-    except (ValueError, RecursionError):
-        about = None
-    if not isinstance(about, dict) or (about.get("format"), about.get("schema")) != (FORMAT, SCHEMA_VERSION):
+    about = json_object(text) or {}
+    if (about.get("format"), about.get("schema")) != (FORMAT, SCHEMA_VERSION):
         raise LiaamError(f"{path}: this file contains no lamps; make one with '{MAKE}'")
     names: Any = about.get("names")
     if not _are_lamps(names, shapes.get("mean", ()), shapes.get("fields", ())):

@@ -6,14 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from liaam.model.pca import (
-    centred,
-    chunks,
-    components_by,
-    explained_by_others,
-    gram_about,
-    strongest,
-)
+from liaam.model.pca import Components, centred, chunks, components_by, explained_by_others, gram_about, strongest
 
 CHANNELS = {"value": 3, "log": 3, "orientation": 2, "soft": 3, "invariant": 1, "varied": 3, "illumination": 3}
 """Appearances that a model can contain, and their numbers of channels.
@@ -64,14 +57,9 @@ class AppearanceModel:
 
     def at(self, kept: np.ndarray) -> "AppearanceModel":
         """Return the appearances at the pixels with the given indices; the modes lose their unit length."""
-        unexplained = None if self.unexplained is None else self.unexplained[kept]
-        return AppearanceModel(
-            self.mean[kept],
-            np.ascontiguousarray(self.modes[:, kept]),
-            self.eigenvalues,
-            self.usable[kept],
-            unexplained,
-        )
+        modes, unexplained = np.ascontiguousarray(self.modes[:, kept]), self.unexplained
+        unexplained = None if unexplained is None else unexplained[kept]
+        return AppearanceModel(self.mean[kept], modes, self.eigenvalues, self.usable[kept], unexplained)
 
     def texture(self, lam: np.ndarray) -> np.ndarray:
         """Return the texture A(x) at coordinates lambda, (n_pixels, c) float32."""
@@ -84,15 +72,9 @@ FILLING_PASSES = 5
 
 @dataclass(frozen=True, eq=False)
 class Textures:
-    """Textures to learn from, with missing entries.
+    """Textures (n, n_pixels, c) to learn from. Entries that are not observed are missing.
 
-    Attributes
-    ----------
-    values : (n, n_pixels, c) float32
-    observed : (n, n_pixels, c) bool
-        Observed entries; the others are missing.
-    usable : (n, n_pixels) float32 in {0, 1}
-        Usable pixels: those with an observed channel.
+    ``usable`` (n, n_pixels) float32 is 1 for pixels with an observed channel, else 0.
     """
 
     values: np.ndarray
@@ -123,35 +105,24 @@ class Textures:
     @cached_property
     def _partial(self) -> tuple[np.ndarray, np.ndarray]:
         """Values at those entries, (n, h) float32, and which are observed, (n, h) bool."""
-        if not len(self._missing):
-            empty = np.zeros((len(self.values), 0), np.float32)
-            return empty, empty > 0
         return self.vectors[:, self._missing], self.observed.reshape(len(self.values), -1)[:, self._missing]
 
     @cached_property
     def _products(self) -> np.ndarray:
         """Gram matrix of the entries observed in all textures; imputation does not change it."""
-        about = self.vectors.mean(axis=0, dtype=np.float64)
-        whole = self.vectors if not len(self._missing) else np.delete(self.vectors, self._missing, axis=1)
-        return gram_about(whole, about if not len(self._missing) else np.delete(about, self._missing))
+        return gram_about(np.delete(self.vectors, self._missing, axis=1) if len(self._missing) else self.vectors)
 
     def filled(self, variance: float | int, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Impute the missing entries of all or some textures by iterated PCA.
 
-        Missing entries start at the mean of the observed ones. Otherwise a dark speckle or a border in one image would
-        become a mode. Each iteration processes only the entries that are missing somewhere.
-
-        Returns
-        -------
-        vectors : (n, d) float32
-        products : (n, n) float64
-            Their Gram matrix about the mean.
+        Return flat textures (n, d) float32, and their Gram matrix about the mean, (n, n) float64. Otherwise a dark
+        speckle or a border in one image would become a mode.
         """
         rows = np.arange(len(self.values)) if kept is None else kept
         vectors, (partial, observed) = self.vectors, (part[rows] for part in self._partial)
         products = self._products[np.ix_(rows, rows)]
         if observed.all():
-            return vectors[rows] if kept is not None else vectors, centred(products + _gram(partial))
+            return vectors[rows] if kept is not None else vectors, centred(products + gram_about(partial))
         counts = observed.sum(axis=0)
         means = np.where(observed, partial, 0).sum(axis=0, dtype=np.float64) / np.maximum(counts, 1)
         # Entries observed in no image keep their mean value; their weight in a fit is 0.
@@ -164,11 +135,7 @@ class Textures:
             filled = np.where(observed, partial, mean + part @ (part.T @ (filled - mean)))
         vectors = vectors[rows] if kept is not None else vectors.copy()
         vectors[:, self._missing] = filled
-        return vectors, centred(products + _gram(filled))
-
-
-def _gram(vectors: np.ndarray) -> np.ndarray:
-    return gram_about(vectors, vectors.mean(axis=0, dtype=np.float64))
+        return vectors, centred(products + gram_about(filled))
 
 
 def train_appearance_model(
@@ -177,30 +144,29 @@ def train_appearance_model(
     kept: np.ndarray | None = None,
     left_out: Sequence[np.ndarray] | None = None,
 ) -> AppearanceModel:
-    """Learn an appearance model.
+    """Learn an appearance model from all textures, or those with the indices ``kept``.
 
-    Parameters
-    ----------
-    textures : Textures
-    variance : float or int
-        Fraction of variance or number of modes to keep.
-    kept : (m,) int, optional
-        Indices of the textures to learn from; all by default.
-    left_out : sequence of int arrays, optional
-        Folds for the leave-out residuals; without them ``unexplained`` is None.
+    ``left_out`` are the folds of the leave-out residuals; without them ``unexplained`` is None.
     """
-    _, n_pixels, c = textures.values.shape
     usable = textures.usable if kept is None else textures.usable[kept]
     vectors, products = textures.filled(variance, kept)
     components = components_by(vectors, vectors.mean(axis=0, dtype=np.float64), products, variance)
+    unexplained = None
+    if left_out is not None:
+        unexplained = _unexplained(vectors, explained_by_others(products, variance, left_out), usable)
+    return _appearance(components, textures.values.shape[2], usable, unexplained)
+
+
+def _appearance(
+    components: Components, c: int, usable: np.ndarray, unexplained: np.ndarray | None = None
+) -> AppearanceModel:
+    n_pixels = usable.shape[1]
     return AppearanceModel(
-        mean=components.mean.reshape(n_pixels, c).astype(np.float32),
-        modes=components.modes.reshape(-1, n_pixels, c).astype(np.float32),
-        eigenvalues=components.eigenvalues,
-        usable=usable.mean(axis=0).astype(np.float32),
-        unexplained=None
-        if left_out is None
-        else _unexplained(vectors, explained_by_others(products, variance, left_out), usable),
+        components.mean.reshape(n_pixels, c).astype(np.float32),
+        components.modes.reshape(-1, n_pixels, c).astype(np.float32),
+        components.eigenvalues,
+        usable.mean(axis=0).astype(np.float32),
+        unexplained,
     )
 
 
@@ -227,20 +193,8 @@ def _unexplained(vectors: np.ndarray, explained: np.ndarray, usable: np.ndarray)
 def train_illumination(values: AppearanceModel, relit: Textures, variance: float | int) -> AppearanceModel:
     """Learn an illumination basis: modes of relit images that an appearance model does not explain.
 
-    Parameters
-    ----------
-    values : AppearanceModel
-        Appearance of the identity, learnt under one light.
-    relit : Textures
-        Textures under other lights.
-    variance : float or int
-        Fraction of variance or number of modes to keep.
-
-    Returns
-    -------
-    AppearanceModel
-        Mean zero. The modes are orthogonal to the modes and the mean of ``values``, so that identity, gain and
-        illumination do not trade off (as in Kahraman et al., CVPR 2007).
+    Its mean is zero. Its modes are orthogonal to the modes and the mean of ``values``, learnt under one light, so that
+    identity, gain and illumination do not trade off (as in Kahraman et al., CVPR 2007).
     """
     _, n_pixels, c = relit.values.shape
     identity = np.concatenate([values.mean[None], values.modes]).reshape(-1, n_pixels * c).astype(np.float64)
@@ -249,10 +203,4 @@ def train_illumination(values: AppearanceModel, relit: Textures, variance: float
     beyond = filled - (filled @ identity) @ identity.T
     # About zero, not about the mean: the mean change of light is a mode like any other.
     zero = np.zeros(n_pixels * c)
-    components = components_by(beyond, zero, gram_about(beyond, zero), variance)
-    return AppearanceModel(
-        mean=np.zeros((n_pixels, c), np.float32),
-        modes=components.modes.reshape(-1, n_pixels, c).astype(np.float32),
-        eigenvalues=components.eigenvalues,
-        usable=relit.usable.mean(axis=0).astype(np.float32),
-    )
+    return _appearance(components_by(beyond, zero, gram_about(beyond, zero), variance), c, relit.usable)

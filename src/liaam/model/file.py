@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.errors import LiaamError, ModelFileError
-from liaam.io.files import writable
+from liaam.io.files import json_object, writable
 from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import signed_areas
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
@@ -53,8 +54,16 @@ def file_bytes(model: "AAM") -> bytes:
 
 def read_fields(path: str | os.PathLike) -> dict[str, Any]:
     """Read and validate the fields of an :class:`~liaam.model.aam.AAM`; raises like ``load_model``."""
-    path = Path(path)
-    header, tensors = _read(path)
+    from liaam.io.tensors import read_tensors
+
+    path, make = Path(path), "liaam train FOLDER -o MODEL"
+    broken = (
+        "this is not a complete liaam model ({fault}); it may be truncated or of another kind: copy it again or "
+        "train it again"
+    )
+    header, tensors = read_tensors(
+        path, lambda text, _: _checked_header(path, text), ModelFileError, "model file", make, broken
+    )
     try:
         return _fields(header, tensors)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, LiaamError) as error:
@@ -88,41 +97,24 @@ def _view_header(view: View) -> dict:
 def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     tensors = {"mean": model.shape_model.mean, "triangles": model.triangles}
     for name, view in model.views.items():
-        tensors |= {f"{name}/{key}": value for key, value in _view_tensors(view).items()}
-    return {key: np.ascontiguousarray(value) for key, value in tensors.items() if value is not None}
+        for part, owner, keys in _parts(view):
+            tensors |= {f"{name}/{part}.{key}": getattr(owner, key) for key in keys}
+    return {key: np.ascontiguousarray(np.atleast_1d(value)) for key, value in tensors.items() if value is not None}
 
 
-def _view_tensors(view: View) -> dict[str, np.ndarray | None]:
-    """Tensors of a view by key; None for optional ones that are absent."""
-    tensors = {f"shape.{field}": getattr(view.shape_model, field) for field in ("modes", "eigenvalues", "unexplained")}
+def _parts(view: View) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
+    """Yield name, object and fields of all parts of a view that are stored as tensors."""
+    yield "shape", view.shape_model, ("modes", "eigenvalues", "unexplained")
     if view.reliability is not None:
-        for field in ("landmarks", "weights", "understated", "ordinary"):
-            tensors[f"reliability.{field}"] = np.atleast_1d(np.asarray(getattr(view.reliability, field), np.float64))
+        yield "reliability", view.reliability, ("landmarks", "weights", "understated", "ordinary")
     for i, level in enumerate(view.levels):
         for name, appearance in level.appearances.items():
-            for field in ("mean", "modes", "eigenvalues", "usable", "unexplained"):
-                tensors[f"{i}/{name}.{field}"] = getattr(appearance, field)
-    return tensors
-
-
-def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
-    """Header and tensors of a file."""
-    from liaam.io.tensors import read_tensors
-
-    broken = (
-        "this is not a complete liaam model ({fault}); it may be truncated or of another kind: copy it again or "
-        "train it again"
-    )
-    make = "liaam train FOLDER -o MODEL"
-    return read_tensors(path, lambda text, _: _checked_header(path, text), ModelFileError, "model file", make, broken)
+            yield f"{i}/{name}", appearance, ("mean", "modes", "eigenvalues", "usable", "unexplained")
 
 
 def _checked_header(path: Path, text: str) -> dict:
-    try:
-        header = json.loads(text)
-    except (ValueError, RecursionError):
-        header = None
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
+    header = json_object(text) or {}
+    if header.get("format") != FORMAT:
         raise ModelFileError(f"{path}: this safetensors file is not a liaam model; make one with 'liaam train'")
     if header.get("schema") != SCHEMA_VERSION:
         raise ModelFileError(
@@ -148,9 +140,13 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         raise ValueError("the mesh overlaps itself")
     if not (signed_areas(mean, triangles) > 0).all():
         raise ValueError("the mesh is flat or folded")
-    n_images, n_textures = int(header["n_images"]), int(header.get("n_textures", 0))
+    n_images, n_textures, views = int(header["n_images"]), int(header.get("n_textures", 0)), header["views"]
+    if not isinstance(views, dict) or MESH not in views:
+        raise ValueError(f"there is no view {MESH}")
+    # Number of textures that each appearance was learnt from.
+    counts = dict.fromkeys(CHANNELS, n_images) | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
     return {
-        "views": _views(header["views"], tensors, mean, triangles, _counts(n_images, n_textures)),
+        "views": {name: _view(name, about, tensors, mean, triangles, counts) for name, about in views.items()},
         "triangles": triangles,
         "camera": _camera(header),
         "n_images": n_images,
@@ -158,19 +154,6 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "name": writable(str(header["name"]))[:LONGEST_NAME],
         "n_textures": n_textures,
     }
-
-
-def _counts(n_images: int, n_textures: int) -> dict[str, int]:
-    """Number of textures that each appearance was learnt from."""
-    return dict.fromkeys(CHANNELS, n_images) | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
-
-
-def _views(
-    known: dict, tensors: dict[str, np.ndarray], mean: np.ndarray, triangles: np.ndarray, counts: dict[str, int]
-) -> dict[str, View]:
-    if not isinstance(known, dict) or MESH not in known:
-        raise ValueError(f"there is no view {MESH}")
-    return {name: _view(name, about, tensors, mean, triangles, counts) for name, about in known.items()}
 
 
 def _view(
@@ -210,9 +193,7 @@ def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) 
     if not _are_unit(modes) or np.abs(modes @ basis.T - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:
         raise ValueError("shape.modes are not orthonormal")
     eigenvalues = _tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
-    unexplained = None
-    if "shape.unexplained" in tensors:
-        unexplained = _covariances(tensors, "shape.unexplained", np.float64, (n, 2, 2))
+    unexplained = _optional(tensors, "shape.unexplained", np.float64, (n, 2, 2))
     freedom = _finite(about["freedom"]) if "freedom" in about else np.inf
     if not freedom > 0:
         raise ValueError(f"freedom {freedom:g} is not positive")
@@ -237,7 +218,7 @@ def _blurs(blurs: list) -> list[float]:
 def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     if "reliability.weights" not in tensors:
         return None
-    landmarks = _covariances(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
+    landmarks = _tensor(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
     understated = float(_tensor(tensors, "reliability.understated", np.float64, (1,))[0])
     if understated < 1.0:
         raise ValueError("reliability.understated is below 1")
@@ -267,24 +248,17 @@ def _appearance(
         raise ValueError(f"{prefix} has {len(modes)} modes; the maximum is {most}")
     if not _are_unit(modes.reshape(len(modes), n_pixels * channels)):
         raise ValueError(f"{prefix}.modes are not of unit length")
-    unexplained = None  # absent from an illumination basis
-    if f"{prefix}.unexplained" in tensors:
-        unexplained = _covariances(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels))
     return AppearanceModel(
         mean=_tensor(tensors, f"{prefix}.mean", np.float32, (n_pixels, channels)),
         modes=modes,
         eigenvalues=_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
         usable=_tensor(tensors, f"{prefix}.usable", np.float32, (n_pixels,)),
-        unexplained=unexplained,
+        unexplained=_optional(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels)),
     )
 
 
-def _covariances(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
-    """Tensor of covariance matrices; checks that the variances are not negative."""
-    covariances = _tensor(tensors, key, dtype, shape)
-    if (np.diagonal(covariances, axis1=1, axis2=2) < 0).any():
-        raise ValueError(f"{key} has negative variances")
-    return covariances
+def _optional(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray | None:
+    return _tensor(tensors, key, dtype, shape) if key in tensors else None
 
 
 def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
@@ -300,6 +274,8 @@ def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple)
         key.endswith("usable") and (tensor > 1).any()
     ):
         raise ValueError(f"{key} has values out of range")
+    if key.endswith(("unexplained", "landmarks")) and (np.diagonal(tensor, axis1=1, axis2=2) < 0).any():
+        raise ValueError(f"{key} has negative variances")
     return tensor
 
 

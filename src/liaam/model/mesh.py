@@ -17,38 +17,27 @@ _NO_MESH = "the landmarks lie on one line or at one point, so they span no mesh;
 
 
 def delaunay(points: np.ndarray) -> np.ndarray:
-    """Delaunay triangulation with positive signed areas and without slivers on the border.
-
-    Parameters
-    ----------
-    points : (n, 2) float
-
-    Returns
-    -------
-    (t, 3) int32
-    """
+    """Triangles (t, 3) int32 of points (n, 2), with positive signed areas and without slivers on the border."""
     from scipy.spatial import Delaunay, QhullError
 
     try:
         triangles = np.asarray(Delaunay(points).simplices)
     except QhullError as error:
         raise TrainingError(_NO_MESH) from error
-    areas = signed_areas(points, triangles)
-    triangles = np.where(areas[:, None] < 0, triangles[:, ::-1], triangles)
-    return triangles[np.abs(areas) > 1e-6 * np.abs(areas).sum()].astype(np.int32)
+    areas = np.abs(signed_areas(points, triangles))
+    return _turned(points, triangles)[areas > 1e-6 * areas.sum()]
+
+
+def _turned(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Reverse the triangles of negative area."""
+    flipped = signed_areas(points, triangles) < 0
+    return np.where(flipped[:, None], triangles[:, ::-1], triangles).astype(np.int32)
 
 
 def triangles_from_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray | None:
-    """Find the triangles of a file's connectivity; None if the edges are contours and not a mesh.
+    """Find the triangles that edges (m, 2) form on a mean shape (n, 2); None if the edges are contours and not a mesh.
 
     The edges form a mesh if every point belongs to a 3-cycle without other points inside.
-
-    Parameters
-    ----------
-    points : (n, 2) float
-        Mean shape.
-    edges : (m, 2) int
-        Pairs of connected points.
     """
     neighbours: dict[int, set[int]] = {i: set() for i in range(len(points))}
     for a, b in np.asarray(edges, dtype=int).reshape(-1, 2):
@@ -61,9 +50,7 @@ def triangles_from_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray | 
     faces = [cycle for cycle in cycles if _is_empty(points, cycle)]
     if not faces or len({i for face in faces for i in face}) < len(points):
         return None
-    triangles = np.array(sorted(faces), dtype=np.int32)
-    flipped = signed_areas(points, triangles) < 0
-    return np.where(flipped[:, None], triangles[:, ::-1], triangles).astype(np.int32)
+    return _turned(points, np.array(sorted(faces), dtype=np.int32))
 
 
 def _is_empty(points: np.ndarray, cycle: tuple[int, int, int]) -> bool:
@@ -112,14 +99,8 @@ class Surroundings:
     """A ring of additional vertices around a shape's hull, which follow the landmarks.
 
     Each lies outside a landmark s_h of the mean shape's hull: (1 + width) s_h - width mean(s). This is linear in the
-    shape and commutes with affine maps.
-
-    Attributes
-    ----------
-    extension : (n + r, n) float64
-        Maps landmarks to all vertices: the landmarks, then the ring.
-    triangles : (t, 3) int32
-        The mesh, then the strip between its hull and the ring.
+    shape and commutes with affine maps. ``extension`` (n + r, n) maps landmarks to all vertices: the landmarks, then
+    the ring. ``triangles`` are the mesh, then the strip between its hull and the ring.
     """
 
     extension: np.ndarray
@@ -127,17 +108,7 @@ class Surroundings:
 
 
 def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURROUND) -> Surroundings:
-    """Add a ring of vertices around a mesh.
-
-    Parameters
-    ----------
-    points : (n, 2) float
-        Mean shape.
-    triangles : (t, 3) int
-        Its mesh.
-    width : float
-        Width of the ring, as a fraction of each hull point's distance from the centre.
-    """
+    """Add a ring of vertices around the mesh of a mean shape (n, 2); its width is a fraction of their distance."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -164,7 +135,7 @@ class ReferenceFrame:
     points : (n_points, 2) float64
         Mean shape s0, centred, in pixels.
     triangles : (t, 3) int32
-        Vertices of each triangle, all of positive signed area on s0.
+        All of positive signed area on s0.
     """
 
     points: np.ndarray
@@ -238,18 +209,7 @@ class ReferenceFrame:
         return [_SplineSlopes.along(lines) for lines in (number, number.T)]
 
     def picture(self, values: np.ndarray, fill: float = 0.0) -> np.ndarray:
-        """Arrange per-pixel values as an image.
-
-        Parameters
-        ----------
-        values : (n_pixels,) or (n_pixels, c)
-        fill : float
-            Value outside the mesh.
-
-        Returns
-        -------
-        (height, width) or (height, width, c) float32
-        """
+        """Arrange per-pixel values (n_pixels, ...) as an image (height, width, ...) float32; ``fill`` is around it."""
         width, height = self.size
         out = np.full((height, width, *np.shape(values)[1:]), fill, dtype=np.float32)
         out[self.pixels[:, 0], self.pixels[:, 1]] = values
@@ -306,12 +266,9 @@ MAX_RASTER_PIXELS = 2e7
 
 
 def model_frame(points: np.ndarray, triangles: np.ndarray) -> ReferenceFrame:
-    """Make the reference frame of a model.
+    """Make the reference frame of a model. Raises for a mesh that is folded or would take minutes to rasterise.
 
-    Raises
-    ------
-    TrainingError
-        If the mesh is folded, or would take minutes to rasterise (a forged model file may contain such a mesh).
+    A forged model file may contain such a mesh.
     """
     frame = ReferenceFrame(points, triangles)
     if np.prod(np.ptp(points[triangles], axis=1) + 2.0, axis=1).sum() > MAX_RASTER_PIXELS:

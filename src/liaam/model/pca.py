@@ -14,17 +14,10 @@ Variance = float | int | Literal["auto"]
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """Principal components of a set of vectors.
+    """Mean (d,) and principal components of a set of vectors.
 
-    Attributes
-    ----------
-    mean : (d,) float64
-    modes : (m, d) float64
-        Orthonormal rows, strongest first, each with its largest entry positive.
-    eigenvalues : (m,) float64
-        Variance along each mode (divisor n - 1).
-    total_variance : float
-        Sum of the variances of all directions, kept or not.
+    ``modes`` (m, d) are orthonormal rows, strongest first, each with its largest entry positive. ``eigenvalues`` (m,)
+    are the variances along them (divisor n - 1); ``total_variance`` is the sum over all directions, kept or not.
     """
 
     mean: np.ndarray
@@ -53,31 +46,26 @@ def chunks(length: int, size: int = CHUNK) -> Iterator[slice]:
 
 
 def principal_components(vectors: np.ndarray, variance: Variance) -> Components:
-    """Compute principal components from the Gram matrix (for few vectors of many dimensions).
+    """Compute principal components of vectors (n, d) from the Gram matrix (for few vectors of many dimensions).
 
-    Parameters
-    ----------
-    vectors : (n, d) float
-    variance : float or int
-        Fraction of the variance to keep (1.0 keeps every direction), or the number of modes. ``auto`` uses
-        :func:`count_by_evidence` with the folds of :func:`some_folds`.
+    A fraction of 1.0 keeps every direction; ``auto`` uses :func:`count_by_evidence` with :func:`some_folds`.
     """
     check_variance(variance)
     vectors = np.asarray(vectors)
     if variance == "auto":
         variance = count_by_evidence(vectors, some_folds(len(vectors)))
-    mean = vectors.mean(axis=0, dtype=np.float64)
-    return components_by(vectors, mean, gram_about(vectors, mean), variance)
+    return components_by(vectors, vectors.mean(axis=0, dtype=np.float64), gram_about(vectors), variance)
 
 
-def gram_about(vectors: np.ndarray, about: np.ndarray) -> np.ndarray:
-    """Gram matrix, (n, n) float64, of vectors (n, d) about a point (d,).
+def gram_about(vectors: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
+    """Gram matrix, (n, n) float64, of vectors (n, d) about a point (d,), by default their mean.
 
     Chunks of columns are multiplied in the precision of the point, and summed in double precision.
     """
+    origin = vectors.mean(axis=0, dtype=np.float64) if about is None else about
     products = np.zeros((len(vectors), len(vectors)))
     for part in chunks(vectors.shape[1]):
-        away = vectors[:, part] - about[part]
+        away = vectors[:, part] - origin[part]
         products += away @ away.T
     return products
 
@@ -91,15 +79,8 @@ def centred(products: np.ndarray) -> np.ndarray:
 def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, np.ndarray, float]:
     """Leading principal components from the Gram matrix (n, n) about the mean.
 
-    Returns
-    -------
-    squares : (m,) float64
-        Sums of squares along the components, descending.
-    combinations : (n, m) float64
-        Orthonormal eigenvectors of the Gram matrix. Divided by the roots of ``squares`` they combine the centred
-        vectors to the components.
-    total : float
-        Sum of squares of all directions.
+    Return the sums of squares along the components, descending (m,); orthonormal eigenvectors (n, m), which divided by
+    the roots of these combine the centred vectors to the components; and the sum of squares of all directions.
     """
     squares, combinations = np.linalg.eigh(products)
     squares, combinations = squares[::-1], combinations[:, ::-1]
@@ -159,13 +140,10 @@ def unexplained_by_others(
     vectors: np.ndarray, variance: float | int, folds: Sequence[np.ndarray] | None = None
 ) -> np.ndarray:
     """Residual of each vector from the principal components of the vectors outside its fold, (n, d) float32."""
-    n = len(vectors)
-    if n < 2:
+    if len(vectors) < 2:
         return np.zeros_like(vectors, dtype=np.float32)
-    mean = vectors.mean(axis=0, dtype=np.float64)
-    explained = explained_by_others(gram_about(vectors, mean), variance, folds)
-    away = vectors - mean
-    return (away - explained @ away).astype(np.float32)
+    away = vectors - vectors.mean(axis=0, dtype=np.float64)
+    return (away - explained_by_others(gram_about(vectors), variance, folds) @ away).astype(np.float32)
 
 
 def explained_by_others(
@@ -179,15 +157,10 @@ def explained_by_others(
     explained = np.zeros((n, n))
     for fold in some_folds(n) if folds is None else folds:
         others = np.setdiff1d(np.arange(n), fold)
-        explained[np.ix_(fold, others)] = _combinations(products, others, fold, variance)
+        squares, axes, from_mean = _components_of(products, others, fold)
+        axes = axes[:, : count_modes(squares, variance)]
+        explained[np.ix_(fold, others)] = 1.0 / len(others) + from_mean @ axes @ axes.T
     return explained
-
-
-def _combinations(products: np.ndarray, others: np.ndarray, fold: np.ndarray, variance: float | int) -> np.ndarray:
-    """Weights of the others that give the projections of the fold's vectors on the others' components."""
-    squares, axes, from_mean = _components_of(products, others, fold)
-    kept = count_modes(squares, variance)
-    return 1.0 / len(others) + from_mean @ axes[:, :kept] @ axes[:, :kept].T
 
 
 def _components_of(
@@ -195,15 +168,9 @@ def _components_of(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Principal components of the vectors outside a fold, from the Gram matrix.
 
-    Returns
-    -------
-    squares : (r,) float64
-        Sums of squares along the components, descending, above rounding errors.
-    axes : (len(others), r) float64
-        Each component as a combination of the vectors.
-    from_mean : (len(fold), len(others)) float64
-        Scalar products of the fold's vectors, less the others' mean, with the others. Times ``axes`` they give the
-        coordinates.
+    Return the sums of squares along them (r,), descending, above rounding errors; the components as combinations of
+    the others (len(others), r); and the scalar products of the fold's vectors, less the others' mean, with the others
+    (len(fold), len(others)). The last times the combinations are coordinates.
     """
     within = products[np.ix_(others, others)]
     squares, axes = np.linalg.eigh(centred(within))
@@ -217,14 +184,8 @@ def _components_of(
 class LeftOutCoordinates:
     """Left-out vectors in the principal components of the others.
 
-    Attributes
-    ----------
-    eigenvalues : (r,) float64
-        Eigenvalues of the others (divisor n - 1).
-    squares : (m, r) float64
-        Squared coordinates of the left-out vectors.
-    distances : (m,) float64
-        Their squared distances from the others' mean.
+    ``eigenvalues`` (r,) are those of the others (divisor n - 1), ``squares`` (m, r) squared coordinates of the left-out
+    vectors, and ``distances`` (m,) their squared distances from the others' mean.
     """
 
     eigenvalues: np.ndarray
@@ -235,7 +196,7 @@ class LeftOutCoordinates:
 def leave_out(vectors: np.ndarray, folds: Sequence[np.ndarray]) -> Iterator[LeftOutCoordinates]:
     """Leave out the vectors (n, d) of each fold in turn. Vectors of the same object belong in the same fold."""
     vectors = np.asarray(vectors)
-    products = gram_about(vectors, vectors.mean(axis=0, dtype=np.float64))
+    products = gram_about(vectors)
     for fold in folds:
         others = np.setdiff1d(np.arange(len(vectors)), fold)
         if len(others) < 2:
@@ -249,16 +210,8 @@ def leave_out(vectors: np.ndarray, folds: Sequence[np.ndarray]) -> Iterator[Left
 def noise_variances(eigenvalues: np.ndarray, dimension: int, total: float | None = None) -> np.ndarray:
     """Noise variance of probabilistic PCA with 0 ... r - 1 modes, (r,): the mean of the eigenvalues not kept.
 
-    Tipping and Bishop, J. R. Stat. Soc. B 61 (1999), eq 8.
-
-    Parameters
-    ----------
-    eigenvalues : (r,) float
-        Leading eigenvalues, descending.
-    dimension : int
-        Dimension of the space in which the vectors vary.
-    total : float, optional
-        Sum of all eigenvalues; by default that of the given ones.
+    Tipping and Bishop, J. R. Stat. Soc. B 61 (1999), eq 8. ``total`` is the sum of all eigenvalues, by default that of
+    the given leading ones (r,).
     """
     total = float(eigenvalues.sum()) if total is None else total
     kept = np.concatenate([[0.0], np.cumsum(eigenvalues)[:-1]])
@@ -277,18 +230,10 @@ def log_evidence(left_out: LeftOutCoordinates, dimension: int) -> np.ndarray:
 
 
 def count_by_evidence(vectors: np.ndarray, folds: Sequence[np.ndarray], dimension: int | None = None) -> int:
-    """Choose the number of modes that maximises the likelihood of left-out vectors.
+    """Choose the number of modes that maximises the likelihood of left-out vectors, of (n, d), in some dimensions.
 
     The vectors of each fold are evaluated under probabilistic PCA of the others. Minka's evidence (NIPS 2000) needs no
     folds, but treats images of one object as independent.
-
-    Parameters
-    ----------
-    vectors : (n, d) float
-    folds : sequence of int arrays
-        Indices of the vectors to leave out together.
-    dimension : int, optional
-        Dimension of the space in which the vectors vary, d by default.
     """
     d = vectors.shape[1] if dimension is None else dimension
     found = [log_evidence(left_out, d) for left_out in leave_out(vectors, folds)]
@@ -302,21 +247,13 @@ def left_out_variances(vectors: np.ndarray, folds: Sequence[np.ndarray], count: 
     The sample's eigenvalues are biased, since the modes are fitted to the sample: the first are too large, the last too
     small (cross-validated non-linear shrinkage; Bartz, 2016).
     """
+    from scipy.optimize import isotonic_regression  # heavy: imported when first needed
+
     found = list(leave_out(vectors, folds))
     known = min((left_out.squares.shape[1] for left_out in found), default=0)
     if not known:
         return np.zeros(count)
     variances = np.concatenate([left_out.squares[:, :known] for left_out in found]).mean(axis=0)
     # The folds have fewer modes than all vectors together: repeat their last variance.
-    return _non_increasing(np.pad(variances, (0, max(count - known, 0)), mode="edge")[:count])
-
-
-def _non_increasing(values: np.ndarray) -> np.ndarray:
-    """Nearest non-increasing sequence (pool adjacent violators)."""
-    pools: list[list[float]] = []
-    for value in values:
-        pools.append([float(value), 1.0])
-        while len(pools) > 1 and pools[-2][0] < pools[-1][0]:
-            (a, n), (b, m) = pools[-2:]
-            pools[-2:] = [[(a * n + b * m) / (n + m), n + m]]
-    return np.concatenate([np.full(int(n), mean) for mean, n in pools]) if pools else np.zeros(0)
+    padded = np.pad(variances, (0, max(count - known, 0)), mode="edge")[:count]
+    return isotonic_regression(padded, increasing=False).x if count else padded

@@ -15,15 +15,9 @@ from liaam.photometry.encoding import WIDTHS, Means, block_means, encode_means
 class Patch:
     """Encoded region of interest of an image.
 
-    Attributes
-    ----------
-    channels : (h, w, 8) float32
-        Encoded pixels (see :func:`liaam.photometry.encode`), at least 2 by 2: the encoding's channels, zeros, and the
-        usable weight. All encodings have the same width, so that kernels need only one loop.
-    from_image : Similarity
-        Image pixels to patch pixels (a shift and a reduction, without rotation).
-    n_channels : int
-        Number of channels of the encoding.
+    ``channels`` (h, w, 8) float32, at least 2 by 2, holds ``n_channels`` of the encoding, zeros, and the usable weight.
+    All encodings have the same width, so that kernels need only one loop. ``from_image`` maps image pixels to patch
+    pixels (a shift and a reduction, without rotation).
     """
 
     channels: np.ndarray
@@ -73,15 +67,8 @@ def _first_block(low: np.ndarray, size: float) -> np.ndarray:
 class Light:
     """An image and block averages of its linear light around a start, shared by all patches of a fit.
 
-    It is immutable, so that threads can share it.
-
-    Attributes
-    ----------
-    image : (h, w, 3) uint8, uint16 or float32
-    encoding, response
-        See :func:`liaam.photometry.encode`. Patches with another encoding or response use the image.
-    blocks : _Blocks
-        Averages as fine as the sharpest patch needs.
+    It is immutable, so that threads can share it. Patches with another encoding or response use the image. The blocks
+    are as fine as the sharpest patch needs.
     """
 
     image: np.ndarray
@@ -101,22 +88,7 @@ class Light:
         blurs: Sequence[float],
         margin: float,
     ) -> "Light":
-        """Average an image around a start.
-
-        Parameters
-        ----------
-        image : (h, w, 3) uint8, uint16 or float32
-        shape : (n, 2) float
-            Start, image pixels.
-        pose : Similarity
-            Model pixels to image pixels at the start.
-        encoding, response
-            See :func:`liaam.photometry.encode`.
-        blurs : sequence of float
-            Standard deviations of the patches' blurs, model pixels.
-        margin : float
-            Surroundings to include, as a fraction of the shape's diagonal.
-        """
+        """Average an image around a start, for patches of several blurs; parameters are those of `make_patch`."""
         sizes = [block_size(encoding, pose.scale, blur) for blur in blurs]
         # The coarsest patch extends by two of its pixels, and begins with a whole one.
         low, high = corners_around(image, shape, margin, 2.0 * max(sizes))
@@ -172,8 +144,10 @@ def make_patch(
     blocks = shared.blocks_of(low, high, size, encoding, response) if shared is not None else None
     means, first, size = blocks or _Blocks.of(pixels, low, high, size, encoding, response)
     turn, pixel = pose.matrix.T / pose.scale, size / pose.scale
-    remaining = _remaining_blur(blur, pixel) if encoding == "soft" else blur
-    channels = encode_means(means, encoding, response, remaining / pixel, turn, pixel)
+    if encoding == "soft":
+        # Averaging over pixels blurs by 1/12 of their squared size, and interpolation between them by 2/12.
+        blur = float(np.sqrt(max(blur**2 - pixel**2 / 4.0, 0.0)))
+    channels = encode_means(means, encoding, response, blur / pixel, turn, pixel)
     # The centre of the first block of pixels is at first * size + (size - 1) / 2.
     from_image = Similarity(np.eye(2) / size, -first - 0.5 * (size - 1) / size)
     return Patch(channels, from_image, WIDTHS[encoding])
@@ -196,24 +170,10 @@ def _limited(size: float, low: np.ndarray, high: np.ndarray) -> float:
     return float(max(1.0, min(size, (high - low).min() // 3)))
 
 
-def _remaining_blur(blur: float, pixel: float) -> float:
-    """Blur that remains after averaging over pixels of a size and interpolation between them (model pixels).
-
-    Averaging has a variance of 1/12 of the squared pixel size, interpolation of 2/12.
-    """
-    return float(np.sqrt(max(blur**2 - pixel**2 / 4.0, 0.0)))
-
-
 def block_size(encoding: str, scale: float, blur: float) -> float:
     """Side of the block of image pixels that is averaged into one patch pixel, at least 1.
 
-    Parameters
-    ----------
-    encoding : str
-    scale : float
-        Image pixels per model pixel.
-    blur : float
-        Model pixels.
+    ``scale`` is the number of image pixels per model pixel; ``blur`` is in model pixels.
     """
     if encoding != "soft":  # whole pixels, never coarser than the model's
         return float(max(1, int(scale)))
@@ -227,19 +187,7 @@ instead of 17, since the gradients jump. Under a blur of one model pixel such pi
 
 
 def sample_texture(patch: Patch, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sample a patch at image points.
-
-    Parameters
-    ----------
-    patch : Patch
-    points : (n, 2) float
-        Image pixels.
-
-    Returns
-    -------
-    values : (n, c) float32
-    usable : (n,) float32 in {0, 1}
-    """
+    """Sample a patch at image points (n, 2): values (n, c) float32, and whether usable, (n,) float32 in {0, 1}."""
     from liaam.kernels.bilinear import sample  # numba: imported when first needed
 
     values, usable = sample(patch.channels, patch.from_image(points))

@@ -62,16 +62,9 @@ class Similarity:
 
 
 def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
-    """Least-squares similarity, without reflection, that maps a shape to a target.
+    """Least-squares similarity, without reflection, that maps a shape (n, 2) to a target.
 
-    Parameters
-    ----------
-    shape, target : (n, 2) float
-        Corresponding points. Points that are NaN in either are ignored.
-
-    Returns
-    -------
-    Similarity
+    Points that are NaN in either are ignored.
     """
     # A similarity without reflection is a complex factor: z_b = factor * z_a.
     za, zb = _as_complex(shape), _as_complex(target)
@@ -98,16 +91,7 @@ def shifted_into(shape: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def procrustes_mean(shapes: np.ndarray, iterations: int = 100, tolerance: float = 1e-10) -> np.ndarray:
-    """Generalised Procrustes mean of shapes: centred, unit norm, oriented like the shapes on average.
-
-    Parameters
-    ----------
-    shapes : (n_shapes, n_points, 2) float
-
-    Returns
-    -------
-    (n_points, 2) float64
-    """
+    """Generalised Procrustes mean (n, 2) of shapes (n_shapes, n, 2): centred, unit norm, in their mean orientation."""
     mean = _normalised(shapes[0])
     for _ in range(iterations):
         new = _normalised(np.mean([align(shape, mean)(shape) for shape in shapes], axis=0))
@@ -133,17 +117,9 @@ def _upright(mean: np.ndarray, shapes: np.ndarray) -> np.ndarray:
 
 
 def similarity_modes(mean: np.ndarray) -> np.ndarray:
-    """Orthonormal similarity vectors s0, (-v, u), (1, 0, ...), (0, 1, ...) of a centred mean shape.
-
-    Returns
-    -------
-    (4, 2 n) float64
-        Flattened as x0, y0, x1, y1, ...
-    """
-    n = len(mean)
-    turned = np.stack([-mean[:, 1], mean[:, 0]], axis=1)
-    ones, zeros = np.ones(n), np.zeros(n)
-    rows = [mean, turned, np.stack([ones, zeros], 1), np.stack([zeros, ones], 1)]
+    """Orthonormal similarity vectors s0, (-v, u), (1, 0, ...), (0, 1, ...) of a centred mean shape, (4, 2 n)."""
+    turned = mean[:, ::-1] * [-1.0, 1.0]
+    rows = [mean, turned, np.tile([1.0, 0.0], (len(mean), 1)), np.tile([0.0, 1.0], (len(mean), 1))]
     return np.array([row.ravel() / np.linalg.norm(row) for row in rows])
 
 
@@ -197,18 +173,7 @@ class ShapeModel:
         return self.basis @ (np.asarray(shape) - self.mean).ravel()
 
     def project(self, shape: np.ndarray) -> np.ndarray:
-        """Find the nearest shape of the model under any similarity: the result of a perfect fit.
-
-        Parameters
-        ----------
-        shape : (n, 2) float
-            In any coordinates.
-
-        Returns
-        -------
-        (n, 2) float64
-            In the coordinates of the input.
-        """
+        """Find the nearest shape of the model under any similarity: the result of a perfect fit, (n, 2) float64."""
         pose = align(self.mean, shape)
         for _ in range(20):  # alternate pose and modes: the modes move with the pose
             local = self.shape(self._modes_only(pose.inverse()(shape)))
@@ -235,14 +200,8 @@ mirrored shapes as further examples if they raise the likelihood of left-out sha
 class Recipe:
     """Settings for the covariance of shapes: chosen on all shapes, and reused when some are left out.
 
-    Attributes
-    ----------
-    prior : str
-        One of :data:`PRIORS`.
-    smooth : SmoothPrior, optional
-        For the prior ``smooth``.
-    mirrored : (n_points,) int, optional
-        Index of each landmark's mirror image, if mirrored shapes are further examples.
+    ``prior`` is one of :data:`PRIORS`. ``mirrored`` (n_points,) holds the index of each landmark's mirror image, if
+    mirrored shapes are further examples.
     """
 
     prior: str = "sample"
@@ -256,32 +215,6 @@ def check_prior(prior: str) -> None:
         raise TrainingError(f"prior {prior!r} does not exist; there are {', '.join(PRIORS)}")
 
 
-def train_shape_model(
-    shapes: np.ndarray,
-    diagonal: float,
-    variance: Variance,
-    prior: str = "sample",
-    folds: Sequence[np.ndarray] | None = None,
-) -> ShapeModel:
-    """Learn a shape model.
-
-    Parameters
-    ----------
-    shapes : (n_shapes, n_points, 2) float
-        Landmarks of the training images, finite.
-    diagonal : float
-        Diagonal of the mean shape's bounding box, pixels of the reference frame.
-    variance : float, int or "auto"
-        Fraction of variance or number of modes to keep, or ``auto`` for the number of highest evidence.
-    prior : str
-        One of :data:`PRIORS`.
-    folds : sequence of int arrays, optional
-        Shapes to leave out together; by default the folds of :func:`~liaam.model.pca.some_folds`.
-    """
-    mean = scaled_mean(shapes, diagonal)
-    return shape_model_on(mean, shapes, variance, choose_recipe(mean, shapes, prior, folds), folds)
-
-
 def scaled_mean(shapes: np.ndarray, diagonal: float) -> np.ndarray:
     """Procrustes mean of shapes, scaled to a diagonal of its bounding box, (n_points, 2) float64."""
     mean = procrustes_mean(shapes)
@@ -291,7 +224,7 @@ def scaled_mean(shapes: np.ndarray, diagonal: float) -> np.ndarray:
 def choose_recipe(
     mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Sequence[np.ndarray] | None = None
 ) -> Recipe:
-    """Choose the settings under which left-out shapes are most likely."""
+    """Choose the settings under which left-out shapes are most likely. The shapes of a fold are left out together."""
     check_prior(prior)
     if prior != "smooth":
         return Recipe(prior)
@@ -353,11 +286,13 @@ def _smooth_model(
     modes, values = modes_of(spread, deviations.rigid)
     folds = [fold for fold in folds if len(deviations.own) - len(fold) >= 2]
     parts = [_left_out(deviations, fold, prior) for fold in folds]
+    left_out = [_coordinates(*part, prior.noise) for part in parts]
     if variance == "auto":
-        kept = _count_by_evidence([_coordinates(*part, prior.noise) for part in parts])
+        evidence = [log_evidence(part, len(part.eigenvalues)) for part in left_out if part.eigenvalues[0] > 0]
+        kept = int(np.sum(evidence, axis=0).argmax()) if evidence else 0
     else:
         kept = count_modes(values, variance)
-    freedom = fit_freedom([_coordinates(*part, prior.noise) for part in parts], kept)
+    freedom = fit_freedom(left_out, kept)
     left = np.zeros_like(deviations.own)
     for fold, (away, own_modes, _) in zip(folds, parts, strict=True):
         left[fold] = away - away @ own_modes[:kept].T @ own_modes[:kept]
@@ -376,11 +311,6 @@ def _coordinates(away: np.ndarray, modes: np.ndarray, values: np.ndarray, noise:
     return LeftOutCoordinates(values + noise * values.mean(), np.square(away @ modes.T), np.square(away).sum(axis=1))
 
 
-def _count_by_evidence(parts: list[LeftOutCoordinates]) -> int:
-    evidence = [log_evidence(part, len(part.eigenvalues)) for part in parts if part.eigenvalues[0] > 0]
-    return int(np.sum(evidence, axis=0).argmax()) if evidence else 0
-
-
 def _moments(left: np.ndarray) -> np.ndarray:
     """Second moments (n_points, 2, 2) of residuals (n, 2 n_points) of shapes."""
     by_landmark = left.reshape(len(left), -1, 2)
@@ -396,38 +326,21 @@ MIRRORED_TRIES, MIRRORED_POINTS = 20, 2000
 
 
 def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0) -> np.ndarray | None:
-    """Find the counterpart of each landmark on the other side.
+    """Find the order in which ``(shape * [-1, 1])[order]`` is nearly a rotation of a shape (n, 2), if there is one.
 
-    Parameters
-    ----------
-    shape : (n, 2) float
-    limit : float
-        See :data:`MIRRORED`.
-    tilt : float
-        Largest angle between the axis and the vertical, degrees.
-
-    Returns
-    -------
-    (n,) int or None
-        Order such that ``(shape * [-1, 1])[order]`` is nearly a rotation of the shape; None if there is none.
+    The limit is that of :data:`MIRRORED`. The axis is tilted from the vertical by ``tilt`` degrees at most.
     """
     from scipy.optimize import linear_sum_assignment
-
-    def nearest(apart: np.ndarray) -> np.ndarray:
-        return apart.argmin(axis=1)
-
-    def one_to_one(apart: np.ndarray) -> np.ndarray:
-        return linear_sum_assignment(apart)[1]
 
     shape = shape - shape.mean(axis=0)
     mirrored, best, order, limit = shape * [-1.0, 1.0], np.inf, None, limit * diagonal_of(shape)
     turns = np.arange(12)
     for angle in turns[30 * np.minimum(turns, 12 - turns) <= 2 * tilt] * np.pi / 6:
-        moved, found = _closest(shape, mirrored, mirrored @ rotation(angle).T, nearest)
+        moved, found = _closest(shape, mirrored, mirrored @ rotation(angle).T, lambda apart: apart.argmin(axis=1))
         # Cheap rejection: the distances of a one-to-one assignment are at least those of the nearest points.
         if np.sqrt(np.square(shape - moved[found]).sum(axis=1).mean()) > limit:
             continue
-        moved, found = _closest(shape, mirrored, moved, one_to_one)
+        moved, found = _closest(shape, mirrored, moved, lambda apart: linear_sum_assignment(apart)[1])
         error = float(np.square(shape - moved[found]).sum(axis=1).mean())
         if error < best and np.array_equal(found[found], np.arange(len(shape))):
             best, order = error, found

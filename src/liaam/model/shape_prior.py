@@ -38,18 +38,9 @@ parameters, and the time grows with the cube of their number."""
 
 @dataclass(frozen=True)
 class SmoothPrior:
-    """Parameters of the mixture of sample covariance, smooth deformations and noise.
+    """Parameters of the mixture (see :data:`SHARES`, :data:`WIDTHS`, :data:`NOISES`).
 
-    Attributes
-    ----------
-    share : float
-        Fraction of the variance in smooth deformations.
-    width : float
-        Standard deviation of their kernel, as a fraction of the mean shape's diagonal.
-    noise : float
-        Noise variance of a coordinate, as a fraction of the mean variance of a coordinate.
-    evidence : float
-        Mean log-likelihood of a left-out shape.
+    ``evidence`` is the mean log-likelihood of a left-out shape.
     """
 
     share: float
@@ -60,16 +51,10 @@ class SmoothPrior:
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Aligned shapes as deviations from a mean shape, orthogonal to the similarities.
+    """Aligned shapes as deviations ``own`` (n, 2 n_points) from a mean shape (n_points, 2).
 
-    Attributes
-    ----------
-    mean : (n_points, 2) float64
-    rigid : (4, 2 n_points) float64
-        Similarity vectors, orthonormal.
-    own : (n, 2 n_points) float64
-    further : (m, 2 n_points) float64
-        Further examples such as mirrored shapes: row i belongs to ``own[i]``, or no rows.
+    They are orthogonal to the similarity vectors ``rigid`` (4, 2 n_points), which are orthonormal. ``further`` are
+    examples such as mirrored shapes, in which row i belongs to ``own[i]``, or no rows.
     """
 
     mean: np.ndarray
@@ -84,9 +69,8 @@ class Deviations:
 
     def of(self, kept: np.ndarray) -> "Deviations":
         """Return the deviations of some of the shapes."""
-        return Deviations(
-            self.mean, self.rigid, self.own[kept], self.further[kept] if len(self.further) else self.own[:0]
-        )
+        further = self.further[kept] if len(self.further) else self.further
+        return Deviations(self.mean, self.rigid, self.own[kept], further)
 
     def thinned(self, count: int) -> "Deviations":
         """Return the deviations of at most ``count`` landmarks, spread over the mean shape."""
@@ -118,16 +102,7 @@ def spread_points(points: np.ndarray, count: int) -> np.ndarray:
 
 
 def smooth_covariance(mean: np.ndarray, rigid: np.ndarray, width: float) -> np.ndarray:
-    """Covariance of smooth deformations, orthogonal to the similarities and of trace 1, (2 n, 2 n) float64.
-
-    Parameters
-    ----------
-    mean : (n, 2) float
-    rigid : (4, 2 n) float
-        Orthonormal similarity vectors.
-    width : float
-        Standard deviation of the Gaussian kernel, as a fraction of the shape's diagonal.
-    """
+    """Covariance of smooth deformations, orthogonal to the similarities ``rigid`` and of trace 1, (2 n, 2 n)."""
     reach = width * np.hypot(*np.ptp(mean, axis=0))
     apart = np.square(mean[:, None] - mean[None]).sum(axis=2)
     kernel = np.kron(np.exp(-0.5 * apart / reach**2), np.eye(2))
@@ -154,15 +129,7 @@ def modes_of(spread: np.ndarray, rigid: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrior:
-    """Find the mixture that maximises the likelihood of left-out shapes.
-
-    Parameters
-    ----------
-    deviations : Deviations
-        At most :data:`MOST_POINTS` of the landmarks are used.
-    folds : sequence of int arrays
-        Shapes to leave out together. Shapes of the same object belong in the same fold.
-    """
+    """Find the mixture that maximises the likelihood of left-out shapes. Those of one object belong in one fold."""
     deviations, mixtures = deviations.thinned(MOST_POINTS), list(product(SHARES, WIDTHS))
     total = np.zeros((len(mixtures), len(NOISES)))
     count = 0

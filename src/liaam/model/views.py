@@ -52,8 +52,7 @@ class Reliability:
         Log odds that a fit is right: intercept, and coefficients of the fraction of the image that the fit explains
         and of its shape's distance to the mean.
     understated : float
-        Factor, at least 1, by which the variances of a fit's parameters are too small: shapes and appearances outside
-        the model bias the parameters.
+        Factor, at least 1, by which the variances of a fit's parameters are too small, since the model biases them.
     ordinary : float
         5th percentile of the quality of right fits to left-out images.
     """

@@ -1,65 +1,18 @@
 """Warps W(x; p) from the reference frame to the image, with one interface for all solvers.
 
-A warp computes the points, their derivative and the update. Derivatives are in model pixels; the fitting problem adds
-the constant similarity between model and image pixels.
+Points and derivatives are in model pixels; the fitting problem adds the similarity between model and image pixels.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from liaam.kernels.fields import Double2, Long1, Long2, Single2
 from liaam.model.mesh import ReferenceFrame, model_frame, surroundings
 from liaam.model.shape import ShapeModel, Similarity
-
-
-class Warp(Protocol):
-    """Interface of warps."""
-
-    @property
-    def n_parameters(self) -> int:
-        """Length of p."""
-        ...
-
-    @property
-    def rest(self) -> np.ndarray:
-        """Handles of the warp (such as landmarks) at p = 0, (n, 2) float64 model pixels."""
-        ...
-
-    def shape(self, p: np.ndarray) -> np.ndarray:
-        """Handles at p, (n, 2) float64 model pixels."""
-        ...
-
-    def parameters(self, shape: np.ndarray) -> np.ndarray:
-        """Parameters that move the handles nearest to a shape, (n_parameters,) float64."""
-        ...
-
-    def movement(self, step: np.ndarray) -> float:
-        """Size of a step of p: root mean square movement, model pixels."""
-        ...
-
-    def points(self, p: np.ndarray, pose: Similarity | None = None) -> np.ndarray:
-        """W(x; p) of every model pixel, mapped by a similarity if one is given, (n_pixels, 2) float64."""
-        ...
-
-    def jacobian(self, p: np.ndarray) -> np.ndarray:
-        """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32, C-contiguous."""
-        ...
-
-    def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Parameters after a Gauss-Newton step."""
-        ...
-
-    def slopes(self, values: np.ndarray) -> np.ndarray:
-        """Derivatives of per-pixel values (n_pixels, k) along x and y at p = 0, (n_pixels, 2, k)."""
-        ...
-
-    def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Map gradients (n_pixels, 2, k) at x to gradients at W(x; p), (n_pixels, k, 2), model pixels."""
-        ...
 
 
 class Mesh(NamedTuple):
@@ -140,28 +93,17 @@ class PiecewiseAffineWarp:
         """Positions of the frame's vertices, (n_vertices, 2), from those of the landmarks."""
         return landmarks if self.extension is None else self.extension @ landmarks
 
-    def _vertices_of(self, p: np.ndarray) -> np.ndarray:
-        """Positions of the frame's vertices at p, (n_vertices, 2)."""
-        return self._resting_vertices + (p @ self._by_parameters).reshape(-1, 2)
-
-    @cached_property
-    def _resting_vertices(self) -> np.ndarray:
-        return self._vertices(self.shape_model.mean)
-
-    @cached_property
-    def _by_parameters(self) -> np.ndarray:
-        """:attr:`_vertex_modes` in rows, (n_parameters, 2 n_vertices)."""
-        return self._vertex_modes.reshape(self.n_parameters, -1)
-
     @cached_property
     def _owners(self) -> np.ndarray:
-        return self.frame.owners if self.kept is None else self.frame.owners[self.kept]
+        return self._used(self.frame.owners)
 
     @cached_property
     def _corners(self) -> tuple[np.ndarray, np.ndarray]:
         """Vertices around each pixel, (n_pixels, 3) int32, and their weights, (n_pixels, 3) float64."""
-        weights = self.frame.weights if self.kept is None else self.frame.weights[self.kept]
-        return self.frame.triangles[self._owners], np.ascontiguousarray(weights)
+        return self.frame.triangles[self._owners], np.ascontiguousarray(self._used(self.frame.weights))
+
+    def _used(self, of_all: np.ndarray) -> np.ndarray:
+        return of_all if self.kept is None else of_all[self.kept]
 
     @cached_property
     def _vertex_modes(self) -> np.ndarray:
@@ -177,8 +119,8 @@ class PiecewiseAffineWarp:
             self._corners[1].astype(np.float32),
             np.searchsorted(self._owners, np.arange(len(triangles) + 1)).astype(np.int64),
             triangles,
-            np.ascontiguousarray(self._resting_vertices, np.float64),
-            np.ascontiguousarray(self._by_parameters.T),
+            np.ascontiguousarray(self._vertices(self.shape_model.mean), np.float64),
+            np.ascontiguousarray(self._vertex_modes.reshape(self.n_parameters, -1).T),
             1.0 / sqrt(self.shape_model.n_points),
         )
 
@@ -207,21 +149,19 @@ class PiecewiseAffineWarp:
         """dW/dp of every model pixel, (n_pixels, 2, n_parameters) float32; the same for every p."""
         return self._jacobian
 
-    def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Forward-additive update p + step."""
-        return p + step
-
     def slopes(self, values: np.ndarray) -> np.ndarray:
         """Derivatives along x and y at the used pixels, of values (n, k) at *all* of the frame's pixels."""
-        slopes = self.frame.gradient(values)
-        return slopes if self.kept is None else slopes[self.kept]
+        return self._used(self.frame.gradient(values))
 
     def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Map gradients (n_pixels, 2, k) at x to gradients at W(x; p), (n_pixels, k, 2) float32.
 
         If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Nearly flat triangles give 0.
         """
-        back = _inverse_slopes(self.frame.points, self._vertices_of(p), self.frame.triangles)[self._owners]
+        vertices, triangles = self._vertices(self.shape_model.shape(p)), self.frame.triangles
+        at_rest, now = (_edges(points, triangles) for points in (self.frame.points, vertices))
+        flat = ~(np.abs(np.linalg.det(now)) > FLAT * np.abs(np.linalg.det(at_rest)))
+        back = (at_rest @ _inverse(now, flat))[self._owners]
         return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
 
 
@@ -232,14 +172,14 @@ FLAT = 0.05
 """Fraction of its area on the mean shape below which a triangle counts as flat."""
 
 
-def _inverse_slopes(rest: np.ndarray, shape: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(dW/dx)^-1 of each triangle, (t, 2, 2) float64; 0 for flat triangles."""
-    at_rest, now = (
-        (points[triangles[:, 1:]] - points[triangles[:, :1]]).transpose(0, 2, 1) for points in (rest, shape)
-    )
-    flat = ~(np.abs(np.linalg.det(now)) > FLAT * np.abs(np.linalg.det(at_rest)))
-    now[flat] = np.eye(2)
-    back = at_rest @ np.linalg.inv(now)
+def _edges(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Two edges of each triangle as columns, (t, 2, 2)."""
+    return (points[triangles[:, 1:]] - points[triangles[:, :1]]).transpose(0, 2, 1)
+
+
+def _inverse(matrices: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    """Inverse of matrices (n, 2, 2), 0 for those that are flat (n,)."""
+    back = np.linalg.inv(np.where(flat[:, None, None], np.eye(2), matrices))
     back[flat] = 0.0
     return back
 
@@ -272,9 +212,8 @@ NEAREST = 0.1
 class HomographyWarp:
     """Homography of a regular grid of pixels, or a subgroup with fewer parameters.
 
-    W(x; p) = (N_1 / N_3, N_2 / N_3) with N = (I + sum_i p_i G_i) (x, 1) in centred and scaled coordinates. The
-    G_i span the matrices of the group whose last entry is 0. They are scaled such that, at p = 0, a step of unit length
-    moves the grid's pixels by one pixel (root mean square).
+    W(x; p) = (N_1 / N_3, N_2 / N_3) with N = (I + sum_i p_i G_i) (x, 1) in centred and scaled coordinates. At p = 0, a
+    step of unit length moves the grid's pixels by one pixel (root mean square).
 
     Attributes
     ----------
@@ -353,10 +292,6 @@ class HomographyWarp:
             jacobian[:, axis] = x @ upper[axis] - (x @ matrix[axis].astype(np.float32))[:, None] * along
         return jacobian
 
-    def update(self, p: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Forward-additive update p + step."""
-        return p + step
-
     def shape(self, p: np.ndarray) -> np.ndarray:
         """Handles at p, (n, 2) float64; NaN behind the image plane."""
         return apply_homography(self.matrix(p), self.rest)
@@ -387,11 +322,12 @@ class HomographyWarp:
         moved = apply_homography(matrix, self.pixels)
         slope = (matrix[None, :2, :2] - moved[:, :, None] * matrix[2, :2]) / depth[:, None, None]  # dW/dx
         slope[~np.isfinite(slope).all(axis=(1, 2))] = 0.0  # behind the image plane
-        flat = ~(np.linalg.det(slope) > 0.05)
-        slope[flat] = np.eye(2)
-        back = np.linalg.inv(slope)
-        back[flat] = 0.0
+        back = _inverse(slope, ~(np.linalg.det(slope) > 0.05))
         return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
+
+
+Warp = PiecewiseAffineWarp | HomographyWarp
+"""A warp of either kind. Its handles are the landmarks, or the corners of the grid."""
 
 
 def _generators(group: str) -> np.ndarray:

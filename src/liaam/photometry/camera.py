@@ -10,7 +10,7 @@ import numpy as np
 
 from liaam.errors import CameraError, LiaamError
 from liaam.io import write_text_atomically
-from liaam.io.files import existing_file, read_bytes, writable
+from liaam.io.files import existing_file, json_object, read_bytes, writable
 from liaam.photometry.encoding import DARK, SATURATED, stored_values
 from liaam.photometry.invariant import THETA_DEFAULT
 from liaam.photometry.response import Response, describe_response, from_linear, parse_response, to_linear
@@ -205,11 +205,8 @@ def load_camera(path: str | os.PathLike) -> CameraModel:
         data = read_bytes(existing_file(path, CameraError, "camera file"), CameraError, LARGEST)
     except CameraError as fault:
         raise CameraError(f"{fault} Camera files are made with 'liaam calibrate'.") from fault
-    try:
-        facts = json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError):
-        facts = None
-    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+    facts = json_object(data) or {}
+    if facts.get("format") != FORMAT:
         raise CameraError(f"{path}: this is not a camera file; make one with 'liaam calibrate'")
     if facts.get("version") != VERSION:
         raise CameraError(
