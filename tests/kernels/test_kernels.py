@@ -665,18 +665,23 @@ def test_a_pixel_belongs_to_the_first_triangle_that_it_lies_in(n, grid, seed):
     assert owner.dtype == np.int32 and weights.shape == (19, 20, 3)
 
 
-kernels_of_pictures = pytest.mark.parametrize("kernel", [fast, reference], ids=KERNELS)
-
-
-@kernels_of_pictures
 @given(size=st.tuples(st.integers(2, 12), st.integers(3, 12)), seed=st.integers(0, 99))
-def test_packed_spectra_are_correlated_as_pictures_are(kernel, size, seed):
+def test_packed_spectra_are_correlated_as_pictures_are(size, seed):
     left, right = np.random.default_rng(seed).normal(size=(2, 2, *size)).astype(np.float32)
     packed = (np.stack([cv2.dft(channel) for channel in channels]) for channels in (left, right))
-    found = kernel.correlate(*packed, np.empty(size, np.float32))
+    found = fast.correlate(*packed, np.empty(size, np.float32))
     shifts = np.ndindex(*size)
     expected = [(left * np.roll(right, shift, axis=(1, 2))).sum() for shift in shifts]
     np.testing.assert_allclose(cv2.idft(found, flags=cv2.DFT_SCALE).ravel(), expected, atol=1e-4)
+
+
+def plain_peaks(picture, count, least, reach):
+    """The definition: pixels above a limit and not below their neighbours, the largest first."""
+    around = cv2.dilate(picture, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+    places = np.argwhere((picture >= around) & (picture > np.float32(least)))
+    values = picture[places[:, 0], places[:, 1]]
+    order = np.argsort(-values, kind="stable")[:count]
+    return places[order], values[order]
 
 
 @given(
@@ -686,18 +691,17 @@ def test_packed_spectra_are_correlated_as_pictures_are(kernel, size, seed):
     reach=st.integers(1, 3),
     seed=st.integers(0, 99),
 )
-def test_fast_finds_the_peaks_that_reference_does(size, digits, count, reach, seed):
+def test_peaks_are_those_of_the_definition(size, digits, count, reach, seed):
     picture = np.random.default_rng(seed).random(size).round(digits).astype(np.float32)  # some are equal
     arguments = picture, count, 0.4, reach
-    for found, expected in zip(fast.best_peaks(*arguments), reference.best_peaks(*arguments), strict=True):
+    for found, expected in zip(fast.best_peaks(*arguments), plain_peaks(*arguments), strict=True):
         np.testing.assert_array_equal(found, expected)
         assert found.dtype == expected.dtype
 
 
-@kernels_of_pictures
-def test_peaks_are_the_largest_around_and_come_in_order(kernel):
+def test_peaks_are_the_largest_around_and_come_in_order():
     picture = np.zeros((9, 12), np.float32)
     picture[2, 3], picture[2, 5], picture[7, 11], picture[0, 9], picture[6, 2] = 5, 6, 3, 4, 0.5
-    places, values = kernel.best_peaks(picture, 9, 1.0, 2)
+    places, values = fast.best_peaks(picture, 9, 1.0, 2)
     assert places.tolist() == [[2, 5], [0, 9], [7, 11]] and values.tolist() == [6, 4, 3]
-    assert len(kernel.best_peaks(picture, 2, 1.0, 2)[1]) == 2
+    assert len(fast.best_peaks(picture, 2, 1.0, 2)[1]) == 2

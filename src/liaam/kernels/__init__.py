@@ -1,1 +1,1 @@
-"""Loops over pixels of images: compiled (``fast``) and in plain NumPy (``reference``), with the same interface."""
+"""Loops over pixels of images: compiled, and the samples that define a fit in plain NumPy."""

@@ -28,13 +28,9 @@ def _sample(channels, points, values, usable):
 
 
 def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sample an image bilinearly: values (n, c) and weights (n,), float32; see :func:`liaam.kernels.reference.sample`.
+    """Sample an image (h, w, c + 1) bilinearly: values (n, c) and weights (n,), float32.
 
-    Parameters
-    ----------
-    channels : (h, w, c + 1) float32
-        At least 2 by 2; the last channel is the weight.
-    points : (n, 2) float64
+    The last channel is the weight. See :func:`liaam.kernels.reference.sample`.
     """
     values = np.empty((len(points), channels.shape[2] - 1), np.float32)
     usable = np.empty(len(points), np.float32)

@@ -232,9 +232,8 @@ def _called_by(function: Any) -> Iterator[Compiled]:
             yield from _called_by(linked)
 
 
-def compiled(function: Callable) -> Any:
-    """Decorate a function to be compiled once, on first access to its address."""
-    return Compiled(function)
+compiled: Any = Compiled
+"""Decorator of functions that are compiled once, on first access to their address."""
 
 
 @typeof_impl.register(Compiled)

@@ -1,4 +1,4 @@
-"""Compiled loops over pixels of images; ``reference`` defines their results."""
+"""Compiled loops over the pixels of images, for the search."""
 
 import numpy as np
 
@@ -35,7 +35,16 @@ def _correlate(left, right, total):
 
 
 def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """See :func:`liaam.kernels.reference.correlate`."""
+    """Compute the spectrum of the correlation of two images, left conj(right), summed over their two channels.
+
+    Parameters
+    ----------
+    left, right : (2, h, w) float32
+        Fourier transforms of real channels as packed by OpenCV's ``dft``: in each row a real number, pairs of real and
+        imaginary part, and another real number if w is even. The columns of real numbers are packed in the same way.
+    out : (h, w) float32
+        Output in the same packing, so that large arrays can be reused. It is returned.
+    """
     _correlate(left, right, out)
     return out
 
@@ -82,7 +91,25 @@ def _is_peak(picture, y, x, reach):
 
 
 def best_peaks(picture: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """See :func:`liaam.kernels.reference.best_peaks`."""
+    """Find the largest local maxima of an image, in descending order; ties keep raster order.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        Finite values.
+    count : int
+        Largest number of maxima.
+    least : float
+        Value that a maximum must exceed.
+    reach : int
+        Half the size of the square neighbourhood in which no pixel may be larger.
+
+    Returns
+    -------
+    places : (k, 2) int64
+        Rows and columns.
+    values : (k,) float32
+    """
     places, values = np.empty((count, 2), np.int64), np.empty(count, np.float32)
     found = _best_peaks(picture, np.float32(least), reach, places, values)
     return places[:found], values[:found]

@@ -1,4 +1,4 @@
-"""Reference loops over pixels of images in plain NumPy: slow and short, they define the results of the fast ones."""
+"""Loops over pixels in plain NumPy: the bilinear samples that define a fit, and the raster of a mesh."""
 
 import numpy as np
 
@@ -46,21 +46,8 @@ ON_EDGE = 1e-9
 def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Rasterise a mesh: find the triangle of each pixel, and the pixel's barycentric weights (paper eq 3).
 
-    Parameters
-    ----------
-    points : (n, 2) float64
-        Vertices, all within the image.
-    triangles : (t, 3) int
-        A pixel on a common edge belongs to the first triangle.
-    width, height : int
-        Size of the image.
-
-    Returns
-    -------
-    owner : (height, width) int32
-        Index of the triangle; -1 outside the mesh.
-    weights : (height, width, 3) float64
-        Barycentric weights; 0 outside the mesh.
+    All vertices (n, 2) lie within the image. A pixel on a common edge belongs to the first triangle. Return the index
+    of the triangle, (height, width) int32, -1 outside the mesh, and the weights, (height, width, 3), 0 outside it.
     """
     owner, weights = np.full((height, width), -1, dtype=np.int32), np.zeros((height, width, 3))
     for t, (a, b, c) in enumerate(points[triangles]):
@@ -76,75 +63,3 @@ def raster(points: np.ndarray, triangles: np.ndarray, width: int, height: int) -
         inside = (own >= -ON_EDGE).all(axis=1) & (owner[y, x] < 0)
         owner[y[inside], x[inside]], weights[y[inside], x[inside]] = t, own[inside]
     return owner, weights
-
-
-def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Compute the spectrum of the correlation of two images, left conj(right), summed over their two channels.
-
-    Parameters
-    ----------
-    left, right : (2, h, w) float32
-        Fourier transforms of real channels as packed by OpenCV's ``dft``: in each row a real number, pairs of real and
-        imaginary part, and another real number if w is even. The columns of real numbers are packed in the same way.
-    out : (h, w) float32
-        Output, so that large arrays can be reused.
-
-    Returns
-    -------
-    (h, w) float32
-        ``out``, packed in the same way.
-    """
-    height, width = left.shape[1:]
-    a, b = (_unpacked(channels.astype(np.float64)) for channels in (left, right))
-    product = (a * b.conj()).sum(axis=0)
-    packed = out
-    pairs = product[:, 1 : (width + 1) // 2]
-    packed[:, 1 : 1 + 2 * pairs.shape[1]] = np.stack([pairs.real, pairs.imag], axis=2).reshape(height, -1)
-    for x, column in ((0, product[:, 0]), (width - 1, product[:, -1]))[: 2 - width % 2]:
-        packed[0, x] = column[0].real
-        packed[1::2, x] = column[1 : height // 2 + 1].real
-        packed[2::2, x] = column[1 : (height + 1) // 2].imag
-    return packed
-
-
-def _unpacked(packed: np.ndarray) -> np.ndarray:
-    """Unpack the first half of the columns, (c, h, w // 2 + 1) complex, of packed Fourier transforms (c, h, w)."""
-    height, width = packed.shape[1:]
-    spectrum = np.zeros((len(packed), height, width // 2 + 1), complex)
-    n = (width - 1) // 2
-    spectrum[:, :, 1 : n + 1] = packed[:, :, 1 : 2 * n + 1 : 2] + 1j * packed[:, :, 2 : 2 * n + 2 : 2]
-    for x, column in ((0, 0), (width - 1, -1))[: 2 - width % 2]:
-        for y in range(height):
-            k = min(y, height - y)
-            real = packed[:, 2 * k - 1 if k else 0, x]
-            imaginary = packed[:, 2 * k, x] if 0 < 2 * k < height else 0.0
-            spectrum[:, y, column] = real + (1j if y == k else -1j) * imaginary
-    return spectrum
-
-
-def best_peaks(picture: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Find the largest local maxima of an image, in descending order; ties keep raster order.
-
-    Parameters
-    ----------
-    picture : (h, w) float32
-        Finite values.
-    count : int
-        Largest number of maxima.
-    least : float
-        Value that a maximum must exceed.
-    reach : int
-        Half the size of the square neighbourhood in which no pixel may be larger.
-
-    Returns
-    -------
-    places : (k, 2) int64
-        Rows and columns.
-    values : (k,) float32
-    """
-    around = np.pad(picture, reach, constant_values=-np.inf)
-    windows = np.lib.stride_tricks.sliding_window_view(around, (2 * reach + 1, 2 * reach + 1))
-    places = np.argwhere((picture >= windows.max(axis=(2, 3))) & (picture > np.float32(least)))
-    values = picture[places[:, 0], places[:, 1]]
-    order = np.argsort(-values, kind="stable")[:count]
-    return places[order], values[order]
