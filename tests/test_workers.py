@@ -94,7 +94,7 @@ def test_a_worker_that_dies_before_it_has_read_its_job_is_noticed():
     killer = threading.Thread(target=kill)
     killer.start()
     with pytest.raises(WorkerDied):
-        list(in_workers(square_or_die, [1], 1, prepare=partial(len, bytes(10_000_000))))
+        list(in_workers(partial(isinstance, bytes(10_000_000)), [1], 1))
     killer.join()
 
 

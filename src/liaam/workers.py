@@ -31,13 +31,7 @@ TICK = 0.1
 
 
 class WorkerDied(Exception, Generic[Item]):  # noqa: N818 (an event for callers to handle)
-    """A worker process died: it was killed, ran out of memory or crashed.
-
-    Attributes
-    ----------
-    items : list
-        Items in progress without a result; one of them may be the cause.
-    """
+    """A worker process died: it was killed, ran out of memory or crashed, perhaps by one of the `items` in progress."""
 
     def __init__(self, items: list[Item]) -> None:
         super().__init__(f"a worker process died with {len(items)} items in progress")
@@ -50,37 +44,23 @@ def all_cores() -> int:
 
 
 def in_workers(
-    perform: Callable[[Item], Result],
+    perform: Callable[..., Result],
     items: Iterable[Item],
     jobs: int,
     *,
-    prepare: Callable[..., object] | None = None,
     inherited: tuple = (),
     stop_at_death: bool = False,
 ) -> Generator[tuple[Item, Result], None, None]:
-    """Process items in worker processes. Yield (item, result) in order of completion.
+    """Process picklable items in worker processes. Yield (item, result) in order of completion.
 
-    Each worker has one item at a time.
-
-    Parameters
-    ----------
-    perform : callable
-        Function from an item to its result, at the top level of a module, or a ``functools.partial`` of one.
-    items : iterable
-        Picklable items.
-    jobs : int
-        Number of worker processes.
-    prepare : callable, optional
-        Called once in each worker before its first item.
-    inherited : tuple
-        Arguments of ``prepare`` that can only be passed to a process when it starts, such as shared memory.
-    stop_at_death : bool
-        Whether the death of a worker ends the other workers, too. By default they finish their items first.
+    Each worker has one item at a time. ``perform`` is a function at the top level of a module, or a ``partial`` of one.
+    It is sent to each worker once. Its arguments before the item may be ``inherited``: they are passed when the process
+    starts, as shared memory must be.
 
     Raises
     ------
     WorkerDied
-        If a worker died, after the finished items are yielded.
+        If a worker died, after the others have finished their items, or at once with ``stop_at_death``.
     Exception
         What ``perform`` raised, or why its result cannot be pickled, with the worker's traceback as a note.
     """
@@ -103,7 +83,7 @@ def in_workers(
         with deaf_to_interrupts():
             workers += (_Worker(inherited) for _ in first)
         for worker, item in zip(workers, first, strict=True):
-            give(worker, item, (perform, prepare))
+            give(worker, item, perform)
         while busy and not (lost and stop_at_death):
             for pipe in cast(list[Connection], connection.wait(list(busy))):
                 worker = busy.pop(pipe)
@@ -130,11 +110,11 @@ def in_workers(
 
 
 class _Worker(Generic[Item]):
-    """A worker process, the pipe to it, and the item that it does.
+    """A worker process, the pipe to it, and the item that it processes.
 
-    Nobody else holds the pipe's other end, so that a worker that dies shows at once, even in the middle of a result.
-    (A ``ProcessPoolExecutor`` waits for ever for the rest of the result: its workers share one pipe.) All that may be
-    large comes by the pipe, too: ``Process.start`` waits for ever for a process that dies before it has read it.
+    No other process holds the pipe's other end, so that the death of a worker shows at once, even in the middle of a
+    result. (A ``ProcessPoolExecutor`` hangs then.) All that may be large is sent by the pipe, too: ``Process.start``
+    hangs if a process dies before it has read its arguments.
     """
 
     item: Item
@@ -159,9 +139,7 @@ def _work(pipe: Connection, inherited: tuple) -> None:
     """Do items in a worker process until there is none in a message."""
     _start()
     try:
-        perform, prepare = pipe.recv()
-        if prepare is not None:
-            prepare(*inherited)
+        perform = partial(pipe.recv(), *inherited)
         while message := pipe.recv():
             pipe.send_bytes(_answer(perform, *message))
     except (EOFError, OSError):  # nobody waits for it any more
@@ -189,24 +167,13 @@ def _portable(fault: Exception, note: str) -> Exception:
 def flow(
     submit: Callable[[Item], "Future[Result]"], items: Iterable[Item], room: Callable[[], int]
 ) -> Iterator[tuple[Item, "Future[Result]"]]:
-    """Keep a bounded number of items in progress. Yield each with its finished future.
-
-    Parameters
-    ----------
-    submit : callable
-        Starts an item. The first items, and the processes they start, ignore Ctrl-C.
-    items : iterable
-        Consumed only while there is room.
-    room : callable
-        Returns how many items may be in progress now.
-    """
+    """Keep a bounded number of items in progress, as many as there is room for now. Yield each with its future."""
     rest, under_way = iter(items), {}
 
     def fill() -> None:
         under_way.update((submit(item), item) for item in islice(rest, max(0, room() - len(under_way))))
 
-    with deaf_to_interrupts():
-        fill()
+    fill()
     while under_way:
         for future in wait(under_way, return_when=FIRST_COMPLETED).done:
             item = under_way.pop(future)
@@ -218,10 +185,7 @@ def flow(
 
 @contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
-    """Block Ctrl-C for a moment, so that processes started meanwhile ignore it, then and later.
-
-    Ctrl-C reaches all processes of a terminal, but only the parent handles it.
-    """
+    """Block Ctrl-C for a moment: processes that start meanwhile ignore it, so that only their parent handles it."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows, where workers ignore it once they have started
         yield
         return
@@ -266,18 +230,13 @@ def in_order(
 
     For work that releases the GIL. The caller's thread consumes the items one by one. At most ``AHEAD`` items per
     thread are in progress, and at most ``BEHIND`` including finished ones that wait for an earlier item. If an item
-    fails or the caller stops, for example by Ctrl-C, no further item starts, and running ones are completed.
-
-    Parameters
-    ----------
-    perform : callable
-    items : iterable
-    threads : int
-    tick : callable
-        Called regularly while waiting.
+    fails or the caller stops, no further item starts, and running ones are completed. ``tick`` is called regularly.
     """
+    from threadpoolctl import threadpool_limits
+
     rest, kept = iter(items), deque[Future[Result]]()
-    pool = ThreadPoolExecutor(threads, "liaam", _hold_this_thread)
+    # OpenMP's limit is per thread.
+    pool = ThreadPoolExecutor(threads, "liaam", partial(threadpool_limits, limits=1, user_api="openmp"))
     try:
         while True:
             under_way = [future for future in kept if not future.done()]
@@ -294,13 +253,6 @@ def in_order(
                 tick()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _hold_this_thread() -> None:
-    """Limit OpenMP to one thread in this thread; the limit is per thread."""
-    from threadpoolctl import threadpool_limits
-
-    threadpool_limits(limits=1, user_api="openmp")
 
 
 class _Hold:

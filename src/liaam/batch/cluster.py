@@ -12,9 +12,9 @@ from distributed.comm.registry import get_backend
 
 from liaam import __version__
 from liaam.batch.pools import Chunk, Finished, row_of_death
-from liaam.batch.work import Job, KeptRow
+from liaam.batch.work import Job, KeptRow, fit_chunk
 from liaam.errors import LiaamError
-from liaam.workers import AHEAD, flow, one_thread
+from liaam.workers import AHEAD, flow
 
 PATIENCE = 30
 """Timeout in seconds for the scheduler, and for its first worker."""
@@ -33,8 +33,8 @@ class _Ready(WorkerPlugin):
 
     def rows(self, chunk: Chunk) -> list[KeptRow]:
         """Fit a chunk. The threads of a worker take turns, because the limit on BLAS threads is per process."""
-        with self.turn, one_thread():
-            return self.job.rows(chunk)
+        with self.turn:
+            return fit_chunk(self.job, chunk)
 
 
 def _fit_chunk(name: str, chunk: Chunk) -> list[KeptRow]:
@@ -43,13 +43,7 @@ def _fit_chunk(name: str, chunk: Chunk) -> list[KeptRow]:
 
 
 def on_cluster(job: Job, chunks: Iterable[Chunk], address: str) -> Finished:
-    """Fit chunks on the workers of a scheduler. Another worker takes over the chunks of a lost one.
-
-    Raises
-    ------
-    LiaamError
-        If the scheduler or a first worker cannot be reached, is lost, or has another version of liaam.
-    """
+    """Fit chunks on the workers of a scheduler. Another worker takes over the chunks of a lost one."""
     with _connected(address) as client, _prepared(client, job) as name:
         executor = client.get_executor(pure=False)
         alone: list[Chunk] = []  # images of chunks whose workers died, filled by the first round

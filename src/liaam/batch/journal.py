@@ -13,10 +13,12 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from liaam.errors import LiaamError
+from liaam.io.files import json_object
 
 PAGE = 1000
 """Number of images read from the journal at a time."""
@@ -39,13 +41,7 @@ ON CONFLICT (place, path) DO UPDATE SET
 
 
 def place_of(path: str) -> bytes:
-    """Return a sort key of a path for case-insensitive natural order, 2 before 10.
-
-    Examples
-    --------
-    >>> sorted(["img10.png", "img2.png"], key=place_of)
-    ['img2.png', 'img10.png']
-    """
+    """Return a sort key of a path for case-insensitive natural order, 2 before 10."""
 
     def padded(found: re.Match) -> str:
         digits = found.group().lstrip("0")
@@ -55,12 +51,7 @@ def place_of(path: str) -> bytes:
 
 
 class Journal:
-    """Images in order, with the rows of those that are finished.
-
-    Attributes
-    ----------
-    folder : Path
-    """
+    """Images in order, with the rows of those that are finished."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -70,8 +61,13 @@ class Journal:
                 f"{folder} is a file, but the batch needs a folder of this name; move the file, or give another name "
                 "with -o"
             )
-        with self._explained():
+        try:
             folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise LiaamError(
+                f"{folder} cannot be written ({error.strerror or error}): check the permissions and the free space"
+            ) from error
+        with self._explained():
             self._base = sqlite3.connect(self._file, timeout=0.0, isolation_level=None)
             try:
                 # Exclusive mode before the first access avoids shared memory, which network disks lack.
@@ -92,24 +88,13 @@ class Journal:
     def facts(self) -> dict[str, Any] | None:
         """Settings of the rows; None in a new journal."""
         found = self._ask("SELECT text FROM facts")
-        if not found:
-            return None
-        try:
-            facts = json.loads(found[0][0])
-        except (ValueError, TypeError, RecursionError):
-            facts = None
-        if not isinstance(facts, dict):
+        facts = json_object(found[0][0]) if found else None
+        if found and facts is None:
             raise self.damage("its settings cannot be read")
         return facts
 
     def check(self) -> None:
-        """Check that no row has changed since it was committed.
-
-        Raises
-        ------
-        LiaamError
-            If the file is damaged or the digest of a row does not match.
-        """
+        """Raise if the file is damaged, or a row has changed since it was committed."""
         (found,) = self._ask("PRAGMA integrity_check(1)")
         if found != ("ok",):
             raise self.damage(found[0])
@@ -127,20 +112,12 @@ class Journal:
     def list(self, pictures: Iterable[str], start_of: Callable[[str], Path | None]) -> None:
         """Store the list of images without duplicates. Keep the rows of images whose files have not changed.
 
-        Parameters
-        ----------
-        pictures : iterable of str
-        start_of : callable
-            Returns the file with the start of an image, or None.
+        ``start_of`` returns the file with the start of an image, or None.
         """
-        entries = map(partial(_entry, start_of), pictures)
-        try:
-            with self._change():
-                self._base.execute("UPDATE pictures SET seen = 0")
-                self._base.executemany(_LIST, _foreign(entries))
-                self._base.execute("DELETE FROM pictures WHERE NOT seen")
-        except _ListError as error:
-            raise error.fault from None
+        with self._change():
+            self._base.execute("UPDATE pictures SET seen = 0")
+            self._base.executemany(_LIST, map(partial(_entry, start_of), pictures))
+            self._base.execute("DELETE FROM pictures WHERE NOT seen")
 
     @property
     def total(self) -> int:
@@ -150,23 +127,17 @@ class Journal:
     @property
     def statuses(self) -> dict[str, int]:
         """Number of rows by status."""
-        found = dict(
-            self._ask("SELECT status, count(*) FROM pictures WHERE row IS NOT NULL GROUP BY status ORDER BY status")
-        )
+        statuses = "SELECT status, count(*) FROM pictures WHERE row IS NOT NULL GROUP BY status ORDER BY status"
+        found = dict(self._ask(statuses))
         if not all(isinstance(status, str) for status in found):
             raise self.damage("a row has no status")
         return found
 
     def todo(self, size: int) -> Iterator[tuple[str, ...]]:
         """Iterate over images without a row, in order, in chunks of `size`."""
-        chunk: list[str] = []
-        for (path,) in self._pages("path", "row IS NULL"):
-            chunk.append(os.fsdecode(path))
-            if len(chunk) == size:
-                yield tuple(chunk)
-                chunk = []
-        if chunk:
-            yield tuple(chunk)
+        paths = (os.fsdecode(path) for (path,) in self._pages("path", "row IS NULL"))
+        while chunk := tuple(islice(paths, size)):
+            yield chunk
 
     def keep(self, chunk: Iterable[str], rows: Iterable[tuple[str, str]]) -> None:
         """Commit (status, row) of each image of a chunk to disk."""
@@ -243,10 +214,6 @@ class Journal:
     def _explained(self) -> Iterator[None]:
         try:
             yield
-        except OSError as error:
-            raise LiaamError(
-                f"{self.folder} cannot be written ({error.strerror or error}): check the permissions and the free space"
-            ) from error
         except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter if a message quotes damaged bytes
             if "locked" in str(error):
                 raise LiaamError(
@@ -257,21 +224,6 @@ class Journal:
                 f"{self._file} cannot be read or written ({error}): check the permissions and the free space; if it "
                 f"is damaged, remove {self.folder} and start again"
             ) from error
-
-
-class _ListError(Exception):
-    """An error of the list of images, which is not one of the journal."""
-
-    def __init__(self, fault: OSError) -> None:
-        super().__init__(str(fault))
-        self.fault = fault
-
-
-def _foreign(entries: Iterable[Any]) -> Iterator[Any]:
-    try:
-        yield from entries
-    except OSError as fault:
-        raise _ListError(fault) from fault
 
 
 def _digest(path: bytes, status: Any, row: Any) -> bytes:

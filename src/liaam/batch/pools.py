@@ -4,7 +4,7 @@ from collections.abc import Generator, Iterable, Iterator
 from functools import partial
 from itertools import chain
 
-from liaam.batch.work import Job, KeptRow, failed_row, fit_chunk, kept, prepare
+from liaam.batch.work import Job, KeptRow, failed_row, fit_chunk, kept
 from liaam.errors import LiaamError
 from liaam.workers import WorkerDied, in_workers, one_thread
 
@@ -24,7 +24,7 @@ def in_processes(job: Job, chunks: Iterable[Chunk], jobs: int) -> Finished:
     chunks = iter(chunks)
     while True:
         try:
-            yield from in_workers(fit_chunk, chunks, jobs, prepare=partial(prepare, job))
+            yield from in_workers(partial(fit_chunk, job), chunks, jobs)
             return
         except WorkerDied as death:
             suspects = [path for chunk in death.items for path in chunk]
@@ -48,7 +48,7 @@ def _one_by_one(job: Job, paths: list[str]) -> Finished:
     while True:
         try:
             # The empty chunk detects a worker that cannot start, which no image causes.
-            for chunk, rows in in_workers(fit_chunk, chain([()], rest), 1, prepare=partial(prepare, job)):
+            for chunk, rows in in_workers(partial(fit_chunk, job), chain([()], rest), 1):
                 if chunk:
                     yield chunk, rows
             return

@@ -20,6 +20,7 @@ from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_tab
 from liaam.batch.work import Job, Settings
 from liaam.errors import LiaamError
 from liaam.io import write_text_atomically
+from liaam.io.atomic import check_output
 from liaam.progress import Progress
 from liaam.workers import all_cores
 
@@ -114,61 +115,39 @@ def run_batch(
     >>> summary.statuses                                                          # doctest: +SKIP
     {'converged': 981, 'doubtful': 17, 'error': 2}
     """
-    batch = _Batch(Path(output), _job_of(Path(model), settings or Settings()))
-    workers = _workers(jobs, chunk, scheduler)
+    from liaam.model import load_model
+
+    load_model(model)  # its errors name the file
+    job = Job(Path(model).read_bytes(), settings or Settings(), str(Path.cwd()))
+    job.check()  # before any work
+    _check_workers(jobs, chunk, scheduler)
+    progress = progress or (lambda done, total, what: None)
+    batch = _Batch(Path(output), job, jobs or all_cores(), chunk, scheduler, progress)
     paths = (
         find_pictures(pictures) if isinstance(pictures, (str, os.PathLike)) else (os.fspath(path) for path in pictures)
     )
-    return batch.run(paths, workers, restart, progress or (lambda done, total, what: None))
+    return batch.run(paths, restart)
 
 
-@dataclass(frozen=True)
-class _Workers:
-    """Number and kind of workers."""
-
-    jobs: int
-    chunk: int | None
-    scheduler: str | None
-
-    def chunk_for(self, pictures: int) -> int:
-        """Return the chunk size for a number of images."""
-        return self.chunk or max(1, min(CHUNK, pictures // (_SHARES * self.jobs)))
-
-    def do(self, job: Job, chunks: Iterable[Chunk]) -> Finished:
-        """Fit chunks, in any order."""
-        if self.scheduler is not None:
-            from liaam.batch.cluster import on_cluster  # needs an optional library
-
-            return on_cluster(job, chunks, self.scheduler)
-        return in_turn(job, chunks) if self.jobs == 1 else in_processes(job, chunks, self.jobs)
-
-
-def _workers(jobs: int | None, chunk: int | None, scheduler: str | None) -> _Workers:
+def _check_workers(jobs: int | None, chunk: int | None, scheduler: str | None) -> None:
     if min(jobs or 1, chunk or 1) < 1 or 0 in (jobs, chunk):
         raise LiaamError("jobs and chunk must be at least 1")
     if scheduler is not None and jobs is not None:
         raise LiaamError(f"scheduler {scheduler}: its workers determine the number of jobs; leave --jobs out")
     if scheduler is not None and find_spec("distributed") is None:
         raise LiaamError(f'scheduler {scheduler}: a cluster needs Dask; run pip install "liaam[cluster]"')
-    return _Workers(jobs or all_cores(), chunk, scheduler)
-
-
-def _job_of(model: Path, settings: Settings) -> Job:
-    """Read a model file, and check before any work that it can be fitted with these settings."""
-    from liaam.model import load_model
-
-    load_model(model)  # its errors name the file
-    job = Job(model.read_bytes(), settings, str(Path.cwd()))
-    job.check()
-    return job
 
 
 @dataclass(frozen=True)
 class _Batch:
-    """A batch: its output and its job."""
+    """A batch: its output, its job and its workers."""
 
     output: Path
     job: Job
+    jobs: int
+    chunk: int | None
+    scheduler: str | None
+    progress: Progress
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -180,74 +159,58 @@ class _Batch:
     def parts(self) -> Path:
         return self.output.with_name(f"{self.output.name}.parts")
 
-    def run(self, pictures: Iterable[str], workers: _Workers, restart: bool, progress: Progress) -> Summary:
+    def run(self, pictures: Iterable[str], restart: bool) -> Summary:
         """Fit the remaining images and write the table."""
-        self._check_output()
+        check_format(self.output)
+        check_output(self.output)
         with Journal(self.parts) as journal, _tidy(journal):
             self._take_up(journal, restart)
-            progress(0, 1, "listing images")
+            self.progress(0, 1, "listing images")
             journal.list(pictures, self.job.start_file)
             if not journal.total:
                 raise LiaamError(f"{self.output}: there is no image to fit; give images, or a folder of images")
-            earlier = None if restart else self._complete(journal)
-            if earlier is None:
-                summary = self._finish(journal, workers, progress)
-            else:
+            earlier = None if restart else earlier_summary(self.output)
+            if earlier is not None and (earlier["settings"], earlier["pictures"]) == (self.facts, journal.digest()):
                 summary = Summary(self.output, earlier["statuses"])
+            else:
+                summary = self._finish(journal)
             journal.remove()
         return summary
 
-    def _check_output(self) -> None:
-        """Raise, before any work, if the table cannot be written."""
-        check_format(self.output)
-        if self.output.is_dir() or not self.output.parent.is_dir():
-            what = "it is a folder" if self.output.is_dir() else f"the folder {self.output.parent} does not exist"
-            raise LiaamError(
-                f"{self.output} cannot be written: {what}; give the name of a file in a folder that exists"
-            )
-
-    def _check_earlier(self) -> None:
-        """Raise, before any work, if the table would replace an unrelated file."""
-        if not self.output.exists():
-            return
-        earlier = earlier_summary(self.output)
-        if earlier is None:
-            raise LiaamError(
-                f"{self.output} exists and is not from an earlier batch; give another name with -o, or add --restart "
-                "to replace it"
-            )
-        self._refuse_others(earlier["settings"])
-
     def _take_up(self, journal: Journal, restart: bool) -> None:
-        """Resume a journal of the same settings, or start a new one."""
+        """Resume a journal of the same settings, or start a new one. Raise if the table would replace another file."""
         if not restart:
             before = journal.facts
             if before is not None and journal.statuses:
                 self._refuse_others(before)
                 journal.check()
                 return
-            self._check_earlier()
+            if self.output.exists():
+                earlier = earlier_summary(self.output)
+                if earlier is None:
+                    raise LiaamError(
+                        f"{self.output} exists and is not from an earlier batch; give another name with -o, or add "
+                        "--restart to replace it"
+                    )
+                self._refuse_others(earlier["settings"])
         journal.restart(self.facts)
 
     def _refuse_others(self, before: dict[str, Any]) -> None:
         facts = self.facts
-        changed = [f"{key} ({_in_words(before.get(key))}, now {_in_words(facts[key])})" for key in facts]
-        changed = [text for key, text in zip(facts, changed, strict=True) if before.get(key) != facts[key]]
+        changed = [
+            f"{key} ({_in_words(before.get(key))}, now {_in_words(facts[key])})"
+            for key in facts
+            if before.get(key) != facts[key]
+        ]
         if changed:
             raise LiaamError(
                 f"{self.output}: an earlier batch had another {', '.join(changed)}; give another name with -o, or add "
                 "--restart to start over"
             )
 
-    def _complete(self, journal: Journal) -> dict[str, Any] | None:
-        """Return the summary of an earlier batch with the same settings and images, if there is one."""
-        earlier = earlier_summary(self.output)
-        same = earlier is not None and (earlier["settings"], earlier["pictures"]) == (self.facts, journal.digest())
-        return earlier if same else None
-
-    def _finish(self, journal: Journal, workers: _Workers, progress: Progress) -> Summary:
-        summary = self._fit(journal, workers, progress)
-        progress(summary.total, summary.total, f"writing {self.output.name}")
+    def _finish(self, journal: Journal) -> Summary:
+        summary = self._fit(journal)
+        self.progress(summary.total, summary.total, f"writing {self.output.name}")
         table = Table(self._rows(journal), self.job.model.n_points, self.job.settings.covariance, self.facts)
         write_table(self.output, table)
         facts = {
@@ -271,21 +234,29 @@ class _Batch:
         if n_rows != journal.total:
             raise journal.damage(f"{journal.total - n_rows} rows are missing")
 
-    def _fit(self, journal: Journal, workers: _Workers, progress: Progress) -> Summary:
+    def _in_workers(self, chunks: Iterable[Chunk]) -> Finished:
+        """Fit chunks, in any order."""
+        if self.scheduler is not None:
+            from liaam.batch.cluster import on_cluster  # needs an optional library
+
+            return on_cluster(self.job, chunks, self.scheduler)
+        return in_turn(self.job, chunks) if self.jobs == 1 else in_processes(self.job, chunks, self.jobs)
+
+    def _fit(self, journal: Journal) -> Summary:
         """Fit the images that have no row in the journal."""
         total, statuses, begin = journal.total, Counter(journal.statuses), perf_counter()
         before = statuses.total()
-        progress(before, total, "starting" if not before else "resuming")
-        chunks = journal.todo(workers.chunk_for(total - before))
+        self.progress(before, total, "starting" if not before else "resuming")
+        chunks = journal.todo(self.chunk or max(1, min(CHUNK, (total - before) // (_SHARES * self.jobs))))
         try:
             if before < total:
-                with closing(workers.do(self.job, chunks)) as finished:
+                with closing(self._in_workers(chunks)) as finished:
                     for chunk, rows in finished:
                         journal.keep(chunk, rows)
                         statuses.update(status for status, _ in rows)
                         done = statuses.total()
                         rate = (done - before) / (perf_counter() - begin)
-                        progress(done, total, f"{rate:.1f} images/s; {in_words(statuses)}")
+                        self.progress(done, total, f"{rate:.1f} images/s; {in_words(statuses)}")
         except KeyboardInterrupt:
             if not statuses:
                 raise KeyboardInterrupt("stopped: no image is finished yet") from None

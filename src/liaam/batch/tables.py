@@ -3,7 +3,7 @@
 import csv
 import importlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import islice
@@ -12,6 +12,7 @@ from typing import Any
 
 from liaam.errors import LiaamError
 from liaam.io import atomic_path
+from liaam.io.files import json_object
 
 GROUP = 1000
 """Rows per Parquet row group, which are in memory together."""
@@ -40,18 +41,9 @@ ParsedRow = tuple[str, dict[str, Any]]
 
 @dataclass(frozen=True)
 class Table:
-    """Content of a table.
+    """Content of a table: its rows, the number of landmarks, and whether the rows have covariances.
 
-    Attributes
-    ----------
-    rows : iterable of (str, dict)
-        JSON text and parsed row, one per image.
-    n_points : int
-        Number of landmarks of the model.
-    covariance : bool
-        Whether the rows have covariances.
-    facts : dict
-        Settings, stored in the file if the format supports it.
+    ``facts`` are the settings, stored in the file if the format supports it.
     """
 
     rows: Iterable[ParsedRow]
@@ -62,17 +54,17 @@ class Table:
     @property
     def columns(self) -> list[str]:
         """Names of the columns."""
-        return [name for name in COLUMNS if self.covariance or name != "covariance"]
+        return _columns(self.covariance)
+
+
+def _columns(covariance: bool) -> list[str]:
+    return [name for name in COLUMNS if covariance or name != "covariance"]
 
 
 def row_of(text: str, n_points: int, covariance: bool) -> dict[str, Any] | None:
     """Parse a row of JSON. Return None unless it has all columns, each of the right type."""
-    try:
-        row = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    names = [name for name in COLUMNS if covariance or name != "covariance"]
-    if not isinstance(row, dict) or not row.keys() >= set(names):
+    row, names = json_object(text), _columns(covariance)
+    if row is None or not row.keys() >= set(names):
         return None
     sound = all(_is_cell(row[name], COLUMNS[name], n_points * len(_PARTS.get(name, ()))) for name in names)
     return row if sound else None
@@ -111,8 +103,9 @@ def _write_parquet(path: Path, table: Table) -> None:
     types["list<float32>"] = pa.list_(pa.float32())
     schema = pa.schema([(name, types[COLUMNS[name]]) for name in table.columns], {"liaam": json.dumps(table.facts)})
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
-        for group in _groups(table.rows):
-            writer.write_table(pa.Table.from_pylist([row for _, row in group], schema))
+        rows = iter(table.rows)
+        while group := [row for _, row in islice(rows, GROUP)]:
+            writer.write_table(pa.Table.from_pylist(group, schema))
 
 
 def _write_csv(path: Path, table: Table) -> None:
@@ -138,12 +131,6 @@ def _cells(value: Any, width: int | None) -> list[Any]:
     if width is None:
         return [value]
     return [None] * width if value is None else value
-
-
-def _groups(rows: Iterable[ParsedRow]) -> Iterator[list[ParsedRow]]:
-    rest = iter(rows)
-    while group := list(islice(rest, GROUP)):
-        yield group
 
 
 _WRITERS = {".parquet": _write_parquet, ".csv": _write_csv, ".jsonl": _write_lines}

@@ -5,7 +5,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
@@ -69,33 +69,21 @@ class Settings:
     def describe(self) -> dict[str, Any]:
         """Return the settings as JSON types."""
         camera = None if self.camera is None else {**self.camera.describe(), "history": []}
-        return {
-            "method": self.method,
-            "init": self.init,
-            "iterations": self.iterations,
-            "camera": camera,
-            "response": self.response,
-            "covariance": self.covariance,
-            "rotations": self.rotations,
-        }
+        return {**vars(self), "camera": camera}
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
     """Everything that a worker needs. It is pickled and sent to workers.
 
-    Attributes
-    ----------
-    model_file : bytes
-        Content of the model file, because the file may change, and a cluster may not have access to it.
-    settings : Settings
-    folder : str
-        Folder that relative paths start from.
+    It holds the content of the model file, because the file may change and a cluster may not have access to it, and
+    the folder that relative paths start from.
     """
 
     model_file: bytes
     settings: Settings
     folder: str
+    _fitters: "dict[bool, Fitter]" = field(default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple:
         """Pickle without the cached model and fitters."""
@@ -119,23 +107,15 @@ class Job:
 
     def fitter(self, raw: bool) -> "Fitter":
         """Return the fitter for RAW files, or for other images."""
-        return self._raw_fitter if raw else self._fitter
+        if raw not in self._fitters:
+            from liaam.fitting import Fitter, SolverOptions
 
-    @cached_property
-    def _fitter(self) -> "Fitter":
-        return self._make_fitter(raw=False)
-
-    @cached_property
-    def _raw_fitter(self) -> "Fitter":
-        return self._make_fitter(raw=True)
-
-    def _make_fitter(self, raw: bool) -> "Fitter":
-        from liaam.fitting import Fitter, SolverOptions
-
-        settings = self.settings
-        camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
-        options = SolverOptions(max_iterations=settings.iterations)
-        return Fitter(self.model, settings.method, options, camera=camera, rotations=settings.rotations)
+            settings = self.settings
+            camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
+            options = SolverOptions(max_iterations=settings.iterations)
+            fitter = Fitter(self.model, settings.method, options, camera=camera, rotations=settings.rotations)
+            self._fitters[raw] = fitter
+        return self._fitters[raw]
 
     def absolute(self, path: str) -> str:
         """Return the absolute path of an existing file, or else the text itself, which may be numbers."""
@@ -195,20 +175,10 @@ class Job:
         return re.sub(places, lambda found: named[found.group()], message)
 
 
-_job: Job | None = None
-
-
-def prepare(job: Job) -> None:
-    """Set the job of this worker process."""
-    global _job
-    _job = job
-
-
-def fit_chunk(chunk: tuple[str, ...]) -> list[KeptRow]:
+def fit_chunk(job: Job, chunk: tuple[str, ...]) -> list[KeptRow]:
     """Fit a chunk in a worker process."""
-    assert _job is not None
     with one_thread():
-        return _job.rows(chunk)
+        return job.rows(chunk)
 
 
 def kept(row: Row) -> KeptRow:

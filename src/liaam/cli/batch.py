@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.inputs import RotationsOption
+from liaam.cli.inputs import CameraOption, ResponseOption, RotationsOption
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 
@@ -35,13 +35,8 @@ def batch(
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
     rotations: RotationsOption = "upright",
     iterations: Annotated[int, typer.Option(help="Maximum number of iterations at each blur level.", min=0)] = 50,
-    camera_file: Annotated[
-        Path | None,
-        typer.Option("--camera", help="Camera file, if the images come from another camera than the training images."),
-    ] = None,
-    response: Annotated[
-        str | None, typer.Option(help="Camera response, if it differs from the training camera's.")
-    ] = None,
+    camera_file: CameraOption = None,
+    response: ResponseOption = None,
     covariance: Annotated[bool, typer.Option(help="Write the covariance of each landmark.")] = True,
     jobs: Annotated[
         int | None, typer.Option(help="Number of worker processes. By default one per core.", min=1)

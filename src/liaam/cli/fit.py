@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli.inputs import LOW_SCORE, RotationsOption, camera_for, read_init, unique_stems
+from liaam.cli.inputs import (
+    LOW_SCORE,
+    CameraOption,
+    EllipsesOption,
+    ResponseOption,
+    RotationsOption,
+    camera_for,
+    read_with_start,
+    unique_stems,
+)
 from liaam.cli.terminal import cell, complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError
 
@@ -45,16 +54,9 @@ def fit(
     history: Annotated[
         bool, typer.Option("--history", help="Also write the cost and shape of each iteration.")
     ] = False,
-    ellipses: Annotated[
-        bool, typer.Option("--ellipses", help="Draw the 95 % confidence ellipse of each landmark.")
-    ] = False,
-    camera_file: Annotated[
-        Path | None,
-        typer.Option("--camera", help="Camera file, if the images come from another camera than the training images."),
-    ] = None,
-    response: Annotated[
-        str | None, typer.Option(help="Camera response, if it differs from the training camera's.")
-    ] = None,
+    ellipses: EllipsesOption = False,
+    camera_file: CameraOption = None,
+    response: ResponseOption = None,
 ) -> None:
     """Fit a model to images. Writes landmarks (.pts, .csv, .json) and an overlay image for each."""
     from liaam.fitting import Fitter, SolverOptions
@@ -135,19 +137,16 @@ def fit_file(
     fitter: "Fitter", image: Path, init: str | None, every: bool, outputs: Outputs, stem: str
 ) -> "list[FitResult]":
     """Fit one image file from `init`, from the start that the search finds, or from `every` start it finds."""
-    from liaam.io import read_image
-
     if not every:
         refuse_to_overwrite(outputs.folder, stem)
-        pixels = read_image(image)
-        start = None if init is None else read_init(init, image, pixels.shape[1::-1])
-        return [fit_one(fitter, pixels, start, image, outputs, stem)]
-    pixels = read_image(image)
-    found = fitter.find_all(pixels, name=image.name)
-    stems = [f"{stem}_{i}" for i in range(1, len(found) + 1)]
-    for name in stems:
-        refuse_to_overwrite(outputs.folder, name)
-    return [fit_one(fitter, pixels, start, image, outputs, name) for start, name in zip(found, stems, strict=True)]
+    pixels, start = read_with_start(image, init)
+    starts, stems = [start], [stem]
+    if every:
+        starts = fitter.find_all(pixels, name=image.name)
+        stems = [f"{stem}_{i}" for i in range(1, len(starts) + 1)]
+        for name in stems:
+            refuse_to_overwrite(outputs.folder, name)
+    return [fit_one(fitter, pixels, start, image, outputs, name) for start, name in zip(starts, stems, strict=True)]
 
 
 def has_others(fitter: "Fitter", image: Path, result: "FitResult") -> bool:

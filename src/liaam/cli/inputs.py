@@ -8,6 +8,7 @@ import typer
 
 from liaam.cli.terminal import say
 from liaam.errors import CameraError, LiaamError
+from liaam.io.atomic import check_output
 from liaam.io.files import real_path, some_names
 
 if TYPE_CHECKING:
@@ -29,6 +30,12 @@ ImagesOption = Annotated[
     typer.Option("--images", help="Use only images whose name matches, such as '07-[12346]*'; may be repeated."),
 ]
 RecursiveOption = Annotated[bool, typer.Option("--recursive", help="Include subfolders.")]
+CameraOption = Annotated[
+    Path | None,
+    typer.Option("--camera", help="Camera file, if this is not the camera of the training images."),
+]
+ResponseOption = Annotated[str | None, typer.Option(help="Camera response, if it differs from the training camera's.")]
+EllipsesOption = Annotated[bool, typer.Option("--ellipses", help="Draw the 95 % confidence ellipse of each landmark.")]
 RotationsOption = Annotated[
     str,
     typer.Option(
@@ -65,6 +72,14 @@ def read_init(text: str, image: Path, size: tuple[int, int]):
     from liaam.io import read_start
 
     return read_start(text, image, size)
+
+
+def read_with_start(image: Path, init: str | None):
+    """Read an image, and --init for it if given."""
+    from liaam.io import read_image
+
+    pixels = read_image(image)
+    return pixels, None if init is None else read_init(init, image, pixels.shape[1::-1])
 
 
 def unique_stems(images: list[Path]) -> list[str]:
@@ -164,13 +179,6 @@ def read_patches(path: Path) -> "np.ndarray":
     if boxes.ndim != 2 or boxes.shape[1] != 4:
         raise CameraError(f"{path} is not a patch file: give one row x0,y0,x1,y1 in pixels per patch")
     return boxes
-
-
-def check_output(output: Path) -> None:
-    """Raise, before any work, if a file cannot be written."""
-    if output.is_dir() or not output.parent.is_dir():
-        what = "is a folder" if output.is_dir() else f"cannot be written: the folder {output.parent} does not exist"
-        raise LiaamError(f"{output} {what}; give the name of a file in a folder that exists")
 
 
 def names_of(paths: Sequence[Path]) -> str:

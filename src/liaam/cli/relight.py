@@ -5,7 +5,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli.inputs import LOW_SCORE, camera_for, check_output, numbers_in, read_init, refuse_inputs
+from liaam.cli.inputs import (
+    LOW_SCORE,
+    CameraOption,
+    ResponseOption,
+    camera_for,
+    check_output,
+    numbers_in,
+    read_with_start,
+    refuse_inputs,
+)
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 
@@ -48,13 +57,8 @@ def relight(
     method: Annotated[
         str, typer.Option("--method", "-m", help="Fitting method: soft-li, or one on log-RGB such as li.")
     ] = "soft-li",
-    camera_file: Annotated[
-        Path | None,
-        typer.Option("--camera", help="Camera file, if the images come from another camera than the training images."),
-    ] = None,
-    response: Annotated[
-        str | None, typer.Option(help="Camera response, if it differs from the training camera's.")
-    ] = None,
+    camera_file: CameraOption = None,
+    response: ResponseOption = None,
 ) -> None:
     """Show the object in an image under the training light, a lamp, or the light of another image."""
     direction = check_lights(flat, light, like, ambient, like_init)
@@ -121,11 +125,9 @@ def check_image_name(output: Path) -> None:
 
 def fit_relighter(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Relighter, FitResult]":
     """Fit an image and estimate its shading."""
-    from liaam.io import read_image
     from liaam.relighting import Relighter
 
-    pixels = read_image(path)
-    start = None if init is None else read_init(init, path, pixels.shape[1::-1])
+    pixels, start = read_with_start(path, init)
     result = fitter.fit(pixels, start, path.name)
     return Relighter.of(fitter, pixels, result, name=str(path)), result
 

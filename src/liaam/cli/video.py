@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from liaam.cli.inputs import camera_for, check_output, read_init
+from liaam.cli.inputs import CameraOption, EllipsesOption, ResponseOption, camera_for, check_output, read_init
 from liaam.cli.terminal import INTERRUPTED, complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.io.files import real_path
@@ -60,16 +60,9 @@ def track(
             min=0,
         ),
     ] = None,
-    ellipses: Annotated[
-        bool, typer.Option("--ellipses", help="Draw the 95 % confidence ellipse of each landmark.")
-    ] = False,
-    camera_file: Annotated[
-        Path | None,
-        typer.Option("--camera", help="Camera file, if the video comes from another camera than the training images."),
-    ] = None,
-    response: Annotated[
-        str | None, typer.Option(help="Camera response, if it differs from the training camera's.")
-    ] = None,
+    ellipses: EllipsesOption = False,
+    camera_file: CameraOption = None,
+    response: ResponseOption = None,
     jobs: Annotated[
         int | None,
         typer.Option(

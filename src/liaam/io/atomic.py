@@ -37,6 +37,16 @@ _swept: set[Path] = set()
 """Folders that this process has swept."""
 
 
+def check_output(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Path:
+    """Return the real path of a file to write. Raise if it is a folder, or if its folder does not exist."""
+    target = real_path(path)
+    if target.is_dir():
+        raise error(f"{path} cannot be written: it is a folder. Give a file name.")
+    if not target.parent.is_dir():
+        raise error(f"{path} cannot be written: the folder {target.parent} does not exist. Make it first.")
+    return target
+
+
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Iterator[Path]:
     """Yield a temporary path that is renamed to `path` if the block ends without an error.
@@ -61,11 +71,7 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
     LiaamError
         Of class `error`, if the folder is missing or writing fails. The target is then unchanged.
     """
-    target = real_path(path)
-    if target.is_dir():
-        raise error(f"{path} cannot be written: it is a folder. Give a file name.")
-    if not target.parent.is_dir():
-        raise error(f"{path} cannot be written: the folder {target.parent} does not exist. Make it first.")
+    target = check_output(path, error)
     if target.parent not in _swept:
         _swept.add(target.parent)
         sweep(target.parent)

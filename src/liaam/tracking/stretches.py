@@ -1,8 +1,7 @@
 """Track the stretches of a long video in parallel processes. The landmarks do not depend on the number of processes.
 
-Tracking of a stretch starts some frames before it, so that the tracker has estimated the motion when the stretch
-begins. If the stretch then differs from the preceding track, for example by another person or another position of the
-jaw, the preceding track continues into the stretch until both agree.
+Tracking of a stretch starts some frames before it, to estimate the motion. If it then differs from the preceding track,
+for example by another person, the preceding track continues into the stretch until both agree.
 """
 
 import multiprocessing
@@ -47,17 +46,7 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class TrackJob:
-    """A video to track and its tracker.
-
-    Attributes
-    ----------
-    tracker : Tracker
-        A new tracker.
-    video : str
-        Path of a file.
-    fits : bool
-        Whether to return the frames' fits with their landmarks.
-    """
+    """A video file to track, a new tracker, and whether to return the frames' fits with their landmarks."""
 
     tracker: Tracker
     video: str
@@ -66,19 +55,10 @@ class TrackJob:
 
 @dataclass(frozen=True, eq=False)
 class TrackedStretch:
-    """Track of a stretch.
+    """Track of a stretch, the frame before it from its run-in, and the state of the tracker at its end.
 
-    Attributes
-    ----------
-    before : TrackedFrame or None
-        The frame before the stretch, from its run-in.
-    frames : list of (TrackedFrame, FitResult or None)
-    state : TrackState
-        State of the tracker at the end.
-    fault : str
-        Fault of the file; empty if there is none.
-    whole : bool
-        Whether tracking reached the end of the stretch, rather than the end of the file or a stop.
+    ``fault`` is that of the file. ``whole`` is True at the end of the stretch, and False at the end of the file or at a
+    stop.
     """
 
     before: TrackedFrame | None
@@ -92,17 +72,7 @@ Found = Generator[tuple[Stretch, TrackedStretch], None, None]
 
 
 def cut(start: int, stop: int | None, n_frames: int | None, length: int | None = None) -> list[Stretch]:
-    """Cut a video into stretches.
-
-    Parameters
-    ----------
-    start, stop : int, int or None
-        First frame, and the one after the last.
-    n_frames : int or None
-        Number of frames between them. If unknown (None), there is one stretch.
-    length : int, optional
-        Length of a stretch. By default :data:`LENGTH`.
-    """
+    """Cut frames `start` to `stop` (exclusive) into stretches; one, if their number `n_frames` is unknown (None)."""
     length = LENGTH if length is None else length
     n = max(1, (n_frames or 0) // length)
     begins = [start + i * length for i in range(n)]
@@ -115,16 +85,9 @@ def track_stretch(
     state: TrackState | None = None,
     seen: Callable[[TrackedFrame], bool] = lambda _: True,
 ) -> TrackedStretch:
-    """Track one stretch.
+    """Track one stretch, from the state at the end of the previous one, or else with a run-in.
 
-    Parameters
-    ----------
-    job : TrackJob
-    stretch : Stretch
-    state : TrackState, optional
-        State of the tracker at the end of the previous stretch. By default tracking starts with a run-in.
-    seen : callable
-        Called with each frame, including the run-in. Returns whether to continue.
+    ``seen`` is called with each frame, including the run-in, and returns whether to continue.
     """
     tracker, begin = job.tracker, stretch.start
     if state is None and stretch.number:
@@ -151,16 +114,9 @@ def track_stretch(
 
 
 def agree(track: TrackedFrame, other: TrackedFrame | None, lost: int = 0, patience: int = 0) -> bool:
-    """Return whether another track may continue a track.
+    """Return whether another track may continue a track, from the same frame in both.
 
-    Parameters
-    ----------
-    track, other : TrackedFrame, TrackedFrame or None
-        The same frame in both tracks.
-    lost : int
-        Number of frames for which the track has been lost.
-    patience : int
-        Number of frames for which a lost track expects its object in the same place. After them it accepts any object.
+    A track that has been lost for more than `patience` frames accepts any object.
     """
     if not track.ok:
         return lost > patience or (other is not None and not other.ok)
@@ -173,19 +129,7 @@ def agree(track: TrackedFrame, other: TrackedFrame | None, lost: int = 0, patien
 def joined(
     job: TrackJob, stretch: Stretch, last: TrackedStretch, own: TrackedStretch, stopped: Callable[[], bool]
 ) -> TrackedStretch:
-    """Continue the previous track into a stretch until it agrees with the stretch's own track.
-
-    Parameters
-    ----------
-    job : TrackJob
-    stretch : Stretch
-    last : TrackedStretch
-        Track of the previous stretch.
-    own : TrackedStretch
-        Track of the stretch from its run-in.
-    stopped : callable
-        Returns whether to stop.
-    """
+    """Continue the previous track (`last`) into a stretch until it agrees with the stretch's `own` track."""
     patience, end = job.tracker.options.patience, last.frames[-1][0]
     lost = sum(1 for _ in takewhile(lambda found: not found[0].ok, reversed(last.frames)))
     if agree(end, own.before, lost, patience):
@@ -215,23 +159,8 @@ def track_stretches(
 ) -> Generator[TrackedStretch, None, None]:
     """Track stretches in parallel. Yield them in order, joined to one track.
 
-    Parameters
-    ----------
-    job : TrackJob
-    stretches : list of Stretch
-    jobs : int
-        Number of worker processes.
-    progress : callable
-        Called regularly, in another thread, with the number of frames done.
-    stopped : callable
-        Returns whether to stop. The finished frames up to the first gap are then yielded.
-
-    Raises
-    ------
-    VideoError, ImageError, StartError
-        As by :class:`VideoReader`, and by :class:`Tracker` for the first frame.
-    LiaamError
-        If a worker dies.
+    ``progress`` is called regularly, in another thread, with the number of frames done. If ``stopped`` returns True,
+    the finished frames up to the first gap are yielded.
     """
     last: TrackedStretch | None = None
     try:
@@ -254,13 +183,10 @@ def track_stretches(
 def _each(job: TrackJob, stretches: list[Stretch], jobs: int, shared: "_Shared") -> Found:
     """Track each stretch separately. Yield them in order of completion."""
     if jobs == 1:
-        for stretch in stretches:
-            yield stretch, track_stretch(job, stretch, seen=partial(shared.seen, stretch))
+        yield from ((stretch, _track(job, shared, stretch)) for stretch in stretches)
         return
     workers = min(jobs, len(stretches))
-    yield from in_workers(
-        _track, stretches, workers, prepare=partial(_prepare, job), inherited=(shared,), stop_at_death=True
-    )
+    yield from in_workers(partial(_track, job), stretches, workers, inherited=(shared,), stop_at_death=True)
 
 
 def _in_order(each: Found) -> Found:
@@ -275,14 +201,9 @@ def _in_order(each: Found) -> Found:
 
 @dataclass(frozen=True, eq=False)
 class _Shared:
-    """Memory shared by the processes, without locks, because a killed process would not release them.
+    """Memory shared by the processes: the number of frames done in each stretch, and whether to stop.
 
-    Attributes
-    ----------
-    n_done : array of int
-        Number of frames done in each stretch.
-    stop : bool value
-        Whether to stop.
+    It has no locks, because a killed process would not release them.
     """
 
     n_done: Any
@@ -314,17 +235,5 @@ def _watched(n: int, progress: Callable[[int], object], stopped: Callable[[], bo
         watcher.join()
 
 
-_work: tuple[TrackJob, _Shared] | None = None
-
-
-def _prepare(job: TrackJob, shared: _Shared) -> None:
-    """Set the job of this worker process."""
-    global _work
-    _work = job, shared
-
-
-def _track(stretch: Stretch) -> TrackedStretch:
-    """Track a stretch in a worker process."""
-    assert _work is not None
-    job, shared = _work
+def _track(job: TrackJob, shared: _Shared, stretch: Stretch) -> TrackedStretch:
     return track_stretch(job, stretch, seen=partial(shared.seen, stretch))
