@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -19,12 +18,15 @@ TRACK_SUFFIXES = (".csv", ".npz")
 _HEADER = b"frame,time,status"
 
 
-class TrackWriter(Protocol):
-    """Writer of tracked frames."""
+class TrackWriter:
+    """Collects tracked frames to write."""
+
+    def __init__(self) -> None:
+        self.frames: list[TrackedFrame] = []
 
     def write(self, frame: TrackedFrame) -> None:
         """Add a frame."""
-        ...
+        self.frames.append(frame)
 
 
 @contextmanager
@@ -42,18 +44,19 @@ def track_writer(path: str | os.PathLike[str], n_points: int) -> Iterator[TrackW
     Yields
     ------
     TrackWriter
+        Its method ``write`` adds a :class:`TrackedFrame`.
     """
     path = Path(path)
     check_track_name(path)
-    if path.suffix.lower() == ".csv":
-        with _table(path, n_points) as table:
-            yield table
-        return
-    collected = _Collected()
     with atomic_path(path) as temporary:
-        yield collected
+        if path.suffix.lower() == ".csv":
+            with _table(path, temporary, n_points) as table:
+                yield table
+            return
+        writer = TrackWriter()
+        yield writer
         with temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays_of(collected.frames, n_points))
+            np.savez_compressed(file, allow_pickle=False, **arrays_of(writer.frames, n_points))
 
 
 def check_track_name(path: Path) -> None:
@@ -70,34 +73,21 @@ def is_track(path: Path) -> bool:
 
 def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.ndarray]:
     """Return the arrays of a .npz track, with one row per frame."""
-    points, squares = (0, n_points, 2), (0, n_points, 2, 2)
-
-    def stacked(name: str, empty: tuple[int, ...]) -> np.ndarray:
-        return np.array([getattr(frame, name) for frame in frames]) if frames else np.zeros(empty)
-
-    return {
+    points, squares = (n_points, 2), (n_points, 2, 2)
+    shapes = {"time": (), "quality": (), "theta": (), "landmarks": points, "raw": points}
+    shapes |= {"covariances": squares, "raw_covariances": squares}
+    numbers = {
+        name: np.array([getattr(frame, name) for frame in frames], np.float64).reshape(len(frames), *shape)
+        for name, shape in shapes.items()
+    }
+    return numbers | {
         "frame": np.array([frame.index for frame in frames], dtype=np.int64),
-        "time": np.array([frame.time for frame in frames], dtype=np.float64),
         "status": np.array([str(frame.status) for frame in frames], dtype=np.str_),
         "fit_status": np.array([str(frame.fit_status or "") for frame in frames], dtype=np.str_),
-        "quality": np.array([frame.quality for frame in frames], dtype=np.float64),
-        "theta": np.array([frame.theta for frame in frames], dtype=np.float64),
-        "landmarks": stacked("landmarks", points),
-        "raw": stacked("raw", points),
-        "covariances": stacked("covariances", squares),
-        "raw_covariances": stacked("raw_covariances", squares),
     }
 
 
-class _Collected:
-    def __init__(self) -> None:
-        self.frames: list[TrackedFrame] = []
-
-    def write(self, frame: TrackedFrame) -> None:
-        self.frames.append(frame)
-
-
-class _Table:
+class _Table(TrackWriter):
     """Writer of .csv rows: frame, status and quality, then x, y, fitted x and y, and covariance of each landmark."""
 
     def __init__(self, file, n_points: int):
@@ -122,23 +112,22 @@ class _Table:
 
 
 @contextmanager
-def _table(path: Path, n_points: int) -> Iterator[_Table]:
-    with atomic_path(path) as temporary:
-        part = temporary.with_name(f"{path.stem}.part{path.suffix}")  # on the disk that a link leads to
-        with part.open("a", encoding="utf-8", newline="") as file:
-            try:
-                lock(file.fileno())
-            except BlockingIOError:
-                raise LiaamError(f"{path} is being written by another process; wait, or give another name") from None
-            file.truncate(0)
-            table = _Table(file, n_points)
-            try:
-                yield table
-            except BaseException:
-                if not table.n_rows:  # nothing to save
-                    part.unlink()
-                raise
-        part.replace(temporary)
+def _table(path: Path, temporary: Path, n_points: int) -> Iterator[_Table]:
+    part = temporary.with_name(f"{path.stem}.part{path.suffix}")  # on the disk that a link leads to
+    with part.open("a", encoding="utf-8", newline="") as file:
+        try:
+            lock(file.fileno())
+        except BlockingIOError:
+            raise LiaamError(f"{path} is being written by another process; wait, or give another name") from None
+        file.truncate(0)
+        table = _Table(file, n_points)
+        try:
+            yield table
+        except BaseException:
+            if not table.n_rows:  # nothing to save
+                part.unlink()
+            raise
+    part.replace(temporary)
 
 
 def _number(value: float, digits: int) -> str:

@@ -28,14 +28,7 @@ divided by the fit's variance. They smooth a little, and lose their influence wi
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Gaussian estimate of k positions and their velocities.
-
-    Attributes
-    ----------
-    position, velocity : (k,) float64
-    pp, pv, vv : (k, k) float64
-        Covariances of positions, of positions with velocities, and of velocities.
-    """
+    """Gaussian estimate of k positions and their velocities, with their covariances pp, pv and vv, (k, k) each."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -50,32 +43,13 @@ class Belief:
 
 
 def first_belief(position: np.ndarray, noise: np.ndarray, speed: np.ndarray) -> Belief:
-    """Return the estimate after the first measurement.
-
-    Parameters
-    ----------
-    position : (k,) float
-        Measured positions.
-    noise : (k, k) float
-        Covariance of the measurement.
-    speed : (k,) float
-        Prior standard deviation of the velocity.
-    """
+    """Return the estimate after a first measurement of covariance ``noise``; ``speed`` (k,) deviates from rest."""
     k = len(position)
     return Belief(position, np.zeros(k), noise, np.zeros((k, k)), np.diag(np.square(speed)))
 
 
 def predict(belief: Belief, drive: np.ndarray, frames: float = 1.0) -> Belief:
-    """Return the estimate some frames later, without measurements in between.
-
-    Parameters
-    ----------
-    belief : Belief
-    drive : (k,) float
-        Spectral density of each coordinate's acceleration.
-    frames : float
-        Number of frames.
-    """
+    """Return the estimate some frames later. ``drive`` (k,) is the spectral density of the acceleration."""
     t, each = frames, np.arange(len(belief.position))
     pv = belief.pv + t * belief.vv
     pp = belief.pp + t * (belief.pv + pv.T)
@@ -87,43 +61,32 @@ def predict(belief: Belief, drive: np.ndarray, frames: float = 1.0) -> Belief:
 
 
 def update(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
-    """Return the estimate after another measurement.
+    """Return the estimate after another measurement, from the prediction.
 
-    Parameters
-    ----------
-    belief : Belief
-        The prediction.
-    measured : (k,) float
-    noise : (k, k) float
-        Covariance of the measurement, positive definite.
-
-    Returns
-    -------
-    Belief
-        Its ``pp`` is at most ``noise`` and at most the prediction's.
+    ``noise`` (k, k) is positive definite. The new ``pp`` is at most ``noise`` and at most the prediction's.
     """
     total = belief.pp + noise
     # Gains of the positions, then of the velocities.
     gains = np.linalg.solve(total, np.concatenate([belief.pp, belief.pv.T]).T).T
     k, innovation = len(measured), measured - belief.position
     step = gains @ innovation
-    pp = gains[:k] @ noise
+    pp, vv = gains[:k] @ noise, belief.vv - gains[k:] @ belief.pv
     return Belief(
         belief.position + step[:k],
         belief.velocity + step[k:],
         0.5 * (pp + pp.T),
         belief.pv - gains[:k] @ belief.pv,
-        _symmetric(belief.vv - gains[k:] @ belief.pv),
+        0.5 * (vv + vv.T),
     )
 
 
-def widened(belief: Belief, measured: np.ndarray, noise: np.ndarray, gate: float = GATE) -> Belief:
+def widened(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
     """Inflate the covariance of coordinates with large innovations, so that the filter follows sudden motion at once.
 
-    The updated estimate of a single coordinate is within sqrt(gate) standard deviations of the measurement.
+    The updated estimate of a single coordinate is within sqrt(GATE) standard deviations of the measurement.
     """
     innovation = measured - belief.position
-    excess = np.square(innovation) / gate - np.diag(belief.pp) - np.diag(noise)
+    excess = np.square(innovation) / GATE - np.diag(belief.pp) - np.diag(noise)
     if not (excess > 0).any():
         return belief
     more = np.diag(np.maximum(excess, 0.0))
@@ -140,14 +103,8 @@ def slowed(belief: Belief, factor: float) -> Belief:
 class Moments:
     """Running moments of a track's second differences.
 
-    Attributes
-    ----------
-    own, neighbour : (k,) float64
-        Mean square of second differences, and mean product of one with the next.
-    weight : float
-        Number of differences that they average.
-    last : tuple of (k,) float64
-        Up to three measurements of consecutive frames, the newest last.
+    ``own`` (k,) is their mean square, and ``neighbour`` (k,) the mean product of one with the next, over ``weight``
+    differences. ``last`` holds up to three measurements of consecutive frames, the newest last.
     """
 
     own: np.ndarray
@@ -184,28 +141,13 @@ def interrupted(moments: Moments) -> Moments:
 
 
 def noise_and_drive(moments: Moments, variances: np.ndarray) -> tuple[float, np.ndarray]:
-    """Estimate the scatter of the measurements and the acceleration of the coordinates.
+    """Estimate the scatter of the measurements and the acceleration of the coordinates from the fit's variances (k,).
 
-    Parameters
-    ----------
-    moments : Moments
-    variances : (k,) float
-        Variances reported by the fit.
-
-    Returns
-    -------
-    share : float
-        Fraction of the fit's variances that changes from frame to frame, median over the coordinates. The rest is
-        constant, such as the error of the model, and no filter can remove it.
-    drive : (k,) float64
-        Density of each coordinate's acceleration.
+    Return the fraction of these variances that changes from frame to frame, median over the coordinates, and the
+    density of each coordinate's acceleration (k,). The rest is constant, such as the error of the model.
     """
     scatter = (moments.own - 4.0 * moments.neighbour) / 22.0
     middle = float(np.sort(scatter / variances)[len(scatter) // 2])
     share = min(max(middle, LEAST_SHARE), 1.0)
     drive = 1.5 * (moments.own - 6.0 * share * variances)
     return share, np.maximum(drive, 1e-4 * share * variances)
-
-
-def _symmetric(matrix: np.ndarray) -> np.ndarray:
-    return 0.5 * (matrix + matrix.T)

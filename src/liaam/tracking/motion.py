@@ -16,12 +16,7 @@ from liaam.model.shape import ShapeModel, similarity_modes
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motion coordinates of the shapes of a model in an image.
-
-    Attributes
-    ----------
-    shape_model : ShapeModel
-    """
+    """Motion coordinates of the shapes of a model in an image."""
 
     shape_model: ShapeModel
 
@@ -52,14 +47,7 @@ class Motion:
         return np.concatenate([self.similarity, _real(self.modes * _turn(y[:4]))])
 
     def measured(self, result: FitResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the coordinates of a fit, their covariance by the fit, and their directions.
-
-        Returns
-        -------
-        y : (m + 4,) float64
-        covariance : (m + 4, m + 4) float64
-        basis : (m + 4, 2 n) float64
-        """
+        """Return the coordinates of a fit, (m + 4,), their covariance by the fit, and their directions (m + 4, 2 n)."""
         y = self.coordinates(result.landmarks)
         basis, n_p = self.basis(y), len(result.p)
         moved = (self.shape_model.basis.reshape(n_p, -1, 2) @ result.pose.matrix.T).reshape(n_p, -1)

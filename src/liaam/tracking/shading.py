@@ -1,9 +1,7 @@
 """Remove the shading from a video: show each frame's object under the training light (paper eq 11), without flicker.
 
-Three measures prevent flicker. A Kalman filter smooths the appearance parameters, which vary with each frame's noise.
-The appearance blends into the image by weights fixed to the object, because pixels at the mesh's border may enter and
-leave it between frames. The mesh follows the smoothed landmarks. Around the mesh the image keeps its colours, and its
-shading is removed with a weight that decreases outwards, so that no seam is visible on cheeks and forehead.
+A Kalman filter smooths the appearance parameters. The appearance blends into the image by weights fixed to the object,
+because pixels at the mesh's border may enter and leave it between frames. The mesh follows the smoothed landmarks.
 """
 
 from dataclasses import dataclass, field, replace
@@ -15,7 +13,7 @@ from liaam.fitting import FitResult, Fitter
 from liaam.model.shape import diagonal_of
 from liaam.photometry import is_grey
 from liaam.photometry.encoding import as_colour
-from liaam.relighting import ShadowFree, paint, shadow_free
+from liaam.relighting import paint, shadow_free
 from liaam.relighting.painting import REACH, blended, soft_edge
 
 CHANGE = 0.1
@@ -33,8 +31,7 @@ class ShadingRemover:
     """
 
     fitter: Fitter
-    _lam: np.ndarray | None = field(default=None, init=False, repr=False)
-    _variance: np.ndarray | None = field(default=None, init=False, repr=False)
+    _before: tuple[np.ndarray, np.ndarray] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         method, model = self.fitter.objectives[-1].method, self.fitter.model
@@ -53,7 +50,7 @@ class ShadingRemover:
 
     def reset(self) -> None:
         """Reset the filter, after the object was lost."""
-        self._lam = self._variance = None
+        self._before = None
 
     def remove(self, image: np.ndarray, result: FitResult, landmarks: np.ndarray) -> np.ndarray:
         """Return the image with the object under the training light.
@@ -82,39 +79,21 @@ class ShadingRemover:
             )
         if self._log is not self.fitter:
             result = replace(result, method=self._log.objectives[-1].method, theta=np.nan)
-        seen = shadow_free(self._log, image, result)
-        log_rgb = self._filtered(seen)
+        seen, appearance = shadow_free(self._log, image, result), self._log.view.levels[-1].appearances["log"]
+        now = seen.lam, np.square(seen.deviations)
+        if self._before is not None:
+            now = filtered(*self._before, *now, CHANGE**2 * appearance.eigenvalues)
+        self._before = now
         model, camera = self.fitter.model, self.fitter.camera or self.fitter.model.camera
-        painted, _ = paint(image, landmarks, model, np.concatenate([log_rgb, self._weights[:, None]], axis=1))
+        log_rgba = np.concatenate([appearance.texture(now[0]), self._weights[:, None]], axis=1)
+        painted, _ = paint(image, landmarks, model, log_rgba)
         return blended(image, painted, camera.response, max(1.0, REACH * diagonal_of(landmarks)))
-
-    def _filtered(self, seen: ShadowFree) -> np.ndarray:
-        """Return the log appearance (n_pixels, 3) with parameters filtered over time."""
-        appearance = self._log.view.levels[-1].appearances["log"]
-        noise = np.square(seen.deviations)
-        if self._lam is None or self._variance is None:
-            self._lam, self._variance = seen.lam, noise
-        else:
-            self._lam, self._variance = filtered(
-                self._lam, self._variance, seen.lam, noise, CHANGE**2 * appearance.eigenvalues
-            )
-        return appearance.texture(self._lam)
 
 
 def filtered(
     before: np.ndarray, variance: np.ndarray, measured: np.ndarray, noise: np.ndarray, change: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Kalman filter of independent random walks. Return mean and variance (m,) after a measurement.
-
-    Parameters
-    ----------
-    before, variance : (m,) float
-        Mean and variance before.
-    measured, noise : (m,) float
-        Measured values and their variances.
-    change : (m,) float
-        Variance of a step.
-    """
+    """Kalman filter of independent random walks with steps of variance ``change``. Return mean and variance (m,)."""
     predicted = variance + change
     gain = predicted / np.maximum(predicted + noise, 1e-300)
     return before + gain * (measured - before), gain * noise

@@ -1,11 +1,9 @@
 """Track an object through the frames of a video.
 
-Each frame is fitted from the predicted position of the object, at the finest levels of the model only, because the
-start is near. If that fit fails, it is repeated from there at all levels. If that fails too, the object is lost and
-searched for, at first in every frame and then less and less often. Part of the shape may drift, such as the jaw onto
-the background, and stay there while the fits look acceptable as a whole. Therefore one in `review` frames is also
-fitted from the mean shape, and tracking continues from that fit if it is clearly better. A Kalman filter
-(:mod:`liaam.tracking.kalman`) smooths the fits, with their covariances as measurement noise.
+Each frame is fitted from the predicted position of the object, at the finest levels of the model, then at all. If both
+fail, the object is lost and searched for. Part of the shape may drift, such as the jaw onto the background. Therefore
+one in `review` frames is also fitted from the mean shape, and tracking continues from that fit if it is clearly better.
+A Kalman filter (:mod:`liaam.tracking.kalman`) smooths the fits, with their covariances as measurement noise.
 """
 
 from dataclasses import dataclass, field, replace
@@ -42,13 +40,12 @@ FIRST_SPEED = 0.01
 """Prior standard deviation of the speed, as a fraction of the object's diagonal per frame."""
 
 NOTICE = 0.1
-"""Step size, in standard deviations, at which a fit from a prediction has converged. Measured on a talking face against
-0.03: 20 % fewer iterations, landmarks within 0.04 pixels (1/40 of their standard deviation), and the same jitter."""
+"""Step size, in standard deviations, at which a fit from a prediction has converged. Measured on a talking face: 20 %
+fewer iterations than 0.03, landmarks within 0.04 pixels (1/40 of their standard deviation), and the same jitter."""
 
 BETTER = 0.8
 """A fit from the mean shape replaces the tracked fit if its 1 - quality is less than this fraction of the other's.
-Measured on a talking face whose jaw had drifted for 1,000 frames: the ratio is 0.6 to 0.8 there, and at least 0.88
-where the track is right and the fit from the mean shape is wrong."""
+Measured on a talking face: 0.6 to 0.8 where the jaw had drifted, at least 0.88 where the track is right."""
 
 APART = 0.02
 """Minimum distance of a landmark between both fits, as a fraction of the object's diagonal. If all are nearer, the
@@ -162,16 +159,7 @@ class TrackedFrame:
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """State of a tracked object: estimate of its coordinates, and statistics of its motion.
-
-    Attributes
-    ----------
-    belief : kalman.Belief
-    moments : kalman.Moments
-    share : float
-    drive : (k,) float64
-        Of :func:`kalman.noise_and_drive`.
-    """
+    """Estimate of an object's coordinates, and statistics of its motion (see :func:`kalman.noise_and_drive`)."""
 
     belief: kalman.Belief
     moments: kalman.Moments
@@ -190,27 +178,17 @@ class _Loss:
     def next_frame(self, searched: bool, longest: int) -> "_Loss":
         if not searched:
             return replace(self, frames=self.frames + 1, due=self.due - 1)
-        return _Loss(self.frames + 1, min(max(1, 2 * self.wait), longest), min(max(1, 2 * self.wait), longest) - 1)
+        wait = min(max(1, 2 * self.wait), longest)
+        return _Loss(self.frames + 1, wait, wait - 1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class TrackState:
     """State of a tracker between two frames, from which another one can continue; see :meth:`Tracker.resume`.
 
-    Attributes
-    ----------
-    count : int
-        Number of frames so far. At 0, an invalid frame raises.
-    track : optional
-        Estimate of the object's motion.
-    loss
-        How long the object has been lost.
-    size : (height, width), optional
-        Size of the last frame.
-    last : (n, 2) float64, optional
-        Last landmarks.
-    period : int
-        Number of the last frame with landmarks, divided by the review interval.
+    It holds the number of frames so far (at 0, an invalid frame raises), the estimate of the object's motion, how long
+    the object has been lost, the size (height, width) of the last frame, the last landmarks (n, 2), and the number of
+    the last frame with landmarks, divided by the review interval.
     """
 
     count: int = 0
@@ -239,6 +217,8 @@ class Tracker:
         Name of the video, for messages.
     result : FitResult or None
         Fit of the last frame; None if the object is lost.
+    state : TrackState
+        State after the last frame.
 
     Examples
     --------
@@ -253,6 +233,7 @@ class Tracker:
     init: object = None
     name: str = ""
     result: FitResult | None = field(default=None, init=False, repr=False)
+    state: TrackState = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.fitter = Fitter(self.model, self.method, camera=self.camera, restarts=False)  # it searches instead
@@ -268,16 +249,9 @@ class Tracker:
         """Forget the object. The next frame counts as the first one."""
         self.resume(TrackState())
 
-    @property
-    def state(self) -> TrackState:
-        """State after the last frame."""
-        return TrackState(self._count, self._track, self._loss, self._size, self._last, self._period)
-
     def resume(self, state: TrackState) -> None:
         """Continue from the state of a tracker with the same model and method."""
-        self.result = None
-        self._count, self._track, self._loss = state.count, state.track, state.loss
-        self._size, self._last, self._period = state.size, state.last, state.period
+        self.result, self.state = None, replace(state)
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.
@@ -300,76 +274,76 @@ class Tracker:
         ImageError, StartError
             If the first frame or the start is invalid. Later invalid frames are ``lost``.
         """
-        index = self._count if index is None else index
+        index = self.state.count if index is None else index
         name = f"{self.name}, frame {index}" if self.name else f"frame {index}"
         try:
             pixels, _ = load_picture(image, name)
         except ImageError:
-            if self._count == 0:
+            if self.state.count == 0:
                 raise
             return self._missed(index, time)
         self._follow_size(pixels.shape[0], pixels.shape[1])
         status, tried = self._locate(pixels, index, name)
-        self._count += 1
+        self.state.count += 1
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
             return _lost(self.model.n_points, index, time, tried)
-        self._loss, self._last, self._period = _Loss(), tried.landmarks, self._period_of(index)
+        self.state.loss, self.state.last, self.state.period = _Loss(), tried.landmarks, self._period_of(index)
         return self._seen(tried, status, index, time)
 
     def _missed(self, index: int, time: float) -> TrackedFrame:
         """Skip an invalid frame: the object is lost in it and keeps moving."""
-        if self._loss.frames <= self.options.patience and self._last is not None:
+        if self.state.loss.frames <= self.options.patience and self.state.last is not None:
             self._predicted()
-        self._loss = self._loss.next_frame(False, self.options.longest_wait)
-        self._count, self.result = self._count + 1, None
+        self.state.loss = self.state.loss.next_frame(False, self.options.longest_wait)
+        self.state.count, self.result = self.state.count + 1, None
         return _lost(self.model.n_points, index, time, None)
 
     def _follow_size(self, height: int, width: int) -> None:
         """Adapt the state to frames of another size."""
-        before, self._size = self._size, (height, width)
-        if before in (None, self._size) or self._last is None:
+        before, self.state.size = self.state.size, (height, width)
+        if before in (None, self.state.size) or self.state.last is None:
             return
         # Speed and scatter change with the size: restart from the last position.
-        self._last, self._track = rescaled(self._last, before, self._size), None
+        self.state.last, self.state.track = rescaled(self.state.last, before, self.state.size), None
 
     def _locate(self, pixels: np.ndarray, index: int, name: str) -> tuple[TrackStatus, FitResult | None]:
         """Return the status, and its fit or the last failed one."""
-        first, tried = self._count == 0, None
+        first, tried = self.state.count == 0, None
         if first and self.init is not None:
             tried = self.fitter.fit(pixels, self.init, name)
             if _usable(tried):
                 return TrackStatus.FOUND, tried
-        elif self._loss.frames <= self.options.patience and self._last is not None:
+        elif self.state.loss.frames <= self.options.patience and self.state.last is not None:
             right, tried = self._follow(pixels, name)
             if right and tried is not None:
-                due = self._period_of(index) != self._period
+                due = self._period_of(index) != self.state.period
                 better = self._reviewed(pixels, tried, name) if due else None
                 if better is None:
                     return TrackStatus.TRACKED, tried
-                self._track = None  # the motion was wrong
+                self.state.track = None  # the motion was wrong
                 return TrackStatus.CORRECTED, better
-        searched = self._loss.due <= 0
+        searched = self.state.loss.due <= 0
         if searched:
             right, found = self._search(pixels, name, first)
             tried = found or tried
             if right:
-                self._track = None  # the motion before does not apply
+                self.state.track = None  # the motion before does not apply
                 return TrackStatus.FOUND, tried
-        self._loss = self._loss.next_frame(searched, self.options.longest_wait)
+        self.state.loss = self.state.loss.next_frame(searched, self.options.longest_wait)
         return TrackStatus.LOST, tried
 
     def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
         """Fit from the predicted position."""
         start = self._predicted()
-        fitters = (self._near, self.fitter) if self._loss.frames == 0 else (self.fitter,)
+        fitters = (self._near, self.fitter) if self.state.loss.frames == 0 else (self.fitter,)
         tried = None
         for fitter in fitters:
             try:
                 tried = fitter.fit(pixels, start, name)
             except (StartError, ImageError):  # the object left the frame, or the frame is grey
                 return False, tried
-            if _usable(tried) and _distance(tried.landmarks, start) < JUMP * diagonal_of(start):
+            if _usable(tried) and np.linalg.norm(tried.landmarks - start, axis=1).mean() < JUMP * diagonal_of(start):
                 return True, tried
         return False, tried
 
@@ -394,16 +368,16 @@ class Tracker:
 
     def _predicted(self) -> np.ndarray:
         """Advance the track to this frame and return the predicted shape."""
-        assert self._last is not None
-        if self._track is None:
-            return self._last
-        track, motion = self._track, self._motion
+        assert self.state.last is not None
+        if self.state.track is None:
+            return self.state.last
+        track = self.state.track
         moments, belief = track.moments, track.belief
-        if self._loss.frames:
+        if self.state.loss.frames:
             moments, belief = kalman.interrupted(moments), kalman.slowed(belief, SLOWING)
         moved = kalman.predict(belief, track.drive)
-        self._track = replace(track, belief=moved, moments=moments)
-        return motion.shape(moved.position)
+        self.state.track = replace(track, belief=moved, moments=moments)
+        return self._motion.shape(moved.position)
 
     def _search(self, pixels: np.ndarray, name: str, first: bool) -> tuple[bool, FitResult | None]:
         """Search for the object in the whole frame."""
@@ -418,7 +392,7 @@ class Tracker:
 
     def _seen(self, result: FitResult, status: TrackStatus, index: int, time: float) -> TrackedFrame:
         """Update the track with a fit."""
-        motion, track = self._motion, self._track
+        motion, track = self._motion, self.state.track
         y, own, basis = motion.measured(result)
         variances = own.diagonal()
         if track is None:
@@ -429,7 +403,7 @@ class Tracker:
             noise = track.share * own
             moments, belief = track.moments, kalman.update(kalman.widened(track.belief, y, noise), y, noise)
         moments = kalman.observed(moments, y)
-        self._track = _Track(belief, moments, *kalman.noise_and_drive(moments, variances))
+        self.state.track = _Track(belief, moments, *kalman.noise_and_drive(moments, variances))
         landmarks, covariances = result.landmarks, result.landmark_covariances
         if self.options.smooth:
             # The part of the shape outside the coordinates stays as fitted.
@@ -460,21 +434,8 @@ def _usable(result: FitResult) -> bool:
     return result.status.ok or (result.status is FitStatus.MAX_ITERATIONS and not result.quality < LEAST_QUALITY)
 
 
-def _distance(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.linalg.norm(a - b, axis=1).mean())
-
-
 def _lost(n: int, index: int, time: float, tried: FitResult | None) -> TrackedFrame:
+    status, quality = (None, np.nan) if tried is None else (tried.status, tried.quality)
     nothing, unknown = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
-    return TrackedFrame(
-        index=index,
-        time=time,
-        status=TrackStatus.LOST,
-        fit_status=None if tried is None else tried.status,
-        quality=np.nan if tried is None else tried.quality,
-        theta=np.nan,
-        landmarks=nothing,
-        raw=nothing,
-        covariances=unknown,
-        raw_covariances=unknown,
-    )
+    lost = TrackStatus.LOST
+    return TrackedFrame(index, time, lost, status, quality, np.nan, nothing, nothing, unknown, unknown)
