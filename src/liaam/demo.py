@@ -24,15 +24,7 @@ N_TRAINING = 12
 
 @dataclass(frozen=True)
 class DemoRow:
-    """One method's result.
-
-    Attributes
-    ----------
-    method : str
-    error : float
-        Mean distance from the true landmarks, pixels.
-    result : FitResult
-    """
+    """One method's result, and its mean distance from the true landmarks in pixels."""
 
     method: str
     error: float
@@ -40,21 +32,7 @@ class DemoRow:
 
 
 def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoRow], float]:
-    """Render, train, fit and write ``figure.png`` to a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Created if missing.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Returns
-    -------
-    rows : list of DemoRow
-    start_error : float
-        Mean distance of the start from the true landmarks, pixels.
-    """
+    """Render, train, fit and write ``figure.png`` to a folder. Return the rows and the start's error in pixels."""
     from liaam.datasets.scenes import Expression, Head, Pose, lateral, make_set, render
 
     make_folder(folder)  # raise before any work

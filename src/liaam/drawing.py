@@ -28,26 +28,13 @@ def as_picture(image: np.ndarray) -> np.ndarray:
     return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image
 
 
-def ellipses(points: np.ndarray, covariances: np.ndarray, share: float = 0.95, n: int = 32) -> np.ndarray:
-    """Outlines of the ellipses that contain a share of a Gaussian distribution around each point.
-
-    Parameters
-    ----------
-    points : (m, 2) float
-    covariances : (m, 2, 2) float
-    share : float
-    n : int
-        Points on each outline.
-
-    Returns
-    -------
-    (m, n, 2) float64
-    """
+def ellipses(points: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Outlines (m, 32, 2) of the ellipses that contain 95 % of a Gaussian distribution around each point (m, 2)."""
     known = np.isfinite(covariances).all(axis=(1, 2), keepdims=True)
     values, axes = np.linalg.eigh(np.where(known, covariances, 0.0))
     # The squared Mahalanobis distance has a chi-squared distribution with two degrees of freedom.
-    radii = np.sqrt(-2.0 * np.log(1.0 - share) * np.maximum(values, 0.0))
-    turn = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    radii = np.sqrt(-2.0 * np.log(0.05) * np.maximum(values, 0.0))
+    turn = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     return points[:, None] + np.einsum("mab,mb,nb->mna", axes, radii, circle)
 
@@ -61,24 +48,9 @@ def plot_landmarks(
     title: str = "",
     ax: "Axes | None" = None,
 ) -> "Axes":
-    """Draw landmarks, their contours and their 95 % ellipses with Matplotlib.
+    """Draw landmarks (n, 2), their contours and their 95 % ellipses with Matplotlib, on an image or on white.
 
-    Parameters
-    ----------
-    image : (h, w, 3) or (h, w) array, optional
-        The background; white if None.
-    landmarks : (n, 2) float
-        Image pixels. Landmarks that are not finite are left out.
-    covariances : (n, 2, 2) float, optional
-        Image pixels squared.
-    contours : sequence of (indices, closed)
-    title : str
-    ax : matplotlib.axes.Axes, optional
-        A new figure is made if None.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
+    Landmarks that are not finite are left out.
     """
     ax = ax or new_axes()[1]
     if image is None:
@@ -100,13 +72,13 @@ def plot_landmarks(
     return ax
 
 
-def zoom_to(ax: "Axes", landmarks: np.ndarray, size: tuple[int, int], margin: float = 0.3) -> None:
+def zoom_to(ax: "Axes", landmarks: np.ndarray, size: tuple[int, int]) -> None:
     """Limit the axes to the landmarks and a margin around them, within an image of a size (width, height)."""
     finite = landmarks[np.isfinite(landmarks).all(axis=1)]
     if not len(finite):
         return
     low, high = finite.min(axis=0), finite.max(axis=0)
-    pad = margin * float((high - low).max())
+    pad = 0.3 * float((high - low).max())
     limits = np.array(size) - 1.0
     low, high = np.clip(low - pad, 0.0, limits), np.clip(high + pad, 0.0, limits)
     if (high - low >= 2.0).all():  # some of the object lies inside the image

@@ -36,8 +36,7 @@ SHARP = 1.0
 
 CLEAR = 10.0
 """Signal-to-noise ratio of a clear image: median of the significant gradients, in standard deviations of their noise.
-The sharpest level halves the errors on real objects with fine texture; with stronger noise it raises the errors on
-planes by a half."""
+The sharpest level halves the errors on objects with fine texture, but with more noise it raises them by a half."""
 
 MOST_PIXELS = 180_000
 """Number of pixels to which larger images are reduced."""
@@ -55,7 +54,7 @@ LEAST_OVERLAP = 0.25
 """Fraction of the first image's pixels that must lie inside the second."""
 
 LEAST_CORRELATION = 0.2
-"""Correlation below which the images do not show the same thing. Correct registrations have at least 0.4 (cast shadows,
+"""Correlation below which the images do not show the same thing. Right registrations have at least 0.4 (cast shadows,
 twelve directions of light), images of different things at most 0.1."""
 
 OPTIONS = SolverOptions(max_iterations=60, scoring=20)
@@ -203,9 +202,13 @@ def register(
     """
     a, name_a = load_picture(a, "first image")
     b, name_b = load_picture(b, "second image")
-    method = scored(_with_constants(get_method(method)), options)
+    method = get_method(method)
     if method.encoding == "soft":
         raise MethodError(f"method {method.name} needs a trained model, not a second image; use li, igo or grey")
+    if method.encoding == "log" and method.bias == "none":
+        # Constants for the white balance. Without them, gains of (1.3, 1, 0.8) multiply the errors of ``li`` by six.
+        method = replace(method, bias="rows")
+    method = scored(method, options)
     if group not in GENERATORS:
         raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GENERATORS)}")
     for picture, name in ((a, name_a), (b, name_b)):
@@ -217,8 +220,12 @@ def register(
     levels, to_a = _levels(a, method, group, response, theta, mask)
     size = a.shape[:2]
     if not levels:
-        return _nothing(size, method, FitStatus.NO_TEXTURE if method.encoding != "log" else FitStatus.TOO_DARK)
-    homography = _whole_on_whole(size, b.shape[:2]) if init is None else np.asarray(init, dtype=np.float64)
+        nan, status = float("nan"), FitStatus.TOO_DARK if method.encoding == "log" else FitStatus.NO_TEXTURE
+        return Registration(np.eye(3), status, 0.0, nan, nan, 0, np.full(4, np.inf), size, method.name)
+    if init is None:  # scale the first image to the size of the second
+        scale = np.array(b.shape[1::-1], dtype=np.float64) / size[::-1]
+        init = np.array([[scale[0], 0.0, (scale[0] - 1.0) / 2.0], [0.0, scale[1], (scale[1] - 1.0) / 2.0], [0, 0, 1]])
+    homography = np.asarray(init, dtype=np.float64)
     if homography.shape != (3, 3) or not np.isfinite(homography).all():
         raise ImageError("the start is not a homography; give a finite 3 by 3 matrix from pixels of the first image")
     handles = apply_homography(homography, to_a(levels[0][0].warp.rest))
@@ -226,22 +233,6 @@ def register(
         raise ImageError("the start maps a corner of the first image behind the image plane; give another start")
     stages = solve_levels(levels, Target(b, handles, response), options)
     return _judged(stages, handles, to_a, size, b.shape[:2])
-
-
-def _whole_on_whole(size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
-    """Return the homography that scales one image to the other's size (height, width)."""
-    scale = np.array(other[::-1], dtype=np.float64) / size[::-1]
-    matrix = np.diag([*scale, 1.0])
-    matrix[:2, 2] = (scale - 1.0) / 2.0
-    return matrix
-
-
-def _with_constants(method: Method) -> Method:
-    """Add a constant per row to a method that compares logarithms, for different white balances.
-
-    Without it, gains of (1.3, 1, 0.8) multiply the errors of ``li`` by six.
-    """
-    return replace(method, bias="rows") if method.encoding == "log" and method.bias == "none" else method
 
 
 def _levels(
@@ -259,7 +250,8 @@ def _levels(
     # All levels have the same pixels; they differ in blur only.
     from_a, size = patches[0].from_image, patches[0].channels.shape[:2]
     wanted = np.ones(size, dtype=bool) if mask is None else _reduced(mask.astype(np.float32), size) > 0.999
-    luminance, noise = _luminance_and_noise(a, size)
+    luminance = _reduced(np.ascontiguousarray(stored_values(a) @ LUMINANCE[0].astype(np.float32)), size)
+    noise = float(noise_deviation(a) * np.linalg.norm(LUMINANCE) * np.sqrt(np.prod(size) / (height * width)))
     levels = []
     for patch, (blur, stride) in zip(patches, LEVELS, strict=True):
         kept = (patch.channels[..., -1] > 0) & wanted
@@ -288,13 +280,6 @@ def _reduced(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     import cv2  # heavy: imported when first needed
 
     return image if image.shape[:2] == size else cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA)
-
-
-def _luminance_and_noise(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, float]:
-    """Return the luminance of stored values, reduced to a size (h, w), and the standard deviation of its noise."""
-    luminance = _reduced(np.ascontiguousarray(stored_values(image) @ LUMINANCE[0].astype(np.float32)), size)
-    averaged = np.sqrt(np.prod(size) / np.prod(image.shape[:2]))
-    return luminance, float(noise_deviation(image) * np.linalg.norm(LUMINANCE) * averaged)
 
 
 def _significance(luminance: np.ndarray, noise: float, blur: float) -> np.ndarray:
@@ -376,8 +361,3 @@ def _matrix(similarity: Similarity) -> np.ndarray:
     matrix = np.eye(3)
     matrix[:2, :2], matrix[:2, 2] = similarity.matrix, similarity.offset
     return matrix
-
-
-def _nothing(size: tuple[int, int], method: Method, status: FitStatus) -> Registration:
-    nan = float("nan")
-    return Registration(np.eye(3), status, 0.0, nan, nan, 0, np.full(4, np.inf), size, method.name)

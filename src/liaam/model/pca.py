@@ -40,9 +40,9 @@ CHUNK = 4096
 """Columns of long vectors that are processed at once, in double precision."""
 
 
-def chunks(length: int, size: int = CHUNK) -> Iterator[slice]:
+def chunks(length: int) -> Iterator[slice]:
     """Yield consecutive slices that cover a length."""
-    return (slice(first, min(first + size, length)) for first in range(0, length, size))
+    return (slice(first, min(first + CHUNK, length)) for first in range(0, length, CHUNK))
 
 
 def principal_components(vectors: np.ndarray, variance: Variance) -> Components:

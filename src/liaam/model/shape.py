@@ -34,13 +34,7 @@ def rotation(angle: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """Similarity x -> matrix @ x + offset of the plane (rotation, one scale, translation).
-
-    Attributes
-    ----------
-    matrix : (2, 2) float64
-    offset : (2,) float64
-    """
+    """Similarity x -> matrix @ x + offset of the plane (rotation, one scale, translation)."""
 
     matrix: np.ndarray
     offset: np.ndarray
@@ -90,16 +84,16 @@ def shifted_into(shape: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return shape - np.minimum(shape.min(axis=0), 0.0) - np.maximum(shape.max(axis=0) - (np.array(size) - 1.0), 0.0)
 
 
-def procrustes_mean(shapes: np.ndarray, iterations: int = 100, tolerance: float = 1e-10) -> np.ndarray:
+def procrustes_mean(shapes: np.ndarray) -> np.ndarray:
     """Generalised Procrustes mean (n, 2) of shapes (n_shapes, n, 2): centred, unit norm, in their mean orientation."""
     mean = _normalised(shapes[0])
-    for _ in range(iterations):
+    for _ in range(100):
         new = _normalised(np.mean([align(shape, mean)(shape) for shape in shapes], axis=0))
         # Fix the gauge: the mean must not rotate between iterations.
         new = _normalised(align(new, mean)(new))
         moved = float(np.abs(new - mean).max())
         mean = new
-        if moved < tolerance:
+        if moved < 1e-10:
             break
     return _upright(mean, shapes)
 

@@ -19,8 +19,8 @@ VIEWS: dict[str, Callable[[ShapeModel, np.ndarray], PiecewiseAffineWarp]] = {
 
 LITTLE = 2 / 3
 """Fraction of the log odds at :attr:`Reliability.ordinary` below which a quality is low. Measured on 924 fits of unseen
-persons of IMM under four lamps, with an ordinary quality of 0.90: all 34 fits that end in a wrong place because of a
-poor start are below 0.815, and all right ones above 0.84. Two thirds of the log odds is 0.816."""
+persons under four lamps, where the limit is 0.816: all 34 fits in a wrong place are below 0.815, all others above
+0.84."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,15 +2,8 @@
 
 import numpy as np
 
-from liaam.model import (
-    MESH,
-)
-from liaam.model.appearance import (
-    AppearanceModel,
-    Textures,
-    train_appearance_model,
-    train_illumination,
-)
+from liaam.model import MESH
+from liaam.model.appearance import AppearanceModel, Textures, train_appearance_model, train_illumination
 from liaam.model.pca import Variance, count_by_evidence, some_folds
 from liaam.photometry import invariant_row
 from liaam.training.textures import SAMPLED, Sampled

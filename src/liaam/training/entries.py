@@ -9,20 +9,12 @@ import numpy as np
 
 from liaam.errors import TrainingError
 from liaam.model.file import MAX_POINTS
-from liaam.model.mesh import (
-    FOLD_TOLERANCE,
-    ReferenceFrame,
-    delaunay,
-    folded_share,
-    signed_areas,
-    triangles_from_edges,
-)
+from liaam.model.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align
 
 FLATTEST = 0.02
-"""Least ratio of the landmarks' minor to major spread: that of a rod 80 times as long as wide, or a spindle 60 times.
-Measured on generated rods: all methods find those up to 20 times as long as wide. At 40 times the search fails, but
-fits from a start end within half a pixel if the diagonal is at least 200 pixels. Flatter meshes lack pixels."""
+"""Least ratio of the landmarks' minor to major spread: that of a rod 80 times as long as wide. Measured on generated
+rods: the search finds those up to 20 times as long as wide, and fits from a start converge up to 40 times."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +26,7 @@ class Entry:
     points: np.ndarray
 
 
-def read_entries(data: Iterable, at_least: int = 3) -> tuple[list[Entry], tuple, np.ndarray]:
+def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray]:
     """Read and validate samples; also return the contours and connectivity of the first sample that has any."""
     entries: list[Entry] = []
     contours: tuple = ()
@@ -49,12 +41,12 @@ def read_entries(data: Iterable, at_least: int = 3) -> tuple[list[Entry], tuple,
             )
         entries.append(entry)
         contours = contours or own
-    if len(entries) < at_least:
+    if len(entries) < 3:
         raise TrainingError(
-            f"{len(entries)} landmarked images are too few to learn from; at least {at_least} are needed, "
-            "5 to 20 are better"
+            f"{len(entries)} landmarked images are too few to learn from; at least 3 are needed, 5 to 20 are better"
         )
-    return entries, contours, _edges(contours)
+    edges = [pair for indices, closed in contours for pair in pairwise([*indices, indices[0]] if closed else indices)]
+    return entries, contours, np.array(edges, dtype=int).reshape(-1, 2)
 
 
 def _entry(item, i: int) -> tuple[Entry, tuple]:
@@ -90,15 +82,6 @@ def _entry(item, i: int) -> tuple[Entry, tuple]:
         raise TrainingError(f"{name}: all landmarks lie within 2 pixels of each other; are they in pixels?")
     contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
     return Entry(name, read, points), contours
-
-
-def _edges(contours: tuple) -> np.ndarray:
-    pairs: list[tuple[int, int]] = []
-    for indices, closed in contours:
-        pairs += pairwise(indices)
-        if closed:
-            pairs.append((indices[-1], indices[0]))
-    return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
 def check_flat(mean: np.ndarray) -> None:

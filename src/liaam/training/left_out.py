@@ -9,14 +9,8 @@ import numpy as np
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.fitting.reliability import LeftOut, calibrate
 from liaam.lamps import Copies
-from liaam.model import (
-    AAM,
-    Level,
-    Reliability,
-)
-from liaam.model.appearance import (
-    train_appearance_model,
-)
+from liaam.model import AAM, Level, Reliability
+from liaam.model.appearance import train_appearance_model
 from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
@@ -76,11 +70,7 @@ def folds_of(names: list[str]) -> list[np.ndarray]:
 
 
 def _without(
-    model: AAM,
-    fold: np.ndarray,
-    shapes: np.ndarray,
-    sampled: Sampled,
-    learnt: tuple[Recipe, Variance, Variance],
+    model: AAM, fold: np.ndarray, shapes: np.ndarray, sampled: Sampled, learnt: tuple[Recipe, Variance, Variance]
 ) -> AAM:
     """Train a model without a fold, on the frame and with the settings of the whole model.
 

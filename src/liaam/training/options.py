@@ -16,9 +16,8 @@ from liaam.model.shape import check_prior
 Blurs = tuple[float, ...]
 
 BLURS = {MESH: (3.0, 0.5), SURROUNDINGS: (4.0, 2.0, 1.0)}
-"""Blur of each view's levels from coarse to fine, standard deviation in pixels of the reference frame. Measured for the
-surroundings on unseen persons: three levels lose fewer fits than two, and a last blur of 1 pixel fewer than 0.5. These
-values apply to frames of :data:`FULL_SIZE` and more; in smaller frames they shrink in proportion."""
+"""Blur of each view's levels from coarse to fine, standard deviation in pixels of the reference frame. Those of the
+surroundings were measured on unseen persons. They shrink in proportion in frames smaller than :data:`FULL_SIZE`."""
 
 FULL_SIZE, LEAST_BLUR = 150.0, 0.5
 """Diagonal at which the blurs of the surroundings were measured, pixels, and the smallest blur of smaller frames. At a

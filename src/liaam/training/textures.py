@@ -137,24 +137,9 @@ def sample_appearance(
     response: Response,
     blur: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sample an image on the reference frame, warped by its landmarks.
+    """Sample an image on the reference frame, warped by its landmarks: values (n_pixels, c) and whether usable, 0 or 1.
 
-    Parameters
-    ----------
-    image : (h, w, 3) uint8, uint16 or float32
-    shape : (n, 2) float
-        Landmarks, image pixels.
-    warp : PiecewiseAffineWarp
-        Warp of the model.
-    encoding, response
-        See :func:`liaam.photometry.encode`.
-    blur : float
-        Standard deviation of the blur, pixels of the reference frame.
-
-    Returns
-    -------
-    values : (n_pixels, c) float32
-    usable : (n_pixels,) float32 in {0, 1}
+    See :func:`liaam.photometry.encode`. The blur's standard deviation is in pixels of the reference frame.
     """
     pose = align(warp.rest, shape)
     patch = make_patch(image, shape, pose, encoding=encoding, response=response, blur=blur, margin=0.1)
