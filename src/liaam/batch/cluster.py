@@ -48,7 +48,8 @@ def on_cluster(job: Job, chunks: Iterable[Chunk], address: str) -> Finished:
         executor = client.get_executor(pure=False)
         alone: list[Chunk] = []  # images of chunks whose workers died, filled by the first round
         try:
-            for items, room in ((chunks, lambda: _room(client)), (alone, lambda: 1)):
+            threads: Any = client.nthreads
+            for items, room in ((chunks, lambda: AHEAD * max(1, sum(threads().values()))), (alone, lambda: 1)):
                 for chunk, future in flow(lambda chunk: executor.submit(_fit_chunk, name, chunk), items, room):
                     if future.cancelled():
                         raise LiaamError(f"{address}: the scheduler is lost; run the same command again to resume")
@@ -66,12 +67,6 @@ def on_cluster(job: Job, chunks: Iterable[Chunk], address: str) -> Finished:
 
 
 _REMEDY = f"they need liaam {__version__} and the same version of distributed as here"
-
-
-def _room(client: Client) -> int:
-    """Return how many chunks may be in progress, by the number of workers now."""
-    threads: Any = client.nthreads()
-    return AHEAD * max(1, sum(threads.values()))
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Fit chunks in this process or in worker processes, with the same rows."""
+"""Fit chunks in worker processes."""
 
 from collections.abc import Generator, Iterable, Iterator
 from functools import partial
@@ -6,17 +6,10 @@ from itertools import chain
 
 from liaam.batch.work import Job, KeptRow, failed_row, fit_chunk, kept
 from liaam.errors import LiaamError
-from liaam.workers import WorkerDied, in_workers, one_thread
+from liaam.workers import WorkerDied, in_workers
 
 Chunk = tuple[str, ...]
 Finished = Generator[tuple[Chunk, list[KeptRow]], None, None]
-
-
-def in_turn(job: Job, chunks: Iterable[Chunk]) -> Finished:
-    """Fit chunks in this process."""
-    with one_thread():
-        for chunk in chunks:
-            yield chunk, job.rows(chunk)
 
 
 def in_processes(job: Job, chunks: Iterable[Chunk], jobs: int) -> Finished:

@@ -15,9 +15,9 @@ from typing import Any
 from liaam import __version__
 from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
-from liaam.batch.pools import Chunk, Finished, in_processes, in_turn
+from liaam.batch.pools import Chunk, Finished, in_processes
 from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_table
-from liaam.batch.work import Job, Settings
+from liaam.batch.work import Job, Settings, fit_chunk
 from liaam.errors import LiaamError
 from liaam.io import write_text_atomically
 from liaam.io.atomic import check_output
@@ -240,7 +240,9 @@ class _Batch:
             from liaam.batch.cluster import on_cluster  # needs an optional library
 
             return on_cluster(self.job, chunks, self.scheduler)
-        return in_turn(self.job, chunks) if self.jobs == 1 else in_processes(self.job, chunks, self.jobs)
+        if self.jobs == 1:
+            return ((chunk, fit_chunk(self.job, chunk)) for chunk in chunks)
+        return in_processes(self.job, chunks, self.jobs)
 
     def _fit(self, journal: Journal) -> Summary:
         """Fit the images that have no row in the journal."""

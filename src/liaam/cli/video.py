@@ -91,16 +91,28 @@ def track(
     options = TrackingOptions(smooth=smooth) if review is None else TrackingOptions(smooth=smooth, review=review)
     tracker = Tracker(model, method, camera, options)
     counts, reader = Counts(), VideoReader(source, start, stop)
-    task = Task(reader, tracker, start, stop, init, jobs)
+    tracker.name = reader.name
     with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as progress:
         sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
-        pictures = annotated is not None or shading_free is not None
-        follow(task, sinks, counts, progress, stopped, pictures=pictures, fits=shading_free is not None)
+        pictures, fits = annotated is not None or shading_free is not None, shading_free is not None
+        task = Task(reader, tracker, start, stop, init, jobs, pictures, fits, progress, stopped)
+        stretches = stretches_of(task)
+        for frame, tracked, result in files.enter_context(
+            closing(side_by_side(task, stretches) if len(stretches) > 1 else one_by_one(task))
+        ):
+            counts.add(tracked)
+            for sink in sinks:
+                sink(frame, tracked, result)
     report(counts, [path for path in (output, annotated, shading_free) if path is not None])
     if stopped():
         complain(f"stopped after {counts.n} frames; their results are written")
         raise typer.Exit(INTERRUPTED)
-    faults = [fault for fault in (task.fault, counts.all_grey and all_grey(shading_free, reader.name)) if fault]
+    faults = [task.fault] if task.fault else []
+    if counts.n_grey and not counts.n_unshaded:
+        faults.append(
+            f"{shading_free} is an unchanged copy of {reader.name}: every frame with the object is grey (three equal "
+            "channels), and estimating shading needs colour; give a colour video"
+        )
     for fault in faults:
         complain(f"error: {fault}")
     if faults or not counts.n_tracked:
@@ -132,11 +144,6 @@ class Counts:
     def n_tracked(self) -> int:
         """Number of frames with landmarks."""
         return self.n - len(self.lost)
-
-    @property
-    def all_grey(self) -> bool:
-        """Whether shading removal failed on every frame with the object because all are grey."""
-        return self.n_grey > 0 and not self.n_unshaded
 
     def add(self, frame: "TrackedFrame") -> None:
         """Count a frame."""
@@ -171,18 +178,18 @@ def check_outputs(output: Path | None, annotated: Path | None, shading_free: Pat
     from liaam.io.video import check_video_name, is_video
     from liaam.tracking.files import check_track_name, is_track
 
-    paths = [path for path in (output, annotated, shading_free) if path is not None]
+    videos = [path for path in (annotated, shading_free) if path is not None]
+    paths = videos if output is None else [output, *videos]
     for path in paths:
         check_output(path)
-    for path in (annotated, shading_free):
-        if path is not None:
-            check_video_name(path)
+    for path in videos:
+        check_video_name(path)
     if len({real_path(path) for path in paths}) < len(paths):
         raise LiaamError(f"{paths[0]}: two outputs have the same name; give different names")
     if isinstance(source, Path) and real_path(source) in {real_path(path) for path in paths}:
         raise LiaamError(f"{source} is the input video; give the output another name")
-    for path in (annotated, shading_free):
-        if path is not None and path.exists() and not is_video(path):
+    for path in videos:
+        if path.exists() and not is_video(path):
             raise LiaamError(f"{path} exists and is not a video; give another name to keep it")
     if output is None:
         return
@@ -252,14 +259,6 @@ def unshading(writer: Any, remover: Any, counts: Counts) -> Sink:
     return write
 
 
-def all_grey(path: Path | None, name: str) -> str:
-    """Describe why no frame of a shading-free video has its shading removed."""
-    return (
-        f"{path} is an unchanged copy of {name}: every frame with the object is grey (three equal channels), and "
-        "estimating shading needs colour; give a colour video"
-    )
-
-
 def caption_of(tracked: "TrackedFrame") -> str:
     """Describe a frame in one line."""
     parts = [f"{tracked.index}", f"{tracked.time:.2f} s", str(tracked.status)]
@@ -270,7 +269,7 @@ def caption_of(tracked: "TrackedFrame") -> str:
 
 @dataclass
 class Task:
-    """A video to track and its tracker."""
+    """A video to track, its tracker, and whether images and fits of the frames are needed."""
 
     reader: "VideoReader"
     tracker: "Tracker"
@@ -278,11 +277,12 @@ class Task:
     stop: int | None
     init: str | None
     jobs: int | None
+    pictures: bool
+    fits: bool
+    progress: Progress
+    stopped: Callable[[], bool]
     fault: str = ""
     """Fault of the video that stopped reading, if any."""
-
-    def __post_init__(self) -> None:
-        self.tracker.name = self.reader.name
 
     def set_start(self, size: tuple[int, int]) -> None:
         """Set the tracker's start from ``--init``, for frames of size (width, height)."""
@@ -291,29 +291,6 @@ class Task:
 
 
 Seen = tuple["VideoFrame", "TrackedFrame", "FitResult | None"]
-
-
-def follow(
-    task: Task,
-    sinks: Sequence[Sink],
-    counts: Counts,
-    progress: Progress,
-    stopped: Callable[[], bool],
-    *,
-    pictures: bool,
-    fits: bool,
-) -> None:
-    """Track all frames and pass each to the sinks."""
-    stretches = stretches_of(task)
-    if len(stretches) > 1:
-        seen = side_by_side(task, stretches, progress, stopped, pictures, fits)
-    else:
-        seen = one_by_one(task, progress, stopped)
-    with closing(seen):
-        for frame, tracked, result in seen:
-            counts.add(tracked)
-            for sink in sinks:
-                sink(frame, tracked, result)
 
 
 def stretches_of(task: Task) -> "list[Stretch]":
@@ -329,7 +306,7 @@ def stretches_of(task: Task) -> "list[Stretch]":
     return stretches if len(stretches) > 1 and can_enter(reader.name, stretches[1].start) else []
 
 
-def one_by_one(task: Task, progress: Progress, stopped: Callable[[], bool]) -> Generator[Seen, None, None]:
+def one_by_one(task: Task) -> Generator[Seen, None, None]:
     """Track a camera or a short video frame by frame."""
     reader, tracker, pace = task.reader, task.tracker, Pace()
     with reader:
@@ -338,21 +315,14 @@ def one_by_one(task: Task, progress: Progress, stopped: Callable[[], bool]) -> G
                 task.set_start(frame.image.shape[1::-1])
             tracked = tracker.update(frame.image, frame.time, frame.index)
             yield frame, tracked, tracker.result
-            progress(n, reader.n_frames or n, f"{pace(n):.1f} frames/s, {tracked.status}")
-            if stopped():
+            task.progress(n, reader.n_frames or n, f"{pace(n):.1f} frames/s, {tracked.status}")
+            if task.stopped():
                 return
     task.fault = reader.fault
 
 
-def side_by_side(
-    task: Task,
-    stretches: "list[Stretch]",
-    progress: Progress,
-    stopped: Callable[[], bool],
-    pictures: bool,
-    fits: bool,
-) -> Generator[Seen, None, None]:
-    """Track parts of a long video in parallel. The frames hold images only if `pictures`."""
+def side_by_side(task: Task, stretches: "list[Stretch]") -> Generator[Seen, None, None]:
+    """Track parts of a long video in parallel. The frames hold images only if these are needed."""
     import numpy as np
 
     from liaam.io import VideoFrame, VideoReader
@@ -363,18 +333,20 @@ def side_by_side(
     if task.init is not None:
         with VideoReader(reader.name, task.start, task.start + 1) as beginning:
             task.set_start(next(iter(beginning)).image.shape[1::-1])
-    job = TrackJob(tracker, reader.name, fits)
+    job = TrackJob(tracker, reader.name, task.fits)
     nothing, total = np.empty((0, 0, 3), np.uint8), reader.n_frames or 0
-    tracked = track_stretches(
-        job, stretches, task.jobs or all_cores(), lambda n: progress(n, total, f"{pace(n):.1f} frames/s"), stopped
-    )
+
+    def report_pace(n: int) -> None:
+        task.progress(n, total, f"{pace(n):.1f} frames/s")
+
+    tracked = track_stretches(job, stretches, task.jobs or all_cores(), report_pace, task.stopped)
     with ExitStack() as open_:
-        shown = by_number(iter(open_.enter_context(reader))) if pictures else None
+        shown = by_number(iter(open_.enter_context(reader))) if task.pictures else None
         for stretch in open_.enter_context(closing(tracked)):
             task.fault = task.fault or stretch.fault
             for found, result in stretch.frames:
                 yield shown(found.index) if shown else VideoFrame(found.index, found.time, nothing), found, result
-                if pictures and stopped():  # do not spend time on drawing what is already tracked
+                if task.pictures and task.stopped():  # do not spend time on drawing what is already tracked
                     return
 
 

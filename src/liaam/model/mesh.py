@@ -222,14 +222,8 @@ class _SplineSlopes:
     The slopes m of a spline through f obey (m[-1] + 4 m[0] + m[1]) / 6 = (f[1] - f[-1]) / 2. Central differences lose a
     third of the slope of a wave of four pixels, and with it the information of fine texture about the shape.
 
-    Attributes
-    ----------
-    order : (n,) int64
-        Pixels along the lines, so that neighbours follow each other.
-    before, after : (n,) bool
-        Whether a pixel has a neighbour on either side.
-    bands : (3, n) float64
-        The tridiagonal system, as of :func:`scipy.linalg.solve_banded`.
+    ``order`` (n,) lists the pixels along the lines, and ``before`` and ``after`` (n,) whether they have neighbours.
+    ``bands`` (3, n) is the tridiagonal system, as of :func:`scipy.linalg.solve_banded`.
     """
 
     order: np.ndarray

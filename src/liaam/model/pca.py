@@ -17,13 +17,12 @@ class Components:
     """Mean (d,) and principal components of a set of vectors.
 
     ``modes`` (m, d) are orthonormal rows, strongest first, each with its largest entry positive. ``eigenvalues`` (m,)
-    are the variances along them (divisor n - 1); ``total_variance`` is the sum over all directions, kept or not.
+    are the variances along them (divisor n - 1).
     """
 
     mean: np.ndarray
     modes: np.ndarray
     eigenvalues: np.ndarray
-    total_variance: float
 
 
 def check_variance(variance: Variance) -> None:
@@ -76,24 +75,23 @@ def centred(products: np.ndarray) -> np.ndarray:
     return products - means - means[:, None] + means.mean()
 
 
-def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, np.ndarray, float]:
+def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, np.ndarray]:
     """Leading principal components from the Gram matrix (n, n) about the mean.
 
-    Return the sums of squares along the components, descending (m,); orthonormal eigenvectors (n, m), which divided by
-    the roots of these combine the centred vectors to the components; and the sum of squares of all directions.
+    Return the sums of squares along the components, descending (m,), and orthonormal eigenvectors (n, m), which divided
+    by the roots of these combine the centred vectors to the components.
     """
     squares, combinations = np.linalg.eigh(products)
     squares, combinations = squares[::-1], combinations[:, ::-1]
     kept = count_modes(squares, variance)
-    return squares[:kept], combinations[:, :kept], float(squares.clip(0).sum())
+    return squares[:kept], combinations[:, :kept]
 
 
 def components_by(vectors: np.ndarray, mean: np.ndarray, products: np.ndarray, variance: float | int) -> Components:
     """Principal components of vectors (n, d) from their mean (d,) and their Gram matrix (n, n) about it."""
-    squares, combinations, total = strongest(products, variance)
+    squares, combinations = strongest(products, variance)
     modes = _orthonormal(vectors, mean, (combinations / np.sqrt(squares)).T)
-    divisor = max(len(vectors) - 1, 1)
-    return Components(mean, modes, squares / divisor, total / divisor)
+    return Components(mean, modes, squares / max(len(vectors) - 1, 1))
 
 
 def _orthonormal(vectors: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -95,19 +95,15 @@ def procrustes_mean(shapes: np.ndarray) -> np.ndarray:
         mean = new
         if moved < 1e-10:
             break
-    return _upright(mean, shapes)
+    # Rotate the mean to the average orientation of the shapes.
+    turns = [align(mean, shape).matrix for shape in shapes]
+    total = np.sum([turn / np.sqrt(abs(np.linalg.det(turn))) for turn in turns], axis=0)
+    return mean @ rotation(np.arctan2(total[1, 0], total[0, 0])).T
 
 
 def _normalised(shape: np.ndarray) -> np.ndarray:
     centred = shape - shape.mean(axis=0)
     return centred / np.linalg.norm(centred)
-
-
-def _upright(mean: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Rotate the mean to the average orientation of the shapes."""
-    turns = [align(mean, shape).matrix for shape in shapes]
-    total = np.sum([turn / np.sqrt(abs(np.linalg.det(turn))) for turn in turns], axis=0)
-    return mean @ rotation(np.arctan2(total[1, 0], total[0, 0])).T
 
 
 def similarity_modes(mean: np.ndarray) -> np.ndarray:
