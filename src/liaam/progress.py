@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
+from typing import Any
 
 Progress = Callable[[int, int, str], None]
 """Callback for the progress of long calls, called with (done, total, what)."""
@@ -33,9 +34,9 @@ def progress_bar(what: str, total: int | None, show: bool | None = None) -> Iter
 
     def tell(done: int) -> None:
         if not bars and (show or perf_counter() - begin > PATIENCE):
-            bars.append(_Bar(what, total))
+            bars.append(_bar(what, total))
         for bar in bars:
-            bar.tell(done)
+            bar.update(bar.task_ids[0], completed=done)
 
     try:
         yield tell
@@ -44,21 +45,15 @@ def progress_bar(what: str, total: int | None, show: bool | None = None) -> Iter
             bar.stop()
 
 
-class _Bar:
-    def __init__(self, what: str, total: int | None) -> None:
-        # Slow to import.
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
+def _bar(what: str, total: int | None) -> Any:
+    # Slow to import.
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
 
-        console = Console(stderr=True)
-        columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}, left:"), TimeRemainingColumn()
-        self._bar = Bar(*columns, console=console, transient=console.is_terminal)
-        self._task = self._bar.add_task(what, total=total)
-        self._bar.start()
-
-    def tell(self, done: int) -> None:
-        self._bar.update(self._task, completed=done)
-
-    def stop(self) -> None:
-        self._bar.stop()
+    console = Console(stderr=True)
+    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}, left:"), TimeRemainingColumn()
+    bar = Bar(*columns, console=console, transient=console.is_terminal)
+    bar.add_task(what, total=total)
+    bar.start()
+    return bar

@@ -28,23 +28,22 @@ class Motion:
     @cached_property
     def modes(self) -> np.ndarray:
         """Modes as complex numbers, (m, n) complex128, which a factor rotates."""
-        return _complex(self.shape_model.modes)
+        return np.ascontiguousarray(self.shape_model.modes).view(np.complex128)
 
     def coordinates(self, shape: np.ndarray) -> np.ndarray:
         """Project a shape (n, 2) on the coordinates y, (m + 4,) float64."""
         flat = np.asarray(shape, dtype=np.float64).ravel()
         pose = self.similarity @ flat
-        turned_back = _complex((flat - pose @ self.similarity)[None])[0] * np.conj(_turn(pose))
+        turned_back = (flat - pose @ self.similarity).view(np.complex128) * np.conj(_turn(pose))
         return np.concatenate([pose, (np.conj(self.modes) @ turned_back).real])
 
     def shape(self, y: np.ndarray) -> np.ndarray:
         """Return the shape (n, 2) float64 of coordinates (m + 4,)."""
-        rigid = (y[:4] @ self.similarity).reshape(-1, 2)
-        return rigid + _real(((y[4:] @ self.modes) * _turn(y[:4]))[None]).reshape(-1, 2)
+        return (y[:4] @ self.similarity + ((y[4:] @ self.modes) * _turn(y[:4])).view(np.float64)).reshape(-1, 2)
 
     def basis(self, y: np.ndarray) -> np.ndarray:
         """Return orthonormal directions of the coordinates at `y`, (m + 4, 2 n) float64."""
-        return np.concatenate([self.similarity, _real(self.modes * _turn(y[:4]))])
+        return np.concatenate([self.similarity, (self.modes * _turn(y[:4])).view(np.float64)])
 
     def measured(self, result: FitResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the coordinates of a fit, (m + 4,), their covariance by the fit, and their directions (m + 4, 2 n)."""
@@ -89,11 +88,3 @@ def _turn(pose: np.ndarray) -> complex:
     """Return the rotation given by the first two coordinates, as a complex number of length 1."""
     turn = complex(pose[0], pose[1])
     return turn / abs(turn) if abs(turn) > 0 else 1.0 + 0.0j
-
-
-def _complex(rows: np.ndarray) -> np.ndarray:
-    return rows[:, ::2] + 1j * rows[:, 1::2]
-
-
-def _real(rows: np.ndarray) -> np.ndarray:
-    return np.stack([np.real(rows), np.imag(rows)], axis=2).reshape(len(rows), -1)

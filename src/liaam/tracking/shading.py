@@ -11,8 +11,7 @@ import numpy as np
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
 from liaam.model.shape import diagonal_of
-from liaam.photometry import is_grey
-from liaam.photometry.encoding import as_colour
+from liaam.photometry.encoding import as_colour, refuse_grey
 from liaam.relighting import paint, shadow_free
 from liaam.relighting.painting import REACH, blended, soft_edge
 
@@ -73,10 +72,7 @@ class ShadingRemover:
             For a grey image.
         """
         image = as_colour(image)
-        if is_grey(image):
-            raise MethodError(
-                "the video is grey (three equal channels), and estimating shading needs colour; give a colour video"
-            )
+        refuse_grey(image, "the video", "estimating shading needs colour; give a colour video", MethodError)
         if self._log is not self.fitter:
             result = replace(result, method=self._log.objectives[-1].method, theta=np.nan)
         seen, appearance = shadow_free(self._log, image, result), self._log.view.levels[-1].appearances["log"]

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 JUMP = 0.25
-"""Maximum mean distance between prediction and fit, as a fraction of the object's diagonal. Fits further away are on
-something else."""
+"""Maximum mean distance between prediction and fit of the same object, as a fraction of the object's diagonal."""
 
 SLOWING = 0.7
 """Factor of the velocity per frame in which the object is lost."""
@@ -48,8 +47,7 @@ BETTER = 0.8
 Measured on a talking face: 0.6 to 0.8 where the jaw had drifted, at least 0.88 where the track is right."""
 
 APART = 0.02
-"""Minimum distance of a landmark between both fits, as a fraction of the object's diagonal. If all are nearer, the
-track has not drifted."""
+"""Distance of a landmark between both fits, as a fraction of the object's diagonal, above which a track has drifted."""
 
 
 class TrackStatus(StrEnum):
