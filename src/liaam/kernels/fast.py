@@ -35,15 +35,11 @@ def _correlate(left, right, total):
 
 
 def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Compute the spectrum of the correlation of two images, left conj(right), summed over their two channels.
+    """Compute the spectrum of the correlation of two images (2, h, w), left conj(right), summed over their channels.
 
-    Parameters
-    ----------
-    left, right : (2, h, w) float32
-        Fourier transforms of real channels as packed by OpenCV's ``dft``: in each row a real number, pairs of real and
-        imaginary part, and another real number if w is even. The columns of real numbers are packed in the same way.
-    out : (h, w) float32
-        Output in the same packing, so that large arrays can be reused. It is returned.
+    All are Fourier transforms of real channels as packed by OpenCV's ``dft``: in each row a real number, pairs of real
+    and imaginary part, and another real number if w is even. The columns of real numbers are packed in the same way.
+    ``out`` (h, w) is returned.
     """
     _correlate(left, right, out)
     return out
@@ -91,24 +87,10 @@ def _is_peak(picture, y, x, reach):
 
 
 def best_peaks(picture: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Find the largest local maxima of an image, in descending order; ties keep raster order.
+    """Find up to `count` local maxima above `least` of a finite image (h, w), the largest first; ties in raster order.
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-        Finite values.
-    count : int
-        Largest number of maxima.
-    least : float
-        Value that a maximum must exceed.
-    reach : int
-        Half the size of the square neighbourhood in which no pixel may be larger.
-
-    Returns
-    -------
-    places : (k, 2) int64
-        Rows and columns.
-    values : (k,) float32
+    No pixel within a square of `reach` pixels around a maximum is larger. Return rows and columns (k, 2), and values
+    (k,).
     """
     places, values = np.empty((count, 2), np.int64), np.empty(count, np.float32)
     found = _best_peaks(picture, np.float32(least), reach, places, values)

@@ -7,21 +7,9 @@ def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
     """Sample an encoded image bilinearly, with the exact gradient of the interpolant.
 
     The Jacobian is thus the derivative of the cost that is minimised. The gradient is discontinuous at pixel lines; on
-    a line it is the derivative from the right (from below).
-
-    Parameters
-    ----------
-    channels : (h, w, 8) float32
-    points : (n, 2) float64
-
-    Returns
-    -------
-    values : (n, 8) float64
-        0 outside the image.
-    gradients : (n, 2, 8) float64
-        Derivatives by x and y; 0 outside the image.
-    usable : (n,) float64
-        1 where all four pixels around the point are inside the image and usable, else 0.
+    a line it is the derivative from the right (from below). Channels are (h, w, 8) and points (n, 2). Return the values
+    (n, 8), the derivatives by x and y (n, 2, 8), both 0 outside the image, and the weights (n,): 1 where all four
+    pixels around the point are inside the image and usable, else 0.
     """
     height, width = channels.shape[:2]
     with np.errstate(invalid="ignore"):  # points of a diverging fit may be NaN

@@ -36,18 +36,9 @@ class Mesh(NamedTuple):
 class PiecewiseAffineWarp:
     """Piecewise-affine warp of a mesh whose vertices follow a shape model (paper eq 3).
 
-    W(x; p) = sum_v beta_v(x) s_v(p) is linear in p, so dW/dp_i = sum_v beta_v(x) s_i[v] is constant and
-    computed once.
-
-    Attributes
-    ----------
-    frame : ReferenceFrame
-        Pixels of the mean shape, or of the mean shape and its surroundings.
-    shape_model : ShapeModel
-    extension : (n_vertices, n_points) float64, optional
-        Maps landmarks to the frame's vertices (:class:`liaam.model.mesh.Surroundings`); the identity by default.
-    kept : (n_pixels,) int64, optional
-        Indices of the frame's pixels to use, in order; by default all, in raster order.
+    W(x; p) = sum_v beta_v(x) s_v(p) is linear in p, so dW/dp_i = sum_v beta_v(x) s_i[v] is constant. ``extension``
+    (n_vertices, n_points) maps landmarks to the frame's vertices (:class:`liaam.model.mesh.Surroundings`), by default
+    the identity. ``kept`` (n_pixels,) holds the indices of the frame's pixels to use, in order, by default all.
     """
 
     frame: ReferenceFrame
@@ -215,15 +206,9 @@ class HomographyWarp:
     W(x; p) = (N_1 / N_3, N_2 / N_3) with N = (I + sum_i p_i G_i) (x, 1) in centred and scaled coordinates. At p = 0, a
     step of unit length moves the grid's pixels by one pixel (root mean square).
 
-    Attributes
-    ----------
-    kept : (rows, columns) bool
-        Points of the grid to use.
-    rest : (n, 2) float64
-        Handles, model pixels: four corners or more, no three of the four on a line.
-    stride : float
-        Distance between neighbouring points, model pixels; the first lies at the origin.
-    group : {"translation", "similarity", "affine", "homography"}
+    ``kept`` (rows, columns) selects points of the grid, ``stride`` model pixels apart; the first lies at the origin.
+    ``rest`` (n, 2) are the handles in model pixels: four corners or more, no three of the four on a line. ``group`` is
+    a key of :data:`GENERATORS`.
     """
 
     kept: np.ndarray

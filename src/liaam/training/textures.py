@@ -31,17 +31,10 @@ SAMPLED = {MESH: ("value", "log", "orientation", "varied"), SURROUNDINGS: ("soft
 
 @dataclass(frozen=True)
 class Sampled:
-    """Textures of all samples by appearance, one per blur.
+    """Textures of all samples by appearance, one per blur, and whether all images are grey.
 
-    Attributes
-    ----------
-    textures : dict of str to list of Textures
-    owners : (n_textures,) int
-        Sample of each texture of :data:`COPIED_APPEARANCES`; each sample is followed by its copies.
-    coloured : (m,) int
-        Samples of the other appearances: those in colour, or all if all are grey.
-    grey : bool
-        Whether all images are grey.
+    ``owners`` (n_textures,) is the sample of each texture of :data:`COPIED_APPEARANCES`; copies follow their sample.
+    ``coloured`` (m,) are the samples of the other appearances: those in colour, or all if all are grey.
     """
 
     textures: dict[str, list[Textures]]
