@@ -19,7 +19,7 @@ def attach(package: str) -> tuple[Callable[[str], object], Callable[[], list[str
         for block in ast.parse(source).body
         if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
         for line in block.body
-        if isinstance(line, ast.ImportFrom)
+        if isinstance(line, ast.ImportFrom) and line.module
         for imported in line.names
     }
 

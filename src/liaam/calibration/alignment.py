@@ -63,14 +63,14 @@ def align_pictures(
         If an image cannot be aligned; the message names it.
     """
     first, camera = pictures[0], camera or CameraModel()
+    corners = picture_corners(*first.shape[:2])
     aligned, masks, moved = [first], [np.ones(first.shape[:2], dtype=bool)], [0.0]
     for picture, found in zip(pictures[1:], _register_all(pictures, camera, names, progress), strict=True):
-        moved.append(_corner_movement(found.homography, first.shape[:2]))
+        moved.append(rms_error(apply_homography(found.homography, corners), corners))
         if moved[-1] <= STILL and picture.shape == first.shape:
-            aligned.append(picture)
-            masks.append(masks[0])
-            continue
-        sampled, mask = found.warp(picture)
+            sampled, mask = picture, masks[0]
+        else:
+            sampled, mask = found.warp(picture)
         aligned.append(sampled)
         masks.append(mask)
     return Aligned(tuple(aligned), tuple(masks), tuple(moved))
@@ -106,9 +106,3 @@ def _register_all(
                 "and skip the alignment, or choose images that differ less"
             )
     return found
-
-
-def _corner_movement(homography: np.ndarray, size: tuple[int, int]) -> float:
-    """Root mean square movement of the image's corners by a homography, pixels."""
-    corners = picture_corners(*size)
-    return rms_error(apply_homography(homography, corners), corners)

@@ -96,10 +96,7 @@ def patch_corners(patches: np.ndarray) -> np.ndarray:
 def patch_labels(patches: np.ndarray, size: tuple[int, int], name: str = "image") -> np.ndarray:
     """Label each pixel of an image with the index of its patch, -1 outside patches, (h, w) int32.
 
-    Raises
-    ------
-    CameraError
-        If a patch lies outside the image or has fewer than 4 pixels.
+    Raises CameraError if a patch lies outside the image or has fewer than 4 pixels.
     """
     import cv2  # heavy: imported when first needed
 

@@ -129,15 +129,8 @@ def agreement(blocks: Averaged) -> list[Agreement]:
     found = []
     for i, j in combinations(range(len(blocks.invariant)), 2):
         both = np.isfinite(blocks.invariant[i]) & np.isfinite(blocks.invariant[j])
-        found.append(
-            Agreement(
-                i,
-                j,
-                _correlation(blocks.invariant[i][both], blocks.invariant[j][both]),
-                _correlation(blocks.log_grey[i][both], blocks.log_grey[j][both]),
-                float(both.sum() / max(blocks.wanted, 1)),
-            )
-        )
+        alike = [_correlation(*values[[i, j]][:, both]) for values in (blocks.invariant, blocks.log_grey)]
+        found.append(Agreement(i, j, alike[0], alike[1], float(both.sum() / max(blocks.wanted, 1))))
     return found
 
 

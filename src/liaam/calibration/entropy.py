@@ -2,19 +2,12 @@
 
 Finlayson, Drew and Lu, "Intrinsic images by entropy minimization" (ECCV 2004) and "Entropy minimization for shadow
 removal" (IJCV 2009): along L(theta) each surface has one value, lit or shadowed, so the distribution of values has
-peaks. Along other directions shadows blur it. Geometric-mean log-chromaticities are projected onto the unit vector
-along L(theta) for all angles, and the outermost values are discarded. Shannon's entropy is computed from a histogram,
-Renyi's quadratic entropy from a kernel density.
+peaks. Along other directions shadows blur it. Shannon's entropy is computed from a histogram, Renyi's quadratic entropy
+from a kernel density.
 
-Differences to the papers, by measurements on simulated scenes:
-
-* One bin width for all angles. With Scott's rule per angle the entropy does not depend on the spread, and the minimum
-  is the least Gaussian direction: one third to three quarters of the angles are right, instead of nine tenths.
-* A quarter of Scott's width, which is optimal for one Gaussian and not for peaks.
-* At the same width the quadratic entropy performs better than Shannon's, and discarding 2 % better than 10 %.
-
-There is always a minimum, since colours can be aligned by chance or by material (skin, wood). Further tests check
-whether light caused it: see :func:`theta_from_image`.
+Unlike in the papers, all angles have one bin width, since with Scott's rule per angle the entropy does not depend on
+the spread, and the width is a quarter of Scott's, which is optimal for one Gaussian and not for peaks. On simulated
+scenes nine tenths of the angles are then correct, otherwise one third to three quarters.
 """
 
 from dataclasses import dataclass
@@ -84,13 +77,12 @@ LEAST_CHANGE = 0.15
 """Least change of log(R / B) at one value of the invariant that distinguishes light from noise and texture."""
 
 LEAST_BLUER = 0.2
-"""Least correlation of redness and brightness, at one value of the invariant, that indicates a change of light: light
-from the sky or the room makes shadows bluer. There is no correlation for colours aligned by chance, and a negative one
-for pigments. Warm shadows of daylight in lamp light are rejected together with pigments."""
+"""Least correlation of redness and brightness, at one value of the invariant, that indicates a change of light. Colours
+aligned by chance have none, and pigments, as warm shadows, a negative one."""
 
 LINE = 0.4
-"""Ratio of the spread across and along the main direction of all colours, below which they lie on a line (such as those
-of skin, wood and soil). The minimum may then be due to the material."""
+"""Ratio of the spread across and along the main direction of all colours, below which they lie on a line, as those of
+skin and wood."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,23 +106,16 @@ class EntropyEstimate(AngleEstimate):
     entropies: np.ndarray
     spread: float
 
-    @property
-    def trusted(self) -> bool:
-        """Whether the minimum passed all tests."""
-        return self.observable
-
 
 def theta_from_image(
-    image: np.ndarray, response: Response = "srgb", kind: Entropy = "quadratic", *, keep: float = KEPT, seed: int = 0
+    image: np.ndarray, response: Response = "srgb", kind: Entropy = "quadratic", *, seed: int = 0
 ) -> EntropyEstimate:
     """Estimate the angle from one image with shadows, and test whether it is reliable.
 
-    There is always a minimum. It is accepted if all of these hold: the angle is that of a camera (90 to 135 degrees),
-    the two entropies agree, and the bootstrap over image blocks finds it stable; other minima are clearly higher, the
-    colours do not lie on a line, and darker pixels of a surface are bluer, as in shadows.
-
-    Measured on simulated posters, with and without shadows, and on heads: 97 % of the accepted angles are correct to
-    5 degrees. Half of the posters with bluish shadows are accepted, few scenes of few colours, and no portraits.
+    There is always a minimum. It is accepted if the angle is that of a camera (90 to 135 degrees), the two entropies
+    agree, the bootstrap over image blocks finds it stable, other minima are clearly higher, the colours do not lie on a
+    line, and darker pixels of a surface are bluer, as in shadows. On simulated scenes, 97 % of the accepted angles are
+    correct to 5 degrees; half of the posters with bluish shadows are accepted, and no portraits.
 
     Parameters
     ----------
@@ -139,8 +124,6 @@ def theta_from_image(
     response : Response
         Map from stored values to linear light.
     kind : {"quadratic", "shannon"}
-    keep : float
-        Central fraction of the projected values to use.
     seed : int
         Seed of the bootstrap.
 
@@ -158,7 +141,7 @@ def theta_from_image(
     _check_kind(kind)
     log_rgb, blocks = _usable_pixels(image, response)
     names: tuple[Entropy, ...] = get_args(Entropy)
-    projections = _Projections.of(log_rgb, blocks, keep)
+    projections = _Projections.of(log_rgb, blocks, KEPT)
     histograms = [projections.at(theta) for theta in THETAS]
     curves = {name: _curve(name, [h.sum(axis=0, keepdims=True) for h in histograms])[0] for name in names}
     theta = _lowest(THETAS, curves[kind])
@@ -222,29 +205,19 @@ def _usable_pixels(image: np.ndarray, response: Response) -> tuple[np.ndarray, n
 
 @dataclass(frozen=True, eq=False)
 class _Projections:
-    """Histograms of log-chromaticities along any direction, one per block.
-
-    Attributes
-    ----------
-    chroma : (n, 2) float32
-        Coordinates in the plane orthogonal to intensity, about their median.
-    blocks : (n,) int64
-    scott : float
-        Width of a bin by Scott's rule, for the median spread over directions.
-    cell : float
-        Width of a histogram's cells.
-    cells : int
-        Number of cells; outliers fall into the outermost.
-    keep : float
-        Central fraction of the values that is used.
-    """
+    """Histograms of log-chromaticities along any direction, one per block."""
 
     chroma: np.ndarray
+    """(n, 2) float32: coordinates in the plane orthogonal to intensity, about their median."""
     blocks: np.ndarray
+    """(n,) int64."""
     scott: float
+    """Width of a bin by Scott's rule, for the median spread over directions."""
     cell: float
     cells: int
+    """Width and number of a histogram's cells; outliers fall into the outermost."""
     keep: float
+    """Central fraction of the values that is used."""
 
     @staticmethod
     def of(log_rgb: np.ndarray, blocks: np.ndarray, keep: float) -> "_Projections":
@@ -337,21 +310,10 @@ def _margin(entropies: np.ndarray, theta: float) -> float:
 
 
 def _light(log_rgb: np.ndarray, theta: float, width: float) -> dict[str, float]:
-    """Measure the variation of light among pixels with the same invariant.
+    """Measure the variation of light among pixels with the same invariant, in bins of a width.
 
-    Parameters
-    ----------
-    log_rgb : (n, 3) float32
-    theta : float
-    width : float
-        Width of the bins of the invariant; pixels in one bin count as one surface.
-
-    Returns
-    -------
-    dict
-        ``change``: root mean square difference along the temperature direction, as log(R / B). ``redness``:
-        correlation of redness and brightness. ``aspect``: ratio of the spread of all colours across and along their
-        main direction.
+    ``change``: root mean square difference along the temperature direction, as log(R / B). ``redness``: correlation of
+    redness and brightness. ``aspect``: ratio of the spread of all colours across and along their main direction.
     """
     towards_blue = temperature_direction(theta)
     chroma = log_rgb @ CHROMATICITY.T.astype(np.float32)
@@ -402,15 +364,14 @@ class _Evidence:
 
 def _judged(evidence: _Evidence, kind: Entropy, entropies: np.ndarray, n: int) -> EntropyEstimate:
     """Make the estimate, observable if the minimum passed all tests."""
-    theta, faults = evidence.theta, evidence.faults()
-    if faults:
+    theta, error = evidence.theta, float(np.hypot(evidence.spread, MODEL_ERROR))
+    if faults := evidence.faults():
         error = float("inf")
         message = (
             f"the entropy is least at {np.rad2deg(theta):.0f}°, which is not reliable: {'; '.join(faults)}. Give "
             "an image of many colours with cast shadows, or better two images under different lights"
         )
     else:
-        error = float(np.hypot(evidence.spread, MODEL_ERROR))
         message = (
             f"the next minimum of the entropy is {evidence.margin:.2f} bits higher; the light on surfaces varies by "
             f"{evidence.change:.2f} in log R/B, bluer where they are darker (correlation {evidence.redness:.2f})"

@@ -64,8 +64,8 @@ class AngleEstimate:
         """Return the estimate, with a warning in the message if the angle is not physical."""
         if self.physical:
             return self
-        return replace(
-            self,
-            message=f"{self.message}; but no physical camera has this angle (90 to 135 degrees): check that all "
-            "images have one white balance and response, and show the same surfaces",
+        warning = (
+            "; but no physical camera has this angle (90 to 135 degrees): check that all images have one white balance "
+            "and response, and show the same surfaces"
         )
+        return replace(self, message=self.message + warning)

@@ -90,11 +90,11 @@ class NoiseEstimate:
     """
 
     noise: NoiseModel
-    slope_error: float
-    offset_error: float
-    observable: bool
-    message: str
-    n: int
+    slope_error: float = np.inf
+    offset_error: float = np.inf
+    observable: bool = False
+    message: str = ""
+    n: int = 0
 
 
 def noise_from_flat(
@@ -178,19 +178,17 @@ def noise_from_pair(first: np.ndarray, second: np.ndarray, response: Response = 
     if not estimate.observable or moved <= MOVED:
         return estimate
     fault = f"; but {moved:.0%} of the blocks differ by more than that: use a tripod, a still scene and a steady light"
-    return replace(
-        estimate, observable=False, slope_error=np.inf, offset_error=np.inf, message=estimate.message + fault
-    )
+    return NoiseEstimate(estimate.noise, message=estimate.message + fault, n=estimate.n)
 
 
 def noise_from_image(image: np.ndarray, response: Response = "srgb") -> NoiseEstimate:
     """Estimate noise from a single image.
 
-    Within each class of brightness, the coarse structure selects the tenth of the blocks with the least texture, and
-    their fine structure gives the noise. For white noise, coarse and fine structure are independent. After Ponomarenko,
-    Lukin, Zriakhov, Kaarna and Astola, "An automatic approach to lossy compression of AVIRIS images" (IGARSS 2007), and
-    Colom and Buades, "Analysis and extension of the Ponomarenko et al. method, estimating a noise curve from a
-    single image" (IPOL 2013). Discrete polynomials replace the cosines, since they do not respond to smooth shading.
+    In each class of brightness, the coarse structure selects the tenth of the blocks with the least texture, and their
+    fine structure gives the noise. After Ponomarenko, Lukin, Zriakhov, Kaarna and Astola, "An automatic approach to
+    lossy compression of AVIRIS images" (IGARSS 2007), and Colom and Buades, "Analysis and extension of the Ponomarenko
+    et al. method, estimating a noise curve from a single image" (IPOL 2013). Discrete polynomials replace the cosines,
+    since they do not respond to smooth shading.
 
     Parameters
     ----------
@@ -202,9 +200,8 @@ def noise_from_image(image: np.ndarray, response: Response = "srgb") -> NoiseEst
     Returns
     -------
     NoiseEstimate
-        Overestimated where the fine structure contains texture, such as at a brightness of hair or cloth only.
-        Underestimated where JPEG smoothed the noise. The coarser and the finer structure then disagree, and the
-        standard errors include the difference.
+        Overestimated where the fine structure contains texture, and underestimated where JPEG smoothed the noise. The
+        coarser and the finer structure then disagree, and the standard errors include the difference.
 
     Raises
     ------
@@ -216,7 +213,6 @@ def noise_from_image(image: np.ndarray, response: Response = "srgb") -> NoiseEst
     return _estimate(_blocks(as_colour(image), None, response), response, single=True)
 
 
-# Blocks -------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Blocks:
     """Brightness and variation of blocks of one channel each."""
@@ -260,10 +256,9 @@ def _cut(image: np.ndarray) -> np.ndarray:
 
 
 def _blocks(first: np.ndarray, second: np.ndarray | None, response: Response) -> _Blocks:
-    """Blocks of one image, or of the difference of two images of the same scene.
+    """Blocks of one image, or of the difference of two images of one scene, scaled to have the noise of one.
 
-    A difference is scaled to have the noise of one image. Blocks that are dark or saturated are excluded; for a pair
-    this is decided by the mean, which is independent of the difference.
+    Dark and saturated blocks are excluded; for a pair by the mean, which is independent of the difference.
     """
     stored, linear, usable = _values(first, response)
     signal, level = linear, stored.mean(axis=2, keepdims=True)
@@ -343,14 +338,6 @@ def _weakest(blocks: _Blocks) -> _Blocks:
     return blocks[np.concatenate(best)]
 
 
-def _reweighted(blocks: _Blocks, line: np.ndarray) -> _Blocks:
-    """Reduce the weight of blocks whose texture exceeds the noise."""
-    noise = np.maximum(blocks.level * line[0] + line[1] + blocks.rounding, CONSTANT)
-    texture = np.maximum(blocks.variance(TREND + 1, COARSE - 1), CONSTANT)
-    return replace(blocks, weight=np.square(np.minimum(1.0, noise / texture)))
-
-
-# The line -----------------------------------------------------------------------------------------
 def _line(
     blocks: _Blocks,
     low: int,
@@ -361,8 +348,8 @@ def _line(
 ) -> np.ndarray:
     """Fit slope and offset, (2,) float64, to the variance of blocks in the degrees low to high.
 
-    Minimises the sum of relative deviations by iteratively reweighted least squares, so that up to half of the blocks
-    may be outliers. Both numbers are non-negative unless `free`, which standard errors need.
+    Iteratively reweighted least squares minimise the sum of relative deviations, so up to half of the blocks may be
+    outliers. Both numbers are non-negative unless `free`, which standard errors need.
     """
     variance = blocks.variance(low, high)
     wanted = variance - blocks.rounding
@@ -389,7 +376,6 @@ def _jackknife(blocks: _Blocks, groups: np.ndarray, estimate: Callable[[_Blocks]
     return (len(numbers) - 1) * np.cov(draws.T, bias=True)
 
 
-# The estimate -------------------------------------------------------------------------------------
 def _estimate(blocks: _Blocks, response: Response, single: bool = False) -> NoiseEstimate:
     """Fit the line to blocks, and test whether the noise is observable."""
     white = float(to_linear(np.array(1.0), response))
@@ -411,16 +397,14 @@ def _estimate(blocks: _Blocks, response: Response, single: bool = False) -> Nois
     spread = _spread(used, low, line, single)
     ends = np.column_stack([white * np.array(ENDS), np.ones(2)])
     vague = (np.sqrt(np.einsum("ij,jk,ik->i", ends, spread, ends)) > 2 * VAGUE * (ends @ line)).any()
-    fault = (
-        f"; this is uncertain, from {len(used)} blocks with brightnesses of {darkest:.2g} to {brightest:.2g}: give "
-        "more, darker or brighter surfaces"
-        if vague
-        else ""
-    )
-    model, errors = NoiseModel(float(line[0]), float(line[1])), np.sqrt(np.diag(spread))
-    levels = [white * rho for rho in (ENDS[0], 0.2, ENDS[1])]
-    message = f"noise with a standard deviation of {_deviations(model, levels)}{fault}{not_white}"
-    return NoiseEstimate(model, float(errors[0]), float(errors[1]), not vague, message, len(used))
+    model, (slope_error, offset_error) = NoiseModel(*line.tolist()), np.sqrt(np.diag(spread)).tolist()
+    message = _deviations(model, [white * rho for rho in (ENDS[0], 0.2, ENDS[1])])
+    if vague:
+        message += (
+            f"; this is uncertain, from {len(used)} blocks with brightnesses of {darkest:.2g} to {brightest:.2g}: give "
+            "more, darker or brighter surfaces"
+        )
+    return NoiseEstimate(model, slope_error, offset_error, not vague, message + not_white, len(used))
 
 
 def _of_one_brightness(blocks: _Blocks, low: int, not_white: str) -> NoiseEstimate:
@@ -428,18 +412,19 @@ def _of_one_brightness(blocks: _Blocks, low: int, not_white: str) -> NoiseEstima
     slope = float(np.median((blocks.variance(low) - blocks.rounding) / blocks.level))
     model = NoiseModel(max(slope, 0.0), 0.0)
     message = (
-        f"noise with a standard deviation of {_deviations(model, [float(np.median(blocks.level))])}; one brightness "
-        "does not separate photon noise from noise in the dark, so photon noise is assumed: add darker or brighter "
-        f"surfaces{not_white}"
+        f"{_deviations(model, [float(np.median(blocks.level))])}; one brightness does not separate photon "
+        f"noise from noise in the dark, so photon noise is assumed: add darker or brighter surfaces{not_white}"
     )
-    return NoiseEstimate(model, np.inf, np.inf, False, message, len(blocks))
+    return NoiseEstimate(model, message=message, n=len(blocks))
 
 
 def _fitted(blocks: _Blocks, low: int, single: bool) -> tuple[_Blocks, np.ndarray]:
-    """Blocks, reweighted for a single image, and their line."""
+    """Blocks and their line. In a single image, blocks whose texture exceeds the noise get less weight."""
     line = _line(blocks, low)
     for _ in range(3 * single):
-        blocks = _reweighted(blocks, line)
+        noise = np.maximum(blocks.level * line[0] + line[1] + blocks.rounding, CONSTANT)
+        texture = np.maximum(blocks.variance(TREND + 1, COARSE - 1), CONSTANT)
+        blocks = replace(blocks, weight=np.square(np.minimum(1.0, noise / texture)))
         line = _line(blocks, low)
     return blocks, line
 
@@ -462,16 +447,15 @@ def _below_rounding(blocks: _Blocks) -> NoiseEstimate:
         if hidden > 0
         else "there is no noise: this image was computed, not taken; give images from a camera"
     )
-    return NoiseEstimate(NoiseModel(0.0, hidden), np.inf, np.inf, False, message, len(blocks))
+    return NoiseEstimate(NoiseModel(0.0, hidden), message=message, n=len(blocks))
 
 
 def _spread(blocks: _Blocks, low: int, line: np.ndarray, single: bool) -> np.ndarray:
     """Covariance (2, 2) of slope and offset.
 
-    The channels of a block are left out together, since demosaicking correlates their noise. A single image has two
-    further errors. Blocks of similar brightness share texture, so they are left out together too. A significant
-    difference between coarser and finer structure is due to texture and is added. Measured on simulated portraits: 95 %
-    intervals contain the true offset in 85 to 100 % of cases, without the two terms in 54 to 60 %.
+    The channels of a block are left out together. For a single image so are blocks of similar brightness, which share
+    texture, and a significant difference between coarser and finer structure is added. On simulated portraits, 95 %
+    intervals contain the true offset in 85 to 100 % of cases, without these two terms in 54 to 60 %.
     """
 
     def again(part: _Blocks) -> np.ndarray:
@@ -500,6 +484,6 @@ def _not_white(blocks: _Blocks, low: int, single: bool) -> str:
 
 
 def _deviations(model: NoiseModel, levels: list[float]) -> str:
-    """Format the standard deviations at some brightnesses."""
+    """Describe the standard deviations at some brightnesses."""
     parts = [f"{np.sqrt(model.variance(np.array(level))):.2g} at brightness {level:.2g}" for level in levels]
-    return ", ".join(parts)
+    return f"noise with a standard deviation of {', '.join(parts)}"

@@ -5,20 +5,15 @@ light V at the distance r_i(x) from the centre, and the exposure e_i,
 
     log f(v_i(x)) - log V(r_i(x)) - log e_i = log rho(x)        for every image i,
 
-after Kim and Pollefeys, "Robust radiometric calibration and vignetting correction" (PAMI 2008). The unknown
-log rho(x) is eliminated as the weighted mean over the images. The other unknowns are solved jointly by robust weighted
-least squares, with three precautions:
+after Kim and Pollefeys, "Robust radiometric calibration and vignetting correction" (PAMI 2008). The weighted mean over
+the images eliminates log rho(x). Robust weighted least squares solve for the rest, with three precautions:
 
-- Noise of stored values affects both sides of the equation, mostly (in logarithms) in the dark. Blocks of pixels
-  are averaged, the equation is weighted by 1 / (noise times slope of log f), and log f is linearised about
-  the value that the other images predict. Linearising about the noisy value would flatten the curve.
-- (log f, log V, log e) times a constant is also a solution, unless ratios of exposures are known
-  (the exponential ambiguity: Grossberg and Nayar, "Determining the camera response from images: what is knowable?",
-  PAMI 2003). A common power of R, G and B does not change the invariant angle.
-- A pair of images with exposure ratio e does not determine components of log f with period log e, and images do not
-  determine f at values that they do not contain. A prior does: the covariance of a family of realistic curves, in place
-  of the EMoR basis (Grossberg and Nayar, "Modeling the space of camera response functions", PAMI 2004), plus a smooth
-  Gaussian process.
+- Noise affects both sides of the equation, mostly in the dark. Blocks of pixels are averaged, weighted by
+  1 / (noise times slope of log f), and log f is linearised about the value that the other images predict.
+- (log f, log V, log e) times a constant is also a solution unless ratios of exposures are known (Grossberg and Nayar,
+  "Determining the camera response from images: what is knowable?", PAMI 2003). The invariant angle does not change.
+- A prior determines what images do not: the covariance of a family of realistic curves, in place of the EMoR basis
+  (Grossberg and Nayar, "Modeling the space of camera response functions", PAMI 2004), plus a smooth Gaussian process.
 """
 
 from collections.abc import Sequence
@@ -126,14 +121,14 @@ class VignettingEstimate:
         Number of blocks used.
     """
 
-    coefficients: tuple[float, ...]
-    standard_errors: tuple[float, ...]
-    corner: float
-    corner_error: float
-    observable: bool
-    message: str
-    rms: float
-    n: int
+    coefficients: tuple[float, ...] = ()
+    standard_errors: tuple[float, ...] = ()
+    corner: float = float("nan")
+    corner_error: float = float("nan")
+    observable: bool = False
+    message: str = ""
+    rms: float = float("nan")
+    n: int = 0
 
 
 @dataclass(frozen=True)
@@ -169,17 +164,17 @@ class RadiometricEstimate:
     """
 
     response: Response
-    response_errors: tuple[float, ...]
-    vignetting: VignettingEstimate
-    log_exposures: tuple[float, ...]
-    log_exposure_errors: tuple[float, ...]
-    power_known: bool
-    power_error: float
-    rms: float
-    observable: bool
-    message: str
-    stored_range: tuple[float, float]
-    n: int
+    response_errors: tuple[float, ...] = ()
+    vignetting: VignettingEstimate = VignettingEstimate()
+    log_exposures: tuple[float, ...] = ()
+    log_exposure_errors: tuple[float, ...] = ()
+    power_known: bool = False
+    power_error: float = RANGE_SPREAD
+    rms: float = float("nan")
+    observable: bool = False
+    message: str = ""
+    stored_range: tuple[float, float] = (float("nan"), float("nan"))
+    n: int = 0
 
 
 def calibrate_response(
@@ -233,7 +228,7 @@ def calibrate_response(
     measured = _observe(pictures, _maps(homographies, pictures))
     if fault := _overlap_fault(measured):
         return _nothing(measured, logs, response, fault)
-    lens_fault = _lens_fault(measured) if vignetting else "Vignetting was not requested."
+    lens_fault = _lens_fault(measured, vignetting)
     fit = _solve(_Problem(measured, logs, response, 0 if lens_fault else TERMS))
     if fault := _fit_fault(fit):
         fit = _solve(replace(fit.problem, response=fit.problem.response or "srgb"))
@@ -261,7 +256,7 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     measured = _observe(_checked([image], fewest=1), [np.eye(3)], least=1)
     if measured.n < FEWEST:
         message = f"Vignetting cannot be estimated: too few blocks are uniform and well exposed; {WHITE_WALL}"
-        return _no_vignetting(message, measured.n)
+        return VignettingEstimate(message=message, n=measured.n)
     curve, radius2 = _Curve.of(response), measured.radius2[0]
     log_light = curve.log_light(measured.stored[0])
     deviation = measured.deviation[0] * curve.slope(measured.stored[0])
@@ -280,7 +275,7 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     rms = float(np.sqrt(np.average(np.square(standard * deviation), weights=_robust(standard / scale))))
     if scale > MISFIT and rms > UNEVEN:
         fault = f"the surface is not uniform (its light varies by {100 * rms:.0f} %)"
-        return _no_vignetting(f"Vignetting cannot be estimated: {fault}; {WHITE_WALL}", measured.n)
+        return VignettingEstimate(message=f"Vignetting cannot be estimated: {fault}; {WHITE_WALL}", n=measured.n)
     message = f"From {measured.n} blocks of an evenly lit surface; light falling off to all sides has the same effect."
     return _vignetting_estimate(found.x[:TERMS], covariance, message, rms, measured.n)
 
@@ -292,16 +287,8 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
 class _Measurements:
     """Measurements of n blocks of one channel each in m images.
 
-    Attributes
-    ----------
-    stored, deviation : (m, n) float64
-        Mean stored value in [0, 1] and its standard deviation.
-    usable : (m, n) bool
-    radius2 : (m, n) float64
-        Squared distance from the image's centre, 1 in its corners.
-    offset : (n, 2) float64
-        Position in the first image relative to its centre, in units of half the diagonal.
-    channel, block : (n,) int
+    Stored values (m, n) in [0, 1], their standard deviations, and squared distances from the centre, 1 in the corners.
+    Offsets (n, 2) are positions in the first image relative to its centre, in units of half the diagonal.
     """
 
     stored: np.ndarray
@@ -462,10 +449,7 @@ class _Curve:
 
 @lru_cache(maxsize=1)
 def _prior() -> tuple[np.ndarray, np.ndarray]:
-    """Prior mean (J,) and covariance (J, J) of a response's increments.
-
-    The family of curves is powers of v + v (1 - v) times a quadratic: tone curves with toe, shoulder and s-shape.
-    """
+    """Prior mean (J,) and covariance (J, J) of increments: tone curves v + v (1 - v) q(v), q quadratic, and powers."""
     stored = _evenly(300)
     levels = np.linspace(-0.6, 0.6, 5)
     toned = [
@@ -489,14 +473,7 @@ def _prior() -> tuple[np.ndarray, np.ndarray]:
 class _Problem:
     """The problem; its unknowns z (P,) are the free increments, exposures, white balances and vignetting coefficients.
 
-    Attributes
-    ----------
-    known_logs : (m,) float64, optional
-        Known log exposures.
-    response : Response, optional
-        Known response.
-    terms : int
-        Number of vignetting coefficients.
+    Log exposures (m,) and the response may be given; ``terms`` is the number of vignetting coefficients.
     """
 
     measured: _Measurements
@@ -584,16 +561,7 @@ def _share(radius2: np.ndarray, falloff: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Fit:
-    """A solution.
-
-    Attributes
-    ----------
-    covariance : (P, P) float64
-    scale : float
-        Robust standard deviation of the residuals, in units of the noise.
-    rms : float
-        Root mean square residual in log exposure, robustly weighted.
-    """
+    """A solution, with the robust standard deviation of its residuals in units of the noise, and in log exposure."""
 
     problem: _Problem
     z: np.ndarray
@@ -611,6 +579,10 @@ class _Fit:
     def corner_error(self) -> float:
         terms = self.problem.terms
         return float(np.sqrt(self.covariance[len(self.z) - terms :, len(self.z) - terms :].sum()))
+
+    @property
+    def is_inconsistent(self) -> bool:
+        return self.rms > (WORST_RMS if self.scale > MISFIT else WORST_NOISE)
 
     @property
     def contrast(self) -> float:
@@ -695,8 +667,10 @@ def _overlap_fault(measured: _Measurements) -> str:
     )
 
 
-def _lens_fault(measured: _Measurements) -> str:
-    """Message if the positions of the surfaces do not determine vignetting, else an empty string."""
+def _lens_fault(measured: _Measurements, wanted: bool) -> str:
+    """Message if vignetting is not wanted, or the positions of the surfaces do not determine it, else empty."""
+    if not wanted:
+        return "Vignetting was not requested."
     if _radii(measured) >= LEAST_RADII:
         return ""
     return (
@@ -712,7 +686,7 @@ def _radii(measured: _Measurements) -> float:
 
 def _corner_fault(fit: _Fit) -> str:
     """Message if the estimated vignetting is unusable, else an empty string."""
-    if _disagrees(fit):
+    if fit.is_inconsistent:
         return "Vignetting cannot be estimated: the images are inconsistent."
     if fit.corner_error <= WIDEST_CORNER and least_share(fit.problem.split(fit.z)[-1]) > LEAST_SHARE:
         return ""
@@ -722,13 +696,9 @@ def _corner_fault(fit: _Fit) -> str:
     )
 
 
-def _disagrees(fit: _Fit) -> bool:
-    return fit.rms > (WORST_RMS if fit.scale > MISFIT else WORST_NOISE)
-
-
 def _fit_fault(fit: _Fit) -> str:
     """Message if the response (or the exposures, for a given response) is not observable, else an empty string."""
-    if _disagrees(fit):
+    if fit.is_inconsistent:
         return (
             f"Nothing can be estimated: the images are inconsistent by a factor of {np.exp(fit.rms):.2f}; check that "
             "they are registered and taken under one light, and that the given exposures or response are correct."
@@ -764,7 +734,7 @@ def _held(measured: _Measurements) -> tuple[float, float]:
 def _report(fit: _Fit, fault: str, lens_fault: str) -> RadiometricEstimate:
     problem, measured = fit.problem, fit.problem.measured
     curve, logs, falloff = problem.curve(fit.z), problem.logs(fit.z), problem.split(fit.z)[-1]
-    lens = _no_vignetting(lens_fault, measured.n)
+    lens = VignettingEstimate(message=lens_fault, n=measured.n)
     if problem.terms:
         covariance = fit.covariance[-problem.terms :, -problem.terms :]
         message = f"The distances of surfaces from the centre differ by up to {_radii(measured):.2f} in r^2."
@@ -815,27 +785,15 @@ def _nothing(
     measured: _Measurements, logs: np.ndarray | None, response: Response | None, fault: str
 ) -> RadiometricEstimate:
     """Estimate without any observable quantity."""
-    nan = float("nan")
-    unknown = (0.0, *[nan] * (len(measured.stored) - 1))
+    unknown = (0.0, *[float("nan")] * (len(measured.stored) - 1))
     return RadiometricEstimate(
         response="srgb" if response is None else response,
-        response_errors=(),
-        vignetting=_no_vignetting(fault, measured.n),
+        vignetting=VignettingEstimate(message=fault, n=measured.n),
         log_exposures=unknown if logs is None else tuple(logs.tolist()),
         log_exposure_errors=unknown if logs is None else (0.0,) * len(logs),
-        power_known=False,
-        power_error=RANGE_SPREAD,
-        rms=nan,
-        observable=False,
         message=fault,
-        stored_range=(nan, nan),
         n=measured.n,
     )
-
-
-def _no_vignetting(message: str, n: int) -> VignettingEstimate:
-    nan = float("nan")
-    return VignettingEstimate((), (), nan, nan, observable=False, message=message, rms=nan, n=n)
 
 
 def _vignetting_estimate(
@@ -845,7 +803,7 @@ def _vignetting_estimate(
     corner_error = float(np.sqrt(covariance.sum()))
     if least_share(falloff) <= LEAST_SHARE:
         fault = "less than a tenth of the light would remain in the corners"
-        return _no_vignetting(f"Vignetting cannot be estimated: {fault}; {WHITE_WALL}", n)
+        return VignettingEstimate(message=f"Vignetting cannot be estimated: {fault}; {WHITE_WALL}", n=n)
     return VignettingEstimate(
         coefficients=tuple(falloff.tolist()),
         standard_errors=tuple(errors.tolist()),

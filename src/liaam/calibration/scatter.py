@@ -1,14 +1,9 @@
 """Estimate the angle from surfaces under several lights: the direction of least scatter (paper section 2.2).
 
 L(theta) . log rho of a surface does not depend on the light, so theta minimises the scatter of the surfaces between
-lights. Three measures make the estimate accurate:
-
-* Averaging. The logarithm of noisy values is biased, so linear light is first averaged over the pixels of a
-  patch or of a small block of a scene.
-* Whitening. var L(theta) . log rho = sum_c L_c^2 var log rho_c depends on the angle and on the pixel; plain least
-  squares is biased towards the angle of least noise. The whitened sum of squares is a profile likelihood, whose
-  derivative by the angle has zero mean at the true angle.
-* Robustness. Highlights, moving shadow edges and moving objects are outliers.
+lights. Linear light is averaged over a patch or block first, since logarithms of noisy values are biased. The scatter
+is whitened, since plain least squares is biased towards the angle of least noise. A robust loss reduces the weight of
+highlights, moving shadow edges and moving objects.
 """
 
 from collections.abc import Sequence
@@ -69,24 +64,16 @@ SURE = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """Measurements of surfaces under several lights.
-
-    Attributes
-    ----------
-    log_rgb : (n, m, 3) float64
-        Logarithm of the mean linear light of surface i under light j.
-    variance : (n, m, 3) float64
-        Its variance by noise.
-    exposed : (n, m) bool
-        Whether the surface is neither dark nor saturated under the light.
-    clusters : (n,) int
-        Cluster of each surface; errors within a cluster are correlated, and the jackknife leaves out whole clusters.
-    """
+    """Measurements of n surfaces under m lights."""
 
     log_rgb: np.ndarray
+    """(n, m, 3) float64: logarithm of the mean linear light of a surface under a light."""
     variance: np.ndarray
+    """(n, m, 3) float64: its variance by noise."""
     exposed: np.ndarray
+    """(n, m) bool: whether the surface is neither dark nor saturated."""
     clusters: np.ndarray
+    """(n,) int: errors within a cluster are correlated, and the jackknife leaves out whole clusters."""
 
     def only(self, chosen: np.ndarray | slice) -> "Surfaces":
         """Return some of the surfaces, by mask, indices or slice."""
@@ -155,24 +142,8 @@ def theta_from_scene(
 def block_labels(height: int, width: int, block: int) -> tuple[np.ndarray, tuple[int, int]]:
     """Divide an image into square blocks; those at the right and lower border may be smaller.
 
-    Parameters
-    ----------
-    height, width : int
-        Size of the image.
-    block : int
-        Side of a block, pixels.
-
-    Returns
-    -------
-    labels : (height, width) int
-        Index of each pixel's block, row by row.
-    grid : (int, int)
-        Numbers of blocks down and across.
-
-    Raises
-    ------
-    CameraError
-        If fewer than three whole blocks fit down or across.
+    Returns the index (height, width) of each pixel's block, row by row, and the numbers of blocks down and across.
+    Raises CameraError if fewer than three whole blocks fit down or across.
     """
     most = min(height, width) // 3
     if not 1 <= block <= most:
@@ -185,9 +156,9 @@ def block_labels(height: int, width: int, block: int) -> tuple[np.ndarray, tuple
 def _light_edges(surfaces: Surfaces, across: int, theta: float) -> np.ndarray:
     """Blocks next to an edge of the light's colour, (n,) bool.
 
-    A block on the edge of a shadow averages two lights, and the logarithm of a mixture does not lie on the line between
-    those of its parts. The bias is small (0.003 degrees in scenes) but the same everywhere, so the standard error does
-    not include it.
+    Such a block averages two lights, and the logarithm of a mixture does not lie on the line between those of its
+    parts. The bias is small (0.003 degrees in scenes) but the same everywhere, so the standard error does not include
+    it.
     """
     from scipy.ndimage import maximum_filter, minimum_filter  # heavy: imported when first needed
 
@@ -212,36 +183,18 @@ def observe(
     full: int | None = None,
     dark: float = DARK,
 ) -> Surfaces:
-    """Measure the mean light of labelled regions in each image.
+    """Measure the mean light of n labelled regions (h, w) in each image; each is a separate cluster.
 
-    Parameters
-    ----------
-    pictures : sequence of m (h, w, 3) arrays
-        Stored values.
-    regions : sequence of m (h, w) int arrays
-        Index of each pixel's surface, -1 for none.
-    n : int
-        Number of surfaces.
-    camera : CameraModel
-    deviations : sequence of m floats or None
-        Standard deviation of the noise of stored values, in [0, 1]; None to use the camera's noise model.
-    full : int, optional
-        Number of pixels of a complete region; regions with fewer than half are excluded.
-    dark : float
-        Mean stored value, in [0, 1], below which a region is unusable, in any channel.
-
-    Returns
-    -------
-    Surfaces
-        Each surface is a separate cluster.
+    Labels are -1 outside regions. Deviations are those of the noise of stored values in [0, 1], or None to use the
+    camera's noise model. Regions with fewer than half of ``full`` pixels, and those whose mean stored value is below
+    ``dark`` in any channel, are unusable.
     """
-    logs, variances, exposed = [], [], []
-    for picture, labels, deviation in zip(pictures, regions, deviations, strict=True):
-        log, variance, usable = _observe_one(picture, labels.ravel(), n, camera, deviation, full or 0, dark)
-        logs.append(log)
-        variances.append(variance)
-        exposed.append(usable)
-    return Surfaces(np.stack(logs, 1), np.stack(variances, 1), np.stack(exposed, 1), np.arange(n))
+    seen = [
+        _observe_one(picture, labels.ravel(), n, camera, deviation, full or 0, dark)
+        for picture, labels, deviation in zip(pictures, regions, deviations, strict=True)
+    ]
+    logs, variances, exposed = (np.stack(part, axis=1) for part in zip(*seen, strict=True))
+    return Surfaces(logs, variances, exposed, np.arange(n))
 
 
 def _observe_one(
@@ -327,21 +280,8 @@ def as_pictures(images: Sequence[np.ndarray]) -> list[np.ndarray]:
 def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) -> AngleEstimate:
     """Estimate the angle of least scatter of surfaces between lights, noise-whitened and robust.
 
-    Parameters
-    ----------
-    surfaces : Surfaces
-    free_balance : bool
-        Whether the invariant has a free constant for each light, for different white balances.
-
-    Returns
-    -------
-    AngleEstimate
-        Its standard error is by a jackknife over clusters of surfaces, or over colours if that is clearly larger.
-
-    Raises
-    ------
-    CameraError
-        If fewer than 6 surfaces are well exposed under two lights.
+    With ``free_balance`` the invariant has a free constant for each light. Raises CameraError if fewer than 6 surfaces
+    are well exposed under two lights.
     """
     enough = surfaces.exposed.sum(axis=1) >= 2
     n = int(enough.sum())
@@ -369,12 +309,7 @@ def _estimated(surfaces: Surfaces, free_balance: bool) -> "tuple[_Scatter, float
 def least_squares_angle(images: Sequence[np.ndarray], camera: CameraModel | None = None) -> float:
     """Estimate the angle by plain least squares over the pixels of two registered images, as a baseline.
 
-    It is biased towards the angle of least noise.
-
-    Returns
-    -------
-    float
-        Radians in [0, pi).
+    Returns radians in [0, pi), biased towards the angle of least noise.
     """
     first, second = as_pictures(images)[:2]
     response = (camera or CameraModel()).response
@@ -389,19 +324,12 @@ def least_squares_angle(images: Sequence[np.ndarray], camera: CameraModel | None
 
 @dataclass(frozen=True, eq=False)
 class _Scatter:
-    """Whitened scatter of surfaces as a function of the angle.
-
-    Attributes
-    ----------
-    surfaces : Surfaces
-    free_balance : bool
-    model : float
-        Variance of log rho, per channel, by model errors: broad sensors, highlights, registration errors.
-    """
+    """Whitened scatter of surfaces as a function of the angle."""
 
     surfaces: Surfaces
     free_balance: bool
     model: float = 0.0
+    """Variance of log rho, per channel, by model errors: broad sensors, highlights, registration errors."""
 
     def squares(self, rows: np.ndarray) -> np.ndarray:
         """Whitened within-surface sum of squares of projections by rows (k, 3), (k, n) float64."""
@@ -481,7 +409,6 @@ def _report(scatter: _Scatter, theta: float) -> AngleEstimate:
     """Make the estimate with its standard error, and test whether the change of light makes it observable."""
     error, (change, signal), n = _error(scatter, theta), _light_change(scatter, theta), len(scatter.degrees)
     times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
-    reason = None
     if scatter.free_balance and signal < WEAKEST_VARIATION:
         reason = (
             f"the lights' colours hardly vary from place to place ({times}), which a free white balance needs; give "
@@ -497,18 +424,17 @@ def _report(scatter: _Scatter, theta: float) -> AngleEstimate:
             f"its 95 % interval is ±{np.rad2deg(1.96 * error):.0f} degrees although the lights differ ({times}): {n} "
             "blocks or patches have too few colours; give images of more colours, well exposed"
         )
-    if reason is not None:
-        message = f"the angle cannot be estimated: {reason}"
-        return AngleEstimate(theta, float("inf"), message, change, n)
-    message = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
-    return AngleEstimate(theta, error, message, change, n).with_warning()
+    else:
+        seen = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
+        return AngleEstimate(theta, error, seen, change, n).with_warning()
+    return AngleEstimate(theta, float("inf"), f"the angle cannot be estimated: {reason}", change, n)
 
 
 def _error(scatter: _Scatter, theta: float) -> float:
     """Half the width of the 95 % interval divided by 1.96, radians.
 
-    Errors of neighbouring surfaces are correlated. So are those of surfaces of one colour, because for broad sensors
-    the shift by the light depends on the colour. The jackknife over colours is used if its error is clearly larger.
+    Errors of neighbouring surfaces are correlated, and so are those of surfaces of one colour, since broad sensors
+    shift with the colour. The jackknife over colours is used if its error is clearly larger.
     """
     from scipy.stats import f, t  # heavy: imported when first needed
 

@@ -115,12 +115,10 @@ def theta_from_peaks(peaks_nm: tuple[float, float, float]) -> AngleEstimate:
         raise CameraError(
             f"peak wavelengths {peaks_nm}: give those of R, G and B in nm, longest first, such as 610, 540, 450"
         )
-    red, green, blue = peaks.tolist()
-    theta = wien_theta((red, green, blue))
+    theta = wien_theta(peaks)
     nm = np.arange(VISIBLE[0], VISIBLE[1] + 1)
     broad = theta_from_sensitivities(nm, np.exp(-0.5 * np.square((nm[:, None] - peaks) / SENSOR_WIDTH)))
-    moved = [wien_theta(p) for p in ((red + PEAK_OFFSET, green, blue), (red, green + PEAK_OFFSET, blue))]
-    moved.append(wien_theta((red, green, blue + PEAK_OFFSET)))
+    moved = [wien_theta(peaks + offset) for offset in PEAK_OFFSET * np.eye(3)]
     parts = [broad.standard_error, *(axis_difference(angle, theta) for angle in (broad.theta, *moved))]
     error = float(np.linalg.norm(parts))
     message = (
@@ -173,14 +171,21 @@ def theta_from_sensitivities(
         )
     series = {name: np.log(r[responsive]) for name, r in responses.items()}
     theta = _angle_of([logs[0] for logs in series.values()])
-    halves = [half for logs in series.values() for surface in logs for half in _halves(surface)]
+    # The cold and the hot lights of each surface show the curvature of its locus.
+    loci = [surface for logs in series.values() for surface in logs]
+    halves = [half for locus in loci for half in (locus[: len(locus) // 2 + 1], locus[len(locus) // 2 :])]
     error = root_mean_square([axis_difference(_angle_of([half]), theta) for half in halves])
     alone = {name: _angle_of([logs[0]]) for name, logs in series.items()}
     warmth = np.concatenate([logs[0, :, 0] - logs[0, :, 2] for logs in series.values()])
+    parts = " and ".join(f"{np.rad2deg(angle):.1f}° under the {name} series" for name, angle in alone.items())
+    message = (
+        f"white has {parts}, {kelvin[0]:.0f} to {kelvin[1]:.0f} K; the error of {np.rad2deg(error):.1f}° is the spread "
+        "between surfaces and between lights, since broad sensors do not have a single angle"
+    )
     return SpectralEstimate(
         theta=theta,
         standard_error=error,
-        message=_message(alone, kelvin, error),
+        message=message,
         light_change=float(np.sqrt(2.0) * np.std(warmth, ddof=1)),
         n=int(responsive.sum()),
         planckian=alone.get("planckian", alone.get("wien")),
@@ -236,37 +241,14 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
 
 
 def planckian(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float, *, wien: bool = False) -> np.ndarray:
-    """Compute the spectral power of Planckian radiators, 1 at 560 nm (paper eq 6).
-
-    Parameters
-    ----------
-    wavelengths_nm : (n,) float
-    kelvin : (m,) float
-    wien : bool
-        Whether to use Wien's approximation, as the paper does.
-
-    Returns
-    -------
-    (m, n) float64
-    """
+    """Compute the spectral power (m, n) of Planckian radiators, 1 at 560 nm (paper eq 6, which is Wien's law)."""
     nm, reach = np.asarray(wavelengths_nm, dtype=np.float64), K2_NM / np.atleast_1d(kelvin)[:, None]
     ratio = np.exp(reach / 560.0 - reach / nm) if wien else np.expm1(reach / 560.0) / np.expm1(reach / nm)
     return ratio * (560.0 / nm) ** 5
 
 
 def daylight(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float) -> np.ndarray:
-    """Compute the spectral power of CIE daylights, 100 at 560 nm (CIE 15:2004, section 3.1); zero outside 300-830 nm.
-
-    Parameters
-    ----------
-    wavelengths_nm : (n,) float
-    kelvin : (m,) float
-        Correlated colour temperatures, 4000 to 25000.
-
-    Returns
-    -------
-    (m, n) float64
-    """
+    """Compute the spectral power (m, n) of daylights of 4000 to 25000 K, 100 at 560 nm (CIE 15:2004, section 3.1)."""
     t = 1e3 / np.atleast_1d(kelvin).astype(np.float64)
     warm = 0.244063 + 0.09911 * t + 2.9678 * t**2 - 4.6070 * t**3
     cold = 0.237040 + 0.24748 * t + 1.9018 * t**2 - 2.0064 * t**3
@@ -329,20 +311,6 @@ def _angle_of(loci: list[np.ndarray]) -> float:
         raise CameraError("the three channels respond alike to every light, so there is no angle; check the columns")
     row = np.cross(axes[0] @ CHROMATICITY, np.ones(3))
     return float(np.arctan2(row[1], row[0]) % np.pi) % float(np.pi)
-
-
-def _halves(locus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split a locus into its cold and its hot lights, to measure its curvature."""
-    middle = len(locus) // 2
-    return locus[: middle + 1], locus[middle:]
-
-
-def _message(alone: dict[str, float], kelvin: tuple[float, float], error: float) -> str:
-    parts = " and ".join(f"{np.rad2deg(angle):.1f}° under the {name} series" for name, angle in alone.items())
-    return (
-        f"white has {parts}, {kelvin[0]:.0f} to {kelvin[1]:.0f} K; the error of {np.rad2deg(error):.1f}° is the spread "
-        "between surfaces and between lights, since broad sensors do not have a single angle"
-    )
 
 
 def _check_curves(nm: np.ndarray, curves: np.ndarray) -> None:

@@ -5,6 +5,8 @@ For Lambertian surfaces, Planckian light (Wien) and narrow-band sensors, a chang
 orthogonal to both, so the invariant ``L(theta) . log rho`` does not change.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]])
@@ -24,16 +26,7 @@ lights of 3000-8000 K. Published sensor sensitivities give 116-122 degrees (DESI
 
 
 def invariant_row(theta: float) -> np.ndarray:
-    """Row L(theta) = (cos, sin, -cos - sin) of paper eq 7.
-
-    Parameters
-    ----------
-    theta : float
-        Camera angle, radians.
-
-    Returns
-    -------
-    (1, 3) float64
+    """Row L(theta) = (cos, sin, -cos - sin) of paper eq 7, (1, 3) float64, of a camera with angle theta in radians.
 
     Examples
     --------
@@ -62,34 +55,14 @@ def temperature_direction(theta: float) -> np.ndarray:
 
 
 def invariant(log_rgb: np.ndarray, theta: float) -> np.ndarray:
-    """Light-invariant value L(theta) . log rho of each pixel (paper eq 8).
-
-    Parameters
-    ----------
-    log_rgb : (..., 3) float
-        Logarithm of linear RGB.
-    theta : float
-        Camera angle, radians.
-
-    Returns
-    -------
-    (...) float64
-    """
+    """Light-invariant value L(theta) . log rho (...) float64 of logarithms of linear RGB (..., 3) (paper eq 8)."""
     return np.asarray(log_rgb, dtype=np.float64) @ invariant_row(theta)[0]
 
 
-def wien_theta(peaks_nm: tuple[float, float, float]) -> float:
-    """Angle of an ideal narrow-band camera from its peak wavelengths (Wien's approximation).
+def wien_theta(peaks_nm: Sequence[float] | np.ndarray) -> float:
+    """Angle of an ideal narrow-band camera, radians, from the peak wavelengths of R, G and B (Wien's approximation).
 
-    Parameters
-    ----------
-    peaks_nm : (float, float, float)
-        Peak wavelengths of the R, G, B sensors; only their ratios matter.
-
-    Returns
-    -------
-    float
-        90 deg + atan2(1/lB - 1/lG, 1/lB - 1/lR), radians.
+    It is 90 deg + atan2(1/lB - 1/lG, 1/lB - 1/lR), which depends on ratios of the wavelengths only.
 
     Examples
     --------
