@@ -26,7 +26,7 @@ from liaam.model.mesh import ReferenceFrame, signed_areas
 from liaam.model.shape import ShapeModel, Similarity, align, diagonal_of, rotation
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import Response
-from liaam.photometry.encoding import soft_direction, value_luminance
+from liaam.photometry.encoding import value_luminance
 from liaam.workers import in_threads
 
 TEMPLATE = 40.0
@@ -742,9 +742,11 @@ def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
     """
     import cv2  # heavy: imported when first needed
 
+    from liaam.photometry import averaging
+
     if blur > 0.3:
         grey = cv2.GaussianBlur(grey, (0, 0), float(blur), borderType=cv2.BORDER_REPLICATE)
-    return soft_direction(grey, SOFTNESS).view(np.complex64)[..., 0]
+    return averaging.soft_directions(grey, np.eye(2), SOFTNESS).view(np.complex64)[..., 0]
 
 
 def _strongest(peaks: _Peaks, apart: float, count: int) -> np.ndarray:

@@ -52,10 +52,9 @@ class _Cuts(NamedTuple):
 def _cut(
     sums: Single1, across: int, between: int, known_at: int, first: Long1, shares: Single2, means: Single3, row: int
 ) -> None:
-    """Average a sum of rows of pixels into a row of blocks.
+    """Average a sum of rows of pixels, with strides ``across`` of pixels and ``between`` colours, into a row of blocks.
 
-    ``across`` is the stride of pixels in the sum, ``between`` that of their colours, and ``known_at`` the start of the
-    contiguous fourth channel.
+    The fourth channel is contiguous from ``known_at``.
     """
     n_taps = shares.shape[1]
     reds, greens, blues, knowns = sums[0:], sums[between:], sums[2 * between :], sums[known_at:]
@@ -121,26 +120,11 @@ def stored_means(
     size: float,
     shape: tuple[int, int],
 ) -> np.ndarray:
-    """Average blocks of integer pixels in linear light.
+    """Average blocks of integer pixels (h, w, 3) in linear light, by a table of the light of each stored value.
 
-    Parameters
-    ----------
-    image : (h, w, 3) uint8 or uint16
-    table : (256,) or (65536,) float32
-        Linear light of each stored value.
-    usable : (low, high)
-        Range of usable stored values, both included.
-    start : (x, y)
-        Start of the first block; 0 is the border of the first pixel.
-    size : float
-        Side of a block, pixels, at least 1; blocks may cut through pixels.
-    shape : (rows, columns)
-        Number of blocks.
-
-    Returns
-    -------
-    (4, rows, columns) float32
-        Mean R, G, B, and the fraction of usable pixels.
+    ``usable`` is the range of usable stored values, both included. The first block starts at ``start`` (x, y), where 0
+    is the border of the first pixel. Blocks of side ``size``, at least 1, may cut through pixels, and ``shape`` is
+    their number. Returns the mean R, G, B, and the fraction of usable pixels, (4, rows, columns) float32.
     """
     means = np.empty((4, *shape), np.float32)
     limits, lines = np.array(usable, image.dtype), np.ascontiguousarray(image).reshape(len(image), -1)
@@ -222,19 +206,9 @@ def _area_means(image, means):
 
 
 def area_means(picture: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Downsample an image to means of the blocks that tile it.
+    """Downsample an image (h, w) float32 to means of the blocks that tile it.
 
     Equivalent to OpenCV's ``INTER_AREA``; averaging rows first takes a fifth of its time.
-
-    Parameters
-    ----------
-    picture : (h, w) float32
-    shape : (rows, columns)
-        Size of the result, at most (h, w).
-
-    Returns
-    -------
-    (rows, columns) float32
     """
     means = np.empty(shape, np.float32)
     _area_means(np.ascontiguousarray(picture), means)
@@ -250,19 +224,7 @@ def _stored_luminance(image, tables, luminance):
 
 
 def stored_luminance(image: np.ndarray, table: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Weighted sum of the encoded channels of integer pixels.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8 or uint16
-    table : (256,) or (65536,) float32
-        Encoded value of each stored value.
-    weights : (3,) float
-
-    Returns
-    -------
-    (h, w) float32
-    """
+    """Weighted sum (h, w) float32 of the encoded channels of integer pixels, by a table of encoded values."""
     luminance = np.empty(image.shape[:2], np.float32)
     _stored_luminance(np.ascontiguousarray(image), np.outer(weights, table).astype(np.float32), luminance)
     return luminance
@@ -282,18 +244,9 @@ def _bent_counts(lines: Byte2, rows: Long1, bent: Short1, sizes: Short1, counts:
 
 
 def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Histogram of the absolute response of the filter (1, -2, 1)' (1, -2, 1), which is zero on planes.
+    """Histogram (4081,) of the absolute response of the filter (1, -2, 1)' (1, -2, 1), which is zero on planes.
 
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-    rows : (n,) int
-        Rows of the filter's centre.
-
-    Returns
-    -------
-    (4081,) int64
-        Counts of the responses 0, 1, 2, ...
+    The image is (h, w, 3) uint8, and the filter is centred on the given rows.
     """
     counts = np.zeros(16 * 255 + 1, np.int64)
     lines = np.ascontiguousarray(image).reshape(len(image), -1)
@@ -333,17 +286,10 @@ def _soft_directions(
 
 
 def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> np.ndarray:
-    """Directions of an image's gradient; see :func:`liaam.photometry.encoding.soft_direction`.
+    """Softly normalised gradient (h, w, 2) float32 of an image (h, w): g / sqrt(|g|^2 + softness^2).
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-    turn : (2, 2) float
-    softness : float
-
-    Returns
-    -------
-    (h, w, 2) float32
+    ``softness`` is the gradient per pixel for which the squared length is normalised to one half, and ``turn`` (2, 2)
+    the rotation from the image's to the object's axes.
     """
     out = np.empty((*picture.shape, 2), np.float32)
     turn = np.ascontiguousarray(turn, dtype=np.float32)
@@ -375,33 +321,12 @@ def _light_planes(
 def light_planes(
     means: np.ndarray, weights: np.ndarray, least: float, grey: bool, floor: float, dark: float, unusable: float
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Prepare linear light for logarithms, and mask unusable colours.
+    """Prepare linear light (4, h, w) of blocks for logarithms, and mask unusable colours.
 
-    Parameters
-    ----------
-    means : (4, h, w) float32
-        Mean linear R, G, B, and the fraction of usable pixels.
-    weights : (3,) float
-        Weights of R, G and B in brightness.
-    least : float
-        Fraction of usable pixels above which the colours of a block are usable.
-    grey : bool
-        Whether the image is grey; then no colour is usable.
-    floor : float
-        Lower bound of R, G and B.
-    dark : float
-        Added to brightness.
-    unusable : float
-        Weight in a blur of unusable colours, relative to 1.
-
-    Returns
-    -------
-    planes : (5, h, w) float32
-        Brightness, R, G, B, and the weights of the colours in a blur.
-    known : (h, w) float32
-        1 where colours are usable, else 0.
-    every : bool
-        Whether colours are usable everywhere.
+    Colours are usable where the fraction of usable pixels exceeds ``least``, unless the image is grey; otherwise they
+    have weight ``unusable`` in a blur. ``weights`` are those of R, G and B in brightness, ``floor`` their lower bound,
+    and ``dark`` is added to brightness. Returns brightness, R, G, B and the weights of the colours in a blur, (5, h, w)
+    float32; 1 where colours are usable, else 0, (h, w) float32; and whether they are usable everywhere.
     """
     planes, known = np.empty((5, *means.shape[1:]), np.float32), np.empty(means.shape[1:], np.float32)
     means, weights = np.ascontiguousarray(means), np.asarray(weights, np.float32)
@@ -444,16 +369,7 @@ REACH = 3.0
 
 
 def blur_planes(planes: np.ndarray, sigma: float, blurred: np.ndarray) -> None:
-    """Gaussian blur of planes; border pixels are replicated.
-
-    Parameters
-    ----------
-    planes : (n, h, w) float32
-    sigma : float
-        Standard deviation, pixels, above 0.
-    blurred : (n, h, w) float32
-        Output array.
-    """
+    """Blur planes (n, h, w) with standard deviation ``sigma`` above 0 to ``blurred``; border pixels are replicated."""
     reach = int(np.ceil(REACH * sigma))
     # An even number of taps on each side, for the loop over pairs.
     taps = np.exp(-0.5 * np.square(np.arange(reach + reach % 2 + 1) / sigma))
@@ -490,26 +406,10 @@ def _lay_out(
 def lay_out(
     planes: np.ndarray, known: np.ndarray, usable: np.ndarray, soft: bool, turn: np.ndarray, softness: float
 ) -> np.ndarray:
-    """Interleave planes to the eight channels that the kernels sample.
+    """Interleave planes (4, h, w) to the eight channels (h, w, 8) float32 that the kernels sample, last ``usable``.
 
-    Parameters
-    ----------
-    planes : (4, h, w) float32
-        Brightness for directions, and three colours.
-    known : (h, w) float32
-        Weight of the colours.
-    usable : (h, w) float32
-        Weight of the pixel.
-    soft : bool
-        Whether the channels are directions (see :func:`liaam.photometry.encoding.soft_direction`), colours and
-        ``known``, or only the colours.
-    turn : (2, 2) float
-    softness : float
-
-    Returns
-    -------
-    (h, w, 8) float32
-        Channels, zeros, and ``usable``.
+    The planes are brightness and three colours, and ``known`` is the weight of the colours. If ``soft``, the channels
+    are directions (see :func:`soft_directions`), colours and ``known``, otherwise only the colours.
     """
     channels = np.empty((*known.shape, 8), np.float32)
     turn = np.ascontiguousarray(turn, np.float32)

@@ -160,14 +160,13 @@ def _check_vignetting(vignetting: tuple[float, ...]) -> None:
         raise CameraError(f"vignetting of {len(vignetting)} coefficients: give at most {MOST_COEFFICIENTS}")
     with np.errstate(over="ignore", invalid="ignore"):
         shares = _shares(vignetting)
+    fault = ""
     if not shares.min() >= DIMMEST:  # NaN is not
-        raise CameraError(
-            f"vignetting {vignetting}: less than {DIMMEST:g} times the light would remain; calibrate it again"
-        )
-    if shares.max() > BRIGHTEST:
-        raise CameraError(
-            f"vignetting {vignetting}: more than {BRIGHTEST:g} times the light would result; calibrate it again"
-        )
+        fault = f"less than {DIMMEST:g} times the light would remain"
+    elif shares.max() > BRIGHTEST:
+        fault = f"more than {BRIGHTEST:g} times the light would result"
+    if fault:
+        raise CameraError(f"vignetting {vignetting}: {fault}; calibrate it again")
 
 
 def squared_radius(x: np.ndarray, y: np.ndarray, height: int, width: int) -> np.ndarray:

@@ -1,8 +1,7 @@
 """Masks of pixels that violate the light-invariant model: dark, saturated, and specular pixels.
 
-Dark and saturated pixels are found by the limits of :mod:`liaam.photometry.encoding`. Highlights are found by the
-dichromatic model (Shafer, "Using color to separate reflection components", 1985): a glossy surface adds light of the
-lamp's colour to its matt colour.
+Highlights are found by the dichromatic model (Shafer, "Using color to separate reflection components", 1985): a glossy
+surface adds light of the lamp's colour to its matt colour.
 """
 
 from __future__ import annotations
@@ -45,21 +44,9 @@ RIM = 2.0
 
 
 def dark_pixels(image: np.ndarray) -> np.ndarray:
-    """Mask of pixels with a channel that is too dark for a logarithm, or not finite.
+    """Mask (h, w) of pixels with a channel that is too dark for a logarithm, or not finite.
 
-    Parameters
-    ----------
-    image : (h, w, 3) uint8, uint16 or float
-        Stored values; one channel is accepted.
-
-    Returns
-    -------
-    (h, w) bool
-
-    Raises
-    ------
-    ImageError
-        If the array is not an image.
+    Raises ImageError if the array is not an image.
     """
     colour = as_colour(image)
     return np.asarray((~np.isfinite(colour) | (stored_values(colour) < DARK)).any(axis=2))
@@ -83,14 +70,12 @@ def specular_pixels(
 ) -> np.ndarray:
     """Mask of specular pixels: at least a tenth of their light is a reflection of the lamp.
 
-    On a matt surface the ratio of the smallest to the largest channel does not depend on the shading. A reflection of
-    the lamp, white after division by the lamp's colour, raises the ratio. The matt ratio of a surface is its median
-    ratio, after Shen and Zheng, "Real-time highlight removal using intensity ratio" (Applied Optics 2013).
-
-    Surfaces are regions in which hue and chroma (largest less smallest channel) are continuous. Highlights do not
-    change these, as in the specular-free image of Tan and Ikeuchi, "Separating reflection components of textured
-    surfaces using a single image" (PAMI 2005). A highlight has to be brighter than its surface, and to fade out towards
-    its border, unlike paler paint. Grey and saturated regions inside highlights are part of them.
+    On a matt surface the ratio of the smallest to the largest channel does not depend on the shading; a reflection
+    raises it. The matt ratio of a surface is its median ratio, after Shen and Zheng, "Real-time highlight removal using
+    intensity ratio" (Applied Optics 2013). Surfaces are regions in which hue and chroma (largest less smallest channel)
+    are continuous, as in Tan and Ikeuchi, "Separating reflection components of textured surfaces using a single image"
+    (PAMI 2005). A highlight has to be brighter than its surface, and to fade out towards its border, unlike paler
+    paint. Grey and saturated regions inside highlights are part of them.
 
     Parameters
     ----------
@@ -105,9 +90,8 @@ def specular_pixels(
     Returns
     -------
     (h, w) bool
-        Specular pixels; none in a grey image. Not detected are highlights on white and grey surfaces, highlights that
-        cover half of their surface or more, and saturated pixels without a highlight around them (see
-        :func:`saturated_pixels`). Paint that becomes paler gradually at constant hue may be marked.
+        Not detected are highlights on white and grey surfaces, highlights that cover half of their surface or more, and
+        saturated pixels without a highlight around them. Paint that becomes paler gradually may be marked.
 
     Raises
     ------
@@ -121,8 +105,13 @@ def specular_pixels(
         raise CameraError(f"light {light!r}: give the lamp's colour as three positive numbers, such as (1, 0.8, 0.6)")
     colour = as_colour(image)
     pixels = _Pixels.of(colour, response, lamp / lamp.max())
-    mask = _enclosed(_fading(_shining(pixels), pixels.shine), pixels)
-    return _enlarged(mask, colour.shape[:2])
+    shining = (pixels.shine > np.maximum(SHINE, SPREAD * pixels.spread)) & (pixels.strongest > pixels.usual)
+    mask = _enclosed(_fading(shining, pixels.shine), pixels)
+    if mask.shape == colour.shape[:2]:
+        return mask
+    import cv2  # heavy: imported when first needed
+
+    return cv2.resize(mask.astype(np.uint8), colour.shape[1::-1], interpolation=cv2.INTER_NEAREST).astype(bool)
 
 
 @dataclass(frozen=True)
@@ -167,14 +156,6 @@ def _reduced(image: np.ndarray) -> np.ndarray:
     return image if factor == 1 else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
-def _enlarged(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    import cv2  # heavy: imported when first needed
-
-    if mask.shape == size:
-        return mask
-    return cv2.resize(mask.astype(np.uint8), size[::-1], interpolation=cv2.INTER_NEAREST).astype(bool)
-
-
 def _surfaces(linear: np.ndarray, coloured: np.ndarray) -> np.ndarray:
     """Label (h, w) of the surface of each pixel; neighbours share a surface if hue and chroma are continuous."""
     from scipy import sparse  # heavy: imported when first needed
@@ -211,11 +192,6 @@ def _matt(surfaces: np.ndarray, ratio: np.ndarray, strongest: np.ndarray) -> tup
         below = ndimage.median(ratio, lower, large)
         spread[large] = 1.4826 * (matt[large] - below) / np.maximum(1 - matt[large], 1e-6)
     return matt[surfaces], spread[surfaces], usual[surfaces]
-
-
-def _shining(pixels: _Pixels) -> np.ndarray:
-    enough = np.maximum(SHINE, SPREAD * pixels.spread)
-    return (pixels.shine > enough) & (pixels.strongest > pixels.usual)
 
 
 def _regions(mask: np.ndarray, connectivity: int) -> tuple[int, np.ndarray]:

@@ -17,21 +17,12 @@ STEP = 1 / 255
 
 
 def noise_deviation(image: np.ndarray) -> float:
-    """Standard deviation of white noise in stored values, from one image.
+    """Standard deviation of white noise of an image (h, w, 3), in stored values of [0, 1].
 
     A filter that is zero on planes leaves noise and fine texture. Its median absolute response estimates the noise,
     unless texture fills more than half of the image. After Immerkaer, "Fast noise variance estimation" (CVIU 1996),
-    with the median of Donoho (1995) instead of the mean.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8, uint16 or float32
-        Stored values.
-
-    Returns
-    -------
-    float
-        In values of [0, 1], at least the error of rounding to 8 bits. JPEG smooths noise, which makes it too small.
+    with the median of Donoho (1995) instead of the mean. The result is at least the error of rounding to 8 bits. JPEG
+    smooths noise, which makes it too small.
     """
     least = STEP / np.sqrt(12.0)
     if min(image.shape[:2]) < 3:

@@ -51,17 +51,9 @@ Response = Literal["srgb", "linear"] | float | ResponseCurve
 
 
 def parse_response(text: "str | float | Mapping | ResponseCurve") -> Response:
-    """Convert the notation of users and files to a response.
+    """Convert ``srgb``, ``linear``, a gamma such as ``2.2``, or the ``stored`` and ``linear`` of a curve to a response.
 
-    Parameters
-    ----------
-    text : str, float, mapping or ResponseCurve
-        ``srgb``, ``linear``, a gamma such as ``2.2``, or the ``stored`` and ``linear`` values of a curve.
-
-    Raises
-    ------
-    ImageError
-        If it is none of these.
+    Raises ImageError if it is none of these.
     """
     if isinstance(text, ResponseCurve):
         return text
@@ -176,7 +168,6 @@ def _check_range(curve: ResponseCurve, logs: np.ndarray) -> None:
 
 SMALLEST = 1e-12
 """Stored value or light below which a curve gives 0."""
-
 
 FLATTEST, STEEPEST_END = 1e-3, 5.0
 """Least slope of a curve in logarithms, and the largest outside its points. The spline of increasing points can have
