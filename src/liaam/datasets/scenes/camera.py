@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from liaam.datasets.scenes.light import COLDEST_K, HOTTEST_K, Radiator, spectrum
 from liaam.errors import LiaamError
+from liaam.photometry.response import Response, from_linear, to_linear
 
 BASIS_PEAKS_NM, BASIS_WIDTH_NM = (605.0, 540.0, 460.0), 23.0
 TABLE_SIZE = 400
@@ -27,7 +29,7 @@ class Camera:
     """Gain from reflectance times irradiance to linear values; None: bright parts of the face reach 0.8."""
     vignetting: float = 0.08
     """Loss of light in the corners, 0 to 1."""
-    response: str | float = "srgb"
+    response: Response = "srgb"
     """"srgb", "linear", or the exponent g of an encoding value**(1/g)."""
     read_noise: float = 0.0015
     """Standard deviation of the noise in the dark, in linear units (1 is white)."""
@@ -43,8 +45,8 @@ class Camera:
             raise LiaamError(f"Camera.widths_nm is {self.widths_nm!r}: give three widths from 0 to 100 nm")
         if self.bits not in (8, 16, None):
             raise LiaamError(f"Camera.bits is {self.bits!r}: give 8, 16 or None (float32)")
-        known = self.response in ("srgb", "linear")
-        if not known and (isinstance(self.response, str) or not 0.1 < self.response < 10):
+        is_exponent = isinstance(self.response, int | float) and 0.1 < self.response < 10
+        if self.response not in ("srgb", "linear") and not is_exponent:
             raise LiaamError(f"Camera.response is {self.response!r}: give 'srgb', 'linear' or an exponent")
         for name in ("vignetting", "read_noise", "shot_noise"):
             if not 0 <= getattr(self, name) <= 1:
@@ -79,17 +81,11 @@ class Camera:
 
     def encode(self, linear: np.ndarray) -> np.ndarray:
         """Response of the camera: linear values in 0..1 to encoded values in 0..1."""
-        linear = np.clip(linear, 0, 1)
-        if self.response == "srgb":
-            return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-        return linear if self.response == "linear" else linear ** (1 / float(self.response))
+        return from_linear(np.clip(linear, 0, 1), self.response)
 
     def decode(self, encoded: np.ndarray) -> np.ndarray:
         """Inverse of `encode`."""
-        encoded = np.clip(encoded, 0, 1)
-        if self.response == "srgb":
-            return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-        return encoded if self.response == "linear" else encoded ** float(self.response)
+        return to_linear(np.clip(encoded, 0, 1), self.response)
 
     def expose(self, linear: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Simulate the exposure: noise, response and quantisation.
@@ -114,27 +110,20 @@ class Camera:
         y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
         return 1 - self.vignetting * 0.5 * (x**2 + y**2)
 
-    def noiseless(self, response: str | float = "linear") -> Camera:
+    def noiseless(self, response: Response = "linear") -> Camera:
         """Return the same camera without noise and quantisation."""
         return replace(self, read_noise=0.0, shot_noise=0.0, bits=None, response=response)
 
     def _quadrature(self) -> tuple[np.ndarray, np.ndarray]:
         """Wavelengths (n,) and the sensitivities' weights (3, n) for integrals over the spectrum."""
-        offsets = np.linspace(-3, 3, 41)
-        nodes = [
-            p + (w * offsets if w > 0 else np.zeros(1)) for p, w in zip(self.peaks_nm, self.widths_nm, strict=True)
-        ]
-        weights = np.zeros((3, sum(map(len, nodes))))
-        start = 0
-        for k, own in enumerate(nodes):
-            bell = np.exp(-0.5 * offsets**2) if len(own) > 1 else np.ones(1)
-            weights[k, start : start + len(own)] = bell / bell.sum()
-            start += len(own)
-        return np.concatenate(nodes), weights
+        offsets = [np.linspace(-3, 3, 41) if width > 0 else np.zeros(1) for width in self.widths_nm]
+        nodes = [p + w * at for p, w, at in zip(self.peaks_nm, self.widths_nm, offsets, strict=True)]
+        bells = [np.exp(-0.5 * at**2) for at in offsets]
+        return np.concatenate(nodes), np.asarray(block_diag(*(bell / bell.sum() for bell in bells)))
 
 
 def narrow_band_camera(
-    peaks_nm: tuple[float, float, float] = (610.0, 540.0, 450.0), response: str | float = "linear"
+    peaks_nm: tuple[float, float, float] = (610.0, 540.0, 450.0), response: Response = "linear"
 ) -> Camera:
     """Camera of the paper's theory: line sensors, no noise, no quantisation, no vignetting.
 
@@ -143,15 +132,7 @@ def narrow_band_camera(
     >>> round(float(np.degrees(narrow_band_camera().theta("wien"))), 2)
     122.43
     """
-    return Camera(
-        peaks_nm,
-        (0.0, 0.0, 0.0),
-        vignetting=0.0,
-        response=response,
-        read_noise=0.0,
-        shot_noise=0.0,
-        bits=None,
-    )
+    return Camera(peaks_nm, (0.0, 0.0, 0.0), vignetting=0.0).noiseless(response)
 
 
 def reflectance_basis(wavelength_nm: np.ndarray) -> np.ndarray:

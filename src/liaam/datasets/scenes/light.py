@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from liaam.datasets.scenes.body import Body
 from liaam.datasets.scenes.raster import depth_map, splat_map, transform, visibility
 from liaam.errors import LiaamError
 
@@ -23,6 +24,7 @@ SHADOW_MAP = 420
 SHADOW_REACH = 1.55  # half width of the shadow map, head units
 PENUMBRA_SAMPLES, WIDE_SAMPLES = 5, 10
 WIDE = 0.1  # softness above which shadows are so blurred that the coarse mesh suffices
+CENTRE = np.array([0.0, -0.15, 0.0])  # middle of the shadow map
 DOME_MAP = 110
 DOME_SAMPLES = 28
 
@@ -137,47 +139,31 @@ def spectrum(wavelength_nm: np.ndarray, mired: np.ndarray | float, radiator: Rad
     return ratio * (REFERENCE_NM / wavelength_nm) ** 5
 
 
-@dataclass(frozen=True)
-class Geometry:
-    """Triangle mesh that casts shadows, in the viewer's axes."""
-
-    points: np.ndarray
-    """(n, 3) float64 vertices."""
-    triangles: np.ndarray
-    """(m, 3) int32."""
-    coarse: np.ndarray
-    """(about m / 4, 3) int32: the same surface with larger triangles."""
-    centre: np.ndarray
-    """(3,) centre of the head."""
-    unit: float
-    """Length of a head unit."""
-
-
-def direct_visibility(geometry: Geometry, at: np.ndarray, normals: np.ndarray, light: PointLight) -> np.ndarray:
+def direct_visibility(body: Body, at: np.ndarray, normals: np.ndarray, light: PointLight) -> np.ndarray:
     """Fraction (n,) of a lamp that is visible from points (n, 3) with normals (n, 3)."""
     seen = np.zeros(len(at), np.float32)
     # Offset the points by about a texel, so that the surface does not shadow itself.
-    lifted = at + normals * (0.022 * geometry.unit)
+    lifted = at + normals * 0.022
     samples = _lamp_samples(light)
-    triangles = geometry.coarse if light.softness > WIDE else geometry.triangles
+    triangles = body.coarse if light.softness > WIDE else body.triangles
     for direction in samples:
-        frame = _light_frame(geometry, direction, SHADOW_MAP, SHADOW_REACH)
-        depth = depth_map(transform(geometry.points, frame), triangles, SHADOW_MAP)
-        seen += visibility(transform(lifted, frame), depth, 0.010 * geometry.unit)
+        frame = _light_frame(direction, SHADOW_MAP, SHADOW_REACH)
+        depth = depth_map(transform(body.points, frame), triangles, SHADOW_MAP)
+        seen += visibility(transform(lifted, frame), depth, 0.010)
     return seen / len(samples)
 
 
-def dome_irradiance(geometry: Geometry, normals: np.ndarray) -> np.ndarray:
+def dome_irradiance(body: Body) -> np.ndarray:
     """Irradiance (n,) of the vertices under an open sky; 1 for an open surface facing the camera."""
     directions = _dome()
     weights = 1 + 0.45 * directions[:, 1]
-    total = np.zeros(len(normals), np.float32)
-    lifted = geometry.points + normals * (0.035 * geometry.unit)
+    total = np.zeros(len(body.normals), np.float32)
+    lifted = body.points + body.normals * 0.035
     for direction, weight in zip(directions, weights, strict=True):
-        frame = _light_frame(geometry, direction, DOME_MAP, 1.9)
-        depth = splat_map(transform(geometry.points, frame), DOME_MAP)
-        facing = np.maximum(np.einsum("nk,k->n", normals, direction), 0)
-        total += weight * facing * visibility(transform(lifted, frame), depth, 0.03 * geometry.unit)
+        frame = _light_frame(direction, DOME_MAP, 1.9)
+        depth = splat_map(transform(body.points, frame), DOME_MAP)
+        facing = np.maximum(np.einsum("nk,k->n", body.normals, direction), 0)
+        total += weight * facing * visibility(transform(lifted, frame), depth, 0.03)
     return total / np.sum(weights * np.maximum(directions[:, 2], 0))
 
 
@@ -203,11 +189,11 @@ def _dome() -> np.ndarray:
     return np.stack([r * np.cos(turn), r * np.sin(turn), z], -1)
 
 
-def _light_frame(geometry: Geometry, direction: np.ndarray, size: int, reach: float) -> np.ndarray:
+def _light_frame(direction: np.ndarray, size: int, reach: float) -> np.ndarray:
     """Affine map (3, 4) from the viewer's axes to pixels and nearness of a light's depth map."""
     side = np.cross([0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0], direction)
     side /= np.linalg.norm(side)
-    scale = size / (2 * reach * geometry.unit)
+    scale = size / (2 * reach)
     axes = np.stack([scale * side, scale * np.cross(direction, side), direction])
-    offset = np.array([size / 2, size / 2, 0.0]) - axes @ geometry.centre
+    offset = np.array([size / 2, size / 2, 0.0]) - axes @ CENTRE
     return np.column_stack([axes, offset])

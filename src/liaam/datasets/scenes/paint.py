@@ -58,15 +58,9 @@ def textures_of(head: Head) -> Textures:
 
 def look_up(texture: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Sample a chart's texture at coordinates (h, w), bilinear; the border's colour continues outside."""
-    column = (u - CHART[0]) * TEXELS_PER_UNIT
-    row = (CHART[3] - v) * TEXELS_PER_UNIT
-    return cv2.remap(
-        texture,
-        column.astype(np.float32),
-        row.astype(np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
+    column = ((u - CHART[0]) * TEXELS_PER_UNIT).astype(np.float32)
+    row = ((CHART[3] - v) * TEXELS_PER_UNIT).astype(np.float32)
+    return cv2.remap(texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def look_up_periodic(texture: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -116,12 +110,8 @@ class _Canvas:
         # Noise that is smooth over many texels is drawn at a lower resolution and enlarged, which is much faster.
         step = max(1, int(min(sigma_u, sigma_v) * TEXELS_PER_UNIT / 3))
         small = self.rng.standard_normal((shape[0] // step + 2, shape[1] // step + 2)).astype(np.float32)
-        small = cv2.GaussianBlur(
-            small,
-            (0, 0),
-            max(sigma_u * TEXELS_PER_UNIT / step, 0.3),
-            sigmaY=max(sigma_v * TEXELS_PER_UNIT / step, 0.3),
-        )
+        across, down = (max(sigma * TEXELS_PER_UNIT / step, 0.3) for sigma in (sigma_u, sigma_v))
+        small = cv2.GaussianBlur(small, (0, 0), across, sigmaY=down)
         noise = cv2.resize(small, shape[::-1], interpolation=cv2.INTER_CUBIC)
         return noise / noise.std()
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from liaam.datasets.scenes.camera import Camera, matrices_at
@@ -101,7 +102,8 @@ def poster(size: tuple[int, int] = (240, 320), seed: int = 0) -> np.ndarray:
             outside = np.hypot(x - cx, (y - cy) * rng.uniform(0.6, 1.6)) - radius
         cover = np.clip(0.5 - outside / 1.5, 0, 1)[..., None]  # an edge a pixel or two wide
         sheet = sheet * (1 - cover) + colour * cover
-    grain = np.exp(0.06 * _smooth_noise(rng, (height, width), 2.0))[..., None]
+    noise = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 2.0)
+    grain = np.exp(0.06 * noise / noise.std())[..., None]
     return np.clip(sheet * grain, 0.02, 0.95)
 
 
@@ -190,8 +192,6 @@ def photograph(
     exposure = exposure or camera.exposure or 0.85 / float(np.percentile(linear.max(axis=-1), 99))
     linear = linear * exposure
     if homography is not None:
-        import cv2  # heavy: imported when first needed
-
         size = (linear.shape[1], linear.shape[0])
         linear = cv2.warpPerspective(linear, np.asarray(homography, float), size, flags=cv2.INTER_CUBIC)
         linear = np.maximum(linear, 0.0)
@@ -203,11 +203,3 @@ def _checked(size: tuple[int, int]) -> tuple[int, int]:
     if len(size) != 2 or not all(8 <= s <= 8192 for s in size):
         raise LiaamError(f"a plane's size is {size!r}: give height and width, 8 to 8192 pixels")
     return size
-
-
-def _smooth_noise(rng: np.random.Generator, size: tuple[int, int], blur: float) -> np.ndarray:
-    """Smooth noise of unit standard deviation."""
-    import cv2  # heavy: imported when first needed
-
-    noise = cv2.GaussianBlur(rng.standard_normal(size), (0, 0), blur)
-    return noise / noise.std()

@@ -19,25 +19,9 @@ def transform(points, frame):
 
 
 @njit(cache=True)
-def draw(points, triangles, attributes, height, width):
-    """Draw triangles with a z-buffer.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        (column, row, nearness) of the vertices; the largest nearness is visible.
-    triangles : (m, 3) int32
-    attributes : (n, k) float32
-
-    Returns
-    -------
-    image : (height, width, k) float32
-        Interpolated attributes, 0 where nothing is drawn.
-    covered : (height, width) bool
-    """
-    k = attributes.shape[1]
-    image = np.zeros((height, width, k), np.float32)
-    depth = np.full((height, width), -np.inf)
+def _fill(points, triangles, attributes, depth, image):
+    """Draw triangles over a z-buffer, and interpolate their attributes (n, k) to an image (height, width, k)."""
+    height, width = depth.shape
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t]
         ax, ay = points[a, 0], points[a, 1]
@@ -58,35 +42,27 @@ def draw(points, triangles, attributes, height, width):
                 z = wa * points[a, 2] + wb * points[b, 2] + wc * points[c, 2]
                 if z > depth[y, x]:
                     depth[y, x] = z
-                    for i in range(k):
+                    for i in range(attributes.shape[1]):
                         image[y, x, i] = wa * attributes[a, i] + wb * attributes[b, i] + wc * attributes[c, i]
+
+
+def draw(
+    points: np.ndarray, triangles: np.ndarray, attributes: np.ndarray, height: int, width: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw triangles (m, 3) int32 with a z-buffer.
+
+    The vertices (n, 3) are (column, row, nearness); the largest nearness is visible. Returns their interpolated
+    attributes (height, width, k) float32, 0 where nothing is drawn, and the mask (height, width) of what is covered.
+    """
+    image, depth = np.zeros((height, width, attributes.shape[1]), np.float32), np.full((height, width), -np.inf)
+    _fill(points, triangles, attributes, depth, image)
     return image, depth > -np.inf
 
 
-@njit(cache=True)
-def depth_map(points, triangles, size):
+def depth_map(points: np.ndarray, triangles: np.ndarray, size: int) -> np.ndarray:
     """Nearness map (size, size) of triangles whose vertices (n, 3) are in the map's pixels."""
-    depth = np.full((size, size), -np.float32(1e9), np.float32)
-    for t in range(triangles.shape[0]):
-        a, b, c = triangles[t]
-        ax, ay = points[a, 0], points[a, 1]
-        bx, by = points[b, 0], points[b, 1]
-        cx, cy = points[c, 0], points[c, 1]
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if area == 0.0:
-            continue
-        x0, x1 = max(0, int(np.ceil(min(ax, bx, cx)))), min(size - 1, int(np.floor(max(ax, bx, cx))))
-        y0, y1 = max(0, int(np.ceil(min(ay, by, cy)))), min(size - 1, int(np.floor(max(ay, by, cy))))
-        for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                wb = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
-                wc = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area
-                wa = 1.0 - wb - wc
-                if wa < -1e-9 or wb < -1e-9 or wc < -1e-9:
-                    continue
-                z = wa * points[a, 2] + wb * points[b, 2] + wc * points[c, 2]
-                if z > depth[y, x]:
-                    depth[y, x] = z
+    depth = np.full((size, size), -1e9, np.float32)
+    _fill(points, triangles, np.empty((len(points), 0), np.float32), depth, np.empty((0, 0, 0), np.float32))
     return depth
 
 

@@ -102,12 +102,12 @@ def render(
     """
     _check_request(lights, size, mixing, supersample)
     pose, expression, camera = pose or Pose(), expression or Expression(), camera or Camera()
-    face, view = face_of(head), _View.of(size, pose)
+    face = face_of(head)
     body = build_body(face, pose, expression)
-    pixels = _draw_figure(body, view, supersample)
+    pixels = _draw_figure(body, size, pose, supersample)
     colour = _shrink(_paint_pixels(pixels, face, textures_of(head), expression), supersample)
     irradiance, missing = _irradiances(body, pixels, lights, supersample)
-    landmarks = view.project(figure.turn(landmark_points(face, expression), pose.rotation()))
+    landmarks = _project(figure.turn(landmark_points(face, expression), pose.rotation()), size, pose)
     mask = _hull_mask(landmarks, size)
     linear = _develop(colour, irradiance, lights, camera, mixing, radiator) * camera.falloff(*size)[..., None]
     gain = camera.exposure or _auto_exposure(linear, mask)
@@ -171,40 +171,26 @@ def random_expression(rng: np.random.Generator) -> Expression:
     )
 
 
-@dataclass(frozen=True)
-class _View:
-    """Perspective from the viewer's axes to pixels."""
-
-    height: int
-    width: int
-    unit: float
-    x: float
-    y: float
-
-    @classmethod
-    def of(cls, size: tuple[int, int], pose: Pose) -> _View:
-        height, width = size
-        framing = min(height / 3.2, width / 2.4)
-        return cls(height, width, framing * pose.scale, (width - 1) / 2 + pose.x, 0.47 * (height - 1) + pose.y)
-
-    def project(self, points: np.ndarray) -> np.ndarray:
-        """Pixels (x, y) of points (..., 3)."""
-        scale = self.unit * VIEWING_DISTANCE / (VIEWING_DISTANCE - points[..., 2])
-        return np.stack([self.x + scale * points[..., 0], self.y - scale * points[..., 1]], -1)
+def _project(points: np.ndarray, size: tuple[int, int], pose: Pose) -> np.ndarray:
+    """Pixels (x, y) of points (..., 3) in the viewer's axes, in perspective."""
+    height, width = size
+    unit = min(height / 3.2, width / 2.4) * pose.scale
+    scale = unit * VIEWING_DISTANCE / (VIEWING_DISTANCE - points[..., 2])
+    x, y = (width - 1) / 2 + pose.x, 0.47 * (height - 1) + pose.y
+    return np.stack([x + scale * points[..., 0], y - scale * points[..., 1]], -1)
 
 
 # Columns of the attributes that are interpolated over the triangles.
 _CHART, _NORMAL, _POINT, _SKY, _PART = slice(0, 4), slice(4, 7), slice(7, 10), 10, 11
 
 
-def _draw_figure(body: Body, view: _View, s: int) -> np.ndarray:
+def _draw_figure(body: Body, size: tuple[int, int], pose: Pose, s: int) -> np.ndarray:
     """Attributes (s h, s w, 12) of the figure at every sample; part 0 is the wall."""
-    geometry = _geometry(body)
-    sky = lighting.dome_irradiance(geometry, body.normals)
+    sky = lighting.dome_irradiance(body)
     attributes = np.column_stack([body.chart, body.normals, body.points, sky, body.part]).astype(np.float32)
-    at = (view.project(body.points) + 0.5) * s - 0.5
+    at = (_project(body.points, size, pose) + 0.5) * s - 0.5
     screen = np.column_stack([at, body.points[:, 2]])
-    image, covered = draw(screen, body.triangles, attributes, s * view.height, s * view.width)
+    image, covered = draw(screen, body.triangles, attributes, s * size[0], s * size[1])
     wall = np.zeros(image.shape[-1], np.float32)
     wall[_NORMAL], wall[_SKY] = (0, 0, 1), 1
     return np.where(covered[..., None], image, wall)
@@ -217,26 +203,17 @@ def _paint_pixels(pixels: np.ndarray, face: Face, textures: Textures, expression
     skin = look_up(textures.skin, u, v)
     skull = look_up(textures.skull, skull_u, skull_v)
     # Close the remaining openings of the mesh between closed lips and lids.
-    mouth, eyes = (
-        smoothstep(expression.mouth_open / 0.12),
-        1 - smoothstep((expression.eye_close - 0.75) / 0.2),
-    )
+    mouth, eyes = smoothstep(expression.mouth_open / 0.12), 1 - smoothstep((expression.eye_close - 0.75) / 0.2)
     opening = skin[..., 3] * np.where(v < -0.3, mouth, eyes)
     colour = skin[..., :3] + opening[..., None] * (skull - skin[..., :3])
-    others = {
-        0: lambda: _wall(part.shape, t, textures),
-        figure.SKIN: lambda: (
-            skin_tone(t.skin) * np.exp(-0.12 + 0.02 * look_up_periodic(textures.weave, u, v))[..., None]
-        ),
-        figure.CLOTH: lambda: (
-            np.array(t.cloth_colour) * np.exp(0.09 * look_up_periodic(textures.weave, 1.6 * u, 2.2 * v))[..., None]
-        ),
-        figure.HAIR: lambda: (
-            np.array(t.hair_colour) * np.exp(0.17 * look_up_periodic(textures.strands, 0.8 * u, 0.3 * v))[..., None]
-        ),
+    colour = np.where((part == 0)[..., None], _wall(part.shape, t, textures), colour)
+    logs = {
+        figure.SKIN: (skin_tone(t.skin), -0.12 + 0.02 * look_up_periodic(textures.weave, u, v)),
+        figure.CLOTH: (t.cloth_colour, 0.09 * look_up_periodic(textures.weave, 1.6 * u, 2.2 * v)),
+        figure.HAIR: (t.hair_colour, 0.17 * look_up_periodic(textures.strands, 0.8 * u, 0.3 * v)),
     }
-    for number, paint in others.items():
-        colour = np.where((part == number)[..., None], paint(), colour)
+    for number, (tone, log) in logs.items():
+        colour = np.where((part == number)[..., None], np.array(tone) * np.exp(log)[..., None], colour)
     return colour.astype(np.float32)
 
 
@@ -250,7 +227,7 @@ def _wall(shape: tuple[int, int], t: Traits, textures: Textures) -> np.ndarray:
 
 def _irradiances(body: Body, pixels: np.ndarray, lights: Lights, s: int) -> tuple[np.ndarray, np.ndarray]:
     """Irradiance (n_lights, h, w) and the fraction of the lamps' light that is in shadow (h, w)."""
-    geometry, shape = _geometry(body), pixels.shape[:2]
+    shape = pixels.shape[:2]
     solid = pixels[..., _PART] > 0.5
     at = pixels[..., _POINT][solid].astype(float)
     normals = pixels[..., _NORMAL][solid].astype(float)
@@ -261,7 +238,7 @@ def _irradiances(body: Body, pixels: np.ndarray, lights: Lights, s: int) -> tupl
             maps.append(source.strength * _shrink(pixels[..., _SKY], s))
             continue
         facing = normals @ source.unit
-        seen = lighting.direct_visibility(geometry, at, normals, source)
+        seen = lighting.direct_visibility(body, at, normals, source)
         direct = np.full(shape, max(source.unit[2], 0.0), np.float32)
         direct[solid] = np.maximum(facing, 0) * seen
         maps.append(source.strength * _shrink(direct, s))
@@ -269,10 +246,6 @@ def _irradiances(body: Body, pixels: np.ndarray, lights: Lights, s: int) -> tupl
         hidden[solid] = 1 - seen * np.clip(facing / 0.05, 0, 1)
         blocked, lamps = blocked + source.strength * hidden, lamps + source.strength
     return np.stack(maps).astype(float), _shrink(blocked, s) / lamps
-
-
-def _geometry(body: Body) -> lighting.Geometry:
-    return lighting.Geometry(body.points, body.triangles, body.coarse, np.array([0.0, -0.15, 0.0]), 1.0)
 
 
 def _develop(

@@ -64,15 +64,7 @@ def expression_vector(expression: Expression) -> np.ndarray:
 
 
 def head_points(face: Face, expression: Expression) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of the head.
-
-    Returns
-    -------
-    points : (N_UP, N_AROUND, 3) float64
-        Positions in head axes.
-    skull : (N_UP, N_AROUND, 2) float64
-        Chart position of the skull below each vertex.
-    """
+    """Vertices (N_UP, N_AROUND, 3) in head axes, and the chart positions (..., 2) of the skull below them."""
     shift = np.einsum("...ek,e->...k", face.fields, expression_vector(expression))
     return surface_points(face, face.u, face.v, shift, expression)
 
