@@ -100,7 +100,7 @@ def pair(
     trust: Trust = False,
 ) -> None:
     """Estimate the angle from two images of one scene under lights of different colour."""
-    angle_of_scene([first, second], output, start, response, align, free_balance, trust)
+    scene([first, second], output, start, response, align, free_balance, trust)
 
 
 @calibrate.command()
@@ -114,37 +114,22 @@ def scene(
     trust: Trust = False,
 ) -> None:
     """Estimate the angle from several images of one scene under lights of different colour."""
-    angle_of_scene(images, output, start, response, align, free_balance, trust)
+    from liaam.calibration import STILL, align_pictures, theta_from_scene
 
-
-def angle_of_scene(
-    paths: Sequence[Path],
-    output: Path,
-    start: Path | None,
-    response: str | None,
-    align: bool,
-    free_balance: bool,
-    trust: bool,
-) -> None:
-    """Read and align the images, estimate the angle, and write the camera file and the check image."""
-    from liaam.calibration import theta_from_scene
-
-    check_camera_output(output, start, paths)
-    camera, pictures = read_pictures(paths, start, response, at_least=2)
+    check_camera_output(output, start, images)
+    camera, pictures = read_pictures(images, start, response, at_least=2)
     masks = None
     if align:
-        from liaam.calibration import STILL, align_pictures
-
         with progress_bar() as progress:
-            aligned = align_pictures(pictures, camera, names=[p.name for p in paths], progress=progress)
+            aligned = align_pictures(pictures, camera, names=[p.name for p in images], progress=progress)
         pictures, masks = list(aligned.pictures), aligned.masks
         moved = max(aligned.moved)
         say(f"aligned: the corners moved by up to {moved:.1f} pixels" if moved > STILL else "the images are aligned")
         if moved > FAR * max(pictures[0].shape[:2]):
             complain("large movement: a homography fits only flat or distant scenes; check the written image")
     estimate = theta_from_scene(pictures, camera, free_balance=free_balance, masks=masks)
-    camera = finish_angle(estimate, camera, f"scene, {names_of(paths)}", output, trust)
-    write_check(output, pictures, paths, camera)
+    camera = finish_angle(estimate, camera, f"scene, {names_of(images)}", output, trust)
+    write_check(output, pictures, images, camera)
 
 
 @calibrate.command()
@@ -264,7 +249,7 @@ def response_command(
     start: Start = None,
 ) -> None:
     """Estimate the response (and vignetting, with --vignetting) from images of one scene at different exposures."""
-    from liaam.calibration import calibrate_response
+    from liaam.calibration import calibrate_response, homographies_between
     from liaam.plotting.photometry import figure_of_response, save_figure
 
     check_camera_output(output, start, images)
@@ -272,8 +257,6 @@ def response_command(
     ratios = None if exposures is None else numbers_in(exposures, len(images), "--exposures").tolist()
     homographies = None
     if align:
-        from liaam.calibration import homographies_between
-
         with progress_bar() as progress:
             homographies = homographies_between(pictures, camera, names=[p.name for p in images], progress=progress)
     found = calibrate_response(pictures, exposures=ratios, homographies=homographies, vignetting=vignetting)
@@ -423,8 +406,10 @@ def invariant(
     """Write the invariant image of each image: .png for viewing, .tif (float) and .npy for computing."""
     import numpy as np
 
-    from liaam.io import make_folder, write_bytes_atomically, write_image
+    from liaam.calibration import averaged
+    from liaam.io import atomic_path, make_folder, read_image, write_image
     from liaam.photometry import invariant_image
+    from liaam.photometry.encoding import stored_values
     from liaam.plotting.photometry import figure_of_sweep, invariant_picture, save_figure
 
     camera, pictures = read_pictures(images, camera_file, response)
@@ -433,7 +418,11 @@ def invariant(
             raise LiaamError(f"--theta {theta:g}: give the camera angle in degrees, usually between 90 and 135")
         camera = replace(camera, theta=float(np.deg2rad(theta)))
     # Fail before writing anything if the images cannot be compared.
-    averages = average_pictures(pictures, images, camera, block, dark / 255.0, mask) if compare else None
+    averages = None
+    if compare:
+        white = None if mask is None else stored_values(read_image(mask)[..., 0]) > 0.5
+        names = [path.name for path in images]
+        averages = averaged(pictures, camera, block=block, dark=dark / 255.0, mask=white, names=names)
     make_folder(output)
     stems = unique_stems(images)
     with progress_bar() as progress:
@@ -445,41 +434,13 @@ def invariant(
                 complain(f"{path.name}: {1 - seen:.0%} of the pixels are dark or saturated and have no invariant")
             write_image(output / f"{stem}_invariant.png", invariant_picture(values))
             write_image(output / f"{stem}_invariant.tif", values)
-            with_npy = output / f"{stem}_invariant.npy"
-            write_bytes_atomically(with_npy, npy_bytes(values))
+            with atomic_path(output / f"{stem}_invariant.npy") as temporary, temporary.open("wb") as file:
+                np.save(file, values, allow_pickle=False)
             if sweep:
                 save_figure(figure_of_sweep(pixels, camera), output / f"{stem}_sweep.png")
     if averages is not None:
         compare_pictures(pictures, images, averages, output)
     say(f"written to {output}, at theta {degrees(camera.theta)}")
-
-
-def npy_bytes(values: "np.ndarray") -> bytes:
-    """Return the content of a .npy file."""
-    import io
-
-    import numpy as np
-
-    buffer = io.BytesIO()
-    np.save(buffer, values, allow_pickle=False)
-    return buffer.getvalue()
-
-
-def average_pictures(
-    pictures: Sequence["np.ndarray"],
-    paths: Sequence[Path],
-    camera: "CameraModel",
-    block: int,
-    dark: float,
-    mask_file: Path | None,
-) -> "Averaged":
-    """Average registered images in blocks, where the mask image is white."""
-    from liaam.calibration import averaged
-    from liaam.io import read_image
-    from liaam.photometry.encoding import stored_values
-
-    mask = None if mask_file is None else stored_values(read_image(mask_file)[..., 0]) > 0.5
-    return averaged(pictures, camera, block=block, dark=dark, mask=mask, names=[path.name for path in paths])
 
 
 def compare_pictures(pictures: Sequence["np.ndarray"], paths: Sequence[Path], seen: "Averaged", output: Path) -> None:

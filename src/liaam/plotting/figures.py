@@ -81,15 +81,7 @@ def subplots(
 def _draw_shape(axis: "Axes", shape: np.ndarray, model: AAM, colour: str, label: str = "", **style) -> None:
     style = {"lw": LINE_WIDTH, **style}
     if not model.contours:
-        axis.triplot(
-            shape[:, 0],
-            shape[:, 1],
-            model.triangles,
-            color=colour,
-            alpha=0.8,
-            label=label,
-            lw=0.6 * style["lw"],
-        )
+        axis.triplot(*shape.T, model.triangles, color=colour, alpha=0.8, label=label, lw=0.6 * style["lw"])
         return
     for i, (indices, closed) in enumerate(model.contours):
         line = shape[[*indices, indices[0]] if closed else list(indices)]
@@ -134,18 +126,20 @@ def figure_of_fits(
 
 def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
     """Draw the mean appearance, the mesh, and the first shape and appearance modes (two standard deviations)."""
-    shape_model, appearance = model.shape_model, model.levels[-1].appearances["value"]
+    shape_model, appearances = model.shape_model, model.levels[-1].appearances
+    appearance = appearances["value"]
     shown = max(1, min(n_modes, max(len(shape_model.modes), appearance.n_modes)))
     figure, axes = subplots(2, 2 + shown, (2.6 * (2 + shown), 6.0))
-    mean = _mean_picture(model)
+    mean = model.frame.picture(appearance.mean, 1.0)
     show_picture(axes[0, 0], mean, "mean appearance")
     show_picture(axes[1, 0], mean, f"mesh, {model.n_points} landmarks")
     axes[1, 0].triplot(*(shape_model.mean - model.frame.origin).T, model.triangles, color="#19a979", lw=0.7)
-    show_picture(axes[0, 1], _log_picture(model), "mean log image")
+    show_picture(
+        axes[0, 1], model.frame.picture(linear_to_srgb(np.exp(appearances["log"].mean)), 1.0), "mean log image"
+    )
     axes[1, 1].axis("off")
     if model.is_colour:
-        invariant = model.levels[-1].appearances["invariant"].mean[:, 0]
-        values = model.frame.picture(invariant, np.nan)
+        values = model.frame.picture(appearances["invariant"].mean[:, 0], np.nan)
         # Without NaN below the mask: Matplotlib resamples what is masked, too, and may warn of it.
         axes[1, 1].imshow(np.ma.masked_array(np.nan_to_num(values), np.isnan(values)), cmap="viridis")
         axes[1, 1].set_title("mean invariant", fontsize=10)
@@ -153,14 +147,6 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
         _show_shape_mode(axes[0, 2 + i], model, i)
         _show_appearance_mode(axes[1, 2 + i], model, i)
     return figure
-
-
-def _mean_picture(model: AAM) -> np.ndarray:
-    return model.frame.picture(model.levels[-1].appearances["value"].mean, 1.0)
-
-
-def _log_picture(model: AAM) -> np.ndarray:
-    return model.frame.picture(linear_to_srgb(np.exp(model.levels[-1].appearances["log"].mean)), 1.0)
 
 
 def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:
@@ -191,11 +177,8 @@ def _show_appearance_mode(axis: "Axes", model: AAM, i: int) -> None:
     step = 2 * np.sqrt(appearance.eigenvalues[i]) * appearance.modes[i]
     pair = [model.frame.picture(appearance.mean + sign * step, 1.0) for sign in (-1, 1)]
     half = pair[0].shape[1] // 2
-    show_picture(
-        axis,
-        np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1),
-        f"appearance mode {i + 1}, −2 | +2 sd",
-    )
+    halves = np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1)
+    show_picture(axis, halves, f"appearance mode {i + 1}, −2 | +2 sd")
 
 
 LAMPS_DRAWN, LAMPS_ACROSS = 47, 8

@@ -112,17 +112,35 @@ def figure_of_sweep(image: np.ndarray, camera: CameraModel) -> "Figure":
     camera : CameraModel
         Camera with the response, and the angle to mark.
     """
-    encoded = log_picture(_thumbnail(image), camera)
+    import cv2
+
+    scale = THUMBNAIL / max(image.shape[:2])
+    small = image if scale >= 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    encoded = log_picture(small, camera)
     columns = len(SWEEP) // 2
     height = encoded.shape[0] / encoded.shape[1]
-    figure, axes = subplots(3, columns, (2.0 * columns, 4.0 * height + 3.2), heights=(height, height, 1.5 / 2.0))
-    for axis, angle in zip(axes[:2].ravel(), SWEEP, strict=True):
+    figure, axes, curve = _two_rows_above_a_panel(columns, (2.0 * columns, 4.0 * height + 3.2), height, 0.75)
+    for axis, angle in zip(axes.ravel(), SWEEP, strict=True):
         show_picture(axis, invariant_picture(projected(encoded, float(np.deg2rad(angle)))), f"{angle}°")
-    for axis in axes[2]:
-        axis.remove()
-    curve = figure.add_subplot(axes[2, 0].get_gridspec()[2, :])
     _draw_entropy(curve, encoded[..., :3][encoded[..., 3] > 0], camera)
     return figure
+
+
+def _two_rows_above_a_panel(
+    columns: int, size: tuple[float, float], height: float, lowest: float
+) -> "tuple[Figure, np.ndarray, Axes]":
+    """Make a figure of two rows of images, and axes below them over the whole width."""
+    figure, axes = subplots(3, columns, size, heights=(height, height, lowest))
+    for axis in axes[2]:
+        axis.remove()
+    return figure, axes[:2], figure.add_subplot(axes[2, 0].get_gridspec()[2, :])
+
+
+def _finish_panel(axis: "Axes") -> None:
+    """Remove the frame, and put the legend in a line above the axes, where it takes no width from the images."""
+    axis.spines[["top", "right"]].set_visible(False)
+    entries = len(axis.get_legend_handles_labels()[0])
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, frameon=False, fontsize=9)
 
 
 def _draw_entropy(axis: "Axes", log_rgb: np.ndarray, camera: CameraModel) -> None:
@@ -134,23 +152,7 @@ def _draw_entropy(axis: "Axes", log_rgb: np.ndarray, camera: CameraModel) -> Non
         axis.axvline(np.rad2deg(thetas[np.argmin(entropies)]), color="#19a979", ls=":", lw=1.4, label="its minimum")
     axis.axvline(np.rad2deg(camera.theta) % 180, color="black", ls="--", lw=1.2, label="theta given")
     axis.set(xlim=(0, 180), xlabel="theta, degrees", ylabel="entropy of the values, bits", xticks=np.arange(0, 181, 15))
-    axis.spines[["top", "right"]].set_visible(False)
-    _legend_above(axis)
-
-
-def _legend_above(axis: "Axes") -> None:
-    """Put the legend in a line above the axes, so that it takes no width from the images."""
-    entries = len(axis.get_legend_handles_labels()[0])
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, frameon=False, fontsize=9)
-
-
-def _thumbnail(image: np.ndarray) -> np.ndarray:
-    import cv2
-
-    scale = THUMBNAIL / max(image.shape[:2])
-    if scale >= 1:
-        return image
-    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    _finish_panel(axis)
 
 
 MATRIX = 4
@@ -178,12 +180,10 @@ def figure_of_agreement(
         figure.colorbar(shown, ax=axes[0], label="correlation", shrink=0.8, extend="min")
         return figure
     limits, height = common_limits(list(seen.invariant)), pictures[0].shape[0] / pictures[0].shape[1]
-    figure, axes = subplots(3, n, (3.0 * n, 6.0 * height + 2.4), heights=(height, height, 0.7))
+    figure, axes, bars = _two_rows_above_a_panel(n, (3.0 * n, 6.0 * height + 2.4), height, 0.7)
     for i in range(n):
         show_picture(axes[0, i], brightened(pictures[i]), f"{i + 1}  {shortened(names[i], 30)}")
         show_picture(axes[1, i], invariant_picture(seen.invariant[i], limits), "invariant image")
-        axes[2, i].remove()
-    bars = figure.add_subplot(axes[2, 0].get_gridspec()[2, :])
     places = np.arange(len(found))
     for shift, key, colour in ((-0.18, "invariant", "#19a979"), (0.18, "log_grey", "#9a9a9a")):
         heights = [getattr(pair, key) for pair in found]
@@ -193,8 +193,7 @@ def figure_of_agreement(
     lowest = min([0.0, *(getattr(pair, key) for pair in found for key in ("invariant", "log_grey"))])
     bars.set(ylabel="correlation", ylim=(1.25 * lowest, 1.12), xlabel="images")
     bars.axhline(0.0, color="black", lw=0.8)
-    _legend_above(bars)
-    bars.spines[["top", "right"]].set_visible(False)
+    _finish_panel(bars)
     return figure
 
 
@@ -204,10 +203,13 @@ def shortened(name: str, most: int = 22) -> str:
 
 
 def _draw_matrix(axis: "Axes", n: int, found: Sequence[Agreement], key: str, title: str):
+    import matplotlib
+
     matrix = np.eye(n)
     for pair in found:
         matrix[pair.first, pair.second] = matrix[pair.second, pair.first] = getattr(pair, key)
-    shown = axis.imshow(matrix, vmin=LOWEST, vmax=1.0, cmap=_correlation_colours())
+    colours = matplotlib.colormaps["viridis"].with_extremes(under="#1b1020", bad="#dddddd")
+    shown = axis.imshow(matrix, vmin=LOWEST, vmax=1.0, cmap=colours)
     if n <= NUMBERED:
         for i, j in np.argwhere(~np.eye(n, dtype=bool)):
             value = matrix[i, j]
@@ -220,13 +222,6 @@ def _draw_matrix(axis: "Axes", n: int, found: Sequence[Agreement], key: str, tit
     axis.set_xticklabels([str(i + 1) for i in range(n)], fontsize=7)
     axis.set_yticklabels([str(i + 1) for i in range(n)], fontsize=7)
     return shown
-
-
-def _correlation_colours():
-    """Return the colour map of correlations, with extra colours for low and undefined ones."""
-    import matplotlib
-
-    return matplotlib.colormaps["viridis"].with_extremes(under="#1b1020", bad="#dddddd")
 
 
 def figure_of_response(camera: CameraModel) -> "Figure":
