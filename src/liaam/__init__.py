@@ -73,4 +73,28 @@ __all__ = [
     "write_landmarks",
 ]
 
-__getattr__, __dir__ = attach(__name__)
+_HOMES = {
+    "calibration": ("theta_from_chart", "theta_from_scene"),
+    "datasets": ("Dataset", "Sample", "load_folder"),
+    "datasets.label_faults": ("LabelFault", "find_label_faults"),
+    "errors": ("LiaamError",),
+    "fitting": (
+        "METHODS",
+        "Candidate",
+        "FitResult",
+        "FitStatus",
+        "Fitter",
+        "Method",
+        "SolverOptions",
+        "find",
+        "fit",
+        "fit_many",
+    ),
+    "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
+    "model": ("AAM", "load_model"),
+    "photometry": ("CameraModel", "invariant_image", "load_camera"),
+    "registration": ("Registration", "register"),
+    "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
+    "training": ("TrainingOptions", "train"),
+}
+__getattr__, __dir__ = attach(__name__, _HOMES)

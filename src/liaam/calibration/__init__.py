@@ -62,4 +62,56 @@ __all__ = [
     "vignetting_from_flat_field",
 ]
 
-__getattr__, __dir__ = attach(__name__)
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "comparison": (
+            "Agreement",
+            "Averaged",
+            "agreement",
+            "averaged",
+        ),
+        "alignment": (
+            "Aligned",
+            "STILL",
+            "align_pictures",
+            "homographies_between",
+        ),
+        "chart": (
+            "chart_patches",
+            "theta_from_chart",
+        ),
+        "entropy": (
+            "EntropyEstimate",
+            "entropy_curve",
+            "theta_from_image",
+        ),
+        "estimate": (
+            "AngleEstimate",
+            "PHYSICAL",
+        ),
+        "fits": ("theta_from_fits",),
+        "noise": (
+            "NoiseEstimate",
+            "noise_from_flat",
+            "noise_from_image",
+            "noise_from_pair",
+        ),
+        "radiometry": (
+            "RadiometricEstimate",
+            "VignettingEstimate",
+            "calibrate_response",
+            "vignetting_from_flat_field",
+        ),
+        "scatter": (
+            "least_squares_angle",
+            "theta_from_scene",
+        ),
+        "spectral": (
+            "SpectralEstimate",
+            "read_sensitivities",
+            "theta_from_peaks",
+            "theta_from_sensitivities",
+        ),
+    },
+)

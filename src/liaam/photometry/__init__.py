@@ -69,4 +69,11 @@ __all__ = [
     "wien_theta",
 ]
 
-__getattr__, __dir__ = attach(__name__)
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "projection": ("invariant_image",),
+        "masks": ("dark_pixels", "saturated_pixels", "specular_pixels", "usable_pixels"),
+        "noise": ("noise_deviation",),
+    },
+)

@@ -30,4 +30,18 @@ __all__ = [
     "subplots",
 ]
 
-__getattr__, __dir__ = attach(__name__)
+__getattr__, __dir__ = attach(
+    __name__,
+    {
+        "figures": (
+            "figure_of_fits",
+            "figure_of_lamps",
+            "figure_of_model",
+            "figure_of_pictures",
+            "save_figure",
+            "show_picture",
+            "subplots",
+        ),
+        "overlays": ("enlarged", "mesh_edges", "overlay", "overlay_of_faults"),
+    },
+)
