@@ -39,6 +39,12 @@ _XML = (
     b"<part name='10' x='5' y='6'/><part name='2' x='7' y='8'/></box></image>"
     b"</images></dataset>",
 )
+_TPS = (
+    b"LM=3\n290. 108.\n100. 179.\n-1 -1\nIMAGE=01.png\nID=0\nSCALE=0.0045\n"
+    b"LM=3\r\n1 2\r\nNA NA\r\n5 6\r\nIMAGE=C:\\wings\\02.png\r\nID=1\r\n",
+    b"LM=1\n1 2\nCURVES=2\nPOINTS=2\n3 4\n5 6\nPOINTS=1\n7 8\nOUTLINES=1\nPOINTS=1\n9 9\nID=01\nCOMMENT=a\nb\n",
+    b"LM=2\n1 2\n3 4\n",
+)
 _COCO = (
     {
         "images": [{"id": 1, "file_name": "01.png"}, {"id": 2, "file_name": "02.png"}],
@@ -80,6 +86,7 @@ _WORDS = {
         b"<!--",
         b"<![CDATA[",
     ),
+    ".tps": (b"LM=", b"LM3=2", b"CURVES=", b"POINTS=", b"SCALE=", b"IMAGE=", b"ID=", b"=", b"\n", b" ", b"-1 -1\n"),
     ".json": (b"[", b"{", b"]", b"}", b'"', b",", b":", b"null", b"1e999", b'"keypoints"', b'"skeleton"'),
     ".ljson": (b"[", b"{", b"]", b"}", b'"', b",", b":", b"null", b"NaN", b'"points"', b'"connectivity"'),
 }
@@ -91,7 +98,7 @@ def corpus(suffix: str) -> tuple[bytes, ...]:
     """Valid files of a format."""
     if suffix in _JSON:
         return tuple(json.dumps(document).encode() for document in _JSON[suffix])
-    return {".pts": _PTS, ".tem": _TEM, ".asf": _ASF, ".csv": _CSV, ".xml": _XML}[suffix]
+    return {".pts": _PTS, ".tem": _TEM, ".asf": _ASF, ".csv": _CSV, ".xml": _XML, ".tps": _TPS}[suffix]
 
 
 def make(suffix: str, rng: Random) -> bytes:
@@ -132,15 +139,22 @@ def _attribute(rng: Random) -> str:
 
 def check(suffix: str, data: bytes) -> None:
     """Parse it. If accepted, its points must be finite, and writing and reading them must work."""
-    from liaam.io.landmarks import FORMATS, Landmarks, parse_landmark_data
+    from liaam.io.landmarks import FORMATS, Landmarks, in_pixels, parse_landmark_data
 
-    parsed = parse_landmark_data(f"x{suffix}", data, (640.0, 480.0))
+    name, size = f"x{suffix}", (640.0, 480.0)
+    parsed = parse_landmark_data(name, data, size)
     for landmarks in [parsed] if isinstance(parsed, Landmarks) else parsed.values():
         assert not np.isinf(landmarks.points).any()
     if isinstance(parsed, Landmarks) and (dump := FORMATS[suffix].dump) is not None and len(parsed) < 1000:
-        again = parse_landmark_data(f"x{suffix}", dump(parsed).encode("utf-8", "surrogatepass"))
+        again = parse_landmark_data(name, dump(in_pixels(name, parsed, size)).encode("utf-8", "surrogatepass"), size)
         assert isinstance(again, Landmarks)
-        np.testing.assert_allclose(again.points, parsed.points, rtol=1e-12)
+        np.testing.assert_allclose(again.points, parsed.points, rtol=1e-12, atol=1e-12 * size[1])
+    if isinstance(parsed, dict) and suffix == ".tps":
+        text = FORMATS[suffix].dump_collection({image: in_pixels(name, own, size) for image, own in parsed.items()})
+        again = parse_landmark_data(name, text.encode("utf-8", "surrogatepass"), size)
+        assert isinstance(again, dict)
+        for image, own in parsed.items():
+            np.testing.assert_allclose(again[image].points, own.points, rtol=1e-12, atol=1e-12 * size[1])
 
 
 def _prepare(suffix: str) -> None:

@@ -20,6 +20,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "liaam.io.landmarks.ljson": LANDMARKS,
     "liaam.io.landmarks.pts": LANDMARKS,
     "liaam.io.landmarks.tem": LANDMARKS,
+    "liaam.io.landmarks.tps": (*LANDMARKS, "tests/io/test_tps.py"),
     "liaam.io.video": ("tests/io/test_video.py",),
     "liaam.model.file": ("tests/model/test_model_file.py",),
     "liaam.io.tensors": ("tests/lamps/test_bank.py",),

@@ -12,6 +12,7 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from dataclasses import replace
 from hashlib import sha256
 from itertools import chain
 from pathlib import Path
@@ -30,7 +31,7 @@ from liaam.batch.run import earlier_summary
 from liaam.batch.work import Job, _shorts
 from liaam.datasets.scenes import Head, make_set
 from liaam.errors import LiaamError
-from liaam.io import write_image, write_landmarks
+from liaam.io import read_collection, read_landmarks, write_collection, write_image, write_landmarks
 from liaam.model.shape import diagonal_of
 from setups import train_on
 
@@ -222,6 +223,24 @@ def test_formats_say_the_same(world, expected, tmp_path):
             ]
             assert len(row["covariance"]) == 3 * len(row["landmarks"]) // 2
             assert row["cost"] == line["cost"] == float(flat["cost"])
+
+
+def test_landmarks_of_usable_fits_are_written_as_tps(world, expected, tmp_path, monkeypatch):
+    monkeypatch.chdir(world.pictures)
+    starts = world.folder / "starts.tps"
+    scenes = {path: read_landmarks(path.with_suffix(".pts")) for path in world.pictures.rglob("face*.png")}
+    marks = {path.name: replace(own, scale=0.25) for path, own in scenes.items()}
+    write_collection(starts, marks, dict.fromkeys(marks, SIZE[::-1]))
+    names = [str(path) for path in scenes]
+    batch_of(world, tmp_path / "fits.tps", names, settings=Settings("grey", init=str(starts), iterations=30))
+    batch_of(world, tmp_path / "fits.jsonl", names, settings=Settings("grey", init=str(starts), iterations=30))
+    usable = {row["path"]: row for row in rows_of(tmp_path / "fits.jsonl") if row["status"] == "converged"}
+    found = read_collection(tmp_path / "fits.tps")
+    assert len(usable) > N_PICTURES // 2
+    assert list(found) == list(usable)
+    for name, landmarks in found.items():
+        np.testing.assert_allclose(landmarks.points.ravel(), usable[name]["landmarks"], atol=1e-9)
+        assert landmarks.scale == 0.25
 
 
 def test_starts_and_covariances_are_choices(world, tmp_path):

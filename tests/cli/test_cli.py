@@ -95,6 +95,7 @@ def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tm
         "new.csv",
         "new.json",
         "new.pts",
+        "new.tps",
         "new_fit.png",
         "new_history.csv",
     ]
@@ -178,6 +179,7 @@ def test_fit_goes_on_after_a_bad_image_and_says_so(run, portraits, model_file, t
         "new.csv",
         "new.json",
         "new.pts",
+        "new.tps",
         "new_fit.png",
     ]
 
@@ -321,6 +323,8 @@ LONG = "a" * 300
         ["batch", "{model}", "{picture}", "--init", LONG, "-o", "x.csv"],
         ["track", "{model}", f"{LONG}.mp4", "-o", "x.csv"],
         ["relight", "{model}", f"{LONG}.png"],
+        ["measure", LONG, "-o", "x.csv"],
+        ["measure", "{folder}", "-o", f"{LONG}.csv"],
     ],
     ids=lambda arguments: " ".join(arguments).replace(LONG, "LONG"),
 )

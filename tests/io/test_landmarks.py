@@ -552,7 +552,7 @@ def test_landmarks_are_a_frozen_copy() -> None:
 
 
 def test_what_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(LandmarkError, match=r"\.tem is only read\. Use \.pts, \.ljson, \.csv"):
+    with pytest.raises(LandmarkError, match=r"\.tem is only read\. Use \.pts, \.ljson, \.csv, \.tps"):
         write_landmarks(tmp_path / "a.tem", np.zeros((1, 2)))
     with pytest.raises(LandmarkError, match="not that of a landmark format"):
         write_landmarks(tmp_path / "a.doc", np.zeros((1, 2)))
@@ -560,7 +560,7 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
         write_landmarks(tmp_path / "a.pts", np.zeros((2, 3)))
     with pytest.raises(LandmarkError, match=r"does not exist\. Make it first"):
         write_landmarks(tmp_path / "no" / "a.pts", np.zeros((1, 2)))
-    with pytest.raises(LandmarkError, match=r"only \.csv holds many"):
+    with pytest.raises(LandmarkError, match=r"only \.csv and \.tps hold many"):
         write_collection(tmp_path / "a.pts", {})
     with pytest.raises(LandmarkError, match="there are no landmarks"):
         write_collection(tmp_path / "a.csv", {})
@@ -573,12 +573,12 @@ point_lists = st.lists(st.one_of(st.tuples(coordinates, coordinates), st.just((N
 texts = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=8)
 
 
-@given(points=point_lists, suffix=st.sampled_from([".pts", ".csv", ".ljson"]))
+@given(points=point_lists, suffix=st.sampled_from([".pts", ".csv", ".ljson", ".tps"]))
 @SOME
 def test_written_points_come_back(tmp_path: Path, points: list, suffix: str) -> None:
-    write_landmarks(tmp_path / f"a{suffix}", np.array(points))
-    back = read_landmarks(tmp_path / f"a{suffix}").points
-    np.testing.assert_allclose(back, points, rtol=0, atol=1e-9 if suffix == ".pts" else 0)
+    write_landmarks(tmp_path / f"a{suffix}", np.array(points), (640, 480))
+    back = read_landmarks(tmp_path / f"a{suffix}", (640, 480)).points
+    np.testing.assert_allclose(back, points, rtol=0, atol=1e-9 if suffix in (".pts", ".tps") else 0)
 
 
 @given(points=point_lists, data=st.data(), suffix=st.sampled_from([".csv", ".ljson"]))
@@ -658,6 +658,7 @@ def test_junk_raises_only_landmark_errors(tmp_path: Path, suffix: str, junk: byt
 
 WHOLE = {".asf": ASF, ".xml": DLIB, ".json": json.dumps(COCO), ".tem": "2\n1 1\n2 2\n1\n0\n2\n0 1\n"}
 WHOLE |= {".pts": "version: 1\nn_points: 2\n{\n1 1\n2 2\n}\n", ".csv": "x,y\n1,2\n3,4\n"}
+WHOLE |= {".tps": "LM=2\n1 1\n2 2\nCURVES=1\nPOINTS=2\n3 3\n4 4\nIMAGE=a.jpg\nID=0\nSCALE=0.5\n"}
 WHOLE |= {".ljson": json.dumps(ljson([[1, 2], [3, 4]], connectivity=[[0, 1]]))}
 
 

@@ -9,15 +9,17 @@ from liaam.io import Landmarks, fit_text, read_landmarks, write_fit
 POINTS = np.array([[1.5, 2.0], [3.25, -4.0]])
 
 
-def test_a_fit_is_written_three_times(tmp_path):
-    paths = write_fit(tmp_path, "anna.1", Landmarks(POINTS), {"status": "converged", "cost": 0.5})
-    assert [path.name for path in paths] == ["anna.1.pts", "anna.1.csv", "anna.1.json"]
-    for path in paths[:2]:
-        assert np.array_equal(read_landmarks(path).points, POINTS)
-    content = json.loads(paths[2].read_text())
+def test_a_fit_is_written_four_times(tmp_path):
+    landmarks = Landmarks(POINTS, image_name="anna.1.png", scale=0.25)
+    paths = write_fit(tmp_path, "anna.1", landmarks, {"status": "converged", "cost": 0.5}, (40, 30))
+    assert [path.name for path in paths] == ["anna.1.pts", "anna.1.csv", "anna.1.tps", "anna.1.json"]
+    for path in paths[:3]:
+        assert np.array_equal(read_landmarks(path, (40, 30)).points, POINTS)
+    assert paths[2].read_text() == "LM=2\n1.5 27.0\n3.25 33.0\nIMAGE=anna.1.png\nID=anna.1\nSCALE=0.25\n"
+    content = json.loads(paths[3].read_text())
     assert content == {"status": "converged", "cost": 0.5, "landmarks": POINTS.tolist()}
-    assert paths[2].read_text().startswith('{\n "status": "converged",\n "cost": 0.5,\n "landmarks": [\n  [\n   1.5,')
-    assert paths[2].read_text().endswith("}\n")
+    assert paths[3].read_text().startswith('{\n "status": "converged",\n "cost": 0.5,\n "landmarks": [\n  [\n   1.5,')
+    assert paths[3].read_text().endswith("}\n")
 
 
 def test_facts_of_every_kind_become_json():

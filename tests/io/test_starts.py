@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from liaam.errors import StartError
-from liaam.io import check_start, read_start, start_file, write_landmarks
+from liaam.errors import LandmarkError, StartError
+from liaam.io import Landmarks, check_start, read_start, start_file, write_landmarks
 
 IMAGE, SIZE = Path("faces/anna.png"), (100, 80)
 
@@ -120,3 +120,13 @@ def test_relative_landmarks_are_read_for_the_size_of_the_image(tmp_path):
     start = read_start(str(tmp_path), IMAGE, SIZE)
     assert not isinstance(start, list)
     assert start.points.tolist() == [[50, 20]]
+
+
+def test_a_file_of_many_images_starts_each(tmp_path):
+    path = tmp_path / "all.tps"
+    path.write_text("LM=1\n1 2\nIMAGE=a.png\nSCALE=0.5\nLM=1\n3 4\nIMAGE=C:\\x\\b.png\nSCALE=0.5\n")
+    start = read_start(str(path), tmp_path / "b.png", (10, 20))
+    assert isinstance(start, Landmarks)
+    assert (start.points.tolist(), start.scale) == ([[3, 15]], 0.5)
+    with pytest.raises(LandmarkError, match=r"all\.tps has no landmarks of c\.png"):
+        read_start(str(path), tmp_path / "c.png", (10, 20))

@@ -19,7 +19,7 @@ from liaam.batch.pools import Chunk, Finished, in_processes
 from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_table
 from liaam.batch.work import Job, Settings, fit_chunk
 from liaam.errors import LiaamError
-from liaam.io import write_text_atomically
+from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
 from liaam.progress import Progress
 from liaam.workers import all_cores
@@ -211,7 +211,9 @@ class _Batch:
     def _finish(self, journal: Journal) -> Summary:
         summary = self._fit(journal)
         self.progress(summary.total, summary.total, f"writing {self.output.name}")
-        table = Table(self._rows(journal), self.job.model.n_points, self.job.settings.covariance, self.facts)
+        model = self.job.model
+        contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
+        table = Table(self._rows(journal), model.n_points, self.job.settings.covariance, self.facts, contours)
         write_table(self.output, table)
         facts = {
             "settings": self.facts,

@@ -1,18 +1,22 @@
-"""Tables of results, written row by row: Parquet, CSV, or JSON lines."""
+"""Tables of results, written row by row: Parquet, CSV, JSON lines, or the landmarks as .tps."""
 
 import csv
 import importlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from liaam.errors import LiaamError
-from liaam.io import atomic_path
+from liaam.fitting import FitStatus
+from liaam.io import Contour, Landmarks, atomic_path
 from liaam.io.files import json_object
+from liaam.io.landmarks import tps
 
 GROUP = 1000
 """Rows per Parquet row group, which are in memory together."""
@@ -43,13 +47,14 @@ ParsedRow = tuple[str, dict[str, Any]]
 class Table:
     """Content of a table: its rows, the number of landmarks, and whether the rows have covariances.
 
-    ``facts`` are the settings, stored in the file if the format supports it.
+    ``facts`` are the settings, and ``contours`` lines through the landmarks, stored if the format supports them.
     """
 
     rows: Iterable[ParsedRow]
     n_points: int
     covariance: bool
     facts: dict[str, Any]
+    contours: tuple[Contour, ...] = ()
 
     @property
     def columns(self) -> list[str]:
@@ -123,6 +128,74 @@ def _write_lines(path: Path, table: Table) -> None:
         file.writelines(f"{text}\n" for text, _ in table.rows)
 
 
+def _write_tps(path: Path, table: Table) -> None:
+    """Write the landmarks of fits that may be used only, because the format has no status."""
+    usable = {str(status) for status in FitStatus if status.ok}
+    with path.open("w", encoding="utf-8", newline="") as file:
+        for _, row in table.rows:
+            if row["status"] in usable:
+                points = np.array(row["landmarks"], dtype=np.float64).reshape(-1, 2)
+                landmarks = Landmarks(points, table.contours, image_name=row["path"], scale=row["scale"])
+                file.write(tps.dump(tps.place(landmarks, row["size"])))
+
+
+TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")
+"""Suffixes of tables that can be read."""
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is a table of a batch, by its suffix or, for CSV, its first line."""
+    if path.suffix.lower() != ".csv":
+        return path.suffix.lower() in TABLE_SUFFIXES
+    with path.open("rb") as file:
+        return file.readline(100).startswith(b"path,status,message,")
+
+
+def read_rows(path: Path) -> Iterator[dict[str, Any]]:
+    """Iterate over the rows of a table of :func:`write_table`: ``path``, ``status``, ``landmarks`` and ``covariance``.
+
+    Raises
+    ------
+    LiaamError
+        If a row cannot be read, or pyarrow is missing.
+    """
+    n_read = 0
+    try:
+        for row in _READERS[path.suffix.lower()](path):
+            facts = {"path": str(row["path"]), "status": str(row["status"]), "landmarks": row.get("landmarks")}
+            n_read += 1
+            yield row | facts
+    except ImportError as fault:
+        raise LiaamError(f'{path}: Parquet needs pyarrow; run pip install "liaam[batch]"') from fault
+    except (ValueError, KeyError, TypeError, OSError, csv.Error, RecursionError) as fault:
+        raise LiaamError(
+            f"{path}: row {n_read + 1} is not one of 'liaam batch' ({fault}): run the batch again"
+        ) from fault
+
+
+def _read_parquet(path: Path) -> Iterator[dict[str, Any]]:
+    parquet = importlib.import_module("pyarrow.parquet")
+    with parquet.ParquetFile(path) as file:
+        for group in file.iter_batches(GROUP):
+            yield from group.to_pylist()
+
+
+def _read_csv(path: Path) -> Iterator[dict[str, Any]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            n_points = next(i for i in count() if f"x{i}" not in row)
+            found = {name: [row.get(header) or "" for header in _headers(name, n_points)] for name in _PARTS}
+            yield {**row, **{name: [float(cell) for cell in cells] for name, cells in found.items() if all(cells)}}
+
+
+def _read_lines(path: Path) -> Iterator[dict[str, Any]]:
+    with path.open(encoding="utf-8") as file:
+        yield from map(json.loads, file)
+
+
+_READERS = {".parquet": _read_parquet, ".csv": _read_csv, ".jsonl": _read_lines}
+
+
 def _headers(name: str, n_points: int) -> list[str]:
     return [f"{part}{i}" for i in range(n_points) for part in _PARTS[name]] if name in _PARTS else [name]
 
@@ -133,4 +206,4 @@ def _cells(value: Any, width: int | None) -> list[Any]:
     return [None] * width if value is None else value
 
 
-_WRITERS = {".parquet": _write_parquet, ".csv": _write_csv, ".jsonl": _write_lines}
+_WRITERS = {".parquet": _write_parquet, ".csv": _write_csv, ".jsonl": _write_lines, ".tps": _write_tps}

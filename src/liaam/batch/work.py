@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from liaam.errors import LiaamError
 from liaam.fitting.methods import DEFAULT_METHOD
-from liaam.io import check_start, is_raw, read_image, read_start, start_file
+from liaam.io import Landmarks, check_start, is_raw, read_image, read_start, start_file
 from liaam.photometry import CameraModel
 from liaam.workers import one_thread
 
@@ -138,13 +138,11 @@ class Job:
         """Fit one image. Report errors in its row, so that the batch continues."""
         begin = perf_counter()
         try:
-            result = self._fit(path)
+            row = self._fit(path)
         except LiaamError as fault:
             row = failed_row(path, self._as_named(str(fault), path))
         except Exception as fault:
             row = failed_row(path, f"unexpected {type(fault).__name__} ({fault}); please report it with the image")
-        else:
-            row = _row_of(path, result)
         return self.complete(row, round(perf_counter() - begin, 4))
 
     def complete(self, row: Row, seconds: float | None) -> Row:
@@ -152,12 +150,14 @@ class Job:
         kept = row if self.settings.covariance else {key: row[key] for key in row if key != "covariance"}
         return {**kept, "seconds": seconds}
 
-    def _fit(self, path: str) -> "FitResult":
+    def _fit(self, path: str) -> Row:
         picture = Path(self.folder, path)
         pixels, start = read_image(picture), self._start(path)
         if start is not None:
             start = read_start(start, picture, pixels.shape[1::-1])
-        return self.fitter(is_raw(picture)).fit(pixels, start, picture.name)
+        result = self.fitter(is_raw(picture)).fit(pixels, start, picture.name)
+        scale = start.scale if isinstance(start, Landmarks) else None
+        return _row_of(path, result) | {"size": pixels.shape[1::-1], "scale": scale}
 
     def _start(self, path: str) -> str | None:
         """Return the start of an image in a form that :func:`liaam.io.read_start` accepts."""

@@ -16,7 +16,9 @@ from liaam.errors import LiaamError
 
 def batch(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Table to write: .parquet, .csv or .jsonl.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Table to write: .parquet, .csv or .jsonl. Only landmarks: .tps.")
+    ],
     pictures: Annotated[
         list[str] | None,
         typer.Argument(

@@ -58,7 +58,7 @@ def fit(
     camera_file: CameraOption = None,
     response: ResponseOption = None,
 ) -> None:
-    """Fit a model to images. Writes landmarks (.pts, .csv, .json) and an overlay image for each."""
+    """Fit a model to images. Writes landmarks (.pts, .csv, .tps, .json) and an overlay image for each."""
     from liaam.fitting import Fitter, SolverOptions
     from liaam.io import make_folder
     from liaam.model import load_model
@@ -174,7 +174,10 @@ def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, outputs:
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
     contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
-    write_fit(outputs.folder, stem, Landmarks(result.landmarks, contours), result.to_dict() | {"image": image.name})
+    scale = start.scale if isinstance(start, Landmarks) else None
+    landmarks = Landmarks(result.landmarks, contours, image_name=image.name, scale=scale)
+    facts = result.to_dict() | {"image": image.name, "scale": scale}
+    write_fit(outputs.folder, stem, landmarks, facts, pixels.shape[1::-1])
     drawn = result.landmark_covariances if outputs.ellipses else None
     write_image(outputs.folder / f"{stem}_fit.png", overlay(pixels, result.landmarks, model, covariances=drawn))
     if outputs.history:
@@ -184,9 +187,11 @@ def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, outputs:
 
 def refuse_to_overwrite(output: Path, stem: str) -> None:
     """Raise if a file that no earlier fit wrote would be overwritten, such as manual annotations."""
+    from liaam.io.results import FIT_SUFFIXES
+
     if (output / f"{stem}_fit.png").exists():  # results of an earlier fit may be replaced
         return
-    for suffix in (".pts", ".csv", ".json"):
+    for suffix in FIT_SUFFIXES:
         if (output / f"{stem}{suffix}").exists():
             raise LiaamError(
                 f"{output / stem}{suffix} exists and is not from an earlier fit; give another folder with -o to keep it"

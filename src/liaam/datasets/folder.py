@@ -1,7 +1,7 @@
 """Pair the images of a folder with their landmarks, and report the files left out.
 
 An image ``face.jpg`` takes its landmarks from the file of the same stem in the same folder (``face.pts``),
-or from an entry for it in a file of many images (dlib ``.xml``, COCO ``.json``, ``.csv`` with a column
+or from an entry for it in a file of many images (dlib ``.xml``, COCO ``.json``, ``.tps``, ``.csv`` with a column
 ``image``). A file of its own takes precedence over a file of many images, then the order of
 `liaam.io.LANDMARK_SUFFIXES` decides.
 """
@@ -31,11 +31,8 @@ from liaam.datasets.advice import (
 from liaam.errors import ImageError, LandmarkError, LiaamError
 from liaam.io.files import natural_key, some_names
 from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image
-from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, parse_landmark_file
+from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
 from liaam.io.raw import RAW_SUFFIXES
-
-_UNIT = (1.0, 1.0)  # placeholder for the image's size when only its name is needed
-
 
 PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
 """Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
@@ -157,7 +154,7 @@ def load_folder(
 ) -> Dataset:
     """Find the landmarked images of a folder.
 
-    The images are not decoded; headers are read for landmarks that need the image's size (``.asf``).
+    The images are not decoded; headers are read for landmarks that need the image's size (``.asf``, ``.tps``).
     Hidden files are ignored.
 
     Parameters
@@ -297,7 +294,7 @@ class _Pairing:
         self.by_name: dict[str, list[Path]] = defaultdict(list)
         for image in sorted(images, key=lambda path: (path not in self.options, _rank(path, PICTURE_SUFFIXES))):
             self.by_stem.setdefault(image.with_suffix(""), image)
-            self.by_name[image.name].append(image)
+            self.by_name[image.name.casefold()].append(image)
 
     def add(self, file: Path) -> None:
         """Read one landmark file if a wanted image may need it."""
@@ -305,19 +302,13 @@ class _Pairing:
         image = self.by_stem.get(file.with_suffix(""))
         if image is not None and image not in self.options and not form.may_be_collection:
             return
-        host = image
+        if image is None and form.place is None and not form.may_be_collection:
+            self._leave_out(file, NO_IMAGE)
+            return
         try:
-            if image is None and form.parse_with_size is not None:
-                host = image = self._host(file)
-            if image is None and not form.may_be_collection:
-                self._leave_out(file, NO_IMAGE)
-                return
-            size = image_size(image) if image is not None and form.parse_with_size is not None else None
-            parsed = parse_landmark_file(file, size)
-        except ImageError as fault:
-            self._leave_out(file, f"its image cannot be read: {fault}", host)
+            parsed = parse_landmark_file(file)
         except LandmarkError as fault:
-            self._leave_out(file, f"the landmarks cannot be read: {fault}", host)
+            self._leave_out(file, f"the landmarks cannot be read: {fault}", image)
         else:
             self._add_parsed(file, image, parsed)
 
@@ -347,10 +338,13 @@ class _Pairing:
     def _add_parsed(self, file: Path, image: Path | None, parsed: Landmarks | dict[str, Landmarks]) -> None:
         if isinstance(parsed, dict):
             self._add_collection(file, parsed)
-        elif image is None:
+            return
+        if image is None and parsed.image_name:
+            image = self._find(file.parent, parsed.image_name)
+        if image is None:
             self._leave_out(file, NO_IMAGE)
-        elif image in self.options:
-            self.options[image].append(_Option(file, parsed, own=True))
+        else:
+            self._add_option(file, image, parsed, own=True)
 
     def _add_collection(self, file: Path, collection: dict[str, Landmarks]) -> None:
         absent = []
@@ -358,25 +352,31 @@ class _Pairing:
             image = self._find(file.parent, entry)
             if image is None:
                 absent.append(entry)
-            elif image in self.options:
-                self.options[image].append(_Option(file, landmarks, own=False))
+            else:
+                self._add_option(file, image, landmarks, own=False)
         if absent:
             self._leave_out(file, f"{ABSENT}: {some_names(absent)}")
 
-    def _host(self, file: Path) -> Path | None:
-        """Find the image that is named inside a landmark file."""
-        parsed = parse_landmark_file(file, _UNIT)
-        name = parsed.image_name if isinstance(parsed, Landmarks) else None
-        return self._find(file.parent, name) if name else None
+    def _add_option(self, file: Path, image: Path, landmarks: Landmarks, own: bool) -> None:
+        """Add candidate landmarks of an image, in pixels."""
+        if image not in self.options:
+            return
+        try:
+            size = image_size(image) if FORMATS[file.suffix.lower()].place is not None else None
+            self.options[image].append(_Option(file, in_pixels(file, landmarks, size), own))
+        except ImageError as fault:
+            self._leave_out(file, f"its image cannot be read: {fault}", image)
+        except LandmarkError as fault:
+            self._leave_out(file, f"the landmarks cannot be read: {fault}", image)
 
     def _find(self, folder: Path, entry: str) -> Path | None:
-        """Find the image that an entry names: by its path, or else by a unique file name."""
+        """Find the image that an entry names: by its path, by a unique file name in any case, or without suffix."""
         relative = PurePosixPath(entry.replace("\\", "/"))
-        candidates = self.by_name.get(relative.name, [])
+        candidates = self.by_name.get(relative.name.casefold(), [])
         exact = [image for image in candidates if image == folder / relative]
         if exact:
             return exact[0]
-        return candidates[0] if len(candidates) == 1 else None
+        return candidates[0] if len(candidates) == 1 else self.by_stem.get(folder / relative)
 
     def _leave_out_unused(self, options: list[_Option]) -> None:
         for unused in options[1:]:

@@ -1,4 +1,4 @@
-"""Write fit results: landmarks as .pts and .csv, and all values as .json."""
+"""Write fit results: landmarks as .pts, .csv and .tps, and all values as .json."""
 
 import json
 import math
@@ -9,8 +9,11 @@ import numpy as np
 from liaam.io.atomic import write_text_atomically
 from liaam.io.landmarks import Landmarks, write_landmarks
 
+FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
+"""Suffixes of the files of a fit."""
 
-def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict) -> list[Path]:
+
+def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict, image_size: tuple[int, int]) -> list[Path]:
     """Write the landmarks and values of a fit.
 
     Parameters
@@ -23,16 +26,18 @@ def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict) -> lis
         In pixels, with (0, 0) at the centre of the top-left pixel.
     facts : dict
         Further entries of the .json file. Numbers that are not finite become null.
+    image_size : (int, int)
+        Width and height of the image.
 
     Returns
     -------
     list of Path
-        ``stem.pts`` (counts from 1), ``stem.csv`` and ``stem.json`` (both count from 0).
+        ``stem.pts`` (counts from 1), ``stem.csv``, ``stem.tps`` (y upwards) and ``stem.json`` (counts from 0).
     """
-    paths = [folder / f"{stem}{suffix}" for suffix in (".pts", ".csv", ".json")]
-    write_landmarks(paths[0], landmarks)
-    write_landmarks(paths[1], landmarks)
-    write_text_atomically(paths[2], fit_text(landmarks, facts))
+    paths = [folder / f"{stem}{suffix}" for suffix in FIT_SUFFIXES]
+    for path in paths[:-1]:
+        write_landmarks(path, landmarks, image_size)
+    write_text_atomically(paths[-1], fit_text(landmarks, facts))
     return paths
 
 

@@ -34,7 +34,7 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
     """
     path = start_file(text, image)
     if path is not None:
-        return _read(path, size)
+        return _read(path, image, size)
     if _kind(text) == "folder":
         raise StartError(f"{image.name}: {Path(text)} holds no landmark file for it; add one such as {image.stem}.pts")
     shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
@@ -69,9 +69,9 @@ def _kind(text: str) -> str:
     return "folder" if stat.S_ISDIR(mode) else "file" if stat.S_ISREG(mode) else "other"
 
 
-def _read(path: Path, size: tuple[int, int]) -> Landmarks | list[float]:
+def _read(path: Path, image: Path, size: tuple[int, int]) -> Landmarks | list[float]:
     if path.suffix.lower() != BOX_SUFFIX:
-        return read_landmarks(path, size)
+        return read_landmarks(path, size, image.name)
     text = read_bytes(existing_file(path, StartError, "box"), StartError, limit=1000).decode("utf-8-sig", "replace")
     return _numbers(",".join(text.replace(",", " ").split()), f"{path}: it")
 

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
-from liaam.errors import LandmarkError
+from liaam.errors import ImageError, LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import existing_file
-from liaam.io.landmarks import asf, coco, csv_points, dlib_xml, ljson, pts, tem
+from liaam.io.images import image_size as size_of
+from liaam.io.landmarks import asf, coco, csv_points, dlib_xml, ljson, pts, tem, tps
 from liaam.io.landmarks.base import Contour, Landmarks, decode_text, read_text
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "Contour",
     "Format",
     "Landmarks",
+    "in_pixels",
     "parse_landmark_data",
     "parse_landmark_file",
     "read_collection",
@@ -34,6 +36,7 @@ __all__ = [
 ]
 
 Parsed = Landmarks | dict[str, Landmarks]
+Size = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -42,12 +45,12 @@ class Format:
 
     title: str
     """Name of the format."""
-    parse: Callable[[Path, str], Parsed] | None = None
+    parse: Callable[[Path, str], Parsed]
     """Parse a path (for messages) and the file's text into landmarks of one or many images."""
-    parse_with_size: Callable[[Path, str, tuple[float, float] | None], Landmarks] | None = None
-    """The same for formats that need the image's (width, height)."""
+    place: Callable[[Landmarks, Size], Landmarks] | None = None
+    """Convert what `parse` returns to pixels, for formats that need the image's (width, height)."""
     dump: Callable[[Landmarks], str] | None = None
-    """Format landmarks as the file's text; None if the format is read-only."""
+    """Format landmarks (`place` applied once more) as the file's text; None if the format is read-only."""
     dump_collection: Callable[[Mapping[str, Landmarks]], str] | None = None
     """Format the landmarks of many images as the file's text."""
     may_be_collection: bool = False
@@ -58,7 +61,7 @@ FORMATS: dict[str, Format] = {
     ".pts": Format("300-W points", pts.parse, dump=pts.dump),
     ".ljson": Format("menpo landmarks", ljson.parse, dump=ljson.dump),
     ".tem": Format("WebMorph template", tem.parse),
-    ".asf": Format("AAM-API shape", parse_with_size=asf.parse),
+    ".asf": Format("AAM-API shape", asf.parse, asf.place),
     ".csv": Format(
         "CSV table",
         csv_points.parse,
@@ -68,6 +71,14 @@ FORMATS: dict[str, Format] = {
     ),
     ".xml": Format("dlib imglab", dlib_xml.parse, may_be_collection=True),
     ".json": Format("COCO keypoints", coco.parse, may_be_collection=True),
+    ".tps": Format(
+        "tpsDig points",
+        tps.parse,
+        tps.place,
+        dump=tps.dump,
+        dump_collection=tps.dump_collection,
+        may_be_collection=True,
+    ),
 }
 """Formats by suffix, in order of preference where an image has several files."""
 
@@ -75,15 +86,20 @@ LANDMARK_SUFFIXES = tuple(FORMATS)
 """Suffixes (lower case) of the landmark files that can be read, in order of preference."""
 
 
-def read_landmarks(path: str | os.PathLike[str], image_size: tuple[float, float] | None = None) -> Landmarks:
+def read_landmarks(
+    path: str | os.PathLike[str], image_size: Size | None = None, image_name: str | None = None
+) -> Landmarks:
     """Read the landmarks of one image.
 
     Parameters
     ----------
     path : path-like
-        A file with a suffix in `LANDMARK_SUFFIXES`. A file for many images must hold exactly one.
+        A file with a suffix in `LANDMARK_SUFFIXES`.
     image_size : tuple of float, optional
-        (width, height) of the image in pixels; required for ``.asf``.
+        (width, height) of the image in pixels. ``.asf`` and ``.tps`` need it; by default it is taken from the image
+        that they name, if it lies beside them.
+    image_name : str, optional
+        File name of the image, to choose from a file for many images. By default the file must hold exactly one.
 
     Returns
     -------
@@ -96,19 +112,25 @@ def read_landmarks(path: str | os.PathLike[str], image_size: tuple[float, float]
         If the file is missing, empty, cut short, inconsistent, has an unknown suffix, holds invalid numbers, or holds
         several images.
     """
-    parsed = parse_landmark_file(path, image_size)
+    parsed = parse_landmark_file(path)
     if isinstance(parsed, Landmarks):
-        return parsed
+        return in_pixels(path, parsed, image_size)
+    if image_name is not None and len(parsed) > 1:
+        parsed = {name: own for name, own in parsed.items() if PureWindowsPath(name).name == image_name}
+        if not parsed:
+            raise LandmarkError(f"{path} has no landmarks of {image_name}: add them, or name another file.")
     if len(parsed) > 1:
         some = ", ".join(list(parsed)[:3])
         raise LandmarkError(
             f"{path} holds the landmarks of {len(parsed)} images ({some} ...): use read_collection, or load its folder."
         )
-    return next(iter(parsed.values()))
+    return in_pixels(path, next(iter(parsed.values())), image_size)
 
 
 def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
-    """Read a file with the landmarks of many images (dlib ``.xml``, COCO ``.json``, ``.csv`` with ``image``).
+    """Read a file with the landmarks of many images (dlib ``.xml``, COCO ``.json``, ``.tps``, ``.csv`` with ``image``).
+
+    The images of a ``.tps`` file must lie beside it.
 
     Returns
     -------
@@ -123,12 +145,14 @@ def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
     suffix = _suffix(Path(path))
     parsed = parse_landmark_file(path) if FORMATS[suffix].may_be_collection else None
     if isinstance(parsed, dict):
-        return parsed
+        return {name: in_pixels(path, landmarks, None) for name, landmarks in parsed.items()}
     raise LandmarkError(f"{path} holds the landmarks of one image and does not name it: use read_landmarks.")
 
 
-def parse_landmark_file(path: str | os.PathLike[str], image_size: tuple[float, float] | None = None) -> Parsed:
+def parse_landmark_file(path: str | os.PathLike[str]) -> Parsed:
     """Read a landmark file as `Landmarks`, or as a dict of them if the file names its images.
+
+    The points are as in the file; :func:`in_pixels` converts them.
 
     Raises
     ------
@@ -137,33 +161,62 @@ def parse_landmark_file(path: str | os.PathLike[str], image_size: tuple[float, f
     """
     suffix = _suffix(Path(path))
     path = existing_file(path, LandmarkError, "landmark file")
-    return _parse(path, suffix, read_text(path), image_size)
+    return FORMATS[suffix].parse(path, read_text(path))
 
 
-def parse_landmark_data(name: str, data: bytes, image_size: tuple[float, float] | None = None) -> Parsed:
-    """Parse the content of a landmark file in memory, as :func:`parse_landmark_file` does.
+def parse_landmark_data(name: str, data: bytes, image_size: Size | None = None) -> Parsed:
+    """Parse the content of a landmark file in memory. All its images have the same size.
 
     Raises
     ------
     LandmarkError
         As :func:`read_landmarks`.
     """
-    suffix = _suffix(Path(name))
-    return _parse(Path(name), suffix, decode_text(Path(name), data), image_size)
+    path = Path(name)
+    parsed = FORMATS[_suffix(path)].parse(path, decode_text(path, data))
+    if isinstance(parsed, Landmarks):
+        return in_pixels(path, parsed, image_size)
+    return {image: in_pixels(path, landmarks, image_size) for image, landmarks in parsed.items()}
 
 
-def _parse(path: Path, suffix: str, text: str, image_size: tuple[float, float] | None) -> Parsed:
-    known = FORMATS[suffix]
-    if known.parse is not None:
-        return known.parse(path, text)
-    assert known.parse_with_size is not None
-    return known.parse_with_size(path, text, image_size)
+def in_pixels(path: str | os.PathLike[str], landmarks: Landmarks, image_size: Size | None) -> Landmarks:
+    """Convert parsed landmarks to pixels; `image_size` as in :func:`read_landmarks`.
+
+    Raises
+    ------
+    LandmarkError
+        If the format needs the image's size, and it is unknown.
+    """
+    place = FORMATS[_suffix(Path(path))].place
+    if place is None:
+        return landmarks
+    try:
+        return place(landmarks, image_size or _size_beside(Path(path), landmarks.image_name))
+    except LandmarkError as fault:
+        raise LandmarkError(f"{path}: {fault}") from fault
 
 
-def write_landmarks(path: str | os.PathLike[str], landmarks: Landmarks | np.ndarray) -> None:
-    """Write the landmarks of one image atomically as ``.pts``, ``.csv`` or ``.ljson``.
+def _size_beside(path: Path, image: str | None) -> Size:
+    """Return the size of the image that a landmark file names, perhaps by its path on another computer."""
+    fault = ""
+    for place in (image, PureWindowsPath(image).name) if image else ():
+        try:
+            return size_of(path.parent / place)
+        except ImageError as error:
+            fault = f" ({error})"
+    raise LandmarkError(
+        f"the size of its image is needed{fault}: put the image beside the file, or pass image_size=(width, height) in "
+        "pixels."
+    )
 
-    Only ``.ljson`` stores contours and invisible landmarks. Only ``.ljson`` and ``.csv`` store names.
+
+def write_landmarks(
+    path: str | os.PathLike[str], landmarks: Landmarks | np.ndarray, image_size: Size | None = None
+) -> None:
+    """Write the landmarks of one image atomically as ``.pts``, ``.csv``, ``.ljson`` or ``.tps``.
+
+    Only ``.ljson`` stores contours and invisible landmarks. Only ``.ljson`` and ``.csv`` store names. Only ``.tps``
+    stores the scale, the image's name, and open contours of the last landmarks (as curves).
 
     Parameters
     ----------
@@ -171,6 +224,8 @@ def write_landmarks(path: str | os.PathLike[str], landmarks: Landmarks | np.ndar
         Its suffix determines the format.
     landmarks : Landmarks or np.ndarray
         An array holds (n, 2) points in pixels, with (0, 0) at the centre of the top-left pixel; NaN where missing.
+    image_size : tuple of float, optional
+        As for :func:`read_landmarks`.
 
     Raises
     ------
@@ -183,23 +238,33 @@ def write_landmarks(path: str | os.PathLike[str], landmarks: Landmarks | np.ndar
         raise LandmarkError(f"{path} cannot be written: {Path(path).suffix} is only read. Use {writable}.")
     if not isinstance(landmarks, Landmarks):
         landmarks = Landmarks(landmarks)
-    write_text_atomically(path, dump(landmarks), LandmarkError)
+    write_text_atomically(path, dump(in_pixels(path, landmarks, image_size)), LandmarkError)
 
 
-def write_collection(path: str | os.PathLike[str], collection: Mapping[str, Landmarks]) -> None:
-    """Write the landmarks of many images, by file name, atomically as one ``.csv``.
+def write_collection(
+    path: str | os.PathLike[str],
+    collection: Mapping[str, Landmarks],
+    image_sizes: Mapping[str, Size] | None = None,
+) -> None:
+    """Write the landmarks of many images, by file name, atomically as one ``.csv`` or ``.tps``.
+
+    ``.tps`` needs the (width, height) of each image; by default they are taken from the images beside the file.
 
     Raises
     ------
     LandmarkError
-        If the suffix is not ``.csv``, there is nothing to write, or writing fails.
+        If the suffix is another, there is nothing to write, an image's size is unknown, or writing fails.
     """
     dump = FORMATS[_suffix(Path(path))].dump_collection
     if dump is None:
-        raise LandmarkError(f"{path} cannot be written: only .csv holds many images. Use that extension.")
+        raise LandmarkError(f"{path} cannot be written: only .csv and .tps hold many images. Use such an extension.")
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    write_text_atomically(path, dump(collection), LandmarkError)
+    placed = {
+        name: in_pixels(path, replace(landmarks, image_name=name), (image_sizes or {}).get(name))
+        for name, landmarks in collection.items()
+    }
+    write_text_atomically(path, dump(placed), LandmarkError)
 
 
 def _suffix(path: Path) -> str:

@@ -1,12 +1,13 @@
 """``.asf`` of the AAM-API (IMM face databases): fractions of the image's width and height, y downwards.
 
 x is multiplied by the width and y by the height (not by width - 1), as the AAM-API does. The result is a pixel centre
-counted from 0, so (0, 0) is the centre of the top-left pixel. The conversion needs the image's size. Connectivity
-(``connects from``, ``connects to``) becomes contours, and the host image named on the last line is kept.
+counted from 0, so (0, 0) is the centre of the top-left pixel. Connectivity (``connects from``, ``connects to``)
+becomes contours, and the host image named on the last line is kept.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from liaam.errors import LandmarkError
@@ -15,27 +16,14 @@ from liaam.io.landmarks.base import Landmarks, chain_edges, make_landmarks, pars
 _N_COLUMNS = 7  # path, type, x, y, point, from, to; further columns are optional
 
 
-def parse(path: Path, text: str, image_size: tuple[float, float] | None) -> Landmarks:
-    """Parse the text of an ``.asf`` file.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    text : str
-        Content of the file.
-    image_size : tuple of float or None
-        (width, height) of the image in pixels.
+def parse(path: Path, text: str) -> Landmarks:
+    """Parse the text of an ``.asf`` file into fractions of the image's size.
 
     Raises
     ------
     LandmarkError
-        If `image_size` is None, a line is invalid, or the counts differ.
+        If a line is invalid or the counts differ.
     """
-    if image_size is None:
-        raise LandmarkError(
-            f"{path} gives positions as fractions of the image's size: pass image_size=(width, height) in pixels."
-        )
     lines = [line for line in map(str.strip, text.splitlines()) if line and not line.startswith("#")]
     if not lines:
         raise LandmarkError(f"{path} holds comments only; it may be cut short: export it again.")
@@ -48,19 +36,21 @@ def parse(path: Path, text: str, image_size: tuple[float, float] | None) -> Land
             "the file may be cut short: export it again."
         )
     host = lines[-1] if len(columns) > count else None
-    return _landmarks(path, rows, image_size, host)
+    return _landmarks(path, rows, host)
 
 
-def _landmarks(path: Path, rows: list[list[str]], size: tuple[float, float], host: str | None) -> Landmarks:
+def place(landmarks: Landmarks, image_size: tuple[float, float]) -> Landmarks:
+    """Convert fractions of the image's (width, height) to pixels."""
+    return replace(landmarks, points=landmarks.points * image_size)
+
+
+def _landmarks(path: Path, rows: list[list[str]], host: str | None) -> Landmarks:
     points: list[tuple[float, float] | None] = [None] * len(rows)
     edges = []
     for row in rows:
         index, _, target = (_index(path, token, len(rows)) for token in row[4:7])
         where = f"point {index}"
-        points[index] = (
-            parse_number(path, row[2], where) * size[0],
-            parse_number(path, row[3], where) * size[1],
-        )
+        points[index] = parse_number(path, row[2], where), parse_number(path, row[3], where)
         edges.append((index, target))
     if None in points:
         raise LandmarkError(f"{path} has no point number {points.index(None)}: number the points 0 to {len(rows) - 1}.")

@@ -40,7 +40,8 @@ class Landmarks:
     Raises
     ------
     LandmarkError
-        If the points are not (n, 2), infinite or half missing, or if a contour or the names do not match them.
+        If the points are not (n, 2), infinite or half missing, if a contour or the names do not match them, or if the
+        scale is not positive.
     """
 
     points: np.ndarray
@@ -53,6 +54,8 @@ class Landmarks:
     """The image's file name, if the landmark file gives it."""
     invisible: tuple[int, ...] = ()
     """Occluded landmarks with known positions, ascending. Only ``.ljson`` stores them."""
+    scale: float | None = None
+    """Length of a pixel in the specimen's units, such as 0.01 mm. Only ``.tps`` stores it."""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)
@@ -68,6 +71,8 @@ class Landmarks:
                 f"landmark {wrong[0]} (counting from 0) is marked invisible, but there are {len(points)} landmarks: "
                 "correct the indices."
             )
+        if self.scale is not None and not 0 < self.scale < math.inf:
+            raise LandmarkError(f"the scale is {self.scale:g}: give the length of a pixel, a positive number.")
 
     def __len__(self) -> int:
         return len(self.points)
@@ -120,10 +125,11 @@ def make_landmarks(
     names: Iterable[str] = (),
     image_name: str | None = None,
     invisible: Iterable[int] = (),
+    scale: float | None = None,
 ) -> Landmarks:
     """Make `Landmarks`, with the file's name in the error if they are invalid."""
     try:
-        return Landmarks(points, tuple(contours), tuple(names), image_name, tuple(invisible))
+        return Landmarks(points, tuple(contours), tuple(names), image_name, tuple(invisible), scale)
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
 
@@ -158,7 +164,7 @@ def _has_control_characters(data: bytes) -> bool:
 def parse_count(path: Path, token: str, what: str) -> int:
     """Parse a non-negative integer."""
     if not (token.isascii() and token.isdigit() and len(token) <= 18):
-        raise LandmarkError(f"{path}: '{_short(token)}' is not a number of {what}: export the file again.")
+        raise LandmarkError(f"{path}: '{short(token)}' is not a number of {what}: export the file again.")
     return int(token)
 
 
@@ -173,7 +179,7 @@ def parse_number(path: Path, token: str, where: str) -> float:
         value = math.inf
     if not math.isfinite(value):
         raise LandmarkError(
-            f"{path}: '{_short(token)}' in {where} is not a number: correct it (decimal points, as in 12.5)."
+            f"{path}: '{short(token)}' in {where} is not a number: correct it (decimal points, as in 12.5)."
         )
     return value
 
@@ -182,7 +188,7 @@ def parse_pair(path: Path, line: str, where: str) -> tuple[float, float]:
     """Parse a line that holds x and y."""
     tokens = line.split()
     if len(tokens) != 2:
-        raise LandmarkError(f"{path}: {where} holds {len(tokens)} values ('{_short(line)}'), not x and y: correct it.")
+        raise LandmarkError(f"{path}: {where} holds {len(tokens)} values ('{short(line)}'), not x and y: correct it.")
     return parse_number(path, tokens[0], where), parse_number(path, tokens[1], where)
 
 
@@ -195,7 +201,7 @@ def check_number(path: Path, value: Any, where: str) -> float:
     except OverflowError:
         number = math.inf
     if math.isinf(number):
-        raise LandmarkError(f"{path}: '{_short(str(value))}' in {where} is not a number: correct it, or use null.")
+        raise LandmarkError(f"{path}: '{short(str(value))}' in {where} is not a number: correct it, or use null.")
     return number
 
 
@@ -207,11 +213,12 @@ def parse_json(path: Path, text: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError) as fault:
         raise LandmarkError(
-            f"{path} is not complete JSON ({_short(str(fault), 100)}): it may be cut short; export it again."
+            f"{path} is not complete JSON ({short(str(fault), 100)}): it may be cut short; export it again."
         ) from fault
 
 
-def _short(text: str, length: int = 40) -> str:
+def short(text: str, length: int = 40) -> str:
+    """Cut a text for a message."""
     return text if len(text) <= length else f"{text[: length - 3]}..."
 
 

@@ -1,0 +1,176 @@
+"""``.tps`` of tpsDig and geomorph: pixel centres counted from 0, x to the right, y **upwards from the bottom** row.
+
+One file holds many images. A record starts with ``LM=`` and its points; ``IMAGE=`` names the image, or else ``ID=``
+without its extension. ``SCALE=`` is the length of a pixel. The points of ``CURVES=`` follow the landmarks, and each
+curve becomes a contour. Outlines, radii, variables and comments are skipped. A missing landmark is ``NA NA``
+(geomorph), ``NaN NaN``, or ``-1 -1`` (tpsDig); it is written ``NaN NaN``, which R and Python read. Records without
+points are images that are not digitised yet, and are skipped.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Contour, Landmarks, make_landmarks, parse_pair, short
+
+_KEY = re.compile(r"([A-Za-z]\w*)\s*=(.*)")
+_MISSING = (-1.0, -1.0)
+
+
+@dataclass
+class _Record:
+    """One image, while it is read."""
+
+    line: int
+    points: list[tuple[float, float]]
+    curves: list[Contour] = field(default_factory=list)
+    facts: dict[str, str] = field(default_factory=dict)
+    scale: float | None = None
+
+    def add(self, points: list[tuple[float, float]], is_curve: bool) -> None:
+        """Add the points of a curve. Those of an outline are not used."""
+        if is_curve and points:
+            first = len(self.points)
+            self.points += points
+            self.curves.append(Contour(tuple(range(first, first + len(points)))))
+
+
+def parse(path: Path, text: str) -> Landmarks | dict[str, Landmarks]:
+    """Parse the text of a ``.tps`` file into landmarks by image, or of one image without a name. y counts upwards.
+
+    Raises
+    ------
+    LandmarkError
+        If a count, a point or a scale is wrong, points have three dimensions, an image has two records or, of several,
+        no name, or no record has points.
+    """
+    records = [record for record in _records(path, text) if record.points]
+    if not records:
+        raise LandmarkError(f"{path} has no points: place the landmarks of at least one image first.")
+    found: dict[str, tuple[int, Landmarks]] = {}
+    for record in records:
+        name = record.facts.get("IMAGE") or record.facts.get("ID")
+        landmarks = make_landmarks(path, record.points, record.curves, image_name=name, scale=record.scale)
+        if name is None and len(records) == 1:
+            return landmarks
+        if name is None:
+            raise LandmarkError(f"{path}: the record of line {record.line} names no image: add a line IMAGE=, or ID=.")
+        if name in found:
+            raise LandmarkError(
+                f"{path}: line {record.line} begins a second record of '{short(name)}' (the first is in line "
+                f"{found[name][0]}): remove one of them."
+            )
+        found[name] = record.line, landmarks
+    return {name: landmarks for name, (_, landmarks) in found.items()}
+
+
+def place(landmarks: Landmarks, image_size: tuple[float, float]) -> Landmarks:
+    """Count y from the other side of an image of (width, height)."""
+    x, y = landmarks.points.T
+    return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1))
+
+
+def dump(landmarks: Landmarks) -> str:
+    """Return the text of a record. y counts upwards."""
+    n = len(landmarks)
+    curves = _curves(landmarks)
+    first = curves[0][0] if curves else n
+    lines = [f"LM={first}", *_lines(landmarks, range(first))]
+    if curves:
+        lines.append(f"CURVES={len(curves)}")
+        for curve in curves:
+            lines += [f"POINTS={len(curve)}", *_lines(landmarks, curve)]
+    if landmarks.image_name:
+        name = " ".join(landmarks.image_name.splitlines())
+        lines += [f"IMAGE={name}", f"ID={PurePosixPath(name).stem}"]
+    if landmarks.scale is not None:
+        lines.append(f"SCALE={landmarks.scale!r}")
+    return "\n".join([*lines, ""])
+
+
+def dump_collection(collection: Mapping[str, Landmarks]) -> str:
+    """Return the text of a file with the landmarks of many images, by file name."""
+    return "".join(map(dump, collection.values()))
+
+
+def _records(path: Path, text: str) -> Iterator[_Record]:
+    """Split the text into records."""
+    lines = deque((number, line) for number, line in enumerate(map(str.strip, text.splitlines()), 1) if line)
+    record, last, section = None, "LM", ""
+    while lines:
+        number, line = lines.popleft()
+        where = f"{path}: line {number} ('{short(line)}')"
+        pair = _KEY.fullmatch(line)
+        if pair is None and last in ("LM", "POINTS"):
+            raise LandmarkError(f"{where} is not expected here: correct the number of points above it, or remove it.")
+        if pair is None:  # of a comment, or of something that liaam does not use
+            continue
+        last, value = pair[1].upper(), pair[2].strip()
+        if last == "LM3":
+            raise LandmarkError(f"{where} begins points with x, y and z: export x and y only, as LM=.")
+        if last == "LM":
+            if record is not None:
+                yield record
+            record = _Record(number, _points(path, where, value, lines))
+        elif record is None:
+            raise LandmarkError(f"{where} comes before any LM=: export the file again.")
+        elif last == "POINTS":
+            record.add(_points(path, where, value, lines), is_curve=section == "CURVES")
+        elif last == "SCALE":
+            record.scale = _scale(where, value)
+        elif value:
+            record.facts[last] = value
+        section = last if last in ("CURVES", "OUTLINES") else section
+    if record is not None:
+        yield record
+
+
+def _points(path: Path, where: str, count: str, lines: deque[tuple[int, str]]) -> list[tuple[float, float]]:
+    """Take as many points from the lines as a count promises."""
+    if not (count.isascii() and count.isdigit()):
+        raise LandmarkError(f"{where} has no number of points after '=': correct it, such as LM=12.")
+    points = []
+    while lines and "=" not in lines[0][1] and len(points) < float(count):  # int has a limit of digits
+        number, line = lines.popleft()
+        x, y = parse_pair(path, line, f"line {number}")
+        if math.isnan(x) != math.isnan(y):
+            raise LandmarkError(f"{path}: line {number} has only one of x and y: give both, or NA NA if missing.")
+        points.append((math.nan, math.nan) if (x, y) == _MISSING else (x, y))
+    if len(points) != float(count):
+        raise LandmarkError(
+            f"{where} promises {short(count)} points but {len(points)} follow; the file may be cut short: correct the "
+            "number, or export the file again."
+        )
+    return points
+
+
+def _scale(where: str, text: str) -> float:
+    try:
+        scale = float(text)
+    except ValueError:
+        scale = math.nan
+    if not 0 < scale < math.inf:
+        raise LandmarkError(f"{where} is not the length of a pixel: give a positive number, or remove the line.")
+    return scale
+
+
+def _curves(landmarks: Landmarks) -> list[tuple[int, ...]]:
+    """Return the contours if they are open and the last landmarks in order, as curves are read; else nothing."""
+    curves = [contour.indices for contour in landmarks.contours if not contour.closed]
+    tail = [index for curve in curves for index in curve]
+    n = len(landmarks)
+    return curves if len(curves) == len(landmarks.contours) and tail == list(range(n - len(tail), n)) else []
+
+
+def _lines(landmarks: Landmarks, indices: range | tuple[int, ...]) -> Iterator[str]:
+    for index in indices:
+        x, y = landmarks.points[index].tolist()
+        yield "NaN NaN" if math.isnan(x) else f"{x!r} {y!r}"
