@@ -149,8 +149,8 @@ def check(suffix: str, data: bytes) -> None:
         again = parse_landmark_data(name, dump(in_pixels(name, parsed, size)).encode("utf-8", "surrogatepass"), size)
         assert isinstance(again, Landmarks)
         np.testing.assert_allclose(again.points, parsed.points, rtol=1e-12, atol=1e-12 * size[1])
-    if isinstance(parsed, dict) and suffix == ".tps":
-        text = FORMATS[suffix].dump_collection({image: in_pixels(name, own, size) for image, own in parsed.items()})
+    if isinstance(parsed, dict) and suffix == ".tps" and (dump_all := FORMATS[suffix].dump_collection) is not None:
+        text = dump_all({image: in_pixels(name, own, size) for image, own in parsed.items()})
         again = parse_landmark_data(name, text.encode("utf-8", "surrogatepass"), size)
         assert isinstance(again, dict)
         for image, own in parsed.items():
@@ -207,13 +207,55 @@ def check_folder(files: list[tuple[str, bytes]]) -> None:
     load_folder(folder).report()
 
 
+# Results ------------------------------------------------------------------------------------------
+
+
+_FITS = (
+    {
+        "image": "01.png",
+        "status": "converged",
+        "landmarks": POINTS,
+        "landmark_covariances_px2": [[1.5, 0.5, 2.0]] * 4,
+        "scale": 0.5,
+    },
+    {"status": "converged", "path": "a/01.png", "landmarks": [1, 2, 3, 4, 5.5, 6, 7, 8], "covariance": [1, 0, 1] * 4},
+    {"status": "error", "path": "02.png", "landmarks": None, "covariance": None},
+)
+_TABLE = (
+    b"path,status,message,x0,y0,x1,y1,x2,y2,x3,y3,xx0,xy0,yy0,xx1,xy1,yy1,xx2,xy2,yy2,xx3,xy3,yy3\n"
+    b"a/01.png,converged,,1,2,3,4,5,6,7,8,1,0,1,1,0,1,1,0,1,1,0,1\n02.png,error,no,,,,,,,,,,,,,,,,,,,,\n",
+)
+
+
+def make_results(rng: Random) -> tuple[str, bytes]:
+    """Make the name and content of a fit or of a table of a batch, spoilt."""
+    suffix = one_of(rng, (".json", ".jsonl", ".csv"))
+    if suffix == ".csv":
+        return f"x{suffix}", spoilt(rng, _TABLE, _WORDS[".csv"])
+    lines = [spoilt_json(rng, _FITS) for _ in range(1 if suffix == ".json" else 3)]
+    return f"x{suffix}", b"\n".join(lines)
+
+
+def check_results(named: tuple[str, bytes]) -> None:
+    """Read and measure them. Values must be numbers, or NaN where unknown."""
+    from liaam.morphometry import measure, read_specimens
+
+    path = Path(named[0])
+    path.write_bytes(named[1])
+    table = measure(read_specimens(path), ["distance:1-2", "angle:1-2-3", "area:1-2-3"])
+    for name, cells in table.items():
+        assert name in ("specimen", "status") or not any(np.isinf(cell) for cell in cells)
+
+
 def _targets() -> list[Target]:
     formats = [
         Target(f"landmarks{suffix}", partial(make, suffix), partial(check, suffix), partial(_prepare, suffix), suffix)
         for suffix in _WORDS
     ]
     valid: Any = [("01.png", _picture()), ("01.pts", _PTS[0])]
-    return [*formats, Target("folder", make_folder, check_folder, partial(check_folder, valid), share=0.5)]
+    fit: Any = ("x.json", json.dumps(_FITS[0]).encode())
+    results = Target("results", make_results, check_results, partial(check_results, fit), share=0.5)
+    return [*formats, results, Target("folder", make_folder, check_folder, partial(check_folder, valid), share=0.5)]
 
 
 TARGETS = _targets()

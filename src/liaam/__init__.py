@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     )
     from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
     from liaam.model import AAM, load_model
+    from liaam.morphometry import Specimen, measure, read_specimens
     from liaam.photometry import CameraModel, invariant_image, load_camera
     from liaam.registration import Registration, register
     from liaam.tracking import TrackedFrame, Tracker, TrackingOptions, track_video
@@ -50,6 +51,7 @@ __all__ = [
     "Registration",
     "Sample",
     "SolverOptions",
+    "Specimen",
     "TrackedFrame",
     "Tracker",
     "TrackingOptions",
@@ -62,8 +64,10 @@ __all__ = [
     "load_camera",
     "load_folder",
     "load_model",
+    "measure",
     "read_image",
     "read_landmarks",
+    "read_specimens",
     "register",
     "theta_from_chart",
     "theta_from_scene",
@@ -92,6 +96,7 @@ _HOMES = {
     ),
     "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
     "model": ("AAM", "load_model"),
+    "morphometry": ("Specimen", "measure", "read_specimens"),
     "photometry": ("CameraModel", "invariant_image", "load_camera"),
     "registration": ("Registration", "register"),
     "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),

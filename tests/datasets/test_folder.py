@@ -225,6 +225,9 @@ def test_missing_folder_no_images_no_pairs(tmp_path: Path) -> None:
     (tmp_path / "a.pts").write_text("junk")
     with pytest.raises(LandmarkError, match=r"The first fault: .*a\.pts has no '\{'"):
         load_folder(tmp_path)
+    (tmp_path / "a.csv").write_text("id,X1,Y1\n")
+    with pytest.raises(LandmarkError, match=r"The first faults: .*a\.csv has no columns.*a\.pts has no '\{'"):
+        load_folder(tmp_path)
 
 
 NTS = "1 4 2 0 dim=2\n1.0 1.0 5.0 1.0 5.0 4.0 1.0 4.0\n"

@@ -155,6 +155,13 @@ def test_a_record_names_its_image_by_its_id_or_lies_beside_it(tmp_path: Path) ->
     assert [sample.landmarks.points.tolist() for sample in load_folder(tmp_path)] == [[[1, 7]], [[3, 5]]]
 
 
+def test_names_that_no_image_has_are_reported(tmp_path: Path) -> None:
+    add_image(tmp_path / "a.png", 10, 10)
+    save(tmp_path, "LM=1\n1 2\nID=7\n", "all.tps")
+    with pytest.raises(LandmarkError, match=r"all\.tps: it names images that do not exist: 7\. Correct these names"):
+        load_folder(tmp_path)
+
+
 def test_an_image_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     add_image(tmp_path / "63001.jpg")
     save(tmp_path, b"no image", "63002.jpg")

@@ -10,6 +10,7 @@ from liaam.cli.check import check
 from liaam.cli.demo import demo
 from liaam.cli.fit import fit
 from liaam.cli.lamps import lamps
+from liaam.cli.measure import measure
 from liaam.cli.models import info, methods, show
 from liaam.cli.photometry import calibrate, invariant, register_command
 from liaam.cli.relight import relight
@@ -19,7 +20,7 @@ from liaam.cli.train import train
 from liaam.cli.video import track
 
 app = make_app(help="Fit deformable models of faces and other objects to colour images under any light.")
-for command in (train, fit, batch, track, relight, studio, check, lamps, show, info, methods, demo, invariant):
+for command in (train, fit, batch, measure, track, relight, studio, check, lamps, show, info, methods, demo, invariant):
     app.command()(command)
 app.command("register")(register_command)
 app.add_typer(calibrate, name="calibrate")

@@ -75,7 +75,7 @@ def train(
 ) -> None:
     """Train a model on a folder of landmarked images.
 
-    Landmarks: .pts, .asf, .tem, .ljson or .csv beside each image, or one dlib .xml, COCO .json or .csv for all images.
+    Landmarks: .pts, .asf, .tem, .ljson or .csv beside each image, or one .tps, dlib .xml, COCO .json or .csv for all.
     """
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES

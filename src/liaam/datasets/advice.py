@@ -98,15 +98,17 @@ def no_pairs(
     if unread:
         names = some_names([file.name for file in unread])
         return f"{text} Files in an unknown format: {names}. Convert them to one of {', '.join(LANDMARK_SUFFIXES)}."
-    unreadable = [reason for _, reason in left_out if "cannot be read" in reason]
-    if unreadable:
-        return f"{root}: no image has readable landmarks. The first fault: {unreadable[0]}"
+    absent = [f"{path.name}: {reason}." for path, reason in left_out if reason.startswith(ABSENT)]
+    faults = [reason for _, reason in left_out if "cannot be read" in reason]
+    if faults:
+        faults += absent
+        which = "first fault" if len(faults) == 1 else "first faults"
+        return f"{root}: no image has readable landmarks. The {which}: {' '.join(faults[:3])}"
     own = f"{wanted[0].stem}.pts"
     orphans = [path for path, reason in left_out if reason == NO_IMAGE]
     elsewhere = [path for path in orphans if path.stem in {image.stem for image in wanted}]
-    absent = [f"{path.name}: {reason}" for path, reason in left_out if reason.startswith(ABSENT)]
     if absent:
-        return f"{text} {absent[0]}. Correct these names."
+        return f"{text} {absent[0]} Correct these names."
     below = [] if recursive or orphans else _below(root, LANDMARK_SUFFIXES)
     below = below or [path.relative_to(root).as_posix() for path in elsewhere]
     if below:

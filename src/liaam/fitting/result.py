@@ -234,8 +234,8 @@ class FitResult:
         -------
         dict
             What ``liaam fit`` writes to its .json files: ``image`` (its name, if known), ``start``, ``status``,
-            ``message``, ``quality``, ``landmarks`` (x, y in image pixels), ``landmark_deviations_px`` and others.
-            Values that are unknown are None.
+            ``message``, ``quality``, ``landmarks`` (x, y in image pixels), ``landmark_deviations_px``,
+            ``landmark_covariances_px2`` (xx, xy, yy) and others. Values that are unknown are None.
         """
         from liaam import __version__
 
@@ -253,6 +253,7 @@ class FitResult:
             "iterations": self.n_iterations,
             "quality": None if np.isnan(self.quality) else round(self.quality, 4),
             "landmark_deviations_px": finite_list(np.round(self.deviations, 3)),
+            "landmark_covariances_px2": finite_list(np.round(self.landmark_covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
             "liaam": __version__,
             "landmarks": finite_list(self.landmarks),
         }

@@ -1,0 +1,167 @@
+"""Functions of landmarks, each with its exact derivative, and their short names such as ``distance:1-5``.
+
+A function takes points (k, 2) and returns its value and its gradient (k, 2). The derivatives carry the covariances of
+the landmarks to standard errors (delta method).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.model.shape import align
+
+Measured = tuple[float, np.ndarray]
+
+
+def distance(points: np.ndarray) -> Measured:
+    """Distance of two points, in pixels."""
+    step = points[1] - points[0]
+    length = math.hypot(*step)
+    return length, np.array([-step, step]) / length
+
+
+def angle(points: np.ndarray) -> Measured:
+    """Angle at the second of three points, 0 to 180 degrees."""
+    first, last = points[0] - points[1], points[2] - points[1]
+    cross = first[0] * last[1] - first[1] * last[0]
+    turns = [np.array([-arm[1], arm[0]]) / (arm @ arm) for arm in (first, last)]  # how the arms' directions change
+    gradient = math.copysign(180 / math.pi, cross) * np.array([-turns[0], turns[0] - turns[1], turns[1]])
+    return math.degrees(math.atan2(abs(cross), first @ last)), gradient
+
+
+def area(points: np.ndarray) -> Measured:
+    """Area of the polygon through the points, in square pixels."""
+    after, before = np.roll(points, -1, axis=0), np.roll(points, 1, axis=0)
+    chord = 0.5 * (after - before)
+    signed = 0.5 * float(np.sum(points[:, 0] * after[:, 1] - after[:, 0] * points[:, 1]))
+    return abs(signed), math.copysign(1, signed) * np.stack([chord[:, 1], -chord[:, 0]], axis=1)
+
+
+def centroid_size(points: np.ndarray) -> Measured:
+    """Root of the sum of squared distances from the centroid, in pixels."""
+    centred = points - points.mean(axis=0)
+    size = float(np.linalg.norm(centred))
+    return size, centred / size
+
+
+def procrustes(points: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Procrustes coordinates: centred, of centroid size 1, and rotated to a mean shape, which is taken as fixed.
+
+    Parameters
+    ----------
+    points, mean : (k, 2) float
+
+    Returns
+    -------
+    coordinates : (k, 2) float64
+    jacobian : (2 k, 2 k) float64
+        Derivative by the points, flattened as x0, y0, x1, ...
+    """
+    n = len(points)
+    turn = align(points, mean).matrix
+    turn = turn / math.hypot(*turn[:, 0])
+    size, gradient = centroid_size(points)
+    shape = gradient @ turn.T
+    turned = np.stack([-shape[:, 1], shape[:, 0]], axis=1).ravel()  # derivative of the shape by its rotation
+    aligned = np.kron(np.eye(n) - 1 / n, turn) - np.outer(shape, gradient)
+    # The rotation keeps sum(mean x shape) at zero.
+    torque = np.stack([-mean[:, 1], mean[:, 0]], axis=1).ravel()
+    return shape, (aligned - np.outer(turned, torque @ aligned) / (torque @ turned)) / size
+
+
+_KINDS: dict[str, tuple[Callable[[np.ndarray], Measured], int, int, int]] = {
+    "distance": (distance, 2, 2, 1),
+    "angle": (angle, 3, 3, 0),
+    "area": (area, 3, 1000, 2),
+}
+"""Function, fewest and most landmarks, and power of the length in the unit."""
+
+_REMEDY = (
+    "give distance:1-5, angle:1-2-3 (at landmark 2) or area:1-2-3-4, with landmarks counted from 1, or with their names"
+)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A distance, an angle or an area."""
+
+    kind: str
+    """``distance``, ``angle`` or ``area``."""
+    landmarks: tuple[str, ...]
+    """Numbers, counted from 1, or names."""
+
+    @classmethod
+    def parse(cls, text: str) -> Measure:
+        """Parse ``distance:1-5``, ``angle:1-2-3`` or ``area:1-2-3-4``. Commas separate names that contain hyphens.
+
+        Raises
+        ------
+        LiaamError
+            If the kind is unknown or the number of landmarks does not suit it.
+        """
+        kind, _, rest = text.partition(":")
+        landmarks = _split(rest)
+        if kind not in _KINDS or not all(landmarks):
+            raise LiaamError(f"measure '{text}': {_REMEDY}")
+        measure = cls(kind, landmarks)
+        _, fewest, most, _ = _KINDS[kind]
+        if not fewest <= len(landmarks) <= most or len(set(landmarks)) < len(landmarks):
+            least = f"{fewest}" if fewest == most else f"{fewest} or more"
+            raise LiaamError(f"measure '{text}': {kind} takes {least} different landmarks; {_REMEDY}")
+        return measure
+
+    @property
+    def column(self) -> str:
+        """Name of its column, such as ``distance_1_5``."""
+        return re.sub(r"\W", "_", "_".join((self.kind, *self.landmarks)))
+
+    @property
+    def power(self) -> int:
+        """Power of the length in its unit."""
+        return _KINDS[self.kind][3]
+
+    def __call__(self, points: np.ndarray) -> Measured:
+        """Measure the points of its landmarks, (k, 2)."""
+        return _KINDS[self.kind][0](points)
+
+
+@dataclass(frozen=True)
+class ScaleBar:
+    """Two landmarks at the ends of a scale bar of known length."""
+
+    ends: tuple[str, ...]
+    """Numbers, counted from 1, or names."""
+    length: float
+    """Length, in the unit of the results."""
+
+
+def parse_scale(text: str) -> float | ScaleBar:
+    """Parse the length of a pixel, ``0.012``, or a scale bar, ``11-12=5``.
+
+    Raises
+    ------
+    LiaamError
+        If it is neither, or a length is not positive.
+    """
+    bar, equals, length = text.rpartition("=")
+    ends = _split(bar)
+    try:
+        number = float(length)
+    except ValueError:
+        number = math.nan
+    if not 0 < number < math.inf or (equals and (len(set(ends)) != 2 or not all(ends))):
+        raise LiaamError(
+            f"scale '{text}': give the length of a pixel, such as 0.012, or two landmarks and the length between them, "
+            "such as 11-12=5"
+        )
+    return ScaleBar(ends, number) if equals else number
+
+
+def _split(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split("," if "," in text else "-"))

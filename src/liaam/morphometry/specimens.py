@@ -1,0 +1,169 @@
+"""Read specimens: fits, tables of batches, and landmark files."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path, PureWindowsPath
+from typing import Any
+
+import numpy as np
+
+from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
+from liaam.errors import LandmarkError, LiaamError
+from liaam.io.files import existing_file, natural_key
+from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
+from liaam.io.landmarks.base import read_text
+
+_MOST = 1e9
+"""Largest coordinate in pixels, variance in square pixels, and length of a pixel, so that no measure overflows."""
+
+_ROUNDING = 1e-5
+"""Smallest eigenvalue of a covariance, relative to the largest entry of all, because files round them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Specimen:
+    """The landmarks of one specimen.
+
+    Raises
+    ------
+    LandmarkError
+        If an array has another shape or holds numbers out of range, or a covariance is not positive definite.
+    """
+
+    name: str
+    """Such as the image's file name without suffix."""
+    points: np.ndarray
+    """(n, 2) float64: x, y in pixels, y downwards; NaN where missing."""
+    covariances: np.ndarray | None = None
+    """(n, 2, 2) float64, square pixels; NaN or None if unknown."""
+    names: tuple[str, ...] = ()
+    """One name per landmark, or empty."""
+    scale: float | None = None
+    """Length of a pixel in the specimen's units; None if unknown."""
+    status: str = ""
+    """How its fit ended (:class:`liaam.FitStatus`), or empty."""
+
+    def __post_init__(self) -> None:
+        n = len(self.points)
+        spread = np.zeros((n, 2, 2)) if self.covariances is None else np.nan_to_num(self.covariances, nan=0)
+        if np.shape(self.points) != (n, 2) or np.shape(spread) != (n, 2, 2):
+            raise LandmarkError(f"specimen {self.name}: give (n, 2) points and (n, 2, 2) covariances")
+        if (np.abs(self.points) > _MOST).any() or (self.scale is not None and not 0 < self.scale < _MOST):
+            raise LandmarkError(f"specimen {self.name}: a point or the scale is out of range: give points in pixels")
+        if (
+            not (np.abs(spread) <= _MOST).all()
+            or (np.linalg.eigvalsh(spread) < -_ROUNDING * np.abs(spread).max(initial=0)).any()
+        ):
+            raise LandmarkError(f"specimen {self.name}: a covariance is not positive definite: give square pixels")
+
+
+def read_specimens(
+    path: str | os.PathLike[str], on_fault: Callable[[str], object] | None = None
+) -> tuple[Specimen, ...]:
+    """Read the specimens of a folder or a file.
+
+    Parameters
+    ----------
+    path : path-like
+        A ``.json`` of ``liaam fit``; a table of ``liaam batch``; a landmark file in any format, also with many images;
+        or a folder of such files. Of several files of an image, its ``.json`` is read, or else the first in the order
+        of `liaam.io.LANDMARK_SUFFIXES`. Images are not needed, except for ``.asf``.
+    on_fault : callable, optional
+        Called with a message for each file of a folder that is skipped because it cannot be read. Default: a warning.
+
+    Returns
+    -------
+    tuple of Specimen
+        In natural order of their names (2 before 10) for a folder, otherwise in the order of the file.
+
+    Raises
+    ------
+    LiaamError
+        If the path does not exist, a file cannot be read, or a folder holds none that can.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return tuple(_of_file(existing_file(path, LiaamError, "file of results")))
+    found: dict[str, Specimen] = {}
+    for file in _chosen(path):
+        try:
+            for specimen in _of_file(file):
+                found.setdefault(specimen.name, specimen)
+        except LiaamError as fault:
+            (on_fault or _warn)(f"skipped {file.name}: {fault}")
+    if not found:
+        raise LiaamError(
+            f"{path} holds no results that can be read: name a folder of 'liaam fit', a table of 'liaam batch', or "
+            f"landmark files ({', '.join(LANDMARK_SUFFIXES)})"
+        )
+    return tuple(found[name] for name in sorted(found, key=natural_key))
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, stacklevel=3)
+
+
+def _chosen(folder: Path) -> list[Path]:
+    """Return one file per stem, so that the files of a fit count once."""
+    order = (".json", *TABLE_SUFFIXES, *LANDMARK_SUFFIXES)
+    files = [file for file in folder.iterdir() if file.suffix.lower() in order and not file.name.startswith(".")]
+    chosen: dict[str, Path] = {}
+    for file in sorted(files, key=lambda file: (order.index(file.suffix.lower()), natural_key(file.name))):
+        chosen.setdefault(file.stem, file)
+    return list(chosen.values())
+
+
+def _of_file(path: Path) -> Iterator[Specimen]:
+    suffix = path.suffix.lower()
+    if suffix == ".json" and (fit := _fit_in(path)) is not None:
+        yield _specimen(path, path.stem, fit, fit.get("landmark_covariances_px2"))
+    elif is_table(path):
+        for row in read_rows(path):
+            yield _specimen(path, PureWindowsPath(row["path"]).stem, row, row.get("covariance"))
+    else:
+        yield from _of_landmarks(path)
+
+
+def _fit_in(path: Path) -> dict[str, Any] | None:
+    """Return the content of a fit's .json file, None if it is another."""
+    try:
+        content = json.loads(read_text(path))
+    except (ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) and {"landmarks", "status"} <= content.keys() else None
+
+
+def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) -> Specimen:
+    """Make a specimen of a fit."""
+    try:
+        points = _numbers(facts["landmarks"] or []).reshape(-1, 2)
+        spread = None
+        if covariances:
+            xx, xy, yy = _numbers(covariances).reshape(len(points), 3).T
+            spread = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
+        scale = facts.get("scale")
+        return Specimen(name, points, spread, scale=scale and float(scale), status=str(facts["status"]))
+    except (TypeError, ValueError, OverflowError, LandmarkError) as fault:
+        raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault
+
+
+def _numbers(values: Any) -> np.ndarray:
+    """Convert to float64. What is out of range, as in fits that diverged, is NaN."""
+    numbers = np.array(values, dtype=np.float64)
+    return np.where(np.abs(numbers) <= _MOST, numbers, np.nan)
+
+
+def _of_landmarks(path: Path) -> Iterator[Specimen]:
+    parsed = parse_landmark_file(path)
+    for entry, landmarks in ({path.stem: parsed} if isinstance(parsed, Landmarks) else parsed).items():
+        # The height of the image only shifts the points of .tps, which no measure depends on.
+        placed = in_pixels(path, landmarks, (1, 1) if path.suffix.lower() == ".tps" else None)
+        try:
+            yield Specimen(PureWindowsPath(entry).stem, placed.points, names=placed.names, scale=placed.scale)
+        except LandmarkError as fault:
+            raise LandmarkError(f"{path}: {fault}") from fault

@@ -1,0 +1,233 @@
+"""Measure specimens into a table."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.fitting.result import FitStatus
+from liaam.io import write_text_atomically
+from liaam.model.shape import procrustes_mean
+from liaam.morphometry.measures import (
+    Measure,
+    Measured,
+    ScaleBar,
+    centroid_size,
+    distance,
+    parse_scale,
+    procrustes,
+)
+from liaam.morphometry.specimens import Specimen
+
+Columns = dict[str, list]
+Row = dict[str, str | float]
+
+_USABLE = {"", *(str(status) for status in FitStatus if status.ok)}
+
+
+@dataclass(frozen=True)
+class _Item:
+    """A column to measure."""
+
+    column: str
+    function: Callable[[np.ndarray], Measured]
+    indices: Sequence[int]
+    power: int
+    """Power of the length in its unit."""
+
+
+def measure(
+    specimens: Iterable[Specimen],
+    measures: Iterable[str | Measure] = (),
+    scale: str | float | ScaleBar | None = None,
+) -> Columns:
+    """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors.
+
+    Standard errors are carried from the landmarks' covariances by the delta method; errors of different landmarks are
+    taken as independent.
+
+    Parameters
+    ----------
+    specimens : iterable of Specimen
+        With the same landmarks.
+    measures : iterable of str or Measure
+        Such as ``"distance:1-5"``, ``"angle:1-2-3"`` (at landmark 2) and ``"area:1-2-3-4"``, by numbers counted from
+        1 or by names.
+    scale : str, float or ScaleBar, optional
+        Length of a pixel, or a scale bar such as ``"11-12=5"``, whose ends are then not part of the shape. Default:
+        each specimen's own, and pixels if none has one.
+
+    Returns
+    -------
+    dict of str to list
+        Columns, one row per specimen; ``pandas.DataFrame`` takes them. ``specimen``, ``status`` (if known), ``scale``
+        (length of a pixel, if known), the measures (angles in degrees), ``centroid_size``, and the Procrustes
+        coordinates ``X1``, ``Y1``, ``X2``, ... with y upwards. Columns ``..._se`` hold the standard errors, if any
+        covariance is known. Cells are NaN where a landmark is missing or the status says that the landmarks should
+        not be used.
+
+    Raises
+    ------
+    LiaamError
+        If there is no specimen, numbers of landmarks differ, a measure names a landmark that does not exist, or some
+        specimens have a scale and others do not.
+    """
+    specimens = list(specimens)
+    usable = [specimen for specimen in specimens if specimen.status in _USABLE]
+    if not usable:
+        raise LiaamError(f"there are {len(specimens)} specimens, none with landmarks to use: fit the images again.")
+    n = _same_number(usable)
+    wanted = [Measure.parse(item) if isinstance(item, str) else item for item in measures]
+    names = next((specimen.names for specimen in usable if specimen.names), ())
+    places = [_indices(item.column, item.landmarks, names, n) for item in wanted]
+    rule = parse_scale(scale) if isinstance(scale, str) else scale
+    bar = _indices("scale bar", rule.ends, names, n) if isinstance(rule, ScaleBar) else []
+    if rule is None:
+        _check_scales(usable)
+    inside = [index for index in range(n) if index not in bar]
+    items = [_Item(item.column, item, own, item.power) for item, own in zip(wanted, places, strict=True)]
+    items.append(_Item("centroid_size", centroid_size, inside, 1))
+    shapes = [specimen.points[inside] for specimen in usable if _has_shape(specimen.points[inside])]
+    mean = procrustes_mean(np.array(shapes)) if shapes else None
+    with np.errstate(divide="ignore", invalid="ignore"):  # by points that are missing or coincide
+        return _columns([_row(specimen, items, rule, bar, mean) for specimen in specimens])
+
+
+def write_measurements(path: str | os.PathLike[str], columns: Columns) -> None:
+    """Write the columns of :func:`measure` atomically as ``.csv``; NaN becomes an empty cell.
+
+    Raises
+    ------
+    LiaamError
+        If the suffix is another, or writing fails.
+    """
+    if Path(path).suffix.lower() != ".csv":
+        raise LiaamError(f"{path}: a table of measurements is CSV; give a name that ends in .csv")
+    buffer = io.StringIO(newline="")
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow(cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:.9g}" for cell in row)
+    write_text_atomically(path, buffer.getvalue())
+
+
+def _has_shape(points: np.ndarray) -> bool:
+    """Whether no point is missing and not all are the same."""
+    return bool(np.isfinite(points).all() and np.ptp(points, axis=0).any())
+
+
+def _same_number(specimens: Sequence[Specimen]) -> int:
+    """Return the number of landmarks. Raise if it is not the same for all."""
+    first = specimens[0]
+    for other in specimens:
+        if len(other.points) != len(first.points):
+            raise LiaamError(
+                f"{first.name} has {len(first.points)} landmarks and {other.name} {len(other.points)}: measure "
+                "specimens with the same landmarks only"
+            )
+    return len(first.points)
+
+
+def _indices(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:
+    """Return the indices, from 0, of landmarks given by name or by number from 1."""
+    numbers = {str(number): number - 1 for number in range(1, n + 1)} | {name: i for i, name in enumerate(names)}
+    for landmark in landmarks:
+        if landmark not in numbers:
+            known = f" or their names ({', '.join(names[:5])} …)" if names else ""
+            raise LiaamError(f"{what}: there is no landmark '{landmark}'; give numbers from 1 to {n}{known}")
+    return [numbers[landmark] for landmark in landmarks]
+
+
+def _check_scales(specimens: Sequence[Specimen]) -> None:
+    """Raise if only some specimens have a scale, because their units would be mixed."""
+    without = [specimen.name for specimen in specimens if specimen.scale is None]
+    if 0 < len(without) < len(specimens):
+        some = ", ".join(without[:3]) + " …" * (len(without) > 3)
+        raise LiaamError(
+            f"{len(without)} of {len(specimens)} specimens have no scale ({some}): give one for all, or add SCALE="
+        )
+
+
+def _row(
+    specimen: Specimen,
+    items: Sequence[_Item],
+    rule: float | ScaleBar | None,
+    bar: Sequence[int],
+    mean: np.ndarray | None,
+) -> Row:
+    """Measure one specimen. The last item is the centroid size."""
+    row: Row = {"specimen": specimen.name, "status": specimen.status}
+    if specimen.status not in _USABLE:
+        return row
+    pixel = _pixel(specimen, rule, bar)
+    row["scale"] = math.nan if rule is None and specimen.scale is None else pixel[0]
+    for item in items:
+        row[item.column], gradient = _scaled(item, specimen.points, pixel)
+        row[f"{item.column}_se"] = _standard_error(specimen, gradient)
+    inside = items[-1].indices
+    if mean is not None and _has_shape(specimen.points[inside]):
+        row |= _shape(specimen, inside, mean)
+    return row
+
+
+def _pixel(specimen: Specimen, rule: float | ScaleBar | None, bar: Sequence[int]) -> Measured:
+    """Return the length of a pixel and its gradient by all points, (n, 2)."""
+    gradient = np.zeros_like(specimen.points)
+    if not isinstance(rule, ScaleBar):
+        return float(rule or specimen.scale or 1.0), gradient
+    length, change = distance(specimen.points[bar])
+    if not length > 0:
+        return math.nan, gradient
+    gradient[bar] = -rule.length / length**2 * change
+    return rule.length / length, gradient
+
+
+def _scaled(item: _Item, points: np.ndarray, pixel: Measured) -> Measured:
+    """Return a measure in the specimen's units and its gradient by all points, (n, 2)."""
+    length, slope = pixel
+    value, change = item.function(points[item.indices])
+    gradient = item.power * length ** (item.power - 1) * value * slope if item.power else np.zeros_like(slope)
+    gradient[item.indices] += length**item.power * change
+    return value * length**item.power, gradient
+
+
+def _standard_error(specimen: Specimen, gradient: np.ndarray) -> float:
+    """Carry the covariances of the landmarks to the error of a value (delta method)."""
+    if specimen.covariances is None:
+        return math.nan
+    touched = gradient.any(axis=1)  # other landmarks may be missing
+    gradient = gradient[touched]
+    variance = np.einsum("ni,nij,nj->", gradient, specimen.covariances[touched], gradient)
+    return float(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _shape(specimen: Specimen, inside: Sequence[int], mean: np.ndarray) -> Row:
+    """Return the Procrustes coordinates, y upwards, and then their standard errors."""
+    shape, jacobian = procrustes(specimen.points[inside], mean)
+    spread = np.full(shape.shape, math.nan)
+    if specimen.covariances is not None:
+        blocks = jacobian.reshape(len(jacobian), -1, 2)
+        variances = np.einsum("mni,nij,mnj->m", blocks, specimen.covariances[inside], blocks)
+        spread = np.sqrt(np.maximum(variances, 0.0)).reshape(shape.shape)
+    row: Row = {}
+    for end, values in (("", shape * (1, -1)), ("_se", spread)):
+        for index, (x, y) in zip(inside, values.tolist(), strict=True):
+            row |= {f"X{index + 1}{end}": x, f"Y{index + 1}{end}": y}
+    return row
+
+
+def _columns(rows: Sequence[Row]) -> Columns:
+    """Transpose rows. Drop what is unknown of all: status, scale, standard errors."""
+    names = list(max(rows, key=len))
+    columns = {name: [row.get(name, math.nan) for row in rows] for name in names}
+    optional = {"status", "scale", *(name for name in names if name.endswith("_se"))}
+    unknown = {name for name in optional if all(cell == "" or cell != cell for cell in columns[name])}
+    return {name: cells for name, cells in columns.items() if name not in unknown}

@@ -1,0 +1,72 @@
+"""``liaam measure``, as it is typed."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from liaam.io import Landmarks, write_collection, write_fit
+
+POINTS = np.array([[1.0, 2], [11, 2], [11, 22], [1, 22]])
+
+
+@pytest.fixture
+def fits(tmp_path):
+    """A folder of three fits, one of which is lost."""
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    for i, status in enumerate(("converged", "light unobservable", "diverged")):
+        facts = {"status": status, "landmark_covariances_px2": np.tile([1.0, 0, 1], (4, 1))}
+        write_fit(folder, f"wing{i}", Landmarks(POINTS), facts, (30, 40))
+    return folder
+
+
+def test_fits_are_measured(run, fits, tmp_path):
+    table = tmp_path / "table.csv"
+    code, out, err = run("measure", fits, "distance:1-2", "area:1-2-3-4", "-o", table, "--scale", 0.5)
+    assert (code, out) == (0, f"{table}: 3 specimens\n")
+    assert err.startswith("1 of 3 have no shape")
+    assert "wing2" in err
+    read = pd.read_csv(table)
+    assert read["specimen"].tolist() == ["wing0", "wing1", "wing2"]
+    np.testing.assert_allclose(read["distance_1_2"], [5, 5, np.nan])
+    np.testing.assert_allclose(read["distance_1_2_se"], [0.5**0.5, 0.5**0.5, np.nan])
+    np.testing.assert_allclose(read["area_1_2_3_4"], [50, 50, np.nan])
+
+
+def test_scale_of_tps_is_used(run, tmp_path):
+    marks = {f"{i}.png": Landmarks(POINTS, scale=0.1) for i in range(3)}
+    write_collection(tmp_path / "all.tps", marks, dict.fromkeys(marks, (30, 40)))
+    code, out, err = run("measure", tmp_path / "all.tps", "distance:1-2", "-o", tmp_path / "t.csv")
+    assert (code, err) == (0, "")
+    assert "pixels" not in out
+    read = pd.read_csv(tmp_path / "t.csv")
+    np.testing.assert_allclose(read["distance_1_2"], 1)
+    assert not [name for name in read if name.endswith("_se")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["1-2"], "measure '1-2': give distance:1-5"),
+        (["distance:1-9"], "there is no landmark '9'; give numbers from 1 to 4"),
+        (["--scale", "5mm"], "scale '5mm': give the length of a pixel"),
+        (["-o", "t.txt"], "give a name that ends in .csv"),
+        (["-o", "fits/wing0.csv"], "is the input, or a file in it"),
+        (["-o", "no/t.csv"], "cannot be written"),
+    ],
+)
+def test_wrong_input_is_one_line(run, fits, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    before = (fits / "wing0.csv").read_bytes()
+    output = [] if "-o" in arguments else ["-o", "t.csv"]
+    code, _, err = run("measure", fits, *arguments, *output)
+    assert code == 1
+    assert words in " ".join(err.split())
+    assert "Traceback" not in err
+    assert not (tmp_path / "t.csv").exists()
+    assert (fits / "wing0.csv").read_bytes() == before
+
+
+def test_pixels_are_named(run, fits, tmp_path):
+    _, out, _ = run("measure", fits, "-o", tmp_path / "t.csv")
+    assert "3 specimens in pixels (give --scale for other units)" in out

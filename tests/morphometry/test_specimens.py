@@ -1,0 +1,144 @@
+"""Specimens from fits, tables of batches and landmark files."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from liaam.batch.tables import Table, write_table
+from liaam.errors import LiaamError
+from liaam.io import Landmarks, write_collection, write_fit, write_landmarks
+from liaam.morphometry import Specimen, measure, read_specimens
+
+POINTS = np.array([[1.0, 2], [11, 2], [11, 22]])
+SPREAD = np.array([[1.0, 0.5, 2], [2, 0, 2], [3, 1, 4]])
+"""xx, xy, yy of each landmark."""
+
+
+def add_fit(folder: Path, stem: str, status: str = "converged", **facts: object) -> None:
+    folder.mkdir(exist_ok=True)
+    content = {"status": status, "landmark_covariances_px2": SPREAD, **facts}
+    write_fit(folder, stem, Landmarks(POINTS, image_name=f"{stem}.png"), content, (30, 40))
+
+
+def row_of(path: str, status: str = "converged") -> dict:
+    known = status == "converged"
+    return {
+        **dict.fromkeys(("message", "quality", "found", "theta_deg", "cost", "iterations", "seconds")),
+        "path": path,
+        "status": status,
+        "message": "",
+        "landmarks": POINTS.ravel().tolist() if known else None,
+        "covariance": SPREAD.ravel().tolist() if known else None,
+        "size": [30, 40],
+        "scale": None,
+    }
+
+
+def assert_fit(specimen: Specimen) -> None:
+    np.testing.assert_array_equal(specimen.points, POINTS)
+    assert specimen.covariances is not None
+    np.testing.assert_array_equal(specimen.covariances[0], [[1, 0.5], [0.5, 2]])
+    np.testing.assert_array_equal(specimen.covariances[2], [[3, 1], [1, 4]])
+    assert specimen.status == "converged"
+
+
+def test_a_folder_of_fits_counts_each_once(tmp_path: Path) -> None:
+    for stem in ("wing10", "wing2"):
+        add_fit(tmp_path, stem, scale=0.5)
+    (tmp_path / "wing2_history.csv").write_text("iteration,level\n0,0\n")
+    skipped: list[str] = []
+    specimens = read_specimens(tmp_path, skipped.append)
+    assert [specimen.name for specimen in specimens] == ["wing2", "wing10"]
+    assert [specimen.scale for specimen in specimens] == [0.5, 0.5]
+    for specimen in specimens:
+        assert_fit(specimen)
+    assert len(skipped) == 1
+    assert "wing2_history.csv" in skipped[0]
+    assert_fit(read_specimens(tmp_path / "wing10.json")[0])
+    assert read_specimens(tmp_path / "wing10.csv")[0].covariances is None
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".jsonl", ".parquet"])
+@pytest.mark.parametrize("covariance", [True, False])
+def test_tables_of_batches(tmp_path: Path, suffix: str, covariance: bool) -> None:
+    rows = [row_of("wings/a.png"), row_of("wings/b.png", "error")]
+    texts = [json.dumps(row if covariance else {**row, "covariance": None}) for row in rows]
+    path = tmp_path / f"t{suffix}"
+    write_table(path, Table(zip(texts, rows, strict=True), 3, covariance, {}))
+    first, second = read_specimens(path)
+    assert (first.name, second.name, second.status, len(second.points)) == ("a", "b", "error", 0)
+    np.testing.assert_array_equal(first.points, POINTS)
+    if covariance:
+        assert_fit(first)
+    else:
+        assert first.covariances is None
+    assert measure([first, second], ["distance:1-2"])["distance_1_2"][0] == 10
+
+
+def test_landmark_files(tmp_path: Path) -> None:
+    write_landmarks(tmp_path / "a.pts", POINTS)
+    write_landmarks(tmp_path / "b.csv", Landmarks(POINTS, names=("base", "tip", "end")))
+    marks = {"a.png": Landmarks(POINTS + 9, scale=0.1), "c.png": Landmarks(POINTS, scale=0.1)}
+    write_collection(tmp_path / "all.tps", marks, dict.fromkeys(marks, (30, 40)))
+    a, b, c = read_specimens(tmp_path)  # no image is there
+    np.testing.assert_array_equal(a.points, POINTS)  # its own file comes first
+    assert b.names == ("base", "tip", "end")
+    assert (c.name, c.scale) == ("c", 0.1)
+    np.testing.assert_array_equal(c.points - c.points[0], POINTS - POINTS[0])
+
+
+def test_files_of_a_folder_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    write_landmarks(tmp_path / "a.pts", POINTS)
+    (tmp_path / "other.csv").write_text("id,X1,Y1\n1,2,3\n")
+    with pytest.warns(UserWarning, match=r"skipped other\.csv: .*has no columns x and y"):
+        assert len(read_specimens(tmp_path)) == 1
+
+
+def test_fits_that_diverged_do_not_stop_the_others(tmp_path: Path) -> None:
+    add_fit(tmp_path, "good")
+    add_fit(tmp_path, "lost", "diverged", landmark_covariances_px2=np.full((3, 3), np.nan))
+    text = (tmp_path / "lost.json").read_text().replace("11.0", "1e300")
+    (tmp_path / "lost.json").write_text(text)
+    good, lost = read_specimens(tmp_path)
+    assert_fit(good)
+    assert lost.covariances is not None
+    assert np.isnan(lost.covariances).all()
+    assert np.isnan(lost.points).sum() == 2
+    table = measure([good, lost], ["distance:1-2"])
+    np.testing.assert_array_equal(table["distance_1_2"], [10, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("points", "more", "words"),
+    [
+        (POINTS[0], {}, r"give \(n, 2\) points"),
+        (POINTS, {"covariances": np.eye(2)}, r"and \(n, 2, 2\) covariances"),
+        (POINTS * 1e12, {}, "a point or the scale is out of range"),
+        (POINTS, {"scale": -1.0}, "a point or the scale is out of range"),
+        (POINTS, {"covariances": np.tile([[1.0, 2], [2, 1]], (3, 1, 1))}, "a covariance is not positive definite"),
+    ],
+)
+def test_specimens_are_checked(points: np.ndarray, more: dict, words: str) -> None:
+    with pytest.raises(LiaamError, match=f"specimen a: .*{words}"):
+        Specimen("a", points, **more)
+
+
+def test_wrong_input(tmp_path: Path) -> None:
+    with pytest.raises(LiaamError, match=r"no\.csv does not exist"):
+        read_specimens(tmp_path / "no.csv")
+    with pytest.raises(LiaamError, match="holds no results that can be read: name a folder of 'liaam fit'"):
+        read_specimens(tmp_path)
+    (tmp_path / "fit.json").write_text('{"status": "converged", "landmarks": [[1, 2], [3]]}')
+    with pytest.raises(LiaamError, match=r"fit\.json: the landmarks of fit are damaged .*fit the image again"):
+        read_specimens(tmp_path / "fit.json")
+    (tmp_path / "t.jsonl").write_text('{"path": "a", "status": "converged", "landmarks": [1, 2]}\n{"path": 3}\n')
+    with pytest.raises(LiaamError, match=r"t\.jsonl: row 2 is not one of 'liaam batch' .*run the batch again"):
+        read_specimens(tmp_path / "t.jsonl")
+    (tmp_path / "t.parquet").write_text("nothing of the kind")
+    with pytest.raises(LiaamError, match=r"t\.parquet: row 1 is not one of 'liaam batch'"):
+        read_specimens(tmp_path / "t.parquet")
+    (tmp_path / "t.csv").write_text("path,status,message,x0,y0\na.png,converged,,1,two\n")
+    with pytest.raises(LiaamError, match=r"t\.csv: row 1 is not one of 'liaam batch' .*'two'"):
+        read_specimens(tmp_path / "t.csv")
