@@ -39,6 +39,7 @@ _PROPOSAL = {
 _FILES = {
     "template.json": [TEMPLATE],
     "proposals.json": [{"p1.png": _PROPOSAL, "p2.png": _PROPOSAL}],
+    "unchecked.json": [{"p1.png": "1-2"}],
     "invisible.json": [{"p1.pts": {"revision": "ab", "points": [0, 2]}}],
     "change.json": [
         {"template": TEMPLATE, "files": [{"file": "p1.ljson", "before": None, "text": "{}", "invisible": [1]}]},

@@ -60,3 +60,23 @@ def test_the_order_in_which_pictures_teach():
         }
     )
     assert order == ["failed", "diverged", "unsure", "sure", "not there"]
+
+
+def test_a_picture_left_at_the_mean_shape_is_not_checked_until_a_point_is_placed(small):
+    small.save_marks("p1.png", {"points": [None] * 3, "revision": None, "unchecked": True})
+    assert states(small)["p1.png"] == "unchecked"
+    assert small.annotated() == []
+    again = Project(small.root)
+    assert states(again)["p1.png"] == "unchecked"
+    assert [name for name, _ in again.to_propose(9)] == ["p1.png", "p2.png", "p10.png", "q.jpg"]
+    put(again, "p1.png", POINTS)
+    assert states(again)["p1.png"] == "done"
+    again.save_marks("p2.png", {"points": [None] * 3, "revision": None, "unchecked": True})
+    again.add_proposals({"p2.png": proposal()})
+    assert states(again)["p2.png"] == "proposed"
+
+
+def test_a_replaced_picture_is_no_longer_marked_as_not_checked(small):
+    small.save_marks("p1.png", {"points": [None] * 3, "revision": None, "unchecked": True})
+    (small.root / "p1.png").write_bytes((small.root / "p2.png").read_bytes() + b"\0")
+    assert states(small)["p1.png"] == "new"

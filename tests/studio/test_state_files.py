@@ -14,7 +14,7 @@ from liaam.studio.project import Project
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"7", b'{"a": 1}', b"\xff\xfe", b"[" * 100_000])
-@pytest.mark.parametrize("name", ["template.json", "proposals.json", "invisible.json", "change.json"])
+@pytest.mark.parametrize("name", ["template.json", "proposals.json", "unchecked.json", "invisible.json", "change.json"])
 def test_damaged_files_are_told_and_passed_over(small, name, content):
     put(small, "p1.png", POINTS)
     (small.root / STATE / name).write_bytes(content)

@@ -1,4 +1,4 @@
-"""The state of each picture of a project (new, proposed, partial, done or broken) and its error."""
+"""The state of each picture of a project (new, unchecked, proposed, partial, done or broken) and its error."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from liaam.studio.landmark_files import LandmarkFiles, Marks, n_placed
 from liaam.studio.listing import File, Listing
-from liaam.studio.proposals import Proposals, teaching_order
+from liaam.studio.proposals import Proposals, Unchecked, teaching_order
 from liaam.studio.template_store import TemplateStore
 
 
@@ -17,12 +17,18 @@ class PictureStates:
     """Describes pictures for the page from their listing, landmarks and proposals."""
 
     def __init__(
-        self, listing: Listing, landmarks: LandmarkFiles, proposals: Proposals, templates: TemplateStore
+        self,
+        listing: Listing,
+        landmarks: LandmarkFiles,
+        proposals: Proposals,
+        templates: TemplateStore,
+        unchecked: Unchecked,
     ) -> None:
         self._listing = listing
         self._landmarks = landmarks
         self._proposals = proposals
         self._templates = templates
+        self._unchecked = unchecked
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -46,7 +52,7 @@ class PictureStates:
         elif placed:
             state = "done" if self.is_done(file) else "partial"
         else:
-            state = "proposed" if waiting else "new"
+            state = "proposed" if waiting else "unchecked" if file in self._unchecked else "new"
         return {
             "name": file.name,
             "tag": file.tag,

@@ -6,7 +6,7 @@ depends only on those before it in this list:
 - :mod:`~liaam.studio.folder`: checks of paths; :mod:`~liaam.studio.state_files`: the studio's own files;
 - :mod:`~liaam.studio.listing`: the pictures, and whether each can be used;
 - :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
-- :mod:`~liaam.studio.proposals`: landmarks proposed by the model;
+- :mod:`~liaam.studio.proposals`: landmarks proposed by the model, and pictures left at the mean shape;
 - :mod:`~liaam.studio.template_store`: the template; :mod:`~liaam.studio.template_change`: its changes;
 - :mod:`~liaam.studio.picture_states`: the state of each picture.
 """
@@ -31,7 +31,7 @@ from liaam.studio.folder import Folder, checked_folder, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, n_placed
 from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
-from liaam.studio.proposals import Proposals
+from liaam.studio.proposals import Proposals, Unchecked
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.state_files import StateFiles
@@ -87,7 +87,8 @@ class Project:
         self._landmarks = LandmarkFiles(listing, self.state, self.settings.upload_bytes)
         self._proposals = Proposals(listing, self.state)
         self._templates = TemplateStore(listing, self.state, self._landmarks)
-        self._states = PictureStates(listing, self._landmarks, self._proposals, self._templates)
+        self._unchecked = Unchecked(self.state)
+        self._states = PictureStates(listing, self._landmarks, self._proposals, self._templates, self._unchecked)
         self._changes = TemplateChanges(listing, self.state, self._landmarks, self._proposals, self._templates)
         self._changes.try_to_finish()
 
@@ -266,7 +267,8 @@ class Project:
         name : str
         data : dict
             JSON with ``points``, ``invisible`` and the ``revision`` of the file. Optionally ``template``, the revision
-            of the template of the points, which is then checked.
+            of the template of the points, which is then checked. Optionally ``unchecked``, whether a picture without
+            points was left at the mean shape; it is then marked as not checked.
 
         Returns
         -------
@@ -298,6 +300,8 @@ class Project:
                     raise Refusal(409, _clash(name, current["revision"]), current=current)
                 self._templates.keep()  # the first save fixes a template that was taken from a file
                 self._landmarks.save(file, template, points, invisible)
+            if "unchecked" in data and not any(points):
+                self._unchecked.mark(file, bool(data["unchecked"]))
             revision = self._landmarks.revision(file)
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
 

@@ -1,4 +1,6 @@
-"""Landmarks proposed by the model, for a person to check: ``proposals.json``."""
+"""Landmarks proposed by the model, for a person to check (``proposals.json``), and pictures that nobody has checked
+(``unchecked.json``).
+"""
 
 from __future__ import annotations
 
@@ -10,6 +12,7 @@ from liaam.studio.state_files import StateFiles
 from liaam.studio.template import Template, parse_points
 
 PROPOSALS_FILE = "proposals.json"
+UNCHECKED_FILE = "unchecked.json"
 
 
 class Proposals:
@@ -42,6 +45,26 @@ class Proposals:
         if proposal is None or proposal["points"] is None or template is None:
             return None
         return proposal if len(proposal["points"]) == len(template) else None
+
+
+class Unchecked:
+    """Pictures that were left at the mean shape. They have no landmark file, so no training uses them."""
+
+    def __init__(self, state: StateFiles) -> None:
+        self._state = state
+        self._tags: dict[str, str] = state.read(UNCHECKED_FILE, _are_tags) or {}
+
+    def __contains__(self, picture: File) -> bool:
+        return self._tags.get(picture.name) == picture.tag
+
+    def mark(self, picture: File, unchecked: bool) -> None:
+        """Mark a picture as not checked, or remove the mark."""
+        if (picture in self) == unchecked:
+            return
+        tags = {name: tag for name, tag in self._tags.items() if name != picture.name}
+        tags |= {picture.name: picture.tag} if unchecked else {}
+        self._state.write(UNCHECKED_FILE, tags)
+        self._tags = tags
 
 
 def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -78,3 +101,7 @@ def is_proposal(item: Any) -> bool:
 
 def _are_proposals(data: Any) -> bool:
     return all(is_proposal(item) for item in data.values())
+
+
+def _are_tags(data: Any) -> bool:
+    return all(isinstance(tag, str) for tag in data.values())

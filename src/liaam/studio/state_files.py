@@ -1,8 +1,9 @@
 """The studio's own files, in a subfolder of the project's folder.
 
 They are ``template.json``, ``change.json`` (:mod:`liaam.studio.template_change`), ``proposals.json``
-(:mod:`liaam.studio.proposals`), ``invisible.json`` and ``kept`` (:mod:`liaam.studio.landmark_files`), the models
-(:mod:`liaam.studio.model_store`), and ``id``, which identifies the folder.
+and ``unchecked.json`` (:mod:`liaam.studio.proposals`), ``invisible.json`` and ``kept``
+(:mod:`liaam.studio.landmark_files`), the models (:mod:`liaam.studio.model_store`), and ``id``, which identifies the
+folder.
 """
 
 from __future__ import annotations

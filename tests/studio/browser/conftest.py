@@ -5,10 +5,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from people import NAMES
 
 from benchmarks.studio import Server, lacking, launched, start
 from liaam.datasets.scenes import DIFFUSE, Head, Scene, lateral, make_set, random_expression, random_pose, render
-from liaam.io import write_image
+from liaam.io import Landmarks, write_image, write_landmarks
 
 
 @pytest.fixture(scope="module")
@@ -83,4 +84,15 @@ def folder(portraits, tmp_path) -> Path:
     root.mkdir()
     for i, scene in enumerate(portraits):
         write_image(root / f"portrait-{i + 1:02d}.png", scene.image)
+    return root
+
+
+@pytest.fixture
+def marked(tmp_path, portraits) -> Path:
+    """Give a folder of three pictures with five points each."""
+    root = tmp_path / "one" / "faces"
+    root.mkdir(parents=True)
+    for name, scene in zip(NAMES, portraits, strict=False):
+        write_image(root / name, scene.image)
+        write_landmarks((root / name).with_suffix(".ljson"), Landmarks(scene.landmarks[[0, 6, 12, 33, 49]]))
     return root

@@ -11,6 +11,9 @@ TIMEOUT = 120_000
 POINTS = [0, 2, 4, 6, 8, 10, 12, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31, 33, 34, 36, 38, 39, 41, 43, 45, 49, 51, 52, 55]
 """Landmarks of the scenes that are placed: jaw, eyes, brows, mouth, nose."""
 
+NAMES = [f"portrait-{i + 1:02d}.png" for i in range(3)]
+"""Pictures of the fixture ``marked``."""
+
 PATHS = [(7, False), (4, True), (4, True), (3, False), (3, False), (4, True), (4, False)]
 """How many of them make a path, and whether it is closed."""
 

@@ -5,24 +5,11 @@ import shutil
 
 import numpy as np
 import pytest
-from people import client, drag, open_picture, opened, picture, points_of, saved, wait_for
+from people import NAMES, client, drag, open_picture, opened, picture, points_of, saved, wait_for
 
-from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
+from liaam.io import read_image, read_landmarks, write_image
 
 pytestmark = pytest.mark.slow
-
-NAMES = [f"portrait-{i + 1:02d}.png" for i in range(3)]
-
-
-@pytest.fixture
-def marked(tmp_path, portraits):
-    """Give a folder of three pictures with five points each."""
-    root = tmp_path / "one" / "faces"
-    root.mkdir(parents=True)
-    for name, scene in zip(NAMES, portraits, strict=False):
-        write_image(root / name, scene.image)
-        write_landmarks((root / name).with_suffix(".ljson"), Landmarks(scene.landmarks[[0, 6, 12, 33, 49]]))
-    return root
 
 
 def port_of(server) -> str:

@@ -1,7 +1,7 @@
 // Commands of the Annotate tab's buttons and keys.
 
 import { nextToTeach } from "./assist.js";
-import { called, missingText } from "./annotate-words.js";
+import { called, missingText, UNTOUCHED } from "./annotate-words.js";
 import { placed } from "./points.js";
 
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
@@ -151,6 +151,10 @@ export class Commands {
   accept() {
     const { tab, marking } = this;
     if (!this.marks) return;
+    if (marking.state.source === "layout") {
+      this.leaveUnchecked();
+      return;
+    }
     marking.accept();
     const left = marking.missing;
     if (left.length && this.warned !== tab.name) {
@@ -159,6 +163,27 @@ export class Commands {
       tab.app.toast(missingText(marking.names, left));
       return;
     }
+    this.goNext();
+  }
+
+  /** Leave the mean shape as it is: warn once, then mark the picture as not checked. */
+  async leaveUnchecked() {
+    const { tab } = this;
+    if (this.warned !== tab.name) {
+      this.warned = tab.name;
+      tab.app.toast(UNTOUCHED);
+      return;
+    }
+    await tab.saving.markUnchecked(tab.name);
+    this.goNext();
+  }
+
+  /** Save the mean shape as it is, after asking. */
+  async confirmLayout() {
+    const { tab, marking } = this;
+    const text = `No point of ${tab.name} was moved from the mean shape. The model will be trained on these points.`;
+    if (!(await tab.app.confirm("Are the points right?", text, "Save the points", "primary"))) return;
+    marking.accept();
     this.goNext();
   }
 

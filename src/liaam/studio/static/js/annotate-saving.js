@@ -55,6 +55,14 @@ export class MarksSaving {
     return this.state.send((folder) => api.put(address, { ...body, folder }, options));
   }
 
+  /** Mark a picture whose mean shape was not moved. */
+  async markUnchecked(name) {
+    const { revision, points } = await this.fetchMarks(name);
+    const body = { points: points.map(() => null), invisible: [], revision, unchecked: true };
+    const { picture } = await this.put(name, body);
+    this.state.update(picture);
+  }
+
   fetchMarks(name) {
     return this.app.api.get(this.app.api.url("pictures", name, "landmarks"));
   }

@@ -83,7 +83,7 @@ export class TemplateSession {
       const marks = await tab.saving.fetchMarks(tab.name);
       this.leave();
       await tab.opening.take(tab.name, marks);
-      if (isFresh && marks.source !== "file") marking.commit(points, "template");
+      if (isFresh && marks.source !== "file") marking.change({ points }, "template", null, true);
       else if (hadFile) this.commitEdited(points, mapping ?? indicesOf(points), before);
       await tab.saving.saver.flush(tab.name);
     } catch (error) {

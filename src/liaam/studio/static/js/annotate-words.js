@@ -55,6 +55,9 @@ export function missingText(names, left) {
   return `${what} still missing here. Place ${them}, or press Enter again to continue without ${them}.`;
 }
 
+export const UNTOUCHED =
+  "This is the mean shape, and no point of it was moved. Move it into place, or press Enter again to leave the picture as not checked.";
+
 /** Announcements for screen readers. */
 export class Speaker {
   constructor(element) {

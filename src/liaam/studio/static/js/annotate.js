@@ -105,6 +105,7 @@ class AnnotateTab {
       app,
       accept: () => this.commands.accept(),
       skip: () => this.commands.skip(),
+      confirm: () => this.commands.confirmLayout(),
     });
     this.tool = new PointTool(viewer, () => this.doc, { boxes: () => this.boxing, onend: () => this.refresh() });
     viewer.tool = this.tool;
@@ -242,6 +243,7 @@ class AnnotateTab {
     toolbar.refresh({ history: editing ? editor.history : marking.history, editing, marking: isMarking });
     this.panel.editButton.disabled = !isMarking;
     if (!editing) this.panel.render(marking);
+    this.assist.sure.hidden = marking.state?.source !== "layout";
     this.panel.tally.textContent = marking.book ? tallyOf(marking) : "";
     this.showDraft();
     this.showPrompt();

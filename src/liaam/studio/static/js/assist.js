@@ -23,7 +23,9 @@ export const situation = ({ model, pictures }) => `${countDone(pictures)}|${mode
 export function nextToTeach(pictures, current) {
   const at = pictures.findIndex((picture) => picture.name === current);
   const round = [...pictures.slice(at + 1), ...pictures.slice(0, Math.max(at, 0))];
-  const open = round.filter((picture) => ["new", "partial", "proposed"].includes(picture.state));
+  const ofState = (...states) => round.filter((picture) => states.includes(picture.state));
+  const waiting = ofState("new", "partial", "proposed");
+  const open = waiting.length ? waiting : ofState("unchecked");
   const rank = (picture) => picture.rank ?? Infinity;
   return open.reduce((best, picture) => (best === null || rank(picture) < rank(best) ? picture : best), null);
 }
@@ -41,6 +43,7 @@ export function reason(picture, pictures, model) {
   if (!picture) return "";
   if (!model) return "Next in the folder. Once there is a model, the picture that helps it most comes first.";
   if (picture.state === "partial") return "Some of its points are missing.";
+  if (picture.state === "unchecked") return "Its points are still the mean shape, so no model is trained on it.";
   if (picture.uncertainty == null) return "The model has not been fitted to it yet.";
   const text = `uncertainty of its points: ${percent(picture.uncertainty)} of the object's size`;
   if (picture.doubtful) return `The model has low confidence here (${text}), so correcting it helps most.`;
@@ -74,10 +77,10 @@ export function mismatch({ model, template }) {
 }
 
 /**
- * Create the panel. accept(): accept the points and open the next picture; skip(): open it without accepting.
- * Returns {element, refresh(), left(): the user has left a picture}.
+ * Create the panel. accept(): accept the points and open the next picture; skip(): open it without accepting; confirm():
+ * the mean shape is right. Returns {element, sure: the button for confirm, left(): the user has left a picture}.
  */
-export function createAssist({ app, accept, skip }) {
+export function createAssist({ app, accept, skip, confirm }) {
   const { h, button, icon } = app.ui;
   const { state, api } = app;
   let failedAt = null;
@@ -132,6 +135,13 @@ export function createAssist({ app, accept, skip }) {
     onclick: skip,
     title: "Open the next picture and leave this one unchanged",
   });
+  const sure = button("The points are right…", {
+    small: true,
+    hidden: true,
+    testid: "confirm-layout",
+    onclick: confirm,
+    title: "Save the mean shape although no point was moved",
+  });
   const why = h("p", { class: "small muted", dataset: { testid: "why-next" } });
 
   const notes = h("div", { class: "column assist-notes", hidden: true, dataset: { testid: "notices" } });
@@ -144,6 +154,7 @@ export function createAssist({ app, accept, skip }) {
     running,
     failure,
     h("div", { class: "row assist-go" }, next, pass),
+    sure,
     why,
     notes,
     autoLabel,
@@ -277,5 +288,5 @@ export function createAssist({ app, accept, skip }) {
   state.addEventListener("project", refresh);
   state.addEventListener("select", refresh);
   refresh();
-  return { element, refresh, left };
+  return { element, sure, left };
 }

@@ -2,8 +2,8 @@
 // gestures edit (see gestures.js), independent of the page.
 //
 // A *state* {points, invisible, source} is an immutable value in the undo history. Source "file" is placed by the user,
-// "proposal" by the model, and "layout" is the mean of the done pictures; the last two are saved only when accepted. A
-// *book* {history, covariances, doubtful, ...} holds everything about one picture.
+// "proposal" by the model, and "layout" is the mean of the done pictures. The last two are saved only when accepted or
+// moved. A *book* {history, covariances, doubtful, ...} holds everything about one picture.
 
 import {
   expected,
@@ -14,6 +14,7 @@ import {
   place,
   placed,
   remove,
+  samePoint,
   samePoints,
   toggle,
   withTwins,
@@ -112,14 +113,16 @@ export class Marking {
     this.change({ points }, what, key);
   }
 
-  /** Change the marks in one undo step. This accepts suggested points. */
-  change(change, what, key = null) {
+  /** Change the marks in one undo step. This accepts a proposal, but the mean shape only if a point moves. */
+  change(change, what, key = null, accepts = false) {
     const before = this.state;
     const { points, invisible } = { ...before, ...change };
     this.shown = null;
-    const state = { points, invisible: invisible.filter((i) => points[i]), source: "file" };
+    const still = points.every((point, i) => !point || samePoint(point, before.points[i]));
+    const source = before.source === "layout" && still && !accepts ? "layout" : "file";
+    const state = { points, invisible: invisible.filter((i) => points[i]), source };
     const same = samePoints(points, before.points) && state.invisible.join() === before.invisible.join();
-    if (before.source === "file" && same) return;
+    if (before.source === source && same) return;
     this.history.push(state, what, key);
     this.changed();
   }
@@ -172,7 +175,7 @@ export class Marking {
   // Edits -----------------------------------------------------------------------------------------------------------
 
   accept() {
-    if (this.suggested) this.commit(this.points, "accept");
+    if (this.suggested) this.change({}, "accept", null, true);
   }
 
   flip() {

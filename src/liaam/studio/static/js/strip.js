@@ -5,6 +5,7 @@ import { h, icon, segmented } from "./ui.js";
 
 const STATES = {
   new: "no points",
+  unchecked: "not checked",
   partial: "points missing",
   done: "done",
   proposed: "proposed",
