@@ -42,6 +42,52 @@ def test_unsaved_marks_stay_with_their_folder_whatever_another_is_called(serve, 
     assert np.abs(read_landmarks(marked / "portrait-02.ljson").points - mine).max() < 0.02
 
 
+DROP = """([text, name]) => {
+  const transfer = new DataTransfer();
+  transfer.items.add(new File([text], name));
+  document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
+}"""
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_page_of_a_restarted_studio_asks_for_the_new_address(serve, page, marked, width):
+    page.set_viewport_size({"width": width, "height": 720})
+    first = serve(marked, "--port", "0")
+    page.goto(first.address)
+    opened(page, NAMES[0])
+    first.kill()
+    notice = page.locator("[data-testid=connection]")
+    notice.get_by_text("not reachable").wait_for()
+    second = serve(marked, "--port", port_of(first))
+    notice.get_by_text("The studio was restarted: open its new address").wait_for()
+    assert notice.evaluate("it => it.scrollWidth <= it.clientWidth && it.getBoundingClientRect().right <= innerWidth")
+    other = page.context.new_page()
+    other.goto(second.address)  # the browser then has the new token
+    notice.wait_for(state="hidden")
+
+
+def test_unsaved_marks_reach_a_studio_on_another_port(serve, page, marked, tmp_path):
+    first = serve(marked, "--port", "0")
+    page.goto(first.address)
+    open_picture(page, NAMES[1])
+    first.kill()
+    drag(page, client(page, 2), [v + 30 for v in client(page, 2)])
+    mine = points_of(page)
+    with page.expect_download() as download:
+        page.locator("[data-testid=save-work]").click()
+    download.value.save_as(tmp_path / "work.json")
+    page.goto(serve(marked, "--port", "0").address)
+    open_picture(page, NAMES[1])
+    assert np.abs(points_of(page) - mine).max() > 5
+    page.evaluate(DROP, ["{}", "other.json"])
+    page.locator(".toast.bad", has_text="other.json is not unsaved work").wait_for()
+    with page.expect_navigation():
+        page.evaluate(DROP, [(tmp_path / "work.json").read_text(), "work.json"])
+    opened(page, NAMES[1])
+    saved(page)
+    assert np.abs(read_landmarks(marked / "portrait-02.ljson").points - mine).max() < 0.02
+
+
 def test_a_replaced_picture_is_shown_as_it_is_now(serve, page, marked):
     page.goto(serve(marked).address)
     open_picture(page, NAMES[0])

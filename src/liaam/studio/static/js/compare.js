@@ -4,7 +4,7 @@ import { api } from "./api.js";
 import { drawFit, drawTruth, entries, modelNeeded, overlayButtons, OVERLAYS, pressOverlays } from "./fit-draw.js";
 import { meanDistance } from "./fit-geometry.js";
 import { comparison, factsOf, fitsOf, verdictOf } from "./fit-run.js";
-import { Intake, sourcesOf } from "./fit-source.js";
+import { sourcesOf } from "./fit-source.js";
 import { button, h, icon } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
@@ -123,6 +123,7 @@ class CompareTab {
     this.sources = sourcesOf(app);
     this.store = fitsOf(app);
     this.shown = new Set(["contours", "landmarks"]);
+    this.visible = false;
     this.truth = null;
     this.showTruth = true;
     const options = {
@@ -150,16 +151,18 @@ class CompareTab {
   }
 
   open() {
-    this.intake.open(true);
+    this._watch(true);
     this._source();
   }
 
   leave() {
-    this.intake.open(false);
+    this._watch(false);
   }
 
-  get visible() {
-    return this.intake.isOpen;
+  /** The tab is opened (true) or left (false). */
+  _watch(open) {
+    if (open !== this.visible) this.sources.watch(open);
+    this.visible = open;
   }
 
   key(event) {
@@ -320,18 +323,8 @@ class CompareTab {
     );
     this._pair = h("div", { class: "compare-pair" }, this.left.element, this.right.element);
     this._empty = h("div", { class: "empty big" });
-    const area = h(
-      "div",
-      { class: "workspace compare-tab" },
-      toolbar,
-      this._pair,
-      this._empty,
-      h("div", { class: "compare-foot" }, this._verdictText),
-    );
-    root.append(area);
-    this.intake = new Intake(area, "Drop the picture to compare the methods on it", this.sources, (error) =>
-      this.app.toast(error, "bad"),
-    );
+    const foot = h("div", { class: "compare-foot" }, this._verdictText);
+    root.append(h("div", { class: "workspace compare-tab" }, toolbar, this._pair, this._empty, foot));
   }
 
   /** Keep zoom and pan of both sides equal. */

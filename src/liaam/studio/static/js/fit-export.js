@@ -3,7 +3,7 @@
 import { api } from "./api.js";
 import { roomy } from "./fit-draw.js";
 import { lightQuery } from "./relight.js";
-import { button, h } from "./ui.js";
+import { button, h, saveFile } from "./ui.js";
 
 const EXPORTS = [
   {
@@ -121,12 +121,7 @@ export class ExportMenu {
     link.textContent = `${label} …`;
     try {
       const { blob, disposition } = await api.file(link.getAttribute("href"));
-      const address = URL.createObjectURL(blob);
-      const saver = h("a", { href: address, download: fileNameIn(disposition, what) });
-      document.body.append(saver);
-      saver.click();
-      saver.remove();
-      setTimeout(() => URL.revokeObjectURL(address), 60_000); // the browser may not have read it yet
+      saveFile(blob, fileNameIn(disposition, what));
       this.close();
     } catch (error) {
       this._complain(error);

@@ -1,7 +1,6 @@
 // The picture of the tabs Fit and Compare: one of the folder, or one that was dropped, pasted or opened.
 
 import { api } from "./api.js";
-import { h, icon, isTyping } from "./ui.js";
 
 /** Longest side of the displayed copy in pixels. */
 const SHOWN = 2048;
@@ -200,54 +199,3 @@ function namely(error, name) {
 }
 
 const megabytes = (bytes) => `${(bytes / 1e6).toFixed(0)} MB`;
-
-/** Whether a drag carries files. */
-const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
-
-/** Accepts dropped and pasted pictures while a tab is open, and keeps its source loaded. */
-export class Intake {
-  /** root: drop area; text: its message; complain(error). */
-  constructor(root, text, sources, complain) {
-    Object.assign(this, { sources, complain });
-    this.isOpen = false;
-    this._depth = 0; // number of nested elements under a drag
-    const words = h("p", {}, icon("upload", 28), text);
-    this._overlay = h("div", { class: "fit-dropping", hidden: true, "aria-hidden": "true" }, words);
-    root.append(this._overlay);
-    root.addEventListener("dragenter", (event) => carriesFiles(event) && this._enter(this._depth + 1));
-    root.addEventListener("dragleave", (event) => carriesFiles(event) && this._enter(Math.max(0, this._depth - 1)));
-    root.addEventListener("dragover", (event) => {
-      if (!carriesFiles(event)) return;
-      event.preventDefault();
-      event.dataTransfer.dropEffect = "copy";
-    });
-    root.addEventListener("drop", (event) => {
-      event.preventDefault();
-      this._enter(0);
-      this._take(event.dataTransfer?.files[0]);
-    });
-    document.addEventListener("paste", (event) => {
-      if (!this.isOpen || isTyping(event)) return;
-      const file = [...(event.clipboardData?.files ?? [])][0];
-      if (!file) return;
-      event.preventDefault();
-      this._take(file);
-    });
-  }
-
-  /** The tab is opened (true) or left (false). */
-  open(now) {
-    if (now !== this.isOpen) this.sources.watch(now);
-    this.isOpen = now;
-  }
-
-  _enter(depth) {
-    this._depth = depth;
-    this._overlay.hidden = depth === 0;
-  }
-
-  _take(file) {
-    if (file) this.sources.take(file);
-    else this.complain(new Error("This is not a file: drop a picture file."));
-  }
-}

@@ -8,7 +8,7 @@ import { ResultPanel } from "./fit-result.js";
 import { fitsOf } from "./fit-run.js";
 import { afterPaint } from "./fit-schedule.js";
 import { SetupPanel } from "./fit-setup.js";
-import { Intake, sourcesOf } from "./fit-source.js";
+import { sourcesOf } from "./fit-source.js";
 import { BoxTool, meanShape, MeanTool } from "./fit-start.js";
 import { button, h, icon } from "./ui.js";
 
@@ -38,6 +38,7 @@ class FitTab {
     this.state = app.state;
     this.sources = sourcesOf(app);
     this.store = fitsOf(app);
+    this.visible = false;
     this.start = "auto";
     this.method = null;
     this.fit = null;
@@ -76,18 +77,20 @@ class FitTab {
 
   open({ name } = {}) {
     if (name) this.state.select(name);
-    this.intake.open(true);
+    this._watch(true);
     this._source();
   }
 
   leave() {
-    this.intake.open(false);
+    this._watch(false);
     this.iterations.pause();
     this.exports.close();
   }
 
-  get visible() {
-    return this.intake.isOpen;
+  /** The tab is opened (true) or left (false). */
+  _watch(open) {
+    if (open !== this.visible) this.sources.watch(open);
+    this.visible = open;
   }
 
   key(event) {
@@ -309,7 +312,6 @@ class FitTab {
       this._file,
     );
     root.append(this._area);
-    this.intake = new Intake(this._area, "Drop a picture to fit it", this.sources, (error) => this._complain(error));
   }
 
   _panelDraw() {

@@ -1,6 +1,9 @@
 // The frame of the page: tabs, theme, keys, and the status of training and of the connection.
 
 import { api, ApiError } from "./api.js";
+import { acceptFiles } from "./drops.js";
+import { sourcesOf } from "./fit-source.js";
+import { takeWork, unsavedWork } from "./handover.js";
 import { State } from "./state.js";
 import { mountStrip } from "./strip.js";
 import * as ui from "./ui.js";
@@ -45,8 +48,10 @@ async function start() {
   document.title = `${state.project.folder} – liaam studio`;
   mountStrip(document.getElementById("strip"), state);
   status();
+  connection();
   actions();
   await mountTabs();
+  acceptFiles(take);
   if (!open) openTab(wanted ?? new URLSearchParams(location.search).get("tab") ?? "annotate");
   document.addEventListener("keydown", keys);
 }
@@ -130,12 +135,17 @@ function keys(event) {
   event.preventDefault();
 }
 
-function showKeys() {
+async function showKeys() {
   const table = (title, rows) => h("section", {}, h("h2", {}, title), h("dl", {}, rows.map(({ keys: names, what }) => [
     h("dt", {}, names.split(" ").map((key) => [h("kbd", {}, key), " "])), h("dd", {}, what)])));
   const sections = [...tabs].filter(([, { tab }]) => tab.shortcuts?.length)
     .map(([name, { tab }]) => table(TABS.find((each) => each.name === name).label, tab.shortcuts));
-  dialog("Keys", h("div", { class: "keys" }, table("Everywhere", COMMON_KEYS), sections), [{ label: "Close", kind: "primary", value: null }], { wide: true });
+  const body = h("div", { class: "keys" }, table("Everywhere", COMMON_KEYS), sections);
+  const choice = await dialog("Keys", body, [
+    { label: "Open unsaved work…", kind: "ghost", value: "work" }, { label: "Close", kind: "primary", value: null }], { wide: true });
+  if (choice !== "work") return;
+  const input = h("input", { type: "file", accept: ".json", onchange: () => restore(input.files[0]) });
+  input.click();
 }
 
 function actions() {
@@ -151,14 +161,53 @@ function actions() {
   );
 }
 
-// Status in the top bar: the model, training, and the connection.
+/** A file was dropped or pasted: fit the picture, or take over unsaved work. */
+function take(file) {
+  if (/\.json$/i.test(file.name)) return restore(file);
+  if (open === "annotate") openTab("fit");
+  return sourcesOf(app).take(file);
+}
+
+async function restore(file) {
+  try {
+    const left = takeWork(localStorage, state.project.id, await file.text(), file.name);
+    if (left) toast(`${left} of the items in ${file.name} were left out: this page has unsaved work on them, too.`, "bad");
+    else location.reload();
+  } catch (error) {
+    toast(error, "bad");
+  }
+}
+
+/** Say above the page that the server is gone, and how to go on. */
+function connection() {
+  const text = h("span", { class: "grow" });
+  const unsaved = () => unsavedWork(localStorage, state.project.id);
+  const save = button("Save unsaved work as a file", {
+    icon: "download", small: true, testid: "save-work",
+    onclick: () => ui.saveFile(new Blob([unsaved()], { type: "application/json" }), "unsaved-work.json"),
+  });
+  const notice = h("div", { class: "notice", role: "alert", hidden: true, dataset: { testid: "connection" } }, text, save);
+  document.querySelector(".top").after(notice);
+  const show = () => {
+    notice.hidden = state.online;
+    save.hidden = !unsaved();
+    const what = state.restarted
+      ? "The studio was restarted: open its new address, which it printed in the terminal."
+      : "The server is not reachable. If you have started the studio again, open the address that it printed.";
+    const more = "Unsaved work is kept in this browser. If the new address has another port, save the work as a file, and drop the file on the new page.";
+    text.textContent = save.hidden ? what : `${what} ${more}`;
+  };
+  state.addEventListener("online", show);
+  setInterval(() => state.online || show(), 1000); // there may be more unsaved work
+}
+
+// Status in the top bar: the model and training.
 
 function status() {
   const box = document.getElementById("top-status");
-  const offline = h("span", { class: "badge bad", role: "alert", hidden: true }, "Server not reachable – retrying");
   const training = h("span", { class: "badge accent", hidden: true, dataset: { testid: "top-training" } });
   const model = h("span", { class: "badge", dataset: { testid: "top-model" } });
-  box.append(offline, training, model);
+  box.append(training, model);
   const show = () => {
     const { training: now, model: has } = state.project;
     training.hidden = now?.state !== "running";
@@ -176,7 +225,6 @@ function status() {
     before = detail.state;
   });
   state.addEventListener("project", show);
-  state.addEventListener("online", ({ detail }) => { offline.hidden = detail; });
   show();
 }
 

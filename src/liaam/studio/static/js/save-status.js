@@ -30,7 +30,7 @@ export class SaveStatus {
     this.element.dataset.state = state;
     this.element.textContent =
       state === "offline" && message
-        ? "Not saved, but kept in the browser – open the address that 'liaam studio' printed"
+        ? "Not saved, but kept in the browser"
         : TEXTS[state];
     this.element.title = message || this.element.textContent;
     this.complain(state === "refused" || state === "failing" ? `Not saved: ${message}` : "");

@@ -19,6 +19,7 @@ export class State extends EventTarget {
     this.project = null;
     this.current = null;
     this.online = true;
+    this.restarted = false; // whether a new server refuses this page, which has the token of an earlier one
     this.unsure = false; // whether another server, for another folder, may have taken over the port
     this._refreshing = null;
     this._again = false;
@@ -128,7 +129,7 @@ export class State extends EventTarget {
       this._take(await api.get(api.url("project")));
       this._online(true);
     } catch (error) {
-      if (error.unreachable) this._online(false);
+      if (error.unreachable || error.status === 401) this._online(false, error.status === 401);
       throw error;
     }
   }
@@ -149,7 +150,8 @@ export class State extends EventTarget {
     source.addEventListener("error", () => {
       lost = true;
       this.unsure = true;
-      this._online(false);
+      this._online(false, this.restarted);
+      this.refresh().catch(() => {}); // an event source does not give the status: ask whether the server was restarted
       // A browser does not reconnect after an error status, such as from a new server with another token.
       if (source.readyState === EventSource.CLOSED) setTimeout(() => this._follow(), 2000);
     });
@@ -162,9 +164,9 @@ export class State extends EventTarget {
     addEventListener("pagehide", () => source.close());
   }
 
-  _online(online) {
-    if (online === this.online) return;
-    this.online = online;
+  _online(online, restarted = false) {
+    if (online === this.online && restarted === this.restarted) return;
+    Object.assign(this, { online, restarted });
     this._say("online", online);
   }
 

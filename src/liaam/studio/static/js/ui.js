@@ -167,11 +167,14 @@ export async function confirm(title, text, action, kind = "danger") {
   return (await dialog(title, text, [{ label: "Cancel", value: false }, { label: action, kind, value: true, testid: "confirm" }])) === true;
 }
 
-export function download(address) {
-  const link = h("a", { href: address, download: "" });
+/** Save a blob as a file of the user. */
+export function saveFile(blob, name) {
+  const address = URL.createObjectURL(blob);
+  const link = h("a", { href: address, download: name });
   document.body.append(link);
   link.click();
   link.remove();
+  setTimeout(() => URL.revokeObjectURL(address), 60_000); // the browser may not have read it yet
 }
 
 /** Show a message at the bottom of the page; errors stay until they are closed. Returns a function that removes it. */
