@@ -110,6 +110,13 @@ class TestFit:
         assert error["percent"] == pytest.approx(100 * expected / diagonal_of(scene.landmarks))
         assert error["percent"] < 5
 
+    def test_says_whether_the_model_was_trained_on_the_picture(self, folder, head_model):
+        fits = make_fits(folder, None)
+        facts = {"source": "studio", "trained": None, "pictures": {"face.png": "1", "grey.png": "2"}}
+        fits.models.publish(head_model, {**facts, "left_out": {"grey.png": "the picture is grey"}})
+        trained_on = {name: fit(fits, name).as_json()["trained_on"] for name in ("face.png", "grey.png", "dark.png")}
+        assert trained_on == {"face.png": True, "grey.png": False, "dark.png": False}
+
     def test_searches_once_for_all_methods(self, folder, head_model, monkeypatch):
         calls, find = [], Fitter.find
         monkeypatch.setattr(Fitter, "find", lambda self, *given, **more: calls.append(1) or find(self, *given, **more))

@@ -88,6 +88,8 @@ class Fit:
         Distance from the picture's landmarks, in pixels and in percent of their diagonal.
     of : (str, str)
         ``picture`` or ``upload``, and its name or id.
+    trained_on : bool
+        Whether the picture is one of those that the model was trained on.
     """
 
     id: str
@@ -100,6 +102,7 @@ class Fit:
     no_flat: str | None
     error: tuple[float, float] | None
     of: tuple[str, str]
+    trained_on: bool = False
 
     @property
     def model(self) -> AAM:
@@ -139,6 +142,7 @@ class Fit:
                 }
                 for step in result.history
             ],
+            "trained_on": self.trained_on,
             "error": None if self.error is None else dict(zip(("pixels", "percent"), self.error, strict=True)),
             "triangles": model.triangles.tolist(),
             "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],
@@ -303,6 +307,7 @@ class Fits:
                 layers.why_not_flat(fitter, image, result),
                 error_of(result.landmarks, truth),
                 of,
+                of[0] == "picture" and current.is_trained_on(of[1]),
             )
         self._fits.put(fit.id, fit)
         return fit

@@ -37,6 +37,10 @@ class ModelInUse:
         """Whether a quick model must not replace it."""
         return bool(self.facts.get("careful", True))
 
+    def is_trained_on(self, picture: str) -> bool:
+        """Whether the studio trained the model on a picture."""
+        return picture in self.facts.get("pictures", {}) and picture not in self.facts.get("left_out", {})
+
 
 class ModelStore:
     """Holds the current model; thread-safe."""

@@ -245,11 +245,35 @@ def test_a_fit_becomes_the_annotation_after_asking(fit_tab, folder, portraits):
     assert np.abs(read_landmarks(folder / "portrait-01.pts").points - shape).max() < 0.01
 
 
+def test_a_fit_of_low_quality_is_shown_in_amber_and_compared_by_quality(fit_tab, lit_file):
+    """The server's answers are changed, so that the fits end with the wanted quality."""
+
+    def answer(route):
+        fit = route.fetch().json()
+        fit |= {
+            "quality": {"soft-li": 0.6, "rgb": 0.7}[fit["method"]],
+            "status": "converged",
+            "ok": True,
+            "found": None,
+        }
+        route.fulfill(json=fit)
+
+    fit_tab.route("**/api/fits", answer)
+    dropped(fit_tab, lit_file)
+    badge = fit_tab.locator("[data-testid=fit-status] .badge")
+    assert badge.inner_text() == "converged, quality 60 %"
+    assert "warn" in badge.get_attribute("class")
+    fit_tab.locator("[data-testid=tab-compare]").click()
+    verdict = fit_tab.locator("[data-testid=compare-verdict]")
+    verdict.get_by_text("rgb is more likely to be right: quality 70 %, soft-li: 60 %").wait_for()
+    assert "nearer" in fit_tab.locator("[data-testid=compare-right]").get_attribute("class")
+
+
 def test_two_methods_are_compared(fit_tab, artefacts):
     fit_tab.locator("[data-testid=tab-compare]").click()
     wait_for(
         fit_tab,
-        "() => /is closer|Equally/.test(document.querySelector('[data-testid=compare-verdict]').textContent)",
+        "() => /is closer|Equal errors/.test(document.querySelector('[data-testid=compare-verdict]').textContent)",
     )
     sides = [fit_tab.evaluate(f"() => window.liaamStudio.compare.{side}.fit") for side in ("left", "right")]
     nearer = min(sides, key=lambda fit: fit["error"]["pixels"])

@@ -7,7 +7,7 @@ import { test } from "node:test";
 import { fileNameIn } from "./modules/fit-export.js";
 import { shareAfterKey } from "./modules/divider.js";
 import * as geometry from "./modules/fit-geometry.js";
-import { cleaned, comparison, duration, factsOf, FitStore, significant, verdictOf } from "./modules/fit-run.js";
+import { betterOf, cleaned, comparison, duration, factsOf, FitStore, significant, verdictOf } from "./modules/fit-run.js";
 import { FrameMeter, LatestWins } from "./modules/fit-schedule.js";
 import { meanShape } from "./modules/fit-start.js";
 import * as inv from "./modules/invariant.js";
@@ -381,6 +381,11 @@ test("a fit that failed or is doubtful says what to do", () => {
   assert.equal(failed.kind, "bad");
   assert.match(failed.advice, /mean shape/);
   assert.equal(verdictOf(fit({ found: null })).kind, "good");
+  assert.equal(verdictOf(fit()).title, "converged, quality 93 %");
+  assert.equal(verdictOf(fit({ quality: 0.6 })).kind, "warn");
+  assert.equal(verdictOf(fit({ quality: 0.6 })).isSure, false);
+  const unknown = verdictOf(fit({ quality: null }));
+  assert.deepEqual([unknown.kind, unknown.title, unknown.isSure], ["warn", "converged, quality unknown", true]);
 });
 
 test("numbers are told in people's units", () => {
@@ -396,6 +401,7 @@ test("numbers are told in people's units", () => {
     ["Time", "40 ms search + 1.2 s fit"],
   ]);
   assert.deepEqual(factsOf(fit({ quality: null, theta_deg: null, seconds: { search: 0, fit: 0.01 } })), [
+    ["Quality", "unknown"],
     ["Time", "10 ms"],
   ]);
 });
@@ -406,8 +412,19 @@ test("the comparison names which is nearer, and says when nobody knows", () => {
   assert.equal(comparison(near, far, 2), "soft-li is closer to the landmarks: 1 px (0.5 %), rgb: 3 px (1.5 %).");
   assert.equal(comparison(far, near, 2), comparison(near, far, 2));
   assert.match(comparison(near, near, 0), /^Equal errors/);
-  assert.match(comparison(near, fit(), 2.5), /no landmarks.*2.5 px apart/);
-  assert.equal(comparison(null, far, 2), "");
+  assert.match(comparison({ ...near, trained_on: true }, far, 2), /trained on this picture/);
+  assert.equal(betterOf(near, far), near);
+});
+
+test("without landmarks, fits are compared by their quality", () => {
+  const [good, poor] = [fit({ quality: 0.9 }), fit({ method: "rgb", quality: 0.6 })];
+  assert.match(comparison(poor, good, 2.5), /soft-li is more likely to be right: quality 90 %, rgb: 60 %.*2.5 px apart/);
+  assert.equal(betterOf(poor, good), good);
+  assert.match(comparison(good, good, 0), /equal quality: 90 %/);
+  assert.equal(betterOf(good, good), null);
+  const unknown = fit({ method: "grey", quality: null });
+  assert.match(comparison(good, unknown, 2.5), /the quality of grey is unknown/);
+  assert.equal(comparison(null, good, 2), "");
 });
 
 test("points that are not finite become null", () => {

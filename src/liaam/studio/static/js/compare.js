@@ -3,7 +3,7 @@
 import { api } from "./api.js";
 import { drawFit, drawTruth, entries, modelNeeded, overlayButtons, OVERLAYS, pressOverlays } from "./fit-draw.js";
 import { meanDistance } from "./fit-geometry.js";
-import { comparison, factsOf, fitsOf, verdictOf } from "./fit-run.js";
+import { betterOf, comparison, factsOf, fitsOf, verdictOf } from "./fit-run.js";
 import { sourcesOf } from "./fit-source.js";
 import { button, h, icon } from "./ui.js";
 import { Viewer } from "./viewer.js";
@@ -260,13 +260,8 @@ class CompareTab {
   _verdict() {
     const [a, b] = this.sides.map((side) => side.fit);
     this._say(a && b ? comparison(a, b, meanDistance(a.shape, b.shape)) : "");
-    const nearer =
-      a?.error && b?.error && a.error.pixels !== b.error.pixels
-        ? a.error.pixels < b.error.pixels
-          ? this.left
-          : this.right
-        : null;
-    for (const side of this.sides) side.element.classList.toggle("nearer", side === nearer);
+    const better = a && b ? betterOf(a, b) : null;
+    for (const side of this.sides) side.element.classList.toggle("nearer", better !== null && side.fit === better);
   }
 
   _say(text, bad = false) {

@@ -1,5 +1,6 @@
 // Drawing of fits for the tabs Fit and Compare.
 
+import { verdictOf } from "./fit-run.js";
 import { button, h } from "./ui.js";
 import { drawContours, drawEllipses, drawMesh, drawPoints } from "./viewer.js";
 
@@ -58,13 +59,13 @@ export function entries(rows) {
   return rows.map(([term, value]) => h("div", {}, h("dt", {}, term), h("dd", { class: "number" }, value)));
 }
 
-/** Successful fits are yellow like all landmarks; others are orange and dashed. */
+/** Fits are yellow like all landmarks; failed ones and those of low quality are orange and dashed. */
 const GOOD = { colour: "#ffd166", dash: [] };
 const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
 
 /** Draw a fit's shape, or that of an iteration, with the overlays named in a set. */
 export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true } = {}) {
-  const { colour, dash } = fit.ok ? GOOD : UNSURE;
+  const { colour, dash } = verdictOf(fit).isSure ? GOOD : UNSURE;
   if (shown.has("mesh")) drawMesh(ctx, viewer, shape, fit.triangles);
   // Covariances exist for the result only.
   if (shown.has("ellipses") && final) drawEllipses(ctx, viewer, shape, fit.covariances);

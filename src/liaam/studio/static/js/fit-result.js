@@ -42,6 +42,7 @@ export class ResultPanel {
       ...[
         h("span", { class: `badge ${kind}`, dataset: { status: fit.status } }, title),
         h("p", { class: "small" }, fit.message),
+        fit.trained_on && h("p", { class: "small muted" }, "The model was trained on this picture."),
         advice && h("p", { class: "small muted" }, advice),
       ].filter(Boolean),
     );

@@ -66,24 +66,28 @@ export function fitsOf(app) {
   return shared.get(app);
 }
 
-/** Assessment of a fit: {kind of its badge, title, advice or ""}. */
+/** Quality from which a fit is shown as good: fewer than one in five such fits is wrong. */
+const SURE = 0.8;
+
+const percent = (fraction) => `${Math.round(100 * fraction)} %`;
+
+/** Assessment of a fit: {kind of its badge, title, advice or "", isSure: whether nothing speaks against it}. */
 export function verdictOf(fit) {
-  const doubtful = fit.found?.doubtful;
-  if (!fit.ok) {
-    return {
-      kind: fit.status === "doubtful" || fit.status === "max iterations" ? "warn" : "bad",
-      title: fit.status,
-      advice: "Draw a box around the object, or drag the mean shape onto it:",
-    };
+  const { ok, status, quality } = fit;
+  const isUnknown = quality == null;
+  if (!ok) {
+    const kind = status === "doubtful" || status === "max iterations" ? "warn" : "bad";
+    const advice = "Draw a box around the object, or drag the mean shape onto it:";
+    return { kind, title: status, advice, isSure: false };
   }
-  if (doubtful) {
-    return {
-      kind: "warn",
-      title: `${fit.status}, search uncertain`,
-      advice: "The search may not have found the object. If the points are wrong, draw a box around it:",
-    };
+  const title = `${status}, quality ${isUnknown ? "unknown" : percent(quality)}`;
+  const isSure = isUnknown || quality >= SURE;
+  if (fit.found?.doubtful) {
+    const advice = "The search may not have found the object. If the points are wrong, draw a box around it:";
+    return { kind: "warn", title: `${title}, search uncertain`, advice, isSure };
   }
-  return { kind: "good", title: fit.status, advice: "" };
+  if (isSure) return { kind: isUnknown ? "warn" : "good", title, advice: "", isSure };
+  return { kind: "warn", title, advice: "Check the points. If they are wrong, draw a box around the object:", isSure };
 }
 
 /** Seconds as text: "38 ms", "1.2 s". */
@@ -110,24 +114,47 @@ const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${sh
 /** Facts about a fit as rows [term, value]. */
 export function factsOf(fit) {
   const { search, fit: fitting } = fit.seconds ?? {};
-  const rows = [];
-  if (fit.quality != null) rows.push(["Quality", `${Math.round(100 * fit.quality)} %`]);
+  const rows = [["Quality", fit.quality == null ? "unknown" : percent(fit.quality)]];
   if (fit.error) rows.push(["Error", errorText(fit)]);
   if (fit.theta_deg != null) rows.push(["θ", `${fit.theta_deg.toFixed(1)}°`]);
   rows.push(["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)]);
   return rows;
 }
 
-/** Which of two fits to the same picture is closer to the known landmarks. */
+/** How two fits to the same picture compare: {by: "error" or "quality", gain: how much better the left one is}; null if
+ *  neither is known. */
+function compared(left, right) {
+  if (left?.error && right?.error) {
+    const [a, b] = [left.error.pixels, right.error.pixels];
+    return { by: "error", gain: Math.abs(a - b) < 0.005 * Math.max(a, b) ? 0 : b - a };
+  }
+  if (left?.quality == null || right?.quality == null) return null;
+  const gain = left.quality - right.quality;
+  return { by: "quality", gain: Math.abs(gain) < 0.005 ? 0 : gain };
+}
+
+/** The better of two fits to the same picture: by the known landmarks, or else by quality; null if they are equal. */
+export function betterOf(left, right) {
+  const { gain = 0 } = compared(left, right) ?? {};
+  return gain === 0 ? null : gain > 0 ? left : right;
+}
+
+/** Which of two fits to the same picture is better, in words; distance: mean distance of their points in pixels. */
 export function comparison(left, right, distance) {
   if (!left || !right) return "";
-  if (!left.error || !right.error) {
-    return `This picture has no landmarks, so the errors are unknown. The two fits are ${short(distance)} px apart on average.`;
+  const { by } = compared(left, right) ?? {};
+  const better = betterOf(left, right);
+  const worse = better === left ? right : left;
+  const trained = left.trained_on ? " The model was trained on this picture, so its errors on new pictures are larger." : "";
+  const apart = `The two fits are ${short(distance)} px apart on average.`;
+  if (by === "error" && !better) return `Equal errors: ${errorText(left)} and ${errorText(right)}.${trained}`;
+  if (by === "error") {
+    return `${better.method} is closer to the landmarks: ${errorText(better)}, ${worse.method}: ${errorText(worse)}.${trained}`;
   }
-  const [a, b] = [left.error.pixels, right.error.pixels];
-  if (left.method === right.method || Math.abs(a - b) < 0.005 * Math.max(a, b)) {
-    return `Equal errors: ${errorText(left)} and ${errorText(right)}.`;
+  if (by === "quality" && !better) return `No landmarks to compare with, and equal quality: ${percent(left.quality)}. ${apart}`;
+  if (by === "quality") {
+    const values = `quality ${percent(better.quality)}, ${worse.method}: ${percent(worse.quality)}`;
+    return `No landmarks to compare with. ${better.method} is more likely to be right: ${values}. ${apart}`;
   }
-  const [near, far] = a < b ? [left, right] : [right, left];
-  return `${near.method} is closer to the landmarks: ${errorText(near)}, ${far.method}: ${errorText(far)}.`;
+  return `This picture has no landmarks, and the quality of ${left.quality == null ? left.method : right.method} is unknown, so neither fit can be called better. ${apart}`;
 }
