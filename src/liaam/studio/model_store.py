@@ -136,6 +136,8 @@ def model_json(current: ModelInUse | None, done: Mapping[str, str]) -> dict[str,
     model, facts = current.model, current.facts
     known = facts["pictures"] if current.is_careful else {}
     stale = sum(known.get(name) != revision for name, revision in done.items())
+    # A picture that has changed since may be used by the next training.
+    same = {name for name, revision in done.items() if facts["pictures"].get(name) == revision}
     return {
         "n_images": model.n_images,
         "n_points": model.n_points,
@@ -147,7 +149,7 @@ def model_json(current: ModelInUse | None, done: Mapping[str, str]) -> dict[str,
         "theta_deg": float(np.rad2deg(model.theta)),
         "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],
         "source": facts["source"],
-        "left_out": facts.get("left_out", {}),
+        "left_out": {name: why for name, why in facts.get("left_out", {}).items() if name in same},
         "mean": model.shape_model.mean.tolist(),
     }
 

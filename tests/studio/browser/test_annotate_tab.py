@@ -1,7 +1,13 @@
 """The Annotate tab in a real browser: what is saved, and what the page says of each picture."""
 
+import re
+import shutil
+
+import numpy as np
 import pytest
-from people import NAMES, annotate, client, drag, open_picture, opened, picture, saved, wait_for
+from people import NAMES, TIMEOUT, annotate, client, drag, open_picture, opened, picture, saved, wait_for
+
+from liaam.io import read_image, write_image
 
 pytestmark = pytest.mark.slow
 
@@ -46,3 +52,28 @@ def test_a_moved_or_a_confirmed_mean_shape_is_saved(blank, marked):
     saved(blank)
     wait_for(blank, "name => window.liaamStudio.state.picture(name).state === 'done'", NAMES[2])
     assert (marked / "portrait-03.ljson").exists()
+
+
+def test_a_picture_that_the_model_leaves_out_says_so(serve, page, marked):
+    """Training leaves out the one grey picture, which keeps its points."""
+    for i in (4, 5):
+        shutil.copy(marked / NAMES[i - 4], marked / f"portrait-0{i}.png")
+        shutil.copy((marked / NAMES[i - 4]).with_suffix(".ljson"), marked / f"portrait-0{i}.ljson")
+    grey = read_image(marked / NAMES[2]).mean(axis=2, keepdims=True).astype(np.uint8)
+    write_image(marked / NAMES[2], np.repeat(grey, 3, axis=2))
+    page.goto(serve(marked).address)
+    open_picture(page, NAMES[2])
+    page.locator("[data-testid=train]").click()
+    item = page.locator(f"[data-testid=strip] [data-name='{NAMES[2]}']")
+    item.get_by_text("left out").wait_for(timeout=TIMEOUT)
+    assert "grey, unlike most of the others" in item.get_attribute("title")
+    why = page.locator("[data-testid=why-next]")
+    why.get_by_text(re.compile("leaves this picture out.*grey.*replace it")).wait_for()
+    open_picture(page, NAMES[0])
+    why.get_by_text(f"The model leaves out {NAMES[2]}.").wait_for()
+    page.keyboard.press("Enter")
+    page.locator(".toast", has_text=f"The model leaves out {NAMES[2]}.").wait_for()
+    open_picture(page, NAMES[2])
+    drag(page, client(page, 2), [v + 12 for v in client(page, 2)])
+    saved(page)  # the next training may use it
+    item.get_by_text("done").wait_for()

@@ -132,6 +132,21 @@ test("marks are the same up to what a file rounds away", () => {
   assert.ok(!points.sameMarks(one, { points: [[1, 2], null], invisible: [0] }));
 });
 
+// What is left to do ------------------------------------------------------------------------------------------------
+
+test("all is done only if the model was trained on all pictures", () => {
+  const project = (states, left_out = {}) => ({
+    pictures: states.map((state, i) => ({ name: `${i}.png`, state })),
+    model: { left_out },
+  });
+  assert.equal(assist.unfinished(project(["done", "done"])), "");
+  assert.equal(assist.unfinished(project(["done", "unchecked"])), "1 picture is not done.");
+  assert.equal(assist.unfinished(project(["done", "done"], { "1.png": "grey" })), "The model leaves out 1.png.");
+  const both = project(["new", "broken", "done", "done"], { "2.png": "grey", "3.png": "grey" });
+  assert.equal(assist.unfinished(both), "2 pictures are not done, and the model leaves out 2 pictures.");
+  assert.equal(assist.unfinished({ ...project(["done"]), model: null }), "");
+});
+
 // Undo --------------------------------------------------------------------------------------------------------------
 
 test("250 steps back and forth", () => {

@@ -1,6 +1,6 @@
 // Commands of the Annotate tab's buttons and keys.
 
-import { nextToTeach } from "./assist.js";
+import { nextToTeach, unfinished } from "./assist.js";
 import { called, missingText, UNTOUCHED } from "./annotate-words.js";
 import { placed } from "./points.js";
 
@@ -191,7 +191,7 @@ export class Commands {
     if (this.marks) this.goNext();
   }
 
-  goNext() {
+  async goNext() {
     const { tab } = this;
     const { name, state } = tab;
     const { pictures } = state.project;
@@ -203,9 +203,8 @@ export class Commands {
       return;
     }
     tab.leavePicture(name);
-    const open = pictures.some(
-      (picture) => picture.name !== name && picture.state !== "done" && picture.state !== "broken",
-    );
-    if (!open) tab.app.toast("All pictures are done. Open Fit to try the model.", "good");
+    await tab.saving.saver.flush(name); // updates the picture's state
+    const left = unfinished(state.project);
+    tab.app.toast(left || "All pictures are done. Open Fit to try the model.", left ? "info" : "good");
   }
 }

@@ -19,6 +19,20 @@ export function shouldTrain(project, { auto, failedAt = null }) {
 /** Key of the training data: training on the same data would fail again. */
 export const situation = ({ model, pictures }) => `${countDone(pictures)}|${model?.stale ?? "none"}`;
 
+const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
+
+/** What is not done yet, as a sentence; "" if all pictures are done and the model was trained on all of them. */
+export function unfinished({ pictures, model }) {
+  const open = pictures.filter((picture) => picture.state !== "done").length;
+  const left = Object.keys(model?.left_out ?? {});
+  const parts = [
+    open && `${several(open, "picture")} ${open === 1 ? "is" : "are"} not done`,
+    left.length && `the model leaves out ${left.length === 1 ? left[0] : several(left.length, "picture")}`,
+  ].filter(Boolean);
+  const text = parts.join(", and ");
+  return text && `${text[0].toUpperCase()}${text.slice(1)}.`;
+}
+
 /** The picture that helps the model most: by rank, then by position in the folder after `current`; null if all are done. */
 export function nextToTeach(pictures, current) {
   const at = pictures.findIndex((picture) => picture.name === current);
@@ -223,7 +237,8 @@ export function createAssist({ app, accept, skip, confirm }) {
     const { pictures, model, training } = project;
     const done = countDone(pictures);
     const usable = pictures.filter((picture) => picture.state !== "broken").length;
-    count.textContent = `${done} of ${usable} done`;
+    const left = Object.keys(model?.left_out ?? {}).length;
+    count.textContent = `${done} of ${usable} done${left ? `, ${left} left out` : ""}`;
     element.hidden = !project.template;
     const runs = training?.state === "running";
     running.hidden = !runs;
@@ -257,7 +272,10 @@ export function createAssist({ app, accept, skip, confirm }) {
       why.textContent = reason(here, pictures, model);
     else if (then)
       why.textContent = model ? `Next: ${then.name}. ${reason(then, pictures, model)}` : progressText(done);
-    else why.textContent = done ? "All pictures are done." : "";
+    else why.textContent = unfinished(state.project) || (done ? "All pictures are done." : "");
+    const without = model?.left_out?.[here?.name];
+    if (without) why.textContent = `The model leaves this picture out, because ${without}.`;
+    why.classList.toggle("warn-text", Boolean(without));
     pass.disabled = !then;
   }
 

@@ -46,7 +46,10 @@ export function mountStrip(root, state) {
 
   const shown = () => (state.project?.pictures ?? []).filter(FILTERS[filter]);
 
+  const leftOut = (picture) => state.project.model?.left_out?.[picture.name];
+
   function describe(picture) {
+    if (picture.state === "done" && leftOut(picture)) return "left out";
     if (picture.state === "partial") return `${picture.placed} placed`;
     if (picture.state === "proposed" && picture.doubtful) return "doubtful";
     return STATES[picture.state] ?? picture.state;
@@ -62,14 +65,14 @@ export function mountStrip(root, state) {
       class: "strip-item",
       role: "option",
       id: `strip-${encodeURIComponent(picture.name)}`,
-      title: picture.error ?? picture.name,
+      title: picture.error ?? (leftOut(picture) ? `${picture.name}: left out of the model, because ${leftOut(picture)}` : picture.name),
       "aria-label": `${picture.name}, ${describe(picture)}${picture.rank === 1 ? ", helps the model most" : ""}`,
       dataset: { name: picture.name, state: picture.state },
     }, h("span", { class: "strip-face" }, face,
       picture.rank === 1 && h("span", { class: "strip-next", title: "Helps the model most" }, icon("spark", 12))),
     h("span", { class: "strip-text" },
       h("span", { class: "strip-name", style: { display: "block" } }, picture.name),
-      h("span", { class: "strip-state" }, h("span", { class: `dot ${picture.state}` }), describe(picture))));
+      h("span", { class: "strip-state" }, h("span", { class: `dot ${leftOut(picture) ? "left-out" : picture.state}` }), describe(picture))));
   }
 
   function show() {
@@ -81,7 +84,7 @@ export function mountStrip(root, state) {
     for (const [name, { element }] of items) if (!kept.has(name)) { element.remove(); items.delete(name); }
     pictures.forEach((picture, i) => {
       const { state: progress, placed, doubtful, rank, error, tag } = picture;
-      const key = [progress, placed, doubtful, rank === 1, error, tag].join("|");
+      const key = [progress, placed, doubtful, rank === 1, error, tag, leftOut(picture)].join("|");
       const known = items.get(picture.name);
       if (!known || known.key !== key) {
         const element = make(picture);
