@@ -324,6 +324,8 @@ class AnnotateTab {
         invisible: () => [...tab.marking.invisible],
         undoSteps: () => (tab.editing ? tab.editor.history : tab.marking.history)?.past.length ?? 0,
         isDirty: () => tab.saving.saver.anyDirty,
+        /** The position under the loupe of a gesture, or null. */
+        loupe: () => tab.tool.gesture?.loupe ?? null,
       },
     });
   }

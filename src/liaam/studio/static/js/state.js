@@ -18,6 +18,7 @@ export class State extends EventTarget {
     super();
     this.project = null;
     this.current = null;
+    this.order = []; // names of the pictures as the list shows them
     this.online = true;
     this.restarted = false; // whether a new server refuses this page, which has the token of an earlier one
     this.unsure = false; // whether another server, for another folder, may have taken over the port
@@ -64,9 +65,10 @@ export class State extends EventTarget {
     this._say("select", { name, before });
   }
 
-  /** Select the picture `by` positions further, among those that can be opened. */
+  /** Select the picture `by` positions further in the list, among those that can be opened. */
   step(by) {
-    const names = this.project.pictures.filter((picture) => picture.state !== "broken").map((picture) => picture.name);
+    const broken = new Set(this.project.pictures.filter(({ state }) => state === "broken").map(({ name }) => name));
+    const names = this.order.filter((name) => !broken.has(name));
     if (!names.length) return;
     const at = names.indexOf(this.current);
     this.select(names[Math.min(Math.max(at + by, 0), names.length - 1)]);

@@ -1,0 +1,151 @@
+"""The page on screens of three sizes: what is visible, what touch does, and whether it is accessible."""
+
+import json
+
+import numpy as np
+import pytest
+from people import NAMES, annotate, client, opened, points_of, saved, shoot, wait_for
+
+from liaam.training import train
+
+pytestmark = pytest.mark.slow
+
+SIZES = [(1280, 720), (820, 1180), (390, 844)]
+NARROW = 900
+"""Width in pixels below which the panel is under the picture."""
+
+CLIPPED = """() => {
+  const controls = "button, input:not([type=checkbox]):not([type=file]), select, a[href], [role=slider], [role=tab]";
+  const scrolls = (element) => {
+    for (let at = element.parentElement; at; at = at.parentElement)
+      if (/auto|scroll/.test(getComputedStyle(at).overflow)) return true;
+    return false;
+  };
+  const isClipped = (element) => {
+    const { width, height, left, right, top, bottom } = element.getBoundingClientRect();
+    if (width < 16 || height < 16) return true;
+    const inside = left >= -1 && right <= innerWidth + 1 && (scrolls(element) || (top >= -1 && bottom <= innerHeight + 1));
+    return !inside || (element.matches("button, [role=tab]") && element.scrollWidth > element.clientWidth + 1);
+  };
+  return [...document.querySelectorAll(controls)]
+    .filter((element) => element.offsetParent && !element.closest(".visually-hidden, .skip, .strip-space"))
+    .filter(isClipped)
+    .map((element) => element.outerHTML.slice(0, 120));
+}"""
+
+
+@pytest.fixture(scope="session")
+def five_point_model(portraits, tmp_path_factory):
+    """Give a model of the points of the fixture ``marked``."""
+    path = tmp_path_factory.mktemp("model") / "five.liaam"
+    train([(scene.image, scene.landmarks[[0, 6, 12, 33, 49]]) for scene in portraits[:6]]).save(path)
+    return path
+
+
+@pytest.fixture(params=SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+def sized(request, browser, serve, marked, five_point_model):
+    """Give a page of one size on a folder with a model; a narrow one has touch."""
+    width, height = request.param
+    context = browser.new_context(viewport={"width": width, "height": height}, has_touch=width < NARROW)
+    page = context.new_page()
+    page.set_default_timeout(20_000)
+    page.goto(serve(marked, "--model", str(five_point_model)).address)
+    opened(page, NAMES[0])
+    yield page
+    context.close()
+
+
+def tabs(page):
+    """Open one tab after the other, with a fit where there is one."""
+    yield "annotate"
+    page.locator("[data-testid=template-edit]").click()
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'template'")
+    yield "template"
+    page.get_by_role("button", name="Cancel").click()
+    page.locator("[data-testid=tab-fit]").click()
+    wait_for(page, "() => window.liaamStudio.fit.fit")
+    yield "fit"
+    page.locator("[data-testid=layer-relit]").click()
+    wait_for(page, "() => !window.liaamStudio.fit.relightBusy")
+    yield "relight"
+    page.locator("[data-testid=tab-compare]").click()
+    wait_for(page, "() => window.liaamStudio.compare.left.fit && window.liaamStudio.compare.right.fit")
+    yield "compare"
+
+
+def test_every_control_is_visible_and_the_picture_is_large(sized, artefacts):
+    width, height = (sized.viewport_size[key] for key in ("width", "height"))
+    for tab in tabs(sized):
+        shoot(sized, artefacts, f"{width}-{tab}")
+        assert sized.evaluate(CLIPPED) == [], tab
+        canvas = sized.locator("section:not([hidden]) .viewer canvas").first.bounding_box()
+        if tab in ("annotate", "fit") and width < NARROW:
+            side = sized.locator("section:not([hidden]) .side").bounding_box()
+            assert canvas["width"] > 0.95 * width
+            assert canvas["height"] > 0.25 * height
+            assert side["y"] >= canvas["y"] + canvas["height"] - 1, "the panel is not under the picture"
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_no_violation(sized, theme):
+    from axe_playwright_python.sync_playwright import Axe
+
+    sized.emulate_media(color_scheme=theme, reduced_motion="reduce")
+    options = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]}}
+    found = {}
+    for tab in tabs(sized):
+        result = Axe().run(sized, options=options)
+        found |= {(tab, each["id"]): [node["html"] for node in each["nodes"]] for each in result.response["violations"]}
+    sized.keyboard.press("?")
+    sized.locator("dialog").wait_for()
+    result = Axe().run(sized, options=options)
+    found |= {("keys", each["id"]): [node["html"] for node in each["nodes"]] for each in result.response["violations"]}
+    assert not found, json.dumps({str(key): html for key, html in found.items()}, indent=1)
+
+
+class Fingers:
+    """Touch by the protocol of Chromium, which Playwright has for taps only."""
+
+    def __init__(self, page) -> None:
+        self._session = page.context.new_cdp_session(page)
+
+    def send(self, kind: str, *places) -> None:
+        points = [{"x": float(x), "y": float(y), "id": i} for i, (x, y) in enumerate(places)]
+        self._session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    def move(self, start, end, steps: int = 6) -> None:
+        """Move all fingers from their start to their end."""
+        start, end = np.array(start, dtype=float), np.array(end, dtype=float)
+        for k in range(1, steps + 1):
+            self.send("touchMove", *(start + (end - start) * k / steps))
+
+
+def test_touch_drags_a_point_under_a_loupe_and_pinches(browser, serve, marked, artefacts):
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    page = context.new_page()
+    page.goto(serve(marked).address)
+    opened(page, NAMES[0])
+    page.wait_for_timeout(300)
+    fingers, before = Fingers(page), points_of(page)
+    at = np.array(client(page, 4))
+    fingers.send("touchStart", at)
+    fingers.move([at], [at + (30, 20)])
+    shoot(page, artefacts, "390-loupe")
+    assert page.evaluate("() => window.liaamStudio.annotate.loupe()"), "there is no magnifier under the finger"
+    fingers.send("touchEnd")
+    saved(page)
+    moved = points_of(page) - before
+    scale = page.evaluate("() => window.liaamStudio.annotate.viewer.scale")
+    assert np.abs(moved[4] * scale - (30, 20)).max() < 3
+    assert np.abs(moved[:4]).max() == 0
+    page_scale = page.evaluate("() => visualViewport.scale")
+    middle = np.array(client(page, [120, 160]))
+    start, end = [middle - (40, 0), middle + (40, 0)], [middle - (80, 0), middle + (80, 0)]
+    fingers.send("touchStart", *start)
+    fingers.move(start, end)
+    fingers.send("touchEnd")
+    assert page.evaluate("() => window.liaamStudio.annotate.viewer.scale") == pytest.approx(2 * scale, rel=0.1)
+    assert page.evaluate("() => visualViewport.scale") == page_scale, "the page itself was zoomed"
+    assert np.abs(points_of(page) - before - moved).max() < 1e-9
+    assert not annotate(page, "isDirty()")
+    context.close()
