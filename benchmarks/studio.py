@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ import numpy as np
 from benchmarks.metrics import report
 from benchmarks.search import half_sets, pictures_of
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, make_set, random_expression, random_pose, render
-from liaam.io import write_image
+from liaam.io import write_image, write_landmarks
 from liaam.training import train
 
 SIZE = (480, 640)
@@ -92,6 +93,72 @@ def theta_rate(page) -> float:
     rate = page.evaluate("() => window.liaamStudio.fit.invariantFps()")
     page.mouse.up()
     return rate
+
+
+# Many pictures -------------------------------------------------------------------------------------
+
+MANY = 10_000
+
+USABLE = "() => window.liaamStudio?.annotate?.source() && document.querySelector('.strip img[src]')"
+
+FRAMES = """async () => {
+  const list = document.querySelector("[data-testid=strip]");
+  const frames = [];
+  let before = await new Promise(requestAnimationFrame);
+  for (let step = 0; step < 240; step += 1) {
+    list.scrollTop += step % 60 < 50 ? 400 : 40_000; // as by a wheel, with some long jumps
+    const now = await new Promise(requestAnimationFrame);
+    frames.push(now - before);
+    before = now;
+  }
+  return frames;
+}"""
+
+
+def many_pictures(folder: Path, count: int = MANY) -> None:
+    """Write small images, of which the first four have landmarks."""
+    import cv2
+
+    scene = make_set(1, Head(5), DIFFUSE, seed=3, size=(320, 240))[0]
+    rng = np.random.default_rng(0)
+    some = [np.clip(scene.image + rng.integers(-40, 40, 3), 0, 255).astype(np.uint8) for _ in range(50)]
+    data = [cv2.imencode(".jpg", image[..., ::-1])[1].tobytes() for image in some]
+    for i in range(count):
+        (folder / f"image-{i:05d}.jpg").write_bytes(data[i % len(data)])
+    for i in range(4):
+        write_landmarks(folder / f"image-{i:05d}.pts", scene.landmarks)
+
+
+def many() -> None:
+    """Print how soon a folder of many images can be used, how fast its list scrolls, and the memory of the page."""
+    with browsing() as page, tempfile.TemporaryDirectory() as name:
+        if page is None:
+            return
+        many_pictures(Path(name))
+        began = time.perf_counter()
+        with served(Path(name)) as address:
+            started = time.perf_counter()
+            page.goto(address)
+            page.wait_for_function(USABLE)
+            opened = time.perf_counter() - started
+            report("studio_many_usable_s", opened, f"server {started - began:.2f} s", form=".2f")
+            page.wait_for_timeout(5000)  # until all files are read
+            page.evaluate(FRAMES)  # warm
+            frames = page.evaluate(FRAMES)
+            report("studio_many_frame_p95_ms", float(np.percentile(frames, 95)), f"worst {max(frames):.0f}", form=".0f")
+            session = page.context.new_cdp_session(page)
+            session.send("HeapProfiler.collectGarbage")
+            heap = page.evaluate("() => performance.memory.usedJSHeapSize")
+            report("studio_many_heap_mb", heap / 1e6, f"renderer {renderer_bytes() / 1e6:.0f} MB", form=".0f")
+
+
+def renderer_bytes() -> int:
+    """Return the memory of the largest renderer process of the browser, without pages shared with others."""
+    import psutil
+
+    below = psutil.Process().children(recursive=True)
+    renderers = [process for process in below if "--type=renderer" in process.cmdline()]
+    return max((process.memory_full_info().uss for process in renderers), default=0)
 
 
 # The server and the browser ------------------------------------------------------------------------
@@ -185,7 +252,12 @@ def browsing(size: tuple[int, int] = (1280, 720), **options) -> Iterator[Any]:
 
 
 def main(data: str | None = None, letters: int = 2) -> None:
-    """Print the metrics for generated images or a data set. The first `letters` of a name identify the person."""
+    """Print the metrics for generated images, and for many, or for a data set.
+
+    The first `letters` of a name identify the person.
+    """
+    if data is None:
+        many()
     with browsing() as page, tempfile.TemporaryDirectory() as name:
         if page is None:
             return

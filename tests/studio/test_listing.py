@@ -18,7 +18,9 @@ def test_pictures_come_in_natural_order_without_hidden_files_and_folders(small):
     write_image(small.root / "sub" / "x.png", np.zeros((9, 9, 3), np.uint8))
     write_image(small.root / ".hidden.png", np.zeros((9, 9, 3), np.uint8))
     (small.root / "notes.txt").write_text("hello")
+    (small.root / "empty").mkdir()
     assert list(by_name(small)) == ["p1.png", "p2.png", "p10.png", "q.jpg"]
+    assert small.problems == ["1 subfolder (sub) with pictures not shown: open the studio on a subfolder"]
     assert by_name(small)["p1.png"] == {
         "name": "p1.png", "state": "new", "placed": 0, "error": None, "width": 40, "height": 30,
         "uncertainty": None, "doubtful": False, "rank": None, "tag": small.marks("p1.png")["tag"],
@@ -85,3 +87,19 @@ def test_an_empty_folder_is_fine(tmp_path):
     project = Project(tmp_path)
     assert project.overview().pictures == [] and project.template is None and project.problems == []
     assert list(tmp_path.iterdir()) == []  # looking leaves nothing behind
+
+
+def test_an_overview_does_not_wait_for_files_that_were_not_read(small):
+    put(small, "p1.png", POINTS)
+    project = Project(small.root)
+    first = project.overview_since(None, seconds=0.0)
+    assert {picture["state"] for picture in first.pictures} == {"reading"}
+    assert [picture["name"] for picture in first.pictures] == ["p1.png", "p2.png", "p10.png", "q.jpg"]
+    assert first.done == {}
+    project.read_files()
+    then = project.overview_since(first.stamp, seconds=0.0)
+    assert [picture["state"] for picture in then.pictures] == ["done", "new", "new", "new"]
+    assert list(then.done) == ["p1.png"]
+    assert project.overview_since(then.stamp, seconds=0.0) is None
+    (small.root / "p2.png").unlink()
+    assert len(project.overview_since(then.stamp, seconds=0.0).pictures) == 3

@@ -42,6 +42,9 @@ from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
 IMAGE_SIZE, CHROMA_SIZE = 2048, 640
 """Default longest sides in pixels."""
 
+OVERVIEW_SECONDS = 0.2
+"""How long a request for the project may read files; the rest is read in the background."""
+
 
 @dataclass(frozen=True, eq=False)
 class Studio:
@@ -177,7 +180,7 @@ class _Handlers:
 
         studio, project = self.studio, self.studio.project
         suffix = self._stamp_suffix()  # read before the data: a change in between shows up in the next request
-        overview = project.overview_since(_without(suffix, known))
+        overview = project.overview_since(_without(suffix, known), OVERVIEW_SECONDS)
         if overview is None:
             return {"unchanged": True, "stamp": known}
         follow_template(project, studio.models, studio.training)

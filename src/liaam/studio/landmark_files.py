@@ -107,6 +107,12 @@ class LandmarkFiles:
         others = [self._listing.own(picture), None if marks is None else self._listing.files.get(marks.file)]
         return self._listing.is_current(picture, *(other for other in others if other is not None))
 
+    def is_read(self, picture: File) -> bool:
+        """Whether the landmark file of a picture was read before, so that :meth:`of` is quick."""
+        own = self._listing.own(picture)
+        known = None if own is None else self._read.get(own.name)
+        return own is None or (known is not None and known[0] == own.signature)
+
     def forget(self) -> None:
         """Clear the cache."""
         self._read.clear()

@@ -6,6 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -35,12 +36,12 @@ class File:
     name: str
     signature: Signature
 
-    @property
+    @cached_property
     def stem(self) -> str:
         """Name without its suffix."""
         return Path(self.name).stem
 
-    @property
+    @cached_property
     def suffix(self) -> str:
         """Suffix in lower case."""
         return Path(self.name).suffix.lower()
@@ -75,6 +76,8 @@ class Listing:
         The picture to which landmark files of a stem belong, by stem.
     stranded : list of str
         Links that lead out of the folder.
+    subfolders : list of str
+        Folders in the folder, which are not listed.
     """
 
     def __init__(self, folder: Folder, most_pixels: int) -> None:
@@ -82,6 +85,7 @@ class Listing:
         self.version = 0
         self.files: dict[str, File] = {}
         self.stranded: list[str] = []
+        self.subfolders: list[str] = []
         self._most_pixels = most_pixels
         self._listed_at = 0
         self._sizes: dict[str, tuple[Signature, tuple[int, int] | str]] = {}
@@ -98,7 +102,7 @@ class Listing:
             503 if it can no longer be read.
         """
         self._listed_at = self.folder.time()  # before the scan, so that changes during it are noticed
-        self.stranded = []
+        self.stranded, self.subfolders = [], []
         root = self.folder.root
         try:
             with os.scandir(root) as entries:
@@ -107,8 +111,10 @@ class Listing:
             raise Refusal(
                 503, f"{root.name} cannot be read ({fault.strerror or fault}): is the folder still there?"
             ) from fault
-        files = sorted((file for file in found if file is not None), key=lambda file: natural_key(file.name))
-        self.files = {file.name: file for file in files}
+        files = [file for file in found if file is not None]
+        if {file.name: file for file in files} == self.files:
+            return  # sorting thousands of files takes far longer than listing them
+        self.files = {file.name: file for file in sorted(files, key=lambda file: natural_key(file.name))}
         self._arrange()
 
     def renew(self, name: str) -> None:
@@ -150,6 +156,7 @@ class Listing:
                     self.stranded.append(entry.name)
                 return None
             if not entry.is_file():
+                self.subfolders += [entry.name] if entry.is_dir() else []
                 return None
             return File(entry.name, _signature(entry.stat()))
         except (OSError, UnicodeEncodeError):
@@ -195,6 +202,11 @@ class Listing:
             known = self._sizes[picture.name] = (picture.signature, self._read_size(picture))
         return known[1]
 
+    def is_read(self, picture: File) -> bool:
+        """Whether the header of a picture was read before, so that :meth:`size_of` is quick."""
+        known = self._sizes.get(picture.name)
+        return known is not None and known[0] == picture.signature
+
     def _read_size(self, picture: File) -> tuple[int, int] | str:
         try:
             width, height = image_size(self.folder.inside(picture.name))
@@ -229,7 +241,17 @@ class Listing:
                 f"{_several(self.stranded, 'file')} skipped, because the link leads out of the folder: "
                 "put a copy in its place"
             )
+        below = [name for name in self.subfolders if self._has_pictures(name)]
+        if below:
+            lines.append(f"{_several(below, 'subfolder')} with pictures not shown: open the studio on a subfolder")
         return lines
+
+    def _has_pictures(self, name: str) -> bool:
+        try:
+            with os.scandir(self.folder.root / name) as entries:
+                return any(Path(entry.name).suffix.lower() in PICTURE_SUFFIXES for entry in entries)
+        except OSError:
+            return False
 
     def orphans(self) -> list[str]:
         """Return messages about landmark files without a picture, which may have been renamed."""

@@ -1,4 +1,4 @@
-"""The state of each picture of a project (new, unchecked, proposed, partial, done or broken) and its error."""
+"""The state of each picture of a project (reading, new, unchecked, proposed, partial, done or broken) and its error."""
 
 from __future__ import annotations
 
@@ -40,6 +40,15 @@ class PictureStates:
             and not n_placed(self._landmarks.of(file))
         }
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
+
+    def is_read(self, file: File) -> bool:
+        """Whether the files of a picture were read before, so that its state is known at once."""
+        return self._listing.is_read(file) and self._landmarks.is_read(file)
+
+    def unread_json(self, file: File) -> dict[str, Any]:
+        """Return a picture whose files have not been read yet as JSON for the page."""
+        nothing = dict.fromkeys(("error", "width", "height", "uncertainty", "rank"))
+        return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False, **nothing}
 
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
         """Return one picture as JSON for the page."""

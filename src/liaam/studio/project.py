@@ -13,10 +13,13 @@ depends only on those before it in this list:
 
 from __future__ import annotations
 
+import math
 import os
 import secrets
 import threading
-from collections.abc import Mapping
+import time
+from collections import deque
+from collections.abc import Container, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +41,9 @@ from liaam.studio.state_files import StateFiles
 from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
 from liaam.studio.template_change import TemplateChanges
 from liaam.studio.template_store import TemplateStore
+
+PART_SECONDS = 0.1
+"""How long files are read at a time, while requests wait."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +152,8 @@ class Project:
         listing, state = self._listing, self.state
         files = [(file.name, *file.signature) for file in listing.files.values()]
         faults = sorted(state.faults.items())
-        known = (self._salt, state.writes, self._changes.is_pending, faults, listing.stranded)
+        is_read = all(map(self._states.is_read, listing.pictures))
+        known = (self._salt, state.writes, self._changes.is_pending, faults, listing.stranded, is_read)
         return revision_of(repr((known, files)).encode())
 
     # Pictures -------------------------------------------------------------------------------------
@@ -155,21 +162,45 @@ class Project:
         """Return all pictures."""
         with self._lock:
             self._rescan()
-            return self._overview()
+            return self._overview(math.inf)
 
-    def overview_since(self, stamp: str | None) -> Overview | None:
-        """Return all pictures, or None if nothing has changed since a :attr:`stamp`."""
+    def overview_since(self, stamp: str | None, seconds: float = math.inf) -> Overview | None:
+        """Return all pictures, or None if nothing has changed since a :attr:`stamp`.
+
+        Files are read for about so many ``seconds``. The remaining pictures are in the state ``reading``, and the stamp
+        changes when all are read.
+        """
         with self._lock:
             self._rescan()
-            return None if self._stamp() == stamp else self._overview()
+            return None if self._stamp() == stamp else self._overview(seconds)
 
-    def _overview(self) -> Overview:
-        ranks = self._states.ranks()
-        return Overview(
-            self._stamp(),
-            [self._states.as_json(file, ranks) for file in self._listing.pictures],
-            {item.name: item.revision for item in self._annotated()},
-        )
+    def read_files(self) -> None:
+        """Read the files of all pictures in small parts, so that others can use the project meanwhile."""
+        waiting: deque[File] = deque()
+        with self._lock:
+            self._rescan()
+            waiting.extend(self._listing.pictures)
+        while waiting:
+            with self._lock:
+                self._read_for(PART_SECONDS, waiting)
+            time.sleep(PART_SECONDS / 10)  # the lock is not fair
+
+    def _read_for(self, seconds: float, waiting: deque[File]) -> None:
+        until = time.monotonic() + seconds
+        while waiting and time.monotonic() < until:
+            file = waiting.popleft()
+            if self._listing.files.get(file.name) == file:
+                self._states.as_json(file, {})
+
+    def _overview(self, seconds: float) -> Overview:
+        stamp, ranks, states = self._stamp(), self._states.ranks(), self._states
+        self._read_for(seconds, deque(self._listing.pictures))
+        read = {file.name for file in self._listing.pictures if states.is_read(file)}
+        pictures = [
+            states.as_json(file, ranks) if file.name in read else states.unread_json(file)
+            for file in self._listing.pictures
+        ]
+        return Overview(stamp, pictures, {item.name: item.revision for item in self._annotated(read)})
 
     def path_of(self, name: str) -> Path:
         """Return the path of a picture.
@@ -206,8 +237,11 @@ class Project:
             self._listing.scan()
             return self._annotated()
 
-    def _annotated(self) -> list[Annotated]:
-        found = [(file, self._landmarks.of(file)) for file in self._listing.usable() if self._states.is_done(file)]
+    def _annotated(self, among: Container[str] | None = None) -> list[Annotated]:
+        """Return the done pictures, or those of them with a name that is in ``among``."""
+        files = [file for file in self._listing.pictures if among is None or file.name in among]
+        usable = [file for file in files if self._listing.fault_of(file) is None]
+        found = [(file, self._landmarks.of(file)) for file in usable if self._states.is_done(file)]
         return [
             Annotated(file.name, self.root / file.name, marks.landmarks.points, marks.revision)
             for file, marks in found

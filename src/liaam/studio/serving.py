@@ -239,8 +239,9 @@ def _welcome(settings: Settings, open_browser: bool, say: Callable[[str], None])
 
 
 def _read_headers(studio: Studio) -> None:
-    """Read the headers of the pictures before the page needs them, since thousands take a while."""
+    """Read the files of the pictures, since thousands take a while, and then tell the page."""
     try:
-        studio.project.overview()
+        studio.project.read_files()
+        studio.events.publish("project", {})
     except LiaamError:  # reported when the page asks
         return

@@ -24,7 +24,8 @@ CLIPPED = """() => {
   const isClipped = (element) => {
     const { width, height, left, right, top, bottom } = element.getBoundingClientRect();
     if (width < 16 || height < 16) return true;
-    const inside = left >= -1 && right <= innerWidth + 1 && (scrolls(element) || (top >= -1 && bottom <= innerHeight + 1));
+    const isHigh = top < -1 || bottom > innerHeight + 1;
+    const inside = left >= -1 && right <= innerWidth + 1 && (scrolls(element) || !isHigh);
     return !inside || (element.matches("button, [role=tab]") && element.scrollWidth > element.clientWidth + 1);
   };
   return [...document.querySelectorAll(controls)]
@@ -129,7 +130,7 @@ def test_touch_drags_a_point_under_a_loupe_and_pinches(browser, serve, marked, a
     fingers, before = Fingers(page), points_of(page)
     at = np.array(client(page, 4))
     fingers.send("touchStart", at)
-    fingers.move([at], [at + (30, 20)])
+    fingers.move([at], [np.add(at, (30, 20))])
     shoot(page, artefacts, "390-loupe")
     assert page.evaluate("() => window.liaamStudio.annotate.loupe()"), "there is no magnifier under the finger"
     fingers.send("touchEnd")
@@ -140,7 +141,8 @@ def test_touch_drags_a_point_under_a_loupe_and_pinches(browser, serve, marked, a
     assert np.abs(moved[:4]).max() == 0
     page_scale = page.evaluate("() => visualViewport.scale")
     middle = np.array(client(page, [120, 160]))
-    start, end = [middle - (40, 0), middle + (40, 0)], [middle - (80, 0), middle + (80, 0)]
+    start = [np.subtract(middle, (40, 0)), np.add(middle, (40, 0))]
+    end = [np.subtract(middle, (80, 0)), np.add(middle, (80, 0))]
     fingers.send("touchStart", *start)
     fingers.move(start, end)
     fingers.send("touchEnd")

@@ -26,7 +26,30 @@ export function url(...parts) {
 
 const TRIES = 10; // attempts of a request to a busy server, about half a minute
 
-async function send(address, options) {
+/** Event "change": the number of requests that the user waits for has changed. */
+export const busy = new (class extends EventTarget {
+  count = 0;
+
+  /** Count a promise as work that the user waits for. */
+  async during(work) {
+    this.add(1);
+    try {
+      return await work;
+    } finally {
+      this.add(-1);
+    }
+  }
+
+  add(by) {
+    this.count += by;
+    this.dispatchEvent(new Event("change"));
+  }
+})();
+
+const send = (address, { quiet = false, ...options } = {}) =>
+  quiet ? request(address, options) : busy.during(request(address, options));
+
+async function request(address, options) {
   let response;
   for (let tries = 1; ; tries += 1) {
     try {
@@ -73,6 +96,7 @@ function withBody(method) {
 
 export const api = {
   url,
+  /** quiet: nobody waits for the answer, so no progress is shown. */
   get: (address, options = {}) => json(address, options),
   put: withBody("PUT"),
   post: withBody("POST"),

@@ -93,7 +93,6 @@ class Side {
     const run = (this._run += 1);
     const { method } = this;
     const known = store.recall(source, method);
-    if (!known) this.container.classList.add("busy");
     try {
       const fit = known ?? (await store.run(source, method));
       if (run === this._run) this.take(fit);
@@ -102,8 +101,6 @@ class Side {
         this.take(null);
         this.say(error.message, true);
       }
-    } finally {
-      if (run === this._run) this.container.classList.remove("busy");
     }
     return run === this._run;
   }
@@ -111,7 +108,6 @@ class Side {
   /** Drop a running fit and the result. */
   reset() {
     this._run += 1;
-    this.container.classList.remove("busy");
     this.take(null);
   }
 }

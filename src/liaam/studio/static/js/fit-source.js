@@ -1,6 +1,6 @@
 // The picture of the tabs Fit and Compare: one of the folder, or one that was dropped, pasted or opened.
 
-import { api } from "./api.js";
+import { api, busy } from "./api.js";
 
 /** Longest side of the displayed copy in pixels. */
 const SHOWN = 2048;
@@ -185,7 +185,7 @@ async function loaded(address) {
   const image = new Image();
   image.src = address;
   try {
-    await image.decode();
+    await busy.during(image.decode());
   } catch {
     // An <img> does not give the server's error message: request it.
     await api.buffer(address);

@@ -183,7 +183,6 @@ export class FitView {
     const { fit } = this;
     if (this._images.has(layer)) return;
     this._images.set(layer, null); // requested
-    this._busy(true);
     try {
       const blob = await api.blob(api.url("fits", fit.id, "layers", layer, { size: LAYER_SIZE }));
       const image = await createImageBitmap(blob);
@@ -193,7 +192,6 @@ export class FitView {
       this._images.delete(layer);
       this._failed(layer, error, fit);
     } finally {
-      if (this.fit === fit) this._busy(false);
       this.viewer.redraw();
     }
   }
@@ -221,10 +219,6 @@ export class FitView {
     this._images.get("relit")?.close();
     this._images.set("relit", image);
     this.viewer.redraw();
-  }
-
-  _busy(now) {
-    this.container.classList.toggle("busy", now);
   }
 
   // The page.

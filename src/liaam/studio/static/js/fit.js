@@ -370,7 +370,6 @@ class FitTab {
 
   _busy(now) {
     this.setup.canRun = !now && Boolean(this.sources.current);
-    this.view.container.classList.toggle("busy", now);
     if (now && !this.fit) this.result.showMessage("info", "Fitting…");
   }
 

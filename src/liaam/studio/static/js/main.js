@@ -1,6 +1,6 @@
 // The frame of the page: tabs, theme, keys, and the status of training and of the connection.
 
-import { api, ApiError } from "./api.js";
+import { api, ApiError, busy } from "./api.js";
 import { acceptFiles } from "./drops.js";
 import { sourcesOf } from "./fit-source.js";
 import { takeWork, unsavedWork } from "./handover.js";
@@ -35,6 +35,7 @@ const app = { state, api, ui, toast, confirm: ui.confirm, openTab };
 window.liaamStudio = { app, state };
 
 async function start() {
+  waiting();
   try {
     await state.open();
   } catch (error) {
@@ -199,6 +200,13 @@ function connection() {
   };
   state.addEventListener("online", show);
   setInterval(() => state.online || show(), 1000); // there may be more unsaved work
+}
+
+/** Show a moving line at the top of the page while the user waits. The line has a delay in the style sheet. */
+function waiting() {
+  const line = h("div", { class: "waiting", role: "progressbar", "aria-label": "Working", hidden: true, dataset: { testid: "busy" } });
+  document.body.append(line);
+  busy.addEventListener("change", () => { line.hidden = busy.count === 0; });
 }
 
 // Status in the top bar: the model and training.

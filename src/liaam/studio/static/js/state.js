@@ -90,7 +90,7 @@ export class State extends EventTarget {
       await this.refresh();
       return;
     }
-    const project = await api.get(api.url("project", { stamp }));
+    const project = await api.get(api.url("project", { stamp }), { quiet: true });
     if (!project.unchanged && !this._refreshing) this._take(project);
   }
 
@@ -128,7 +128,7 @@ export class State extends EventTarget {
 
   async _fetch() {
     try {
-      this._take(await api.get(api.url("project")));
+      this._take(await api.get(api.url("project"), { quiet: Boolean(this.project) }));
       this._online(true);
     } catch (error) {
       if (error.unreachable || error.status === 401) this._online(false, error.status === 401);

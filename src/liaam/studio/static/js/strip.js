@@ -4,6 +4,7 @@ import { api } from "./api.js";
 import { h, icon, perFrame } from "./ui.js";
 
 const STATES = {
+  reading: "reading…",
   new: "no points",
   unchecked: "not checked",
   partial: "points missing",
@@ -14,7 +15,7 @@ const STATES = {
 
 const FILTERS = {
   all: { label: "All", has: () => true },
-  todo: { label: "To do", has: ({ state }) => state !== "done" && state !== "broken" },
+  todo: { label: "To do", has: ({ state }) => !["done", "broken", "reading"].includes(state) },
   new: { label: "No points", has: ({ state }) => state === "new" || state === "unchecked" },
   proposed: { label: "Proposed", has: ({ state }) => state === "proposed" },
   doubtful: { label: "Doubtful", has: ({ doubtful }) => doubtful },

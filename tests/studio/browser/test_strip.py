@@ -1,0 +1,97 @@
+"""The list of pictures in a real browser: long folders, search, order, filters; files dropped on any tab."""
+
+import base64
+
+import numpy as np
+import pytest
+from people import NAMES, opened, wait_for
+
+from liaam.io import Landmarks, write_image, write_landmarks
+
+pytestmark = pytest.mark.slow
+
+COUNT = 400
+DROP = """([data, name]) => {
+  const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+  const transfer = new DataTransfer();
+  transfer.items.add(new File([bytes], name));
+  document.querySelector("canvas").dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true }));
+}"""
+
+FACES = "[data-testid=strip] [data-name]"
+
+
+@pytest.fixture
+def long(serve, page, tmp_path):
+    """Give the page on a folder of many small pictures, of which the first two are done."""
+    folder = tmp_path / "long"
+    folder.mkdir()
+    for i in range(COUNT):
+        write_image(folder / f"image-{i:03d}.png", np.full((9, 9, 3), i % 256, np.uint8))
+    for i in range(2):
+        write_landmarks(folder / f"image-{i:03d}.pts", Landmarks(np.array([[1.0, 1], [7, 1], [4, 7]])))
+    page.goto(serve(folder).address)
+    opened(page, "image-002.png")
+    return page
+
+
+def names(page) -> list[str]:
+    return page.locator(FACES).evaluate_all("items => items.map((item) => item.dataset.name)")
+
+
+def test_a_long_list_holds_only_what_is_visible(long):
+    assert len(names(long)) < 40
+    long.locator("[data-testid=strip]").evaluate("list => list.scrollTo(0, list.scrollHeight)")
+    long.locator(f"{FACES}[data-name='image-399.png']").click()
+    opened(long, "image-399.png")
+    assert len(names(long)) < 40
+    assert long.locator(f"{FACES}[aria-selected=true]").get_attribute("aria-posinset") == str(COUNT)
+    wait_for(long, "() => document.querySelector('[data-name=\"image-399.png\"] img').naturalWidth > 0")
+    long.locator("[data-testid=strip]").focus()
+    long.keyboard.press("ArrowUp")
+    opened(long, "image-398.png")
+
+
+def test_the_list_is_searched_filtered_and_sorted(long):
+    long.locator("[data-testid=strip-search]").fill("GE-39")
+    assert names(long) == [f"image-39{i}.png" for i in range(10)]
+    assert "10 shown, 2 of 400 done" in long.locator(".strip-head").inner_text()
+    long.locator(f"{FACES}[data-name='image-395.png']").click()
+    opened(long, "image-395.png")
+    long.keyboard.press("]")
+    opened(long, "image-396.png")
+    long.locator("[data-testid=strip-search]").fill("")
+    long.locator("[data-testid=strip-filter]").select_option("done")
+    assert names(long) == ["image-000.png", "image-001.png"]
+    long.locator("[data-testid=strip-filter]").select_option("all")
+    long.evaluate("""() => {
+      const { state } = window.liaamStudio;
+      state.update({ ...state.picture("image-200.png"), state: "proposed", uncertainty: 0.1 });
+      state.update({ ...state.picture("image-300.png"), state: "proposed", uncertainty: 0.01, doubtful: true });
+    }""")
+    long.locator("[data-testid=strip-order]").select_option("uncertainty")
+    long.locator("[data-testid=strip]").evaluate("list => list.scrollTo(0, 0)")
+    wait_for(long, "() => document.querySelector('[data-testid=strip] [data-name=\"image-300.png\"]')")
+    assert names(long)[:3] == ["image-300.png", "image-200.png", "image-000.png"]
+
+
+def test_slow_work_is_shown_and_fast_work_is_not(long):
+    line = long.locator("[data-testid=busy]")
+    line.wait_for(state="hidden")
+    assert float(line.evaluate("line => parseFloat(getComputedStyle(line).animationDelay)")) <= 0.15
+    waiting = []
+    long.route("**/api/pictures/image-010.png/image*", lambda route: waiting.append(route))
+    long.evaluate("() => window.liaamStudio.state.select('image-010.png')")
+    assert not line.evaluate("line => line.hidden")  # the delay is that of the style
+    wait_for(long, "() => Number(getComputedStyle(document.querySelector('[data-testid=busy]')).opacity) === 1")
+    (route,) = waiting
+    route.continue_()
+    line.wait_for(state="hidden")
+
+
+def test_a_picture_is_dropped_on_any_tab(serve, page, marked):
+    page.goto(serve(marked).address)
+    opened(page, NAMES[0])
+    page.evaluate(DROP, [base64.b64encode((marked / NAMES[1]).read_bytes()).decode(), "dropped.png"])
+    page.locator("[data-testid=tab-fit][aria-selected=true]").wait_for()
+    page.locator(".fit-source-name", has_text="dropped.png").first.wait_for()
