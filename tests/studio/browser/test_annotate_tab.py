@@ -77,3 +77,11 @@ def test_a_picture_that_the_model_leaves_out_says_so(serve, page, marked):
     drag(page, client(page, 2), [v + 12 for v in client(page, 2)])
     saved(page)  # the next training may use it
     item.get_by_text("done").wait_for()
+
+
+def test_a_folder_with_enough_done_pictures_is_trained_on_opening(serve, page, marked):
+    for i in (4, 5):
+        shutil.copy(marked / NAMES[i - 4], marked / f"portrait-0{i}.png")
+        shutil.copy((marked / NAMES[i - 4]).with_suffix(".ljson"), marked / f"portrait-0{i}.ljson")
+    page.goto(serve(marked).address)
+    wait_for(page, "() => window.liaamStudio?.state.project?.model?.n_images === 5")

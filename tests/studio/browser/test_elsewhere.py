@@ -160,3 +160,26 @@ def test_an_address_that_cannot_be_read_opens_the_page_all_the_same(serve, page,
     page.reload()
     page.wait_for_selector("[data-testid=strip] [data-name]")
     assert picture(page, NAMES[0])["state"] == "done"
+
+
+def test_back_and_forward_move_between_pictures_and_tabs(serve, page, marked):
+    page.goto(serve(marked).address)
+    opened(page, NAMES[0])
+    page.wait_for_timeout(600)  # faster steps are one
+    open_picture(page, NAMES[2])
+    page.wait_for_timeout(600)
+    page.locator("[data-testid=tab-compare]").click()
+    chosen = page.locator("[role=tab][aria-selected=true]")
+    assert chosen.inner_text() == "Compare"
+    page.go_back()
+    opened(page, NAMES[2])
+    assert chosen.inner_text() == "Annotate"
+    page.go_back()
+    opened(page, NAMES[0])
+    page.go_forward()
+    opened(page, NAMES[2])
+    page.go_forward()
+    wait_for(page, "() => document.querySelector('[role=tab][aria-selected=true]').textContent === 'Compare'")
+    page.reload()
+    wait_for(page, "() => document.querySelector('[role=tab][aria-selected=true]')?.textContent === 'Compare'")
+    assert page.evaluate("() => window.liaamStudio.state.current") == NAMES[2]

@@ -198,6 +198,14 @@ def test_a_moved_light_asks_for_one_picture_at_a_time_and_the_last(fit_tab, lit_
     assert hook(fit_tab, "light.direction[0]") < light["direction"][0]
 
 
+def test_the_handle_of_the_light_lies_beside_the_object_at_first(fit_tab):
+    fit_tab.locator("[data-testid=layer-relit]").click()
+    box = fit_tab.locator("[data-testid=light-handle]").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    shape = np.array([hook(fit_tab, f"viewer.toClient([{u}, {v}])") for u, v in hook(fit_tab, "fit.shape")])
+    assert np.linalg.norm(shape - (x, y), axis=1).min() > box["width"] / 2
+
+
 def test_a_box_and_the_mean_shape_are_starts(fit_tab, artefacts):
     asked = []
     fit_tab.on("request", lambda request: asked.append(request) if request.url.endswith("/api/fits") else None)

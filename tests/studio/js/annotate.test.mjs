@@ -4,12 +4,13 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { nameIn } from "./modules/address.js";
 import * as assist from "./modules/assist.js";
 import { loupePlace } from "./modules/drawing.js";
 import { History } from "./modules/history.js";
 import * as points from "./modules/points.js";
 import { contentOf, Page, Saver, Unsaved } from "./modules/saving.js";
-import { nameIn, State } from "./modules/state.js";
+import { State } from "./modules/state.js";
 import * as template from "./modules/template.js";
 
 const FACE = [

@@ -1,6 +1,6 @@
 // Commands of the Annotate tab's buttons and keys.
 
-import { nextToTeach, unfinished } from "./assist.js";
+import { nextToTeach, several, unfinished } from "./assist.js";
 import { called, missingText, UNTOUCHED } from "./annotate-words.js";
 import { placed } from "./points.js";
 
@@ -70,7 +70,7 @@ export class Commands {
   chooseAll() {
     const { doc } = this.tab;
     doc.select(placed(doc.points), -1);
-    this.say(`${doc.selection.size} points selected`);
+    this.say(`${several(doc.selection.size, "point")} selected`);
   }
 
   escape() {

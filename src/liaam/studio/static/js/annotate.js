@@ -1,7 +1,7 @@
 // The Annotate tab: place the points of one picture after another with the help of the model. This module connects its
 // parts.
 
-import { createAssist } from "./assist.js";
+import { createAssist, several } from "./assist.js";
 import { Commands } from "./annotate-commands.js";
 import { drawGesture, drawMarking } from "./annotate-drawing.js";
 import { Keys, SHORTCUTS } from "./annotate-keys.js";
@@ -280,7 +280,7 @@ class AnnotateTab {
     const { marking, name } = this;
     const own = marking.book ? descriptionOf(name, marking) : "No picture is open.";
     this.alternative.textContent = this.editing
-      ? `Editing the template: ${this.editor.draft.names.length} points.`
+      ? `Editing the template: ${several(this.editor.draft.names.length, "point")}.`
       : own;
     this.viewer.canvas.setAttribute("aria-label", name ? `${name} with landmarks` : "Picture with landmarks");
   }

@@ -19,7 +19,7 @@ export function shouldTrain(project, { auto, failedAt = null }) {
 /** Key of the training data: training on the same data would fail again. */
 export const situation = ({ model, pictures }) => `${countDone(pictures)}|${model?.stale ?? "none"}`;
 
-const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
+export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
 /** What is not done yet, as a sentence; "" if all pictures are done and the model was trained on all of them. */
 export function unfinished({ pictures, model }) {
@@ -303,8 +303,17 @@ export function createAssist({ app, accept, skip, confirm }) {
     if (detail.state === "running" || detail.state === "done") showFailure("");
     refresh();
   });
+  /** Train on opening, once the states of all pictures are known. */
+  function opened() {
+    if (state.project.pictures.some((picture) => picture.state === "reading")) return;
+    state.removeEventListener("project", opened);
+    if (shouldTrain(state.project, { auto: auto.checked })) start();
+  }
+
   state.addEventListener("project", refresh);
+  state.addEventListener("project", opened);
   state.addEventListener("select", refresh);
   refresh();
+  opened();
   return { element, sure, left };
 }

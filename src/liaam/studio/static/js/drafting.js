@@ -1,6 +1,7 @@
 // A template while it is edited over a picture: its draft, selection, undo history, and the effect of clicks. It is a
 // document that gestures edit (see gestures.js).
 
+import { several } from "./assist.js";
 import { AxisGrip } from "./axis-grip.js";
 import { History } from "./history.js";
 import { flip, indicesOf, place, withTwins } from "./points.js";
@@ -265,7 +266,7 @@ export class Drafting {
     this.choose([]);
     const draft = drafts.draftOf(template, points);
     this.apply({ ...draft, origins: template.names.map(() => null) }, "load");
-    this.say(`${template.names.length} points loaded. Move them into place`);
+    this.say(`${several(template.names.length, "point")} loaded. Move them into place`);
   }
 
   /** The loaded points are in place: edit single points from now on. */

@@ -151,12 +151,13 @@ export function meanDistance(first, second) {
 /** Sine of the largest angle of a light: at 90 degrees it would not reach the front. */
 const RIM = Math.sin((85 * Math.PI) / 180);
 
-/** Ball around a fitted shape over which a light is moved: {x, y, radius}. */
+/** Ball around a fitted shape over which a light is moved: {x, y, radius}. It is larger than the shape, so that the handle of
+ *  a light from the side lies beside the shape. */
 export function ballOf(points) {
   const box = boundsOf(points);
   if (!box) return null;
   const [w, h] = [box.x1 - box.x0, box.y1 - box.y0];
-  return { x: (box.x0 + box.x1) / 2, y: (box.y0 + box.y1) / 2, radius: Math.max(4, 0.62 * Math.max(w, h)) };
+  return { x: (box.x0 + box.x1) / 2, y: (box.y0 + box.y1) / 2, radius: Math.max(4, 0.95 * Math.max(w, h)) };
 }
 
 /** Unit direction to a light (x right, y down, z to the viewer) at a position over the ball: frontal at the centre. */

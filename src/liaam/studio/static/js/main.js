@@ -1,5 +1,6 @@
 // The frame of the page: tabs, theme, keys, and the status of training and of the connection.
 
+import { nameIn, opened, remember, tabIn } from "./address.js";
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles } from "./drops.js";
 import { sourcesOf } from "./fit-source.js";
@@ -53,7 +54,13 @@ async function start() {
   actions();
   await mountTabs();
   acceptFiles(take);
-  if (!open) openTab(wanted ?? new URLSearchParams(location.search).get("tab") ?? "annotate");
+  if (!open) openTab(wanted ?? tabIn(location.search) ?? "annotate");
+  opened();
+  addEventListener("popstate", () => {
+    const name = nameIn(location.hash);
+    openTab(tabIn(location.search) ?? "annotate");
+    if (state.picture(name)) state.select(name);
+  });
   document.addEventListener("keydown", keys);
 }
 
@@ -113,9 +120,7 @@ function openTab(name, options = {}) {
     chooser.setAttribute("aria-selected", String(on));
     chooser.tabIndex = on ? 0 : -1;
   }
-  const address = new URL(location.href);
-  address.searchParams.set("tab", name);
-  history.replaceState(null, "", address);
+  remember({ tab: name });
   tabs.get(name).tab.show?.(options);
 }
 

@@ -1,17 +1,9 @@
 // The page's copy of the project, updated by the server's events.
 
+import { nameIn, remember } from "./address.js";
 import { api, ApiError } from "./api.js";
 
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
-
-/** The picture named in an address; "" if the address is malformed. */
-export function nameIn(hash) {
-  try {
-    return decodeURIComponent(hash.slice(1));
-  } catch {
-    return "";
-  }
-}
 
 export class State extends EventTarget {
   constructor() {
@@ -60,8 +52,7 @@ export class State extends EventTarget {
     if (name === this.current) return;
     const before = this.current;
     this.current = name;
-    // The address keeps the picture across a reload.
-    history.replaceState(null, "", name ? `#${encodeURIComponent(name)}` : location.pathname);
+    remember({ name: name ?? "" });
     this._say("select", { name, before });
   }
 

@@ -1,5 +1,7 @@
 // The list of the template's paths, to continue, close or delete them.
 
+import { several } from "./assist.js";
+
 export class TemplatePaths {
   constructor({ h, button }, drafting) {
     Object.assign(this, { h, button, drafting });
@@ -16,7 +18,7 @@ export class TemplatePaths {
     const { h, button, drafting } = this;
     const current = k === drafting.draft.path;
     const label = `Path ${k + 1}`;
-    const length = ` ${indices.length} points${current ? ", being drawn" : ""}`;
+    const length = ` ${several(indices.length, "point")}${current ? ", being drawn" : ""}`;
     return h(
       "li",
       { class: current ? "template-path chosen" : "template-path" },
