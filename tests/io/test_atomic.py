@@ -1,5 +1,6 @@
 """Files are either complete or not there."""
 
+import errno
 import io
 import os
 import re
@@ -362,3 +363,17 @@ def test_sweeping_leaves_no_file_open(tmp_path: Path) -> None:
     atomic.sweep(tmp_path)
     assert names_in(tmp_path) == []
     assert open_files() == before
+
+
+@pytest.mark.parametrize(("number", "is_taken"), [(errno.EAGAIN, True), (errno.EACCES, True), (errno.ENOLCK, False)])
+def test_a_lock_is_taken_or_not_supported(number, is_taken, monkeypatch, tmp_path):
+    def refuse(descriptor, how):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with (tmp_path / "file").open("w") as file:
+        if is_taken:
+            with pytest.raises(BlockingIOError):
+                atomic.lock(file.fileno())
+        else:
+            assert not atomic.lock(file.fileno())

@@ -3,9 +3,11 @@
 import io
 import json
 import shutil
+from collections import deque
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
+from threading import Thread
 from urllib.parse import unquote
 
 import numpy as np
@@ -24,11 +26,11 @@ from liaam.studio.app import make_app, make_studio
 from liaam.studio.fit_files import FILES, attachment, file_of
 from liaam.studio.fit_routes import parse_start, truth_of
 from liaam.studio.fits import Fits, error_of, example, numbers
+from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.training import ModelStore
 from liaam.studio.uploads import Uploads
 from setups import moving_scene
 
@@ -178,6 +180,25 @@ class TestFit:
         assert fits.get(made[2].id) is made[2]
         with pytest.raises(Refusal, match="fit again"):
             fits.get(made[1].id)
+
+    def test_models_are_published_by_two_threads_at_once(self, folder, head_model):
+        fits = make_fits(folder, None)
+        threads = []
+
+        class Slow(deque):
+            def __iter__(self):
+                for item in super().__iter__():
+                    if not threads:
+                        second = ModelInUse(head_model, 2, {})
+                        threads.append(Thread(target=fits.forget_former, args=(second,)))
+                        threads[0].start()
+                        threads[0].join(0.2)  # it has to wait until the first is done
+                    yield item
+
+        fits._recent = Slow(maxlen=2)
+        fits.forget_former(ModelInUse(head_model, 1, {}))
+        threads[0].join(5)
+        assert [model.number for model in fits._recent] == [1, 2]
 
     def test_large_pictures_wait_for_each_other(self, folder, head_model):
         fits = make_fits(folder, head_model)

@@ -1,12 +1,14 @@
 """Landmarks beside the pictures, as they are read and saved."""
 
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
-from small_projects import POINTS, by_name, put, refused, states
+from small_projects import POINTS, TRIANGLE, by_name, put, refused, states
 
 from liaam.datasets import load_folder
+from liaam.errors import LandmarkError, LiaamError
 from liaam.io import Contour, Landmarks, read_landmarks, write_collection, write_image, write_landmarks
 from liaam.studio.folder import STATE
 from liaam.studio.project import Project
@@ -177,3 +179,45 @@ def test_invisible_marks_that_make_no_sense_are_refused(small):
 def test_without_a_template_nothing_is_saved(tmp_path):
     write_image(tmp_path / "a.png", np.zeros((9, 9, 3), np.uint8))
     assert refused(put, Project(tmp_path), "a.png", []).status == 422
+
+
+@pytest.fixture
+def unreadable(monkeypatch):
+    """Give a function after which a file cannot be read any more, from the n-th time on."""
+
+    def make(name, after=0):
+        read, counts = Path.read_bytes, [0]
+
+        def read_bytes(path):
+            counts[0] += path.name == name
+            if path.name == name and counts[0] > after:
+                raise PermissionError(13, "Permission denied")
+            return read(path)
+
+        monkeypatch.setattr(Path, "read_bytes", read_bytes)
+
+    return make
+
+
+def test_a_file_that_cannot_be_kept_is_not_replaced(small, unreadable):
+    write_landmarks(small.root / "p1.ljson", Landmarks([[0, 0], [1, 1]]))
+    revision = small.marks("p1.png")["revision"]
+    unreadable("p1.ljson")
+    with pytest.raises(LandmarkError, match=r"p1.ljson cannot be read \(Permission denied\)"):
+        put(small, "p1.png", POINTS, revision)
+
+
+def test_a_file_that_cannot_be_read_stops_a_change_of_the_template(small, unreadable):
+    put(small, "p1.png", POINTS)
+    small.marks("p1.png")  # reads it
+    unreadable("p1.ljson")
+    changed = {**TRIANGLE, "mapping": [2, 1, 0], "mirror": None}
+    with pytest.raises(LiaamError, match=r"p1\.ljson"):
+        small.save_template(changed)
+
+
+def test_a_file_of_another_format_that_cannot_be_read_again_is_reported(small, unreadable):
+    write_collection(small.root / "all.csv", {"p1.png": Landmarks(POINTS), "p2.png": Landmarks(POINTS)})
+    unreadable("all.csv", after=1)
+    assert states(small)["p1.png"] == "new"
+    assert any("all.csv cannot be read" in line for line in small.problems)

@@ -7,12 +7,14 @@ an unlocked temporary file was left by a killed process; :func:`sweep` removes i
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import re
 import secrets
 import shutil
 import socket
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,6 +34,11 @@ _UNLOCKED = "0" * 8
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 _TEMPORARY = re.compile(r"\.liaam-([0-9a-f]{8})[0-9a-f]{8,16}(\..*)?", re.DOTALL)
 _DAY = 86400.0
+
+_TAKEN = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+
+_FAR = 1 << 30
+"""Position of the locked byte on Windows, beyond the contents, since locked bytes cannot be read."""
 
 _swept: set[Path] = set()
 """Folders that this process has swept."""
@@ -120,13 +127,20 @@ def lock(descriptor: int, *, wait: bool = False) -> bool:
     BlockingIOError
         If another process has it, and this one does not wait.
     """
-    if fcntl is None:
-        return False
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except BlockingIOError:
-        raise
-    except OSError:
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(descriptor, _FAR, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
+            os.lseek(descriptor, 0, os.SEEK_SET)
+        elif fcntl is None:
+            return False
+        else:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError as fault:
+        if fault.errno in _TAKEN:
+            raise BlockingIOError(fault.errno, os.strerror(fault.errno)) from fault
         return False
     return True
 

@@ -202,7 +202,7 @@ class Fits:
         self._layers: Kept[tuple[str, str, int], bytes] = Kept(LAYER_BYTES, len)
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
         self._recent: deque[ModelInUse] = deque(maxlen=MODELS_KEPT)
-        self._large = threading.Lock()
+        self._forgetting, self._large = threading.Lock(), threading.Lock()
         models.listeners += [self.forget_former, self.warm_up_soon]
         uploads.listeners.append(self.search_soon)
 
@@ -210,9 +210,11 @@ class Fits:
         """Remove the results of earlier models from the caches; a listener of :class:`ModelStore`."""
         if current is None:
             return
-        self._recent.append(current)
-        numbers = {model.number for model in self._recent}
-        models = {id(model.model) for model in self._recent}
+        with self._forgetting:  # models may be published by two threads
+            self._recent.append(current)
+            recent = list(self._recent)
+        numbers = {model.number for model in recent}
+        models = {id(model.model) for model in recent}
         self._fitters.keep_only(lambda key, _: key[0] in numbers)
         self._found.keep_only(lambda key, _: key[2] in numbers)
         self._fits.keep_only(lambda _, fit: id(fit.model) in models)

@@ -8,6 +8,7 @@ unreadable landmark files that were replaced).
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -125,7 +126,7 @@ class LandmarkFiles:
 
     def _read_own(self, own: File) -> Marks:
         try:
-            data = read_bytes(self._folder.inside(own.name), LandmarkError, self._most_bytes)
+            data = self._bytes(self._folder.inside(own.name))
         except LandmarkError as fault:
             return Marks(own.name, "", None, self._folder.plain(fault))
         revision = revision_of(data)
@@ -156,15 +157,21 @@ class LandmarkFiles:
         root, listing = self._folder.root, self._listing
         images = [root / name for name in listing.winners.values()]
         samples, left_out = pair_files(root, images, [root / file.name for file in listing.other_files])
-        marks, revisions = {}, {}
+        marks, faults, problems = {}, {}, []
+        revisions: dict[Path, str | None] = {}
         for sample in samples:
             file = sample.landmark_file
             assert isinstance(sample.image, Path)
             assert file is not None
             if file not in revisions:  # one file may hold the landmarks of all pictures
-                revisions[file] = revision_of(file.read_bytes())
-            marks[sample.image.name] = Marks(file.name, revisions[file], sample.landmarks)
-        faults, problems = {}, []
+                try:
+                    revisions[file] = revision_of(self._bytes(file))
+                except LandmarkError as fault:  # it has changed since it was parsed
+                    revisions[file] = None
+                    problems.append(self._folder.plain(fault))
+            revision = revisions[file]
+            if revision is not None:
+                marks[sample.image.name] = Marks(file.name, revision, sample.landmarks)
         for left in left_out:
             if "cannot be read" not in left.reason:
                 continue
@@ -206,7 +213,7 @@ class LandmarkFiles:
             target, after = self._folder.inside(name), text.encode()
         except Refusal:  # it has become a link that leads out of the folder
             return
-        data = target.read_bytes() if target.is_file() else None
+        data = self._bytes(target) if target.is_file() else None
         if data != after and (None if data is None else revision_of(data)) != before:
             return
         self._remember_invisible(name, before, after, invisible)
@@ -218,8 +225,12 @@ class LandmarkFiles:
         if before is None or before.file != target.name:
             return
         if before.landmarks is None or len(before.landmarks) != len(template):
-            data = target.read_bytes()
+            data = self._bytes(target, sys.maxsize)
             self._state.write(f"kept/{target.stem}.{revision_of(data)}{target.suffix}", data)
+
+    def _bytes(self, path: Path, most: int | None = None) -> bytes:
+        """Read a landmark file; raise LandmarkError if it cannot be read."""
+        return read_bytes(path, LandmarkError, most or self._most_bytes)
 
     def _invisible_of(self, name: str, revision: str | None) -> dict[str, Any] | None:
         """Return the invisible points of a revision of a file: the newest, or the previous one if a write failed."""

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
-import sys
 from contextlib import suppress
 from pathlib import Path
 
 from liaam.errors import LiaamError
+from liaam.io.atomic import lock
 from liaam.studio.folder import STATE
 
 LOCK_FILE = "lock"
-
-_FAR = 1 << 30
-"""Position of the locked byte on Windows, beyond the contents, since locked bytes cannot be read."""
-
-_TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
 
 class FolderLock:
@@ -48,15 +42,13 @@ class FolderLock:
         except OSError as fault:
             raise LiaamError(f"{path} cannot be made ({fault.strerror or fault}): check the rights on it.") from fault
         try:
-            _lock(descriptor)
-        except OSError as fault:
-            if fault.errno in _TAKEN:
-                holder = _holder(descriptor)
-                os.close(descriptor)
-                raise LiaamError(
-                    f"{folder} is open in another studio{holder}: use that one, or stop it first."
-                ) from fault
-            os.close(descriptor)  # a file system without locks
+            is_locked = lock(descriptor)
+        except BlockingIOError as fault:
+            holder = _holder(descriptor)
+            os.close(descriptor)
+            raise LiaamError(f"{folder} is open in another studio{holder}: use that one, or stop it first.") from fault
+        if not is_locked:  # a file system without locks
+            os.close(descriptor)
             return
         self._descriptor = descriptor
         with suppress(OSError):  # only used for an error message
@@ -79,16 +71,3 @@ def _holder(descriptor: int) -> str:
         return f" ({data['address']}, process {data['process']})"
     except (OSError, ValueError, KeyError, TypeError):
         return ""
-
-
-def _lock(descriptor: int) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        os.lseek(descriptor, _FAR, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        os.lseek(descriptor, 0, os.SEEK_SET)
-        return
-    import fcntl
-
-    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -193,8 +193,8 @@ class Project:
                 self._states.as_json(file, {})
 
     def _overview(self, seconds: float) -> Overview:
-        stamp, ranks, states = self._stamp(), self._states.ranks(), self._states
         self._read_for(seconds, deque(self._listing.pictures))
+        stamp, ranks, states = self._stamp(), self._states.ranks(), self._states
         read = {file.name for file in self._listing.pictures if states.is_read(file)}
         pictures = [
             states.as_json(file, ranks) if file.name in read else states.unread_json(file)
