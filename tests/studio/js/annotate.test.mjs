@@ -9,9 +9,10 @@ import * as assist from "./modules/assist.js";
 import { loupePlace } from "./modules/drawing.js";
 import { History } from "./modules/history.js";
 import * as points from "./modules/points.js";
-import { contentOf, Page, Saver, Unsaved } from "./modules/saving.js";
+import { contentOf, Saver } from "./modules/saving.js";
 import { State } from "./modules/state.js";
 import * as template from "./modules/template.js";
+import { Page, Unsaved } from "./modules/unsaved.js";
 
 const FACE = [
   [10, 20],

@@ -1,15 +1,7 @@
 // Drawings of the Annotate tab over the open picture.
 
 import {
-  COLOURS,
-  drawBox,
-  drawFrame,
-  drawLoupe,
-  drawMarks,
-  drawNames,
-  drawPaths,
-  drawSpread,
-  drawText,
+  COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawSpread, drawText,
 } from "./drawing.js";
 import { indicesOf } from "./points.js";
 
@@ -22,13 +14,7 @@ export function drawMarking(ctx, viewer, tool, marking, show) {
   if (marking.state.source === "proposal" && show.ellipses) drawSpread(ctx, viewer, points, marking.book.covariances);
   if (show.contours) drawPaths(ctx, viewer, points, marking.template.contours, suggested);
   drawMarks(ctx, viewer, {
-    points,
-    invisible,
-    selection,
-    active,
-    hovered: tool.hovered,
-    suggested,
-    radius: points.length > MANY ? 3 : 4,
+    points, invisible, selection, active, hovered: tool.hovered, suggested, radius: points.length > MANY ? 3 : 4,
   });
   if (!tool.gesture) drawFrame(ctx, viewer, points, marking.framed());
   const few = selection.size <= NAMED ? [...selection] : [];

@@ -33,20 +33,12 @@ export class Keys {
     const { commands } = tab;
     this.tab = tab;
     this.always = {
-      l: () => commands.flick("names"),
-      k: () => commands.flick("contours"),
-      e: () => commands.flick("ellipses"),
-      b: () => commands.toggleBox(),
-      h: () => commands.hideMarks(true),
-      escape: () => commands.escape(),
+      l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
+      b: () => commands.toggleBox(), h: () => commands.hideMarks(true), escape: () => commands.escape(),
     };
     this.marking = {
-      v: () => commands.toggleInvisible(),
-      x: () => commands.toggleMirrored(),
-      m: () => commands.flip(),
-      n: () => commands.skip(),
-      p: () => commands.placeChosen(),
-      delete: () => commands.removeChosen(),
+      v: () => commands.toggleInvisible(), x: () => commands.toggleMirrored(), m: () => commands.flip(),
+      n: () => commands.skip(), p: () => commands.placeChosen(), delete: () => commands.removeChosen(),
       backspace: () => commands.removeChosen(),
     };
   }

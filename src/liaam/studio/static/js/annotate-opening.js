@@ -99,11 +99,8 @@ export class Opening {
     const before = old?.history.state;
     const same = old && (saver.isDirty(name) || (before.source === state.source && sameMarks(before, state)));
     const book = {
-      history: same ? old.history : new History(state),
-      covariances: marks.covariances ?? null,
-      doubtful: marks.doubtful,
-      key: this.keyOf(name),
-      tag: this.state.picture(name)?.tag,
+      history: same ? old.history : new History(state), covariances: marks.covariances ?? null,
+      doubtful: marks.doubtful, key: this.keyOf(name), tag: this.state.picture(name)?.tag,
     };
     this.books.set(name, book);
     marking.open(book);

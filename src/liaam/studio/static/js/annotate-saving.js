@@ -1,6 +1,7 @@
 // Saving marks on the server, and resolving conflicts with changes made elsewhere.
 
-import { contentOf, Page, Saver, Unsaved } from "./saving.js";
+import { contentOf, Saver } from "./saving.js";
+import { Page, Unsaved } from "./unsaved.js";
 
 const KEEPALIVE = 60_000; // largest body in bytes that a browser still sends after the page is closed
 
@@ -9,15 +10,13 @@ const CHANGED = {
   title: "Changed elsewhere",
   text: (name) =>
     `The landmarks of ${name} were changed in another tab or by another program since this tab read them.`,
-  theirs: "Use the other version",
-  mine: "Keep my version",
+  theirs: "Use the other version", mine: "Keep my version",
 };
 const DELETED = {
   title: "The landmark file was deleted",
   text: (name) =>
     `The landmark file of ${name} was deleted, renamed or moved since this tab read it.`,
-  theirs: "Leave it deleted",
-  mine: "Save it again",
+  theirs: "Leave it deleted", mine: "Save it again",
 };
 
 export class MarksSaving {
@@ -32,15 +31,13 @@ export class MarksSaving {
       put: (name, body) => this.put(name, body),
       unsaved: new Unsaved(localStorage, project.id ?? project.folder, this.page.name),
       template: () => this.template && { names: this.template.names, revision: this.template.revision },
-      onTemplate: (name) => this.templateMoved(name),
-      onLost: (name, sentence) => app.toast(sentence, "bad"),
+      onTemplate: (name) => this.templateMoved(name), onLost: (name, sentence) => app.toast(sentence, "bad"),
       onStatus: onstatus,
       onSaved: (name, { picture }) => {
         onsaved(name);
         if (picture) this.state.update(picture);
       },
-      onConflict: (name) => this.decide(name),
-      onForeign: onforeign,
+      onConflict: (name) => this.decide(name), onForeign: onforeign,
     });
   }
 

@@ -12,12 +12,8 @@ export class TemplateSession {
     this.saving = false;
     this.key = JSON.stringify(tab.template);
     this.editor = new TemplateEditor({
-      app: tab.app,
-      viewer: tab.viewer,
-      onchange: () => tab.refresh(),
-      say: (text) => tab.speaker.say(text),
-      onsave: (work) => this.save(work),
-      oncancel: () => this.cancel(),
+      app: tab.app, viewer: tab.viewer, onchange: () => tab.refresh(), say: (text) => tab.speaker.say(text),
+      onsave: (work) => this.save(work), oncancel: () => this.cancel(),
     });
   }
 

@@ -7,13 +7,7 @@ export function createToolbar({ ui, state, commands, status, act }) {
     button(label, { icon, iconOnly: true, kind: "ghost", shortcut, onclick: (event) => act(event, work), ...more });
   const toggle = (label, title, face, shortcut, work, pressed = false) =>
     button(face.text ?? label, {
-      icon: face.icon,
-      iconOnly: !face.text,
-      "aria-label": label,
-      kind: "ghost",
-      shortcut,
-      pressed,
-      title,
+      icon: face.icon, iconOnly: !face.text, "aria-label": label, kind: "ghost", shortcut, pressed, title,
       onclick: (event) => act(event, work),
     });
   const rule = () => h("span", { class: "rule", "aria-hidden": "true" });
@@ -21,16 +15,14 @@ export function createToolbar({ ui, state, commands, status, act }) {
   const redo = tool("Redo", "redo", "Ctrl+Y", () => commands.redo(), { testid: "redo" });
   const names = toggle("Names", "Show the names of all points", { text: "Aa" }, "L", () => commands.flick("names"));
   const contours = toggle(
-    "Contours",
-    "Show the contours",
+    "Contours", "Show the contours",
     { icon: "path" },
     "K",
     () => commands.flick("contours"),
     true,
   );
   const ellipses = toggle(
-    "Ellipses",
-    "Show ellipses that contain each point with 95 % probability",
+    "Ellipses", "Show ellipses that contain each point with 95 % probability",
     { icon: "target" },
     "E",
     () => commands.flick("ellipses"),
@@ -46,17 +38,13 @@ export function createToolbar({ ui, state, commands, status, act }) {
     tool("Previous picture", "left", "[", () => state.step(-1)),
     tool("Next picture", "right", "]", () => state.step(1)),
     rule(),
-    undo,
-    redo,
+    undo, redo,
     rule(),
-    box,
-    mirror,
-    flip,
+    box, mirror, flip,
     rule(),
     h("div", { class: "row tight", role: "group", "aria-label": "Show" }, names, contours, ellipses),
     h("span", { class: "grow" }),
-    status.button,
-    status.element,
+    status.button, status.element,
   );
 
   return {

@@ -24,10 +24,7 @@ export function tallyOf({ points, missing, invisible }) {
 }
 
 const SOURCES = {
-  proposal: "proposed by the model",
-  layout: "from the mean shape",
-  none: "none placed yet",
-  file: "placed by you",
+  proposal: "proposed by the model", layout: "from the mean shape", none: "none placed yet", file: "placed by you",
 };
 
 export function descriptionOf(name, { points, missing, state }) {

@@ -23,10 +23,7 @@ import { Viewer } from "./viewer.js";
 export function mount(root, app) {
   const tab = new AnnotateTab(root, app);
   return {
-    show: () => tab.appear(),
-    hide: () => tab.disappear(),
-    shortcuts: SHORTCUTS,
-    key: (event) => tab.keys.down(event),
+    show: () => tab.appear(), hide: () => tab.disappear(), shortcuts: SHORTCUTS, key: (event) => tab.keys.down(event),
   };
 }
 
@@ -66,45 +63,29 @@ class AnnotateTab {
     const { ui } = app;
     this.pictures = new PictureStore(app);
     this.marking = new Marking({
-      template: () => this.template,
-      onchange: () => this.changed(),
-      onselect: () => this.chosen(),
-      onpreview: () => viewer.redraw(),
-      onplaced: (index) => this.goOn(index),
+      template: () => this.template, onchange: () => this.changed(), onselect: () => this.chosen(),
+      onpreview: () => viewer.redraw(), onplaced: (index) => this.goOn(index),
     });
     this.commands = new Commands(this);
     this.status = new SaveStatus({
-      app,
-      say: (text) => this.speaker.say(text),
-      ondecide: () => this.saving.decide(this.saving.saver.conflicted),
+      app, say: (text) => this.speaker.say(text), ondecide: () => this.saving.decide(this.saving.saver.conflicted),
     });
     this.toolbar = createToolbar({
-      ui,
-      state,
-      commands: this.commands,
-      status: this.status,
-      act: (event, work) => this.act(event, work),
+      ui, state, commands: this.commands, status: this.status, act: (event, work) => this.act(event, work),
     });
     this.panel = new PointsPanel({
-      ui,
-      commands: this.commands,
-      onstart: () => this.startChanged(),
-      onedit: () => this.templates.edit(),
+      ui, commands: this.commands, onstart: () => this.startChanged(), onedit: () => this.templates.edit(),
     });
     this.opening = new Opening(this, () => this.panel.start);
     this.saving = new MarksSaving({
-      app,
-      onstatus: (what, message) => this.status.show(what, message),
-      onsaved: (name) => this.opening.first.forget(name),
-      onforeign: (name) => this.foreign(name),
+      app, onstatus: (what, message) => this.status.show(what, message),
+      onsaved: (name) => this.opening.first.forget(name), onforeign: (name) => this.foreign(name),
       ontheirs: (name) => this.foreign(name, true),
     });
     this.templates = new TemplateSession(this);
     this.keys = new Keys(this);
     this.assist = createAssist({
-      app,
-      accept: () => this.commands.accept(),
-      skip: () => this.commands.skip(),
+      app, accept: () => this.commands.accept(), skip: () => this.commands.skip(),
       confirm: () => this.commands.confirmLayout(),
     });
     this.tool = new PointTool(viewer, () => this.doc, { boxes: () => this.boxing, onend: () => this.refresh() });
@@ -318,10 +299,8 @@ class AnnotateTab {
           return point ? tab.viewer.toClient(point) : null;
         },
         /** "file", "proposal", "layout", "none", or "template" while it is edited; null while a picture opens. */
-        source: () => (tab.editing ? "template" : (tab.marking.state?.source ?? null)),
-        name: () => tab.name,
-        selection: () => [...tab.doc.selection],
-        invisible: () => [...tab.marking.invisible],
+        source: () => (tab.editing ? "template" : (tab.marking.state?.source ?? null)), name: () => tab.name,
+        selection: () => [...tab.doc.selection], invisible: () => [...tab.marking.invisible],
         undoSteps: () => (tab.editing ? tab.editor.history : tab.marking.history)?.past.length ?? 0,
         isDirty: () => tab.saving.saver.anyDirty,
         /** The position under the loupe of a gesture, or null. */

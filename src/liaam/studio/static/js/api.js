@@ -97,9 +97,7 @@ function withBody(method) {
 export const api = {
   url,
   /** quiet: nobody waits for the answer, so no progress is shown. */
-  get: (address, options = {}) => json(address, options),
-  put: withBody("PUT"),
-  post: withBody("POST"),
+  get: (address, options = {}) => json(address, options), put: withBody("PUT"), post: withBody("POST"),
   delete: withBody("DELETE"),
   upload: (address, blob, options = {}) =>
     json(address, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: blob, ...options }),

@@ -118,9 +118,7 @@ export function createAssist({ app, accept, skip, confirm }) {
   const failure = h("p", { class: "small error-text", role: "alert", hidden: true });
   const train = button("Train", { icon: "brain", small: true, testid: "train", onclick: start });
   const auto = h("input", {
-    type: "checkbox",
-    checked: localStorage.getItem(AUTO_KEY) !== "off",
-    dataset: { testid: "auto-train" },
+    type: "checkbox", checked: localStorage.getItem(AUTO_KEY) !== "off", dataset: { testid: "auto-train" },
     onchange: () => localStorage.setItem(AUTO_KEY, auto.checked ? "on" : "off"),
   });
   const autoLabel = h(
@@ -129,31 +127,19 @@ export function createAssist({ app, accept, skip, confirm }) {
       class: "check small",
       title: `Train when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`,
     },
-    auto,
-    "Train automatically",
+    auto, "Train automatically",
   );
   const next = button("Accept and continue", {
-    icon: "check",
-    kind: "primary",
-    shortcut: "Enter",
-    testid: "accept-next",
-    onclick: accept,
+    icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: accept,
     title: "Accept these points and open the picture that helps the model most",
   });
   next.append(h("kbd", { class: "kbd", "aria-hidden": "true" }, "⏎"));
   const pass = button("Skip", {
-    small: true,
-    kind: "ghost",
-    shortcut: "N",
-    testid: "skip-next",
-    onclick: skip,
+    small: true, kind: "ghost", shortcut: "N", testid: "skip-next", onclick: skip,
     title: "Open the next picture and leave this one unchanged",
   });
   const sure = button("The points are right…", {
-    small: true,
-    hidden: true,
-    testid: "confirm-layout",
-    onclick: confirm,
+    small: true, hidden: true, testid: "confirm-layout", onclick: confirm,
     title: "Save the mean shape although no point was moved",
   });
   const why = h("p", { class: "small muted", dataset: { testid: "why-next" } });
@@ -165,13 +151,9 @@ export function createAssist({ app, accept, skip, confirm }) {
     "section",
     { class: "panel assist", "aria-label": "The model's help" },
     h("div", { class: "row assist-head" }, icon("spark"), count, h("span", { class: "grow" }), train),
-    running,
-    failure,
+    running, failure,
     h("div", { class: "row assist-go" }, next, pass),
-    sure,
-    why,
-    notes,
-    autoLabel,
+    sure, why, notes, autoLabel,
   );
 
   async function start() {

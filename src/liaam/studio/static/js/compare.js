@@ -29,9 +29,7 @@ class Side {
     this.fit = null;
     this._run = 0;
     this.select = h("select", {
-      class: "text",
-      "aria-label": `Method on the ${label}`,
-      dataset: { testid: `compare-method-${name}` },
+      class: "text", "aria-label": `Method on the ${label}`, dataset: { testid: `compare-method-${name}` },
       onchange: () => onmethod(this),
     });
     this.badge = h("span", { class: "badge", hidden: true });
@@ -123,8 +121,7 @@ class CompareTab {
     this.truth = null;
     this.showTruth = true;
     const options = {
-      onmethod: (side) => this._method(side),
-      draw: (ctx, viewer, side) => this._draw(ctx, viewer, side),
+      onmethod: (side) => this._method(side), draw: (ctx, viewer, side) => this._draw(ctx, viewer, side),
     };
     this.left = new Side("left", "left", options);
     this.right = new Side("right", "right", options);
@@ -167,10 +164,7 @@ class CompareTab {
     if (event.key === "Enter" && onControl) return false;
     const overlay = OVERLAYS.find(({ key }) => key.toLowerCase() === event.key.toLowerCase());
     const actions = {
-      enter: () => this.run(),
-      f: () => this.run(),
-      x: () => this.swap(),
-      t: () => this._toggleTruth(),
+      enter: () => this.run(), f: () => this.run(), x: () => this.swap(), t: () => this._toggleTruth(),
     };
     if (overlay) this._toggle(overlay.name);
     else if (actions[event.key.toLowerCase()]) actions[event.key.toLowerCase()]();
@@ -271,44 +265,25 @@ class CompareTab {
   _build(root) {
     this._overlays = overlayButtons(this.shown, (name) => this._toggle(name));
     this._truthButton = button("Ground truth", {
-      small: true,
-      shortcut: "T",
-      pressed: this.showTruth,
-      disabled: true,
-      testid: "compare-truth",
-      title: "Show the known landmarks of the picture as crosses",
-      onclick: () => this._toggleTruth(),
+      small: true, shortcut: "T", pressed: this.showTruth, disabled: true, testid: "compare-truth",
+      title: "Show the known landmarks of the picture as crosses", onclick: () => this._toggleTruth(),
     });
     this._runButton = button("Fit both", {
-      icon: "target",
-      kind: "primary",
-      small: true,
-      shortcut: "Enter",
-      testid: "compare-run",
-      onclick: () => this.run(),
+      icon: "target", kind: "primary", small: true, shortcut: "Enter", testid: "compare-run", onclick: () => this.run(),
     });
     const swap = button("Swap", {
-      icon: "swap",
-      small: true,
-      shortcut: "X",
-      testid: "compare-swap",
-      onclick: () => this.swap(),
+      icon: "swap", small: true, shortcut: "X", testid: "compare-swap", onclick: () => this.swap(),
     });
     this._verdictText = h("p", {
-      class: "compare-verdict grow",
-      role: "status",
-      "aria-live": "polite",
-      dataset: { testid: "compare-verdict" },
+      class: "compare-verdict grow", role: "status", "aria-live": "polite", dataset: { testid: "compare-verdict" },
     });
     this._name = h("span", { class: "fit-source-name" });
     const toolbar = h(
       "div",
       { class: "toolbar", role: "toolbar", "aria-label": "Compare" },
-      this._runButton,
-      swap,
+      this._runButton, swap,
       h("span", { class: "rule" }),
-      [...this._overlays.values()],
-      this._truthButton,
+      [...this._overlays.values()], this._truthButton,
       h("span", { class: "grow" }),
       this._name,
     );

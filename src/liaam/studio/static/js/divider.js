@@ -20,19 +20,12 @@ export class Divider {
     this.element = h(
       "div",
       {
-        class: "fit-divider",
-        role: "slider",
-        tabindex: "0",
-        hidden: true,
-        "aria-orientation": "horizontal",
-        "aria-valuemin": "0",
-        "aria-valuemax": "100",
-        dataset: { testid: "divider" },
+        class: "fit-divider", role: "slider", tabindex: "0", hidden: true, "aria-orientation": "horizontal",
+        "aria-valuemin": "0", "aria-valuemax": "100", dataset: { testid: "divider" },
       },
       h("span", { class: "fit-divider-line" }),
       h("span", { class: "fit-divider-grip", "aria-hidden": "true" }, "‹ ›"),
-      this._before,
-      this._after,
+      this._before, this._after,
     );
     viewer.container.append(this.element);
     this.element.addEventListener("pointerdown", (event) => this._down(event));

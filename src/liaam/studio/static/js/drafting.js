@@ -127,8 +127,7 @@ export class Drafting {
       unplaced >= 0 ? { ...this.draft, points: place(this.draft.points, unplaced, at) } : this.withPoint(at);
     // The ghost shows the new point and its line; the point is added when the pointer goes up.
     return {
-      loupe: xy,
-      ghost: add(xy),
+      loupe: xy, ghost: add(xy),
       move(at) {
         this.loupe = at;
         this.ghost = add(at);

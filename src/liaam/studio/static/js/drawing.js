@@ -1,15 +1,11 @@
 // Drawing of points, names, the frame with its handles, and the loupe.
 
-import { drawContours, drawEllipses } from "./viewer.js";
+import { drawContours, drawEllipses } from "./overlays.js";
 import { frameOf } from "./gestures.js";
 
 // Colours for any picture: yellow is placed, blue is proposed, white is selected.
 export const COLOURS = {
-  placed: "#ffd166",
-  proposed: "#6fd3ff",
-  chosen: "#ffffff",
-  rim: "rgb(0 0 0 / 65%)",
-  axis: "#ff7ab8",
+  placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", rim: "rgb(0 0 0 / 65%)", axis: "#ff7ab8",
 };
 const LOUPE = 62; // css pixels, radius
 const MAGNIFIED = 4;
@@ -113,8 +109,7 @@ export function drawFrame(ctx, viewer, points, indices) {
   ctx.lineTo(...frame.handles[5].at);
   outlined(ctx, "rgb(255 255 255 / 80%)", 1, [4, 3]);
   for (const {
-    kind,
-    at: [x, y],
+    kind, at: [x, y],
   } of frame.handles) {
     ctx.beginPath();
     if (kind === "scale") ctx.rect(x - 5, y - 5, 10, 10);
@@ -137,10 +132,7 @@ function drawSign(ctx, kind, x, y) {
     ctx.lineTo(x + 4, y - 2);
   } else {
     for (const [dx, dy] of [
-      [1, 0],
-      [-1, 0],
-      [0, 1],
-      [0, -1],
+      [1, 0], [-1, 0], [0, 1], [0, -1],
     ]) {
       ctx.moveTo(x, y);
       ctx.lineTo(x + 6 * dx, y + 6 * dy);
@@ -198,10 +190,7 @@ export function drawLoupe(ctx, viewer, xy, pointer, colour = COLOURS.placed) {
   );
   ctx.beginPath();
   for (const [dx, dy] of [
-    [1, 0],
-    [-1, 0],
-    [0, 1],
-    [0, -1],
+    [1, 0], [-1, 0], [0, 1], [0, -1],
   ]) {
     ctx.moveTo(cx + 6 * dx, cy + 6 * dy);
     ctx.lineTo(cx + 22 * dx, cy + 22 * dy);

@@ -2,7 +2,7 @@
 
 import { verdictOf } from "./fit-run.js";
 import { button, h } from "./ui.js";
-import { drawContours, drawEllipses, drawMesh, drawPoints } from "./viewer.js";
+import { drawContours, drawEllipses, drawMesh, drawPoints } from "./overlays.js";
 
 export const OVERLAYS = [
   { name: "contours", label: "Contours", key: "C", title: "Show the contours" },
@@ -17,12 +17,7 @@ export function overlayButtons(shown, onclick, testid = () => null) {
     OVERLAYS.map(({ name, label, key, title }) => [
       name,
       button(label, {
-        small: true,
-        shortcut: key,
-        title,
-        pressed: shown.has(name),
-        testid: testid(name),
-        onclick: () => onclick(name),
+        small: true, shortcut: key, title, pressed: shown.has(name), testid: testid(name), onclick: () => onclick(name),
       }),
     ]),
   );
@@ -86,8 +81,7 @@ export function drawTruth(ctx, viewer, points, colour = "#6df2a4") {
     ctx.lineTo(x + arm, y - arm);
   }
   for (const [stroke, width] of [
-    ["rgb(0 0 0 / 60%)", 3.4],
-    [colour, 1.6],
+    ["rgb(0 0 0 / 60%)", 3.4], [colour, 1.6],
   ]) {
     ctx.strokeStyle = stroke;
     ctx.lineWidth = width;

@@ -34,20 +34,13 @@ export class ExportMenu {
     this._fit = null;
     this.button = roomy(
       button("Export", {
-        icon: "download",
-        small: true,
-        disabled: true,
-        testid: "export-menu",
-        onclick: () => this._toggle(),
+        icon: "download", small: true, disabled: true, testid: "export-menu", onclick: () => this._toggle(),
       }),
     );
     this.button.setAttribute("aria-expanded", "false");
     this._links = new Map();
     this._annotate = button("Use as annotation", {
-      icon: "edit",
-      kind: "ghost",
-      small: true,
-      testid: "export-annotation",
+      icon: "edit", kind: "ghost", small: true, testid: "export-annotation",
       title: "Save these landmarks beside the picture",
       onclick: () => {
         this.close();
@@ -99,9 +92,7 @@ export class ExportMenu {
     const link = h(
       "a",
       {
-        class: "button ghost small",
-        download: "",
-        dataset: { testid: `export-${what}` },
+        class: "button ghost small", download: "", dataset: { testid: `export-${what}` },
         onclick: (event) => {
           event.preventDefault(); // a plain link would show neither progress nor errors
           this._save(link, what);
@@ -176,9 +167,7 @@ export async function useAsAnnotation(app, fit) {
     if (!agreed) return false;
   }
   const marks = {
-    points: fit.shape,
-    invisible: placed ? known.invisible : [],
-    revision: known.revision,
+    points: fit.shape, invisible: placed ? known.invisible : [], revision: known.revision,
     ...(template?.revision === undefined ? {} : { template: template.revision }),
   };
   const saved = await app.state.send((folder) => api.put(address, { ...marks, folder }));

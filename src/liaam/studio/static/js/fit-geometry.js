@@ -58,12 +58,7 @@ export function pulled(placement, from, to, what) {
 /** Handles of a placed shape: the corners of its rotated box, and a knob above the middle of the top side. */
 export function handlesOf(unit, placement, gap) {
   const box = boundsOf(unit);
-  const corners = [
-    [box.x0, box.y0],
-    [box.x1, box.y0],
-    [box.x1, box.y1],
-    [box.x0, box.y1],
-  ];
+  const corners = [[box.x0, box.y0], [box.x1, box.y0], [box.x1, box.y1], [box.x0, box.y1]];
   const middle = [0, box.y0];
   const knob = [0, box.y0 - gap / placement.size];
   const [top, above, ...rest] = placed([middle, knob, ...corners], placement);

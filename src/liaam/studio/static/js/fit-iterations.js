@@ -23,12 +23,7 @@ export class Iterations {
     this.iterations = [];
     this.index = 0;
     this.slider = h("input", {
-      type: "range",
-      class: "slider",
-      min: "0",
-      max: "0",
-      value: "0",
-      "aria-label": "Iteration",
+      type: "range", class: "slider", min: "0", max: "0", value: "0", "aria-label": "Iteration",
       dataset: { testid: "fit-iterations" },
       oninput: () => {
         this.pause();
@@ -36,19 +31,11 @@ export class Iterations {
       },
     });
     this.player = button("Play the iterations", {
-      icon: "play",
-      iconOnly: true,
-      small: true,
-      shortcut: "P",
-      testid: "fit-play",
-      onclick: () => this.toggle(),
+      icon: "play", iconOnly: true, small: true, shortcut: "P", testid: "fit-play", onclick: () => this.toggle(),
     });
     this.text = h("p", { class: "small muted fit-iteration-text" });
     this.plot = svg("svg", {
-      viewBox: `0 0 ${WIDTH} ${HEIGHT}`,
-      class: "fit-plot",
-      role: "img",
-      "aria-label": "Cost by iteration",
+      viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "fit-plot", role: "img", "aria-label": "Cost by iteration",
     });
     this.plot.addEventListener("pointerdown", (event) => this._pick(event));
     this.plot.addEventListener("pointermove", (event) => {

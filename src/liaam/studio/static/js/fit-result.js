@@ -8,10 +8,7 @@ export class ResultPanel {
   /** onstart(value): start from a "box" or the "mean" shape. */
   constructor({ onstart }) {
     this._status = h("div", {
-      class: "column tight fit-status",
-      role: "status",
-      "aria-live": "polite",
-      dataset: { testid: "fit-status" },
+      class: "column tight fit-status", role: "status", "aria-live": "polite", dataset: { testid: "fit-status" },
     });
     this._remedies = h(
       "div",
@@ -23,9 +20,7 @@ export class ResultPanel {
     this.element = h(
       "section",
       { class: "panel fit-result", "aria-label": "Result" },
-      this._status,
-      this._remedies,
-      this._facts,
+      this._status, this._remedies, this._facts,
     );
   }
 

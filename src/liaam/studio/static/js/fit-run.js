@@ -51,8 +51,7 @@ export class FitStore {
 export function cleaned(fit) {
   const points = (shape) => shape.map((point) => (point && point.every(Number.isFinite) ? point : null));
   return {
-    ...fit,
-    shape: points(fit.shape),
+    ...fit, shape: points(fit.shape),
     covariances: fit.covariances?.map((each) => (each?.flat().every(Number.isFinite) ? each : null)) ?? null,
     iterations: fit.iterations.map((step) => ({ ...step, shape: points(step.shape) })),
   };

@@ -5,21 +5,15 @@ import { button, h, icon, segmented } from "./ui.js";
 
 const STARTS = [
   {
-    value: "auto",
-    label: "Automatic",
-    title: "Search the picture for the object",
+    value: "auto", label: "Automatic", title: "Search the picture for the object",
     hint: "The model searches the whole picture.",
   },
   {
-    value: "box",
-    label: "Box",
-    title: "Draw a box around the object",
+    value: "box", label: "Box", title: "Draw a box around the object",
     hint: "Draw a box around the object. Arrow keys move it, comma and full stop resize it, Enter fits.",
   },
   {
-    value: "mean",
-    label: "Mean shape",
-    title: "Drag the model's mean shape onto the object",
+    value: "mean", label: "Mean shape", title: "Drag the model's mean shape onto the object",
     hint: "Drag the shape onto the object. Its corners resize it, the knob rotates it. Keys: arrows move, comma and full stop resize, brackets rotate, Enter fits.",
   },
 ];
@@ -31,27 +25,17 @@ export class SetupPanel {
     this._methods = [];
     this._label = h("span", { class: "fit-source-name grow" });
     this._back = button("Back to the folder", {
-      icon: "left",
-      iconOnly: true,
-      small: true,
-      kind: "ghost",
-      hidden: true,
-      onclick: onback,
+      icon: "left", iconOnly: true, small: true, kind: "ghost", hidden: true, onclick: onback,
     });
     const open = button("Open…", {
-      icon: "image",
-      small: true,
-      title: "Open another picture without adding it to the folder",
-      onclick: onopen,
+      icon: "image", small: true, title: "Open another picture without adding it to the folder", onclick: onopen,
     });
     this._starts = segmented("Start", STARTS, "auto", onstart);
     for (const each of this._starts.element.children) each.dataset.testid = `start-${each.dataset.value}`;
     this._starts.element.addEventListener("click", onclick);
     this._hint = h("p", { class: "small muted", hidden: true });
     this._method = h("select", {
-      class: "text",
-      "aria-describedby": "fit-method-summary",
-      dataset: { testid: "fit-method" },
+      class: "text", "aria-describedby": "fit-method-summary", dataset: { testid: "fit-method" },
       onchange: () => {
         this._summarise();
         onmethod(this.method);
@@ -61,10 +45,7 @@ export class SetupPanel {
     this._run = h(
       "button",
       {
-        type: "button",
-        class: "button primary",
-        "aria-keyshortcuts": "Enter",
-        dataset: { testid: "fit-run" },
+        type: "button", class: "button primary", "aria-keyshortcuts": "Enter", dataset: { testid: "fit-run" },
         onclick: onrun,
       },
       icon("target"),
@@ -85,9 +66,7 @@ export class SetupPanel {
       "section",
       { class: "panel", "aria-label": "Fit" },
       h("div", { class: "row fit-source" }, this._back, this._label, open),
-      this._needsModel,
-      this._mismatch,
-      this._withModel,
+      this._needsModel, this._mismatch, this._withModel,
     );
   }
 

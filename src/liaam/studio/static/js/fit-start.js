@@ -1,19 +1,10 @@
 // Starts of a fit: a drawn box, or the model's mean shape dragged onto the object.
 
 import {
-  boxAfterKey,
-  boxBetween,
-  boxMoved,
-  firstPlacement,
-  handlesOf,
-  isDrawn,
-  isWithin,
-  normalised,
-  placed,
-  placementAfterKey,
-  pulled,
+  boxAfterKey, boxBetween, boxMoved, firstPlacement, handlesOf, isDrawn, isWithin, normalised, placed,
+  placementAfterKey, pulled,
 } from "./fit-geometry.js";
-import { drawContours, drawMesh, drawPoints } from "./viewer.js";
+import { drawContours, drawMesh, drawPoints } from "./overlays.js";
 
 const REACH = 14; // css pixels around a handle
 const REACH_TOUCH = 24;
@@ -43,8 +34,7 @@ function outline(ctx, corners) {
   corners.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
   ctx.closePath();
   for (const [colour, width] of [
-    ["rgb(0 0 0 / 50%)", 3.5],
-    [COLOUR, 1.6],
+    ["rgb(0 0 0 / 50%)", 3.5], [COLOUR, 1.6],
   ]) {
     ctx.strokeStyle = colour;
     ctx.lineWidth = width;
@@ -75,12 +65,7 @@ export class BoxTool {
     this._drag = { kind: "draw", from: xy, before };
     if (before) {
       const [x0, y0, x1, y1] = before;
-      const corners = [
-        [x0, y0],
-        [x1, y0],
-        [x1, y1],
-        [x0, y1],
-      ];
+      const corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
       const near = corners.findIndex((corner) => isNear(this.viewer, corner, xy, event));
       // While a corner is dragged, the opposite one stays.
       if (near >= 0) this._drag = { kind: "draw", from: corners[(near + 2) % 4], before };
@@ -130,12 +115,7 @@ export class BoxTool {
   draw(ctx, viewer) {
     if (!this.box) return;
     const [x0, y0, x1, y1] = this.box;
-    const corners = [
-      [x0, y0],
-      [x1, y0],
-      [x1, y1],
-      [x0, y1],
-    ].map((corner) => viewer.toScreen(corner));
+    const corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].map((corner) => viewer.toScreen(corner));
     outline(ctx, corners);
     corners.forEach((corner) => square(ctx, corner));
   }

@@ -2,15 +2,7 @@
 
 import { api } from "./api.js";
 import {
-  COLOURS,
-  foldedTheta,
-  measurable,
-  paintInvariant,
-  parseChroma,
-  PHYSICAL,
-  robustRange,
-  sampleChroma,
-  steadyRange,
+  COLOURS, foldedTheta, measurable, paintInvariant, parseChroma, PHYSICAL, robustRange, sampleChroma, steadyRange,
   thetaAfterKey,
 } from "./invariant.js";
 import { FrameMeter } from "./fit-schedule.js";
@@ -145,15 +137,9 @@ export class InvariantView extends EventTarget {
 
   _controls() {
     this._slider = h("input", {
-      type: "range",
-      class: "slider",
-      min: "0",
-      max: "180",
-      step: "0.1",
-      "aria-label": "Angle θ of the invariant image in degrees",
-      dataset: { testid: "theta-slider" },
-      oninput: () => this._move(Number(this._slider.value)),
-      onchange: () => this._adaptContrast(),
+      type: "range", class: "slider", min: "0", max: "180", step: "0.1",
+      "aria-label": "Angle θ of the invariant image in degrees", dataset: { testid: "theta-slider" },
+      oninput: () => this._move(Number(this._slider.value)), onchange: () => this._adaptContrast(),
       onkeydown: (event) => {
         if (!this.key(event)) return;
         event.preventDefault();
@@ -164,9 +150,7 @@ export class InvariantView extends EventTarget {
     this._marks = h("div", { class: "fit-theta-marks", "aria-hidden": "true" });
     this._note = h("span", { class: "small muted" });
     this._reset = button("Reset", {
-      small: true,
-      testid: "theta-reset",
-      title: "Reset to the angle of the fit or the model",
+      small: true, testid: "theta-reset", title: "Reset to the angle of the fit or the model",
       onclick: () => {
         this.theta = this._default;
         this._chosen = false;
@@ -192,10 +176,7 @@ export class InvariantView extends EventTarget {
       { class: "fit-controls" },
       h("span", { class: "fit-theta-name" }, "θ"),
       h("div", { class: "fit-theta" }, this._slider, this._marks),
-      this._text,
-      this._reset,
-      colours.element,
-      this._note,
+      this._text, this._reset, colours.element, this._note,
     );
   }
 

@@ -10,21 +10,13 @@ import { button, h, segmented } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 export const VIEWS = [
+  { name: "picture", label: "Picture", hint: "Drop or paste another picture here, or select one on the left." },
   {
-    name: "picture",
-    label: "Picture",
-    hint: "Drop or paste another picture here, or select one on the left.",
-  },
-  {
-    name: "flat",
-    label: "Flat",
-    after: "Without shading",
+    name: "flat", label: "Flat", after: "Without shading",
     hint: "The object under the training light, without the shading of this picture.",
   },
   {
-    name: "shading",
-    label: "Shading",
-    after: "Shading",
+    name: "shading", label: "Shading", after: "Shading",
     hint: "The effect of the light: the picture divided by its flat appearance.",
   },
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model." },
@@ -58,8 +50,7 @@ export class FitView {
     this.invariant = new InvariantView(this.viewer);
     this.light = new Light(this.viewer, ambient);
     this.relighter = new Relighter({
-      done: (image, fit) => this._relit(image, fit),
-      failed: (error, { fit }) => this._failed("relit", error, fit),
+      done: (image, fit) => this._relit(image, fit), failed: (error, { fit }) => this._failed("relit", error, fit),
     });
     this.light.addEventListener("change", () => this._relight(false));
     this.light.addEventListener("rest", () => this._relight(true));
@@ -233,11 +224,7 @@ export class FitView {
     for (const each of this._choice.element.children) each.dataset.testid = `layer-${each.dataset.value}`;
     this._splitter = roomy(
       button("Before | after", {
-        icon: "compare",
-        small: true,
-        pressed: false,
-        shortcut: "S",
-        testid: "fit-split",
+        icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
         title: "Show the picture on the left of a line and the view on its right",
         onclick: () => {
           this.split = !this.split;
@@ -328,8 +315,7 @@ export class FitView {
         holder = active().find((tool) => tool.down(event, xy)) ?? null;
         return Boolean(holder);
       },
-      move: (event, xy) => holder?.move(event, xy),
-      up: (event, xy) => holder?.up(event, xy),
+      move: (event, xy) => holder?.move(event, xy), up: (event, xy) => holder?.up(event, xy),
       cancel: (event, xy) => holder?.cancel(event, xy),
       cursor: (event, xy) =>
         active()

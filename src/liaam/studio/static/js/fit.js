@@ -2,6 +2,7 @@
 
 import { mismatch } from "./assist.js";
 import { FitView } from "./fit-view.js";
+import { hooksOf } from "./fit-hooks.js";
 import { ExportMenu, useAsAnnotation } from "./fit-export.js";
 import { Iterations } from "./fit-iterations.js";
 import { ResultPanel } from "./fit-result.js";
@@ -25,10 +26,7 @@ const SHORTCUTS = [
 export function mount(root, app) {
   const tab = new FitTab(root, app);
   return {
-    show: (options) => tab.open(options),
-    hide: () => tab.leave(),
-    shortcuts: SHORTCUTS,
-    key: (event) => tab.key(event),
+    show: (options) => tab.open(options), hide: () => tab.leave(), shortcuts: SHORTCUTS, key: (event) => tab.key(event),
   };
 }
 
@@ -44,31 +42,22 @@ class FitTab {
     this.fit = null;
     this.lastDropMs = null;
     this._run = 0; // number of the newest run, to drop answers of older ones
-    this.view = new FitView({
-      gone: (fit) => this._forgotten(fit),
-      ambient: this.state.project.default_ambient,
-    });
+    this.view = new FitView({ gone: (fit) => this._forgotten(fit), ambient: this.state.project.default_ambient });
     this.box = new BoxTool(this.view.viewer, () => this.run());
     this.mean = new MeanTool(this.view.viewer);
     this.iterations = new Iterations((index, last) => this._iterate(index, last));
     this.exports = new ExportMenu({
-      light: () => this.view.light,
-      annotate: (fit) => this._annotate(fit),
-      complain: (error) => this._complain(error),
+      light: () => this.view.light, annotate: (fit) => this._annotate(fit), complain: (error) => this._complain(error),
     });
     this.result = new ResultPanel({ onstart: (value) => this._setStart(value, true) });
     this.setup = new SetupPanel({
-      app,
-      onback: () => this.sources.backToFolder(),
-      onopen: () => this._file.click(),
-      onstart: (value) => this._setStart(value),
-      onclick: () => this._toPicture(),
-      onmethod: (name) => this._setMethod(name),
-      onrun: () => this.run(),
+      app, onback: () => this.sources.backToFolder(), onopen: () => this._file.click(),
+      onstart: (value) => this._setStart(value), onclick: () => this._toPicture(),
+      onmethod: (name) => this._setMethod(name), onrun: () => this.run(),
     });
     this._build(root);
     this._listen();
-    this._expose();
+    window.liaamStudio.fit = hooksOf(this);
     this._project();
     this._source();
   }
@@ -100,15 +89,11 @@ class FitTab {
     if (this._startTool()?.key(event)) return true;
     const letter = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const actions = {
-      Enter: () => this.run(),
-      f: () => this.run(),
-      v: () => this.view.cycle(event.shiftKey ? -1 : 1),
+      Enter: () => this.run(), f: () => this.run(), v: () => this.view.cycle(event.shiftKey ? -1 : 1),
       s: () => {
         this.view.split = !this.view.split;
       },
-      c: () => this.view.toggle("contours"),
-      l: () => this.view.toggle("landmarks"),
-      m: () => this.view.toggle("mesh"),
+      c: () => this.view.toggle("contours"), l: () => this.view.toggle("landmarks"), m: () => this.view.toggle("mesh"),
       e: () => this.view.toggle("ellipses"),
       ",": () => this.iterations.step(-1),
       ".": () => this.iterations.step(1),
@@ -280,12 +265,8 @@ class FitTab {
 
   _build(root) {
     this._file = h("input", {
-      type: "file",
-      accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp",
-      class: "visually-hidden",
-      tabindex: "-1",
-      "aria-label": "Open a picture to fit",
-      dataset: { testid: "fit-file" },
+      type: "file", accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp", class: "visually-hidden", tabindex: "-1",
+      "aria-label": "Open a picture to fit", dataset: { testid: "fit-file" },
       onchange: () => {
         const [file] = this._file.files;
         this._file.value = "";
@@ -295,8 +276,7 @@ class FitTab {
     const toolbar = h(
       "div",
       { class: "toolbar", role: "toolbar", "aria-label": "View" },
-      this.view.chooser,
-      this.view.splitter,
+      this.view.chooser, this.view.splitter,
       h("span", { class: "grow" }),
       this.exports.element,
     );
@@ -308,8 +288,7 @@ class FitTab {
       "div",
       { class: "fit-tab", dataset: { testid: "fit-drop" } },
       h("div", { class: "workspace" }, toolbar, stage, this.view.bar),
-      this._side,
-      this._file,
+      this._side, this._file,
     );
     root.append(this._area);
   }
@@ -410,41 +389,5 @@ class FitTab {
       h("p", {}, `Use any picture of the model's object: ${where}. It stays on this machine.`),
       button("Open a picture…", { icon: "upload", kind: "primary", onclick: () => this._file.click() }),
     );
-  }
-
-  /**
-   * Hooks for browser tests: `lastDropMs` from the newest drop to the first frame painted with its fit, frames per second
-   * of the newest drag of theta, and the displayed values.
-   */
-  _expose() {
-    const tab = this;
-    window.liaamStudio.fit = {
-      get lastDropMs() {
-        return tab.lastDropMs;
-      },
-      invariantFps: () => tab.view.invariant.meter.rate(),
-      get fit() {
-        return tab.fit;
-      },
-      get view() {
-        return tab.view.name;
-      },
-      get theta() {
-        return tab.view.invariant.theta;
-      },
-      get light() {
-        return { direction: tab.view.light.direction, ambient: tab.view.light.ambient };
-      },
-      get relightBusy() {
-        return tab.view.relighter.busy;
-      },
-      get start() {
-        return tab._startTool()?.start ?? null;
-      },
-      get shownShape() {
-        return tab.view.iteration?.shape ?? tab.fit?.shape ?? null;
-      },
-      viewer: this.view.viewer,
-    };
   }
 }

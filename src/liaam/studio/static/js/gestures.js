@@ -29,12 +29,7 @@ export function frameOf(viewer, points, indices) {
   const [x0, y0] = viewer.toScreen([box[0], box[1]]).map((v) => v - FRAME);
   const [x1, y1] = viewer.toScreen([box[2], box[3]]).map((v) => v + FRAME);
   const middle = (x0 + x1) / 2;
-  const corners = [
-    [x0, y0, x1, y1],
-    [x1, y0, x0, y1],
-    [x1, y1, x0, y0],
-    [x0, y1, x1, y0],
-  ];
+  const corners = [[x0, y0, x1, y1], [x1, y0, x0, y1], [x1, y1, x0, y0], [x0, y1, x1, y0]];
   return {
     box: [x0, y0, x1, y1],
     handles: [
@@ -63,8 +58,7 @@ function dragging(doc, index, indices, start, what) {
       this.loupe = index < 0 ? null : points[index];
       doc.preview(points);
     },
-    up: () => (dx || dy ? doc.commit(after(), what) : doc.revert()),
-    cancel: () => doc.revert(),
+    up: () => (dx || dy ? doc.commit(after(), what) : doc.revert()), cancel: () => doc.revert(),
   };
 }
 
@@ -96,14 +90,12 @@ function turning(viewer, doc, handle, indices) {
 function boxing(doc, start, adds) {
   const kept = adds ? [...doc.selection] : [];
   return {
-    loupe: null,
-    box: [...start, ...start],
+    loupe: null, box: [...start, ...start],
     move(xy) {
       this.box = [...start, ...xy];
       doc.select([...new Set([...kept, ...inBox(doc.points, this.box)])]);
     },
-    up: () => doc.select([...doc.selection]),
-    cancel: () => doc.select(kept),
+    up: () => doc.select([...doc.selection]), cancel: () => doc.select(kept),
   };
 }
 
@@ -254,8 +246,7 @@ export function keyEdit(event, points, indices, chosen) {
     if (centre === null) return null;
     const [angle, factor] = arrow[0] ? [arrow[0] * TURN * more, 1] : [0, GROW ** (-arrow[1] * more)];
     return {
-      points: turn(points, indices, centre, angle, factor),
-      what: arrow[0] ? "rotate" : "scale",
+      points: turn(points, indices, centre, angle, factor), what: arrow[0] ? "rotate" : "scale",
       key: `turn ${indices.join()}`,
     };
   }

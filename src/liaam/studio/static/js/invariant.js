@@ -112,16 +112,8 @@ const HATCH_LIGHT = packed(84, 80, 94);
 
 /** Anchors of viridis (Smith and van der Walt, CC0), evenly spaced. */
 const VIRIDIS = [
-  [68, 1, 84],
-  [72, 40, 120],
-  [62, 73, 137],
-  [49, 104, 142],
-  [38, 130, 142],
-  [31, 158, 137],
-  [53, 183, 121],
-  [110, 206, 88],
-  [181, 222, 43],
-  [253, 231, 37],
+  [68, 1, 84], [72, 40, 120], [62, 73, 137], [49, 104, 142], [38, 130, 142], [31, 158, 137], [53, 183, 121],
+  [110, 206, 88], [181, 222, 43], [253, 231, 37],
 ];
 
 /** 256 colours between anchors, as 32-bit pixels. */
@@ -135,10 +127,7 @@ export function colourTable(anchors) {
 }
 
 export const COLOURS = {
-  grey: colourTable([
-    [0, 0, 0],
-    [255, 255, 255],
-  ]),
+  grey: colourTable([[0, 0, 0], [255, 255, 255]]),
   viridis: colourTable(VIRIDIS),
 };
 
@@ -149,14 +138,8 @@ export const PHYSICAL = [90, 135];
 export function thetaAfterKey(theta, { key, shiftKey = false }) {
   const step = shiftKey ? 0.1 : 1;
   const moved = {
-    ArrowLeft: theta - step,
-    ArrowDown: theta - step,
-    ArrowRight: theta + step,
-    ArrowUp: theta + step,
-    PageDown: theta - 10,
-    PageUp: theta + 10,
-    Home: 0,
-    End: 180,
+    ArrowLeft: theta - step, ArrowDown: theta - step, ArrowRight: theta + step, ArrowUp: theta + step,
+    PageDown: theta - 10, PageUp: theta + 10, Home: 0, End: 180,
   }[key];
   if (moved === undefined) return null;
   return Math.round(10 * Math.min(180, Math.max(0, moved))) / 10;

@@ -6,18 +6,7 @@
 // moved. A *book* {history, covariances, doubtful, ...} holds everything about one picture.
 
 import {
-  expected,
-  flip,
-  flipIndices,
-  missing,
-  nextMissing,
-  place,
-  placed,
-  remove,
-  samePoint,
-  samePoints,
-  toggle,
-  withTwins,
+  expected, flip, flipIndices, missing, nextMissing, place, placed, remove, samePoint, samePoints, toggle, withTwins,
 } from "./points.js";
 
 export class Marking {

@@ -8,11 +8,7 @@ export class PointList {
     this.items = [];
     this.active = -1;
     this.element = h("ul", {
-      class: "point-list",
-      role: "listbox",
-      tabindex: "0",
-      "aria-label": "Points",
-      "aria-multiselectable": "true",
+      class: "point-list", role: "listbox", tabindex: "0", "aria-label": "Points", "aria-multiselectable": "true",
       dataset: { testid: "point-list" },
     });
     this.element.addEventListener("click", (event) => {
@@ -54,11 +50,7 @@ export class PointList {
     const dot = h("span", { class: "point-dot", "aria-hidden": "true" });
     const number = h("span", { class: "number muted" }, String(i + 1));
     const options = {
-      class: "point",
-      role: "option",
-      id: `point-${i}`,
-      dataset: { index: String(i) },
-      "aria-selected": "false",
+      class: "point", role: "option", id: `point-${i}`, dataset: { index: String(i) }, "aria-selected": "false",
     };
     const element = h("li", options, dot, number, name, state);
     this.items[i] = { element, name, state, key: "" };

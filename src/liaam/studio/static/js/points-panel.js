@@ -26,12 +26,7 @@ export class PointsPanel {
         onstart();
       },
     );
-    this.editButton = button("Edit template…", {
-      icon: "edit",
-      small: true,
-      testid: "template-edit",
-      onclick: onedit,
-    });
+    this.editButton = button("Edit template…", { icon: "edit", small: true, testid: "template-edit", onclick: onedit });
     const title = h("h2", { class: "panel-title" }, "Points");
     const begin = h("span", { class: "small muted grow" }, "Start with");
     this.elements = [

@@ -27,16 +27,9 @@ export class Light extends EventTarget {
     this.handle = h(
       "div",
       {
-        class: "fit-light",
-        role: "slider",
-        tabindex: "0",
-        hidden: true,
-        "aria-label": "Light over the object",
-        "aria-roledescription": "movable light",
-        "aria-valuemin": "0",
-        "aria-valuemax": "90",
-        title: "Drag the light; arrow keys move it",
-        dataset: { testid: "light-handle" },
+        class: "fit-light", role: "slider", tabindex: "0", hidden: true, "aria-label": "Light over the object",
+        "aria-roledescription": "movable light", "aria-valuemin": "0", "aria-valuemax": "90",
+        title: "Drag the light; arrow keys move it", dataset: { testid: "light-handle" },
       },
       icon("sun", 18),
     );
@@ -44,10 +37,8 @@ export class Light extends EventTarget {
     this.controls = this._controls();
     this.tool = {
       down: (event, xy) => this._near(xy) && (this._set(directionAt(xy, this.ball)), true),
-      move: (event, xy) => this._set(directionAt(xy, this.ball)),
-      up: () => this._say("rest"),
-      cancel: () => this._say("rest"),
-      cursor: (event, xy) => (this._near(xy) ? "crosshair" : ""),
+      move: (event, xy) => this._set(directionAt(xy, this.ball)), up: () => this._say("rest"),
+      cancel: () => this._say("rest"), cursor: (event, xy) => (this._near(xy) ? "crosshair" : ""),
     };
     this._listen();
     this._show();
@@ -75,8 +66,7 @@ export class Light extends EventTarget {
     const [cx, cy] = viewer.toScreen([this.ball.x, this.ball.y]);
     const [lx, ly] = viewer.toScreen(placeOf(this.direction, this.ball));
     for (const [colour, width] of [
-      ["rgb(0 0 0 / 35%)", 3],
-      ["rgb(255 236 170 / 75%)", 1.2],
+      ["rgb(0 0 0 / 35%)", 3], ["rgb(255 236 170 / 75%)", 1.2],
     ]) {
       ctx.strokeStyle = colour;
       ctx.lineWidth = width;
@@ -114,19 +104,12 @@ export class Light extends EventTarget {
     this._sphere = h("canvas", { class: "fit-sphere", width: 88, height: 88, role: "img" });
     this._words = h("span", { class: "fit-light-words small", "aria-live": "polite" });
     this._ambient = h("input", {
-      type: "range",
-      class: "slider",
-      min: "0",
-      max: "1",
-      step: "0.01",
-      "aria-label": "Ambient light",
+      type: "range", class: "slider", min: "0", max: "1", step: "0.01", "aria-label": "Ambient light",
       dataset: { testid: "light-ambient" },
     });
     this._ambientText = h("span", { class: "number" });
     const reset = button("Reset", {
-      small: true,
-      testid: "light-reset",
-      title: "Reset the light",
+      small: true, testid: "light-reset", title: "Reset the light",
       onclick: () => {
         Object.assign(this, this.first);
         this._show();
@@ -137,8 +120,7 @@ export class Light extends EventTarget {
     return h(
       "div",
       { class: "fit-controls" },
-      this._sphere,
-      this._words,
+      this._sphere, this._words,
       h("label", { class: "fit-slider-label small muted" }, "Ambient", this._ambient, this._ambientText),
       reset,
     );
@@ -235,9 +217,7 @@ export class Relighter {
     const { direction, ambient } = light;
     const longest = Math.max(fit.width, fit.height);
     this._asks.ask({
-      fit,
-      light: { direction, ambient },
-      size: Math.min(longest, resting ? SIZE_AT_REST : SIZE_WHILE_MOVING),
+      fit, light: { direction, ambient }, size: Math.min(longest, resting ? SIZE_AT_REST : SIZE_WHILE_MOVING),
     });
   }
 

@@ -1,12 +1,8 @@
 // The status line of saving.
 
 const TEXTS = {
-  saved: "Saved",
-  saving: "Saving…",
-  offline: "Not saved – server not reachable, retrying",
-  failing: "Not saved – retrying",
-  refused: "Not saved",
-  conflict: "Not saved – changed elsewhere",
+  saved: "Saved", saving: "Saving…", offline: "Not saved – server not reachable, retrying",
+  failing: "Not saved – retrying", refused: "Not saved", conflict: "Not saved – changed elsewhere",
   draft: "Press Done to save the template",
 };
 const WRONG = ["offline", "failing", "refused", "conflict"];

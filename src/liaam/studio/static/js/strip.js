@@ -4,13 +4,8 @@ import { api } from "./api.js";
 import { h, icon, perFrame } from "./ui.js";
 
 const STATES = {
-  reading: "reading…",
-  new: "no points",
-  unchecked: "not checked",
-  partial: "points missing",
-  done: "done",
-  proposed: "proposed",
-  broken: "cannot be read",
+  reading: "reading…", new: "no points", unchecked: "not checked", partial: "points missing", done: "done",
+  proposed: "proposed", broken: "cannot be read",
 };
 
 const FILTERS = {

@@ -16,17 +16,9 @@ export class TemplateEditor {
   constructor({ app, viewer, onchange, say, onsave, oncancel }) {
     Object.assign(this, { app, viewer, onchange, onsave, oncancel });
     this.kept = new KeptDraft(app.state.project.id ?? app.state.project.folder);
-    this.doc = new Drafting({
-      viewer,
-      onchange: () => this.changed(),
-      onselect: () => this.parts.points.mark(),
-      say,
-    });
+    this.doc = new Drafting({ viewer, onchange: () => this.changed(), onselect: () => this.parts.points.mark(), say });
     this.parts = new TemplatePanel({
-      ui: app.ui,
-      drafting: this.doc,
-      onload: (file) => this.load(file),
-      ondone: () => this.done(),
+      ui: app.ui, drafting: this.doc, onload: (file) => this.load(file), ondone: () => this.done(),
       onleave: () => this.leave(),
     });
   }
@@ -99,8 +91,7 @@ export class TemplateEditor {
       // The file often belongs to this picture, so points that fit are left unchanged.
       const points = lies && large ? template.points : fitInto(template.points, width, height);
       this.doc.load(
-        file.name,
-        template,
+        file.name, template,
         points.map((p) => p && rounded(p)),
       );
     } catch (error) {

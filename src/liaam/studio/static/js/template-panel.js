@@ -12,41 +12,23 @@ export class TemplatePanel {
     this.heading = h("h2", { class: "panel-title" });
     this.intro = h("div", { class: "column template-intro" });
     this.file = h("input", {
-      type: "file",
-      class: "visually-hidden",
-      id: "template-file",
-      dataset: { testid: "template-load" },
+      type: "file", class: "visually-hidden", id: "template-file", dataset: { testid: "template-load" },
       onchange: () => this.file.files[0] && onload(this.file.files[0]),
     });
     const from = "Load a landmark file";
     this.loadLabel = h("label", { class: "button", for: "template-file" }, icon("upload"), from);
     this.pathButton = button("New path", {
-      icon: "path",
-      small: true,
-      shortcut: "N",
-      testid: "template-new-path",
-      onclick: () => drafting.startPath(),
+      icon: "path", small: true, shortcut: "N", testid: "template-new-path", onclick: () => drafting.startPath(),
     });
     this.closeButton = button("Close path", {
-      icon: "check",
-      small: true,
-      shortcut: "C",
-      testid: "template-close-path",
-      onclick: () => drafting.close(),
+      icon: "check", small: true, shortcut: "C", testid: "template-close-path", onclick: () => drafting.close(),
     });
     this.mirrorButton = button("Mirror", {
-      icon: "mirror",
-      small: true,
-      shortcut: "X",
-      pressed: false,
-      onclick: () => this.toggleMirror(),
+      icon: "mirror", small: true, shortcut: "X", pressed: false, onclick: () => this.toggleMirror(),
       title: "Add a mirrored point on the other side of the line with each point",
     });
     this.flipButton = button("Flip", {
-      icon: "swap",
-      small: true,
-      onclick: () => drafting.flip(),
-      title: "Swap left and right",
+      icon: "swap", small: true, onclick: () => drafting.flip(), title: "Swap left and right",
     });
     this.doneButton = button("Done", { icon: "check", kind: "primary", testid: "template-done", onclick: ondone });
     this.cancelButton = button("Cancel", { kind: "ghost", onclick: onleave });
@@ -54,9 +36,7 @@ export class TemplatePanel {
     this.points = new TemplatePoints(ui, drafting);
     this.paths = new TemplatePaths(ui, drafting);
     this.placedButton = button("The points are in place", {
-      kind: "primary",
-      small: true,
-      onclick: () => drafting.endLayout(),
+      kind: "primary", small: true, onclick: () => drafting.endLayout(),
     });
     const tools = h("div", { class: "row" }, this.pathButton, this.closeButton, this.mirrorButton, this.flipButton);
     const lists = h(

@@ -26,26 +26,15 @@ export class TemplatePaths {
       !current &&
         indices.length > 2 &&
         button(closed ? "closed" : "open", {
-          small: true,
-          kind: "ghost",
-          pressed: closed,
-          "aria-label": `${label}: closed`,
+          small: true, kind: "ghost", pressed: closed, "aria-label": `${label}: closed`,
           onclick: () => drafting.setClosed(k, !closed),
         }),
       !current &&
         button(`Continue ${label.toLowerCase()}`, {
-          icon: "edit",
-          iconOnly: true,
-          small: true,
-          kind: "ghost",
-          onclick: () => drafting.continuePath(k),
+          icon: "edit", iconOnly: true, small: true, kind: "ghost", onclick: () => drafting.continuePath(k),
         }),
       button(`Delete ${label.toLowerCase()}`, {
-        icon: "trash",
-        iconOnly: true,
-        small: true,
-        kind: "ghost",
-        title: "Delete this path; its points stay",
+        icon: "trash", iconOnly: true, small: true, kind: "ghost", title: "Delete this path; its points stay",
         onclick: () => drafting.removePath(k),
       }),
     );

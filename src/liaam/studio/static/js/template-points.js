@@ -6,9 +6,7 @@ export class TemplatePoints {
     this.rows = [];
     this.dragged = -1;
     this.element = h("ol", {
-      class: "template-points",
-      "aria-label": "Points of the template",
-      dataset: { testid: "point-list" },
+      class: "template-points", "aria-label": "Points of the template", dataset: { testid: "point-list" },
     });
   }
 
@@ -41,10 +39,7 @@ export class TemplatePoints {
     const row = { number: h("span", { class: "number muted" }), twin: h("span", { class: "twin muted small" }) };
     const at = () => this.rows.indexOf(row);
     row.name = h("input", {
-      type: "text",
-      class: "text",
-      spellcheck: "false",
-      autocomplete: "off",
+      type: "text", class: "text", spellcheck: "false", autocomplete: "off",
       onfocus: () => {
         if (!drafting.selection.has(at()) || drafting.selection.size > 1) drafting.select([at()], at());
       },
@@ -53,11 +48,7 @@ export class TemplatePoints {
     const title = "Drag to reorder (Alt + ↑ ↓ in the name)";
     const grip = h("span", { class: "grip", title, "aria-hidden": "true" }, "⠿");
     row.gone = button("Delete", {
-      icon: "trash",
-      iconOnly: true,
-      kind: "ghost",
-      small: true,
-      onclick: () => drafting.deleteChosen([at()]),
+      icon: "trash", iconOnly: true, kind: "ghost", small: true, onclick: () => drafting.deleteChosen([at()]),
     });
     row.element = h("li", { class: "template-point" }, grip, row.number, row.name, row.twin, row.gone);
     row.name.addEventListener("keydown", (event) => this.key(event, at()));

@@ -8,24 +8,15 @@
 import { axisNormal, bounds, indicesOf, rounded } from "./points.js";
 
 export const EMPTY = Object.freeze({
-  names: [],
-  points: [],
-  contours: [],
-  mirror: [],
-  origins: [],
-  path: -1,
-  twinPath: -1,
+  names: [], points: [], contours: [], mirror: [], origins: [], path: -1, twinPath: -1,
 });
 
 /** A draft of a saved template with its `points` on the picture, or null for its own layout. */
 export function draftOf(template, points = null) {
   return {
-    names: template.names.slice(),
-    points: points ?? template.points ?? template.names.map(() => null),
+    names: template.names.slice(), points: points ?? template.points ?? template.names.map(() => null),
     contours: template.contours.map(({ indices, closed }) => ({ indices: indices.slice(), closed: Boolean(closed) })),
-    mirror: template.mirror?.slice() ?? indicesOf(template.names),
-    origins: indicesOf(template.names),
-    path: -1,
+    mirror: template.mirror?.slice() ?? indicesOf(template.names), origins: indicesOf(template.names), path: -1,
     twinPath: -1,
   };
 }
@@ -38,11 +29,8 @@ export function freshName(names) {
 
 function appended(draft, xy) {
   return {
-    ...draft,
-    names: [...draft.names, freshName(draft.names)],
-    points: [...draft.points, rounded(xy)],
-    mirror: [...draft.mirror, draft.names.length],
-    origins: [...draft.origins, null],
+    ...draft, names: [...draft.names, freshName(draft.names)], points: [...draft.points, rounded(xy)],
+    mirror: [...draft.mirror, draft.names.length], origins: [...draft.origins, null],
   };
 }
 
@@ -122,9 +110,7 @@ export function connect(draft, index) {
   if (draft.contours[draft.path]?.indices.includes(index)) return draft;
   if (draft.path < 0)
     return {
-      ...draft,
-      contours: [...draft.contours, { indices: [index], closed: false }],
-      path: draft.contours.length,
+      ...draft, contours: [...draft.contours, { indices: [index], closed: false }], path: draft.contours.length,
     };
   return { ...draft, contours: extend(draft.contours, draft.path, index) };
 }
@@ -154,13 +140,9 @@ export function arranged(draft, order) {
   const alive = kept.map((contour, k) => contour.indices.length > (k === draft.path || k === draft.twinPath ? 0 : 1));
   const place_ = (k) => (k < 0 || !alive[k] ? -1 : alive.slice(0, k).filter(Boolean).length);
   return {
-    names: pick(draft.names),
-    points: pick(draft.points),
-    origins: pick(draft.origins),
-    mirror: order.map((old, i) => now.get(draft.mirror[old]) ?? i),
-    contours: kept.filter((_, k) => alive[k]),
-    path: place_(draft.path),
-    twinPath: place_(draft.twinPath),
+    names: pick(draft.names), points: pick(draft.points), origins: pick(draft.origins),
+    mirror: order.map((old, i) => now.get(draft.mirror[old]) ?? i), contours: kept.filter((_, k) => alive[k]),
+    path: place_(draft.path), twinPath: place_(draft.twinPath),
   };
 }
 
@@ -196,8 +178,7 @@ export function fault(draft) {
 export function templateOf(draft) {
   const { names, points, contours, mirror } = newPath(draft);
   return {
-    names: names.map((name) => name.trim()),
-    points,
+    names: names.map((name) => name.trim()), points,
     contours: contours.map(({ indices, closed }) => ({ indices, closed })),
     mirror: mirror.some((twin, i) => twin !== i) ? mirror : null,
   };
