@@ -89,7 +89,8 @@ def test_an_empty_folder_is_fine(tmp_path):
     assert list(tmp_path.iterdir()) == []  # looking leaves nothing behind
 
 
-def test_an_overview_does_not_wait_for_files_that_were_not_read(small):
+def test_an_overview_does_not_wait_for_files_that_were_not_read(small, monkeypatch):
+    monkeypatch.setattr("liaam.studio.project.READ_AT_ONCE", 0)
     put(small, "p1.png", POINTS)
     project = Project(small.root)
     first = project.overview_since(None, seconds=0.0)

@@ -46,6 +46,10 @@ PART_SECONDS = 0.1
 """How long files are read at a time, while requests wait."""
 
 
+READ_AT_ONCE = 100
+"""Number of pictures whose files an overview reads in any case."""
+
+
 @dataclass(frozen=True)
 class Annotated:
     """A picture with all its landmarks, for training."""
@@ -152,8 +156,7 @@ class Project:
         listing, state = self._listing, self.state
         files = [(file.name, *file.signature) for file in listing.files.values()]
         faults = sorted(state.faults.items())
-        is_read = all(map(self._states.is_read, listing.pictures))
-        known = (self._salt, state.writes, self._changes.is_pending, faults, listing.stranded, is_read)
+        known = (self._salt, state.writes, self._changes.is_pending, faults, listing.stranded)
         return revision_of(repr((known, files)).encode())
 
     # Pictures -------------------------------------------------------------------------------------
@@ -167,8 +170,8 @@ class Project:
     def overview_since(self, stamp: str | None, seconds: float = math.inf) -> Overview | None:
         """Return all pictures, or None if nothing has changed since a :attr:`stamp`.
 
-        Files are read for about so many ``seconds``. The remaining pictures are in the state ``reading``, and the stamp
-        changes when all are read.
+        Files are read for about so many ``seconds``, but those of the first pictures in any case. The remaining
+        pictures are in the state ``reading``, and the overview has a stamp that is never current.
         """
         with self._lock:
             self._rescan()
@@ -185,21 +188,23 @@ class Project:
                 self._read_for(PART_SECONDS, waiting)
             time.sleep(PART_SECONDS / 10)  # the lock is not fair
 
-    def _read_for(self, seconds: float, waiting: deque[File]) -> None:
-        until = time.monotonic() + seconds
-        while waiting and time.monotonic() < until:
+    def _read_for(self, seconds: float, waiting: deque[File], least: int = 1) -> None:
+        """Read the files of pictures for some seconds, and of at least so many."""
+        until, last = time.monotonic() + seconds, len(waiting) - least
+        while waiting and (len(waiting) > last or time.monotonic() < until):
             file = waiting.popleft()
             if self._listing.files.get(file.name) == file:
                 self._states.as_json(file, {})
 
     def _overview(self, seconds: float) -> Overview:
-        self._read_for(seconds, deque(self._listing.pictures))
+        self._read_for(seconds, deque(self._listing.pictures), READ_AT_ONCE)
         stamp, ranks, states = self._stamp(), self._states.ranks(), self._states
         read = {file.name for file in self._listing.pictures if states.is_read(file)}
         pictures = [
             states.as_json(file, ranks) if file.name in read else states.unread_json(file)
             for file in self._listing.pictures
         ]
+        stamp += "" if len(read) == len(pictures) else "-reading"
         return Overview(stamp, pictures, {item.name: item.revision for item in self._annotated(read)})
 
     def path_of(self, name: str) -> Path:

@@ -1,4 +1,4 @@
-"""Landmarks proposed by the model, for a person to check (``proposals.json``), and pictures that nobody has checked
+"""Landmarks proposed by the model, for a person to check (``proposals.json``), and pictures left at the mean shape
 (``unchecked.json``).
 """
 

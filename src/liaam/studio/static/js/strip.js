@@ -19,7 +19,7 @@ const FILTERS = {
   broken: { label: "Cannot be read", has: ({ state }) => state === "broken" },
 };
 
-const ORDERS = { name: "By name", uncertainty: "Least certain first" };
+const ORDERS = { name: "Name", uncertainty: "Uncertainty" };
 
 const BESIDE = matchMedia("(min-width: 900px)"); // otherwise the list is above the picture
 const SIZES = { column: 58, row: 66 }; // css pixels of an item along the list
