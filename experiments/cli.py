@@ -362,6 +362,23 @@ def generic(
 
 
 @app.command()
+def relight(
+    data: Annotated[Path, typer.Option(help="Folder to train on, in one light.")],
+    test: Annotated[Path, typer.Option(help="Folder of other objects, each under several lights.")],
+    training_lamp: Annotated[str, typer.Option(help="Name of the light of training.")],
+    out: Out,
+    lamps: Annotated[Path | None, typer.Option(help="As for generic.")] = None,
+    diagonal: Annotated[float, typer.Option(help="Diagonal of the reference frame, pixels.", min=20)] = 150.0,
+    jobs: Jobs = None,
+) -> None:
+    """How alike do images of unseen objects become in the training light, and is there a seam?"""
+    from experiments import relight as module
+
+    summary = execute(module.relight_experiment(data, test, lamps, training_lamp, diagonal), out, jobs)
+    print_protocol(module.table(summary), summary, out)
+
+
+@app.command()
 def peer(
     data: PersonsFolder,
     out: Out,

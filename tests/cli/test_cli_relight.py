@@ -127,5 +127,34 @@ def test_a_fit_that_fails_is_told_and_the_picture_written(run, files, tmp_path, 
     code, out, err = run("relight", files / "head.liaam", tmp_path / "noise.png", "-o", tmp_path / "out.png")
     assert code == 1
     assert "noise.png: " in err
+    assert "out.png was written from this fit" in " ".join(err.split())
     assert "written to" in out
     assert read_image(tmp_path / "out.png").shape == (160, 120, 3)
+
+
+def test_several_images_go_into_a_folder_and_a_broken_one_stops_nothing(run, files, tmp_path):
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"no image")
+    code, out, err = run(
+        "relight", files / "head.liaam", files / "lit.png", broken, files / "other.png", "-o", tmp_path
+    )
+    assert code == 1
+    assert "lit_flat.png, other_flat.png" in out
+    assert "broken.png" in err
+    assert [path.name for path in sorted(tmp_path.glob("*_flat.png"))] == ["lit_flat.png", "other_flat.png"]
+
+
+def test_several_images_need_a_folder(run, files, tmp_path):
+    images = files / "lit.png", files / "other.png"
+    code, _, err = run("relight", files / "head.liaam", *images, "-o", tmp_path / "one.png")
+    assert code == 1
+    assert "one.png is not a folder" in err
+
+
+def test_images_of_one_name_in_two_folders_do_not_overwrite_each_other(run, files, tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_image(tmp_path / name / "lit.png", moving_scene(0.3, SIDE).image)
+    code, _, err = run("relight", files / "head.liaam", tmp_path / "a/lit.png", tmp_path / "b/lit.png", "-o", tmp_path)
+    assert (code, err) == (0, "")
+    assert len(list(tmp_path.glob("*_flat.png"))) == 2

@@ -71,7 +71,18 @@ def test_wrong_input_is_one_line_that_says_what_to_do(
 
 
 def test_help(run_experiments):
-    commands = ("displacement", "noise", "convergence", "spot", "generic", "peer", "basin", "occlusion", "unchanged")
+    commands = (
+        "displacement",
+        "noise",
+        "convergence",
+        "spot",
+        "generic",
+        "relight",
+        "peer",
+        "basin",
+        "occlusion",
+        "unchanged",
+    )
     for command in ((), *((name,) for name in (*commands, "assisted", "uncertainty", "reproduce"))):
         code, out, _ = run_experiments(*command, "--help")
         assert code == 0

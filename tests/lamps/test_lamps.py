@@ -1,21 +1,23 @@
 """Lamps: learnt from objects that did not move, laid on others, kept in files, and what models gain by them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from liaam.datasets import Sample
 from liaam.datasets.scenes import DIFFUSE, Head, Pose, lateral, random_expression, random_pose, render
-from liaam.errors import LiaamError, TrainingError
-from liaam.evaluation import point_error
+from liaam.errors import LiaamError, ModelFileError, TrainingError
+from liaam.evaluation import point_error, root_mean_square
 from liaam.fitting import Fitter
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.lamps import Copies, Lamps, learn_lamps, load_lamps
-from liaam.lamps.bank import SIDE, as_srgb
+from liaam.lamps.bank import FADED, GAMMA, SHARP, SIDE, _away_from, as_srgb
 from liaam.model import load_model
 from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import from_linear, srgb_to_linear
+from liaam.relighting import Relighter
 from liaam.training import train
 from setups import disturb
 
@@ -306,3 +308,77 @@ def test_slips_are_told(run, folder, tmp_path):
     assert "--image works with lamp" in run("show", tmp_path / "m.liaam", "--image", folder / "head2-day.png")[2]
     code, _, err = run("train", folder, "-o", tmp_path / "m.liaam", "--lamps", tmp_path / "none.lamps")
     assert (code, "does not exist; make one with 'liaam lamps" in err) == (1, True)
+
+
+# The light basis of a model
+
+
+def test_a_basis_holds_the_lamps_it_was_learnt_from(lamps):
+    basis = lamps.basis(mirrored=False)
+    near = _away_from(lamps.mean) < SHARP
+    modes = basis.modes.astype(np.float32)[:, near].reshape(len(basis.modes), -1)
+    fields = GAMMA * lamps.fields.astype(np.float32)[:, near].reshape(len(lamps), -1)
+    left = fields - np.linalg.lstsq(modes.T, fields.T, rcond=None)[0].T @ modes
+    assert np.square(left).mean() < 0.3 * np.square(fields).mean()
+    assert not basis.modes[:, _away_from(lamps.mean) > FADED].any()
+
+
+def test_a_basis_of_symmetric_objects_knows_the_mirrored_lamps(lamps):
+    basis = lamps.basis(mirrored=True).modes.astype(np.float32)[:-2]
+    energy, mirrored = (np.square(fields).sum(axis=0) for fields in (basis, basis[:, :, ::-1]))
+    near = _away_from(lamps.mean) < SHARP / 2
+    near &= near[:, ::-1]
+    assert np.abs(energy - mirrored)[near].mean() < 0.05 * energy[near].mean()
+
+
+def test_models_without_lamps_have_no_light(trained, tmp_path):
+    plain, lit = trained
+    assert plain.light is None
+    lit.save(tmp_path / "lit.liaam")
+    loaded = load_model(tmp_path / "lit.liaam").light
+    for field in ("mean", "modes", "remainder"):
+        np.testing.assert_array_equal(getattr(loaded, field), getattr(lit.light, field))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mean": np.zeros((68, 2))},
+        {"remainder": np.full((SIDE, SIDE), -1, np.float16)},
+        {"modes": np.zeros((2, SIDE, 5, 3), np.float16)},
+        {"modes": np.full((2, SIDE, SIDE, 3), np.nan, np.float16)},
+    ],
+)
+def test_a_damaged_light_basis_is_refused(trained, tmp_path, changes):
+    lit = trained[1]
+    replace(lit, light=replace(lit.light, **changes)).save(tmp_path / "bad.liaam")
+    with pytest.raises(ModelFileError, match="contradicts itself"):
+        load_model(tmp_path / "bad.liaam")
+
+
+def test_relighting_with_lamps_reaches_beyond_the_mesh(trained):
+    import cv2
+
+    errors = {}
+    pose, expression = random_pose(np.random.default_rng(4), SIZE), random_expression(np.random.default_rng(4))
+    dark, day = (render(Head(5), pose, expression, light, size=SIZE) for light in (lateral("left"), DIFFUSE))
+    truth = np.log((day.image + 8.0) / 255)
+    for name, model in zip(("plain", "lit"), trained, strict=True):
+        fitter = Fitter(model)
+        relighter = Relighter.of(fitter, dark.image, fitter.fit(dark.image, day.landmarks))
+        covered = np.zeros(truth.shape[:2], bool)
+        covered[relighter.box] = relighter.inside
+        away = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        around = (away > 6) & (away < 20)
+        errors[name] = root_mean_square((np.log((relighter.flat() + 8.0) / 255) - truth)[around])
+    assert errors["lit"] < 0.85 * errors["plain"]
+
+
+def test_the_light_of_another_image_is_put_on_its_surroundings_too(trained):
+    fitter, pictures = Fitter(trained[1]), {}
+    for name, light in (("left", lateral("left")), ("day", DIFFUSE)):
+        scene = render(Head(5), Pose(), random_expression(np.random.default_rng(4)), light, size=SIZE)
+        pictures[name] = Relighter.of(fitter, scene.image, fitter.fit(scene.image, scene.landmarks))
+    day, left = pictures["day"], pictures["left"]
+    assert root_mean_square(day.like(day).astype(float) - day.picture) < 4.0
+    assert day.like(left).mean() < day.flat().mean()

@@ -11,9 +11,11 @@ from liaam.cli.inputs import (
     ResponseOption,
     camera_for,
     check_output,
+    names_of,
     numbers_in,
     read_with_start,
     refuse_inputs,
+    unique_stems,
 )
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
 def relight(
     model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
-    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image to relight.")],
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Images to relight.")],
     flat: Annotated[
         bool, typer.Option("--flat", help="Show the object under the training light, without shading (default).")
     ] = False,
@@ -44,7 +46,11 @@ def relight(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Image to write. By default IMAGE_flat.png or IMAGE_relit.png."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="Image to write, or folder for several images. By default IMAGE_flat.png or IMAGE_relit.png here.",
+        ),
     ] = None,
     init: Annotated[
         str | None,
@@ -60,43 +66,54 @@ def relight(
     camera_file: CameraOption = None,
     response: ResponseOption = None,
 ) -> None:
-    """Show the object in an image under the training light, a lamp, or the light of another image."""
+    """Show the objects in images under the training light, a lamp, or the light of another image."""
     direction = check_lights(flat, light, like, ambient, like_init)
-    output = output or Path(f"{image.stem}_{'relit' if light or like else 'flat'}.png")
-    check_image_name(output)
-    refuse_inputs([output], [path for path in (image, like) if path is not None])
+    outputs = output_paths(images, output, "relit" if light or like else "flat")
+    inputs = [*images, *([] if like is None else [like])]
+    refuse_inputs(outputs, inputs)
 
     from liaam.fitting import Fitter
     from liaam.io import write_image
     from liaam.model import load_model
     from liaam.relighting.relighter import AMBIENT, check_ambient, unit_direction
 
+    ambient = AMBIENT if ambient is None else ambient
     if direction is not None:
         unit_direction(direction)  # raise before any work
-        check_ambient(AMBIENT if ambient is None else ambient)
+        check_ambient(ambient)
     model = load_model(model_file)
     if not model.is_colour:
         raise LiaamError(
             f"{model_file}: the model was trained on grey images, and estimating shading needs colour; train on colour "
             "images"
         )
-    camera = camera_for([path for path in (image, like) if path is not None], camera_file, response, model.camera)
-    fitter = Fitter(model, method, camera=camera)
+    fitter = Fitter(model, method, camera=camera_for(inputs, camera_file, response, model.camera))
+    written, failed = [], False
     with progress_bar() as progress:
-        progress(0, 2, image.name)
-        relighter, result = fit_relighter(fitter, image, init)
-        results = {image.name: result}
+        progress(0, len(inputs), inputs[-1].name)
+        other = None
         if like is not None:
-            progress(1, 2, like.name)
-            other, results[like.name] = fit_relighter(fitter, like, like_init)
-            picture = relighter.like(other)
-        elif direction is not None:
-            picture = relighter.under(direction, AMBIENT if ambient is None else ambient)
-        else:
-            picture = relighter.flat()
-        write_image(output, picture)
-    say(f"written to {output}")
-    if report(results):
+            other, result = fit_relighter(fitter, like, like_init)
+            failed = warn(like, result, "its light was used")
+        for i, (image, path) in enumerate(zip(images, outputs, strict=True), len(inputs) - len(images)):
+            progress(i, len(inputs), image.name)
+            try:
+                relighter, result = fit_relighter(fitter, image, init)
+                if other is not None:
+                    picture = relighter.like(other)
+                else:
+                    picture = relighter.flat() if direction is None else relighter.under(direction, ambient)
+                write_image(path, picture)
+            except LiaamError as error:
+                complain(f"error: {error}")
+                failed = True
+                continue
+            written.append(path)
+            failed |= warn(image, result, f"{path.name} was written")
+        progress(len(inputs), len(inputs), images[-1].name)
+    if written:
+        say(f"written to {names_of(written) if output is None or len(images) > 1 else output}")
+    if failed:
         raise typer.Exit(1)
 
 
@@ -112,6 +129,17 @@ def check_lights(
     if like_init is not None and like is None:
         raise LiaamError("--like-init needs --like OTHER; add it, or leave --like-init out")
     return None if light is None else tuple(numbers_in(light, 3, "--light"))
+
+
+def output_paths(images: list[Path], output: Path | None, ending: str) -> list[Path]:
+    """Return the path to write for each image. Raise if one cannot be written."""
+    folder = Path() if output is None else output
+    if output is not None and len(images) == 1 and not output.is_dir():
+        check_image_name(output)
+        return [output]
+    if not folder.is_dir():
+        raise LiaamError(f"{folder} is not a folder; for several images, give a folder that exists with -o")
+    return [folder / f"{stem}_{ending}.png" for stem in unique_stems(images)]
 
 
 def check_image_name(output: Path) -> None:
@@ -132,16 +160,15 @@ def fit_relighter(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Reli
     return Relighter.of(fitter, pixels, result, name=str(path)), result
 
 
-def report(results: "dict[str, FitResult]") -> bool:
-    """Warn about fits that may be wrong. Return whether any failed."""
+def warn(image: Path, result: "FitResult", what: str) -> bool:
+    """Warn if a fit may be wrong, and say what was done. Return whether it failed."""
     import numpy as np
 
-    for name, result in results.items():
-        if not result.status.ok:
-            complain(f"{name}: {result.status}: {result.message}")
-        if result.place_doubtful:
-            complain(f"{name}: {LOW_SCORE}")
-        elif np.isnan(result.quality):
-            place = "" if result.found is None else f", search score {result.found.score:.2f}"
-            complain(f"{name}: quality unknown{place}: the model has no calibrated quality; check the result")
-    return any(not result.status.ok for result in results.values())
+    if not result.status.ok:
+        complain(f"{image.name}: {result.status}: {result.message.rstrip('.')}; {what} from this fit")
+    if result.place_doubtful:
+        complain(f"{image.name}: {LOW_SCORE}")
+    elif np.isnan(result.quality):
+        place = "" if result.found is None else f", search score {result.found.score:.2f}"
+        complain(f"{image.name}: quality unknown{place}: the model has no calibrated quality; check the result")
+    return not result.status.ok

@@ -17,20 +17,29 @@ from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.files import json_object
 from liaam.io.tensors import Shapes, read_tensors
+from liaam.model.light import SIDE, LightBasis
 from liaam.model.shape import align
 from liaam.photometry import Response, is_grey
 from liaam.photometry.encoding import stored_values
+from liaam.photometry.invariant import CHROMATICITY
 from liaam.photometry.response import from_linear, linear_to_srgb, srgb_to_linear, to_linear
 
 HALF = 0.9
 """Half the side of a field's square, in diagonals of the mean shape. The square includes the background that a search
 covers."""
 
-SIDE = 128
-"""Side of a field, pixels."""
-
 DARK = 4.0 / 255.0
 """Added to stored values before the logarithm, to suppress rounding and noise in dark pixels."""
+
+GAMMA = 2.2
+"""Change of the logarithm of light with that of stored sRGB values, on average."""
+
+SHARP, FADED, SOFTNESS = 0.15, 0.5, 0.15
+"""Distances from the mean shape up to which a light basis is sharp, and at which it has faded out; and the standard
+deviation of the blur in between, where surroundings differ from those of the lamps' objects. In diagonals."""
+
+MODES, TINT = 16, 0.1
+"""Number of modes of a light basis, and standard deviation of the uniform changes of colour that are added to it."""
 
 STRIDE = 4
 """Spacing of the pixels for which the map is computed; it is interpolated in between."""
@@ -102,31 +111,36 @@ class Lamps:
         import cv2  # heavy: imported when first needed
 
         self.check_landmarks(len(points), "these images")
-        places, values = self._places(points, image.shape[1::-1]), as_srgb(image, response) + np.float32(DARK)
+        at, values = places(self.mean, points, image.shape[1::-1]), as_srgb(image, response) + np.float32(DARK)
         grey, images = is_grey(image), []
         for i in which:
             field = self.fields[i].astype(np.float32)
             field = field.mean(axis=2, keepdims=True).repeat(3, axis=2) if grey else field
-            warped = cv2.remap(field, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            warped = cv2.remap(field, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             relit = np.clip(values * cv2.exp(warped) - np.float32(DARK), 0.0, 1.0)
             images.append(_as_stored(relit, image.dtype, response))
         return images
 
-    def _places(self, points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-        """Position in the field of each pixel of an image of size (width, height), (h, w, 2) float32."""
+    def basis(self, mirrored: bool) -> LightBasis:
+        """Summarise the lamps, and their mirror images if the objects are symmetric, by a low-rank basis."""
         import cv2  # heavy: imported when first needed
-        from scipy.interpolate import LinearNDInterpolator
 
-        width, height = size
-        x, y = np.arange(0, width + STRIDE, STRIDE), np.arange(0, height + STRIDE, STRIDE)
-        coarse = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
-        pose, (rest, there) = align(self.mean, points), anchors(self.mean, points)
-        # Triangulate the image's points, not the mean shape: this cannot fold.
-        found = LinearNDInterpolator(there, rest)(coarse)
-        found = np.where(np.isfinite(found), found, pose.inverse()(coarse.reshape(-1, 2)).reshape(coarse.shape))
-        found = ((found + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)
-        across, down = (np.arange(n, dtype=np.float32) / STRIDE for n in size)
-        return cv2.remap(found, *np.meshgrid(across, down), cv2.INTER_LINEAR)
+        away = _away_from(self.mean)[..., None]
+        sharp, kept = (np.clip((far - away) / (FADED - SHARP), 0.0, 1.0) for far in (2 * SHARP, FADED))
+        kept = kept * kept * (3.0 - 2.0 * kept)
+        fields = GAMMA * self.fields.astype(np.float32)
+        blur = SOFTNESS * SIDE / (2 * HALF)
+        fields = np.stack([f * sharp + cv2.GaussianBlur(f, (0, 0), blur) * (1.0 - sharp) for f in fields]) * kept
+        fields = np.concatenate([fields, fields[:, :, ::-1]]) if mirrored else fields
+        flat = fields.reshape(len(fields), -1)
+        # No mean is subtracted: the training light is the origin.
+        left = np.linalg.eigh(flat @ flat.T)[1][:, ::-1][:, : min(MODES, (len(flat) + 1) // 2)]
+        along = left.T @ flat
+        rest = (flat - left @ along).reshape(fields.shape)
+        modes = (along / np.sqrt(len(flat))).reshape(-1, *fields.shape[1:])
+        tints = TINT * CHROMATICITY[:, None, None] * kept
+        unexplained = np.sqrt(np.square(rest.mean(axis=3)).mean(axis=0))
+        return LightBasis(self.mean, np.concatenate([modes, tints]).astype(np.float16), unexplained.astype(np.float16))
 
     def save(self, path: str | os.PathLike) -> None:
         """Write the lamps as one safetensors file, atomically.
@@ -142,10 +156,40 @@ class Lamps:
         write_bytes_atomically(path, save({"mean": self.mean, "fields": self.fields}, {"liaam": json.dumps(about)}))
 
 
+def places(mean: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the position in a field of each pixel of an image of a size (width, height), (h, w, 2) float32.
+
+    ``mean`` is the mean shape of the fields, and ``points`` are the landmarks in the image.
+    """
+    import cv2  # heavy: imported when first needed
+    from scipy.interpolate import LinearNDInterpolator
+
+    width, height = size
+    x, y = np.arange(0, width + STRIDE, STRIDE), np.arange(0, height + STRIDE, STRIDE)
+    coarse = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
+    pose, (rest, there) = align(mean, points), anchors(mean, points)
+    # Triangulate the image's points, not the mean shape: this cannot fold.
+    found = LinearNDInterpolator(there, rest)(coarse)
+    found = np.where(np.isfinite(found), found, pose.inverse()(coarse.reshape(-1, 2)).reshape(coarse.shape))
+    found = ((found + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)
+    across, down = (np.arange(n, dtype=np.float32) / STRIDE for n in size)
+    return cv2.remap(found, *np.meshgrid(across, down), cv2.INTER_LINEAR)
+
+
 def square() -> np.ndarray:
     """Positions of a field's pixels in the coordinates of the mean shape, (SIDE, SIDE, 2) float64."""
     steps = np.linspace(-HALF, HALF, SIDE)
     return np.stack(np.meshgrid(steps, steps), axis=-1)
+
+
+def _away_from(mean: np.ndarray) -> np.ndarray:
+    """Return the distance of a field's pixels from the convex hull of the mean shape, (SIDE, SIDE) float32."""
+    import cv2  # heavy: imported when first needed
+
+    step = 2 * HALF / (SIDE - 1)
+    outside = np.ones((SIDE, SIDE), np.uint8)
+    cv2.fillConvexPoly(outside, cv2.convexHull(np.rint((mean + HALF) / step).astype(np.int32)), 0)
+    return cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(step)
 
 
 def _border() -> np.ndarray:

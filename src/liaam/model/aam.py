@@ -7,6 +7,7 @@ import numpy as np
 
 from liaam.errors import ModelFileError
 from liaam.model.file import file_bytes, read_fields
+from liaam.model.light import LightBasis
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.shape import ShapeModel, diagonal_of
 from liaam.model.views import MESH, Level, View
@@ -34,6 +35,8 @@ class AAM:
         Description of the training data, for display.
     n_textures : int
         Number of training images and their copies together; 0 in files that lack it.
+    light : LightBasis, optional
+        What other lights do to the object and its surroundings; only of models trained with lamps.
     """
 
     views: dict[str, View]
@@ -43,6 +46,7 @@ class AAM:
     contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
     name: str = ""
     n_textures: int = 0
+    light: LightBasis | None = None
 
     def __repr__(self) -> str:
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"

@@ -12,6 +12,7 @@ import numpy as np
 from liaam.errors import LiaamError, ModelFileError
 from liaam.io.files import json_object, writable
 from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel
+from liaam.model.light import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
 from liaam.model.views import MESH, VIEWS, Level, Reliability, View, make_view
@@ -41,6 +42,9 @@ LONGEST_NAME = 1000
 
 MAX_BLUR, MAX_LEVELS = 10.0, 10
 """Largest blur, pixels of the reference frame, and largest number of levels."""
+
+MAX_LIGHTS = 100
+"""Largest number of modes of a light basis."""
 
 FORMAT = "liaam-aam"
 
@@ -96,6 +100,8 @@ def _view_header(view: View) -> dict:
 
 def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     tensors = {"mean": model.shape_model.mean, "triangles": model.triangles}
+    if model.light is not None:
+        tensors |= {f"light.{field}": getattr(model.light, field) for field in ("mean", "modes", "remainder")}
     for name, view in model.views.items():
         for part, owner, keys in _parts(view):
             tensors |= {f"{name}/{part}.{key}": getattr(owner, key) for key in keys}
@@ -153,7 +159,20 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "contours": _contours(header["contours"], n),
         "name": writable(str(header["name"]))[:LONGEST_NAME],
         "n_textures": n_textures,
+        "light": _light(tensors, n) if "light.modes" in tensors else None,
     }
+
+
+def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
+    mean = _tensor(tensors, "light.mean", np.float64, (n, 2))
+    modes = _tensor(tensors, "light.modes", np.float16, (None, SIDE, SIDE, 3))
+    if not 1 <= len(modes) <= MAX_LIGHTS:
+        raise ValueError(f"light.modes has shape {modes.shape}")
+    remainder = _tensor(tensors, "light.remainder", np.float16, (SIDE, SIDE))
+    # Coordinates of a mean shape with diagonal 1, and standard deviations.
+    if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
+        raise ValueError("the light basis has values out of range")
+    return LightBasis(mean, modes, remainder)
 
 
 def _view(

@@ -1,6 +1,6 @@
 """Shadow-free appearance: the fitted object under the light of training (paper eq 11)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,11 +27,15 @@ class ShadowFree:
     deviations : (m,) float64
         Posterior standard deviation of each coordinate. The square root of the mode's eigenvalue is its prior standard
         deviation; a much smaller value means that the image shows the mode well.
+    light : (k,) float64
+        Coordinates of the image's light in the model's light basis; empty if the model has none, or they were not
+        estimated.
     """
 
     log_rgb: np.ndarray
     lam: np.ndarray
     deviations: np.ndarray
+    light: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: float = 1.0) -> ShadowFree:

@@ -11,8 +11,10 @@ image's log light is modelled as
 Shading is a piecewise smooth brightness s with a colour c(s). Under one lamp and ambient light, the log light of any
 object moves along one curve, log(a + l r), as the lamp's fraction r goes from shadow to full light. A low-degree
 polynomial H models the fall-off of the ambient light. The errors e are noise and the model's errors on left-out
-training images. All but c is linear. Each pass solves weighted least squares with Gaussian priors, with s eliminated
-(variable projection), and reweights the jumps of s (total variation, as in :mod:`liaam.relighting.shading`).
+training images. A model trained with lamps knows more: H are then the modes of its light, which have colours, s is held
+near 0 by what these modes leave, and c is 0. All but c is linear. Each pass solves weighted least squares with Gaussian
+priors, with s eliminated (variable projection), and reweights the jumps of s (total variation, as in
+:mod:`liaam.relighting.shading`).
 """
 
 from dataclasses import dataclass
@@ -25,6 +27,7 @@ from liaam.model.appearance import AppearanceModel
 from liaam.model.mesh import ReferenceFrame
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.relighting.appearance import ShadowFree
+from liaam.relighting.lamplight import light_on_frame, unexplained_on_frame
 from liaam.relighting.shading import CORNER, COUPLING, UNIT, UNKNOWN, Seen, every_few, factorised
 
 PIXELS = 2500
@@ -131,6 +134,8 @@ class Problem:
         Neighbours.
     coupling : float
         Weight of jumps between neighbours.
+    held : (n,) float
+        Precision, times :data:`UNIT` squared, with which the shading s is held at 0; it has no colour of its own then.
     """
 
     seen: np.ndarray
@@ -139,23 +144,27 @@ class Problem:
     weights: np.ndarray
     pairs: tuple[np.ndarray, np.ndarray]
     coupling: float
+    held: np.ndarray
 
     def first_brightness(self, found: np.ndarray) -> np.ndarray:
         """Estimate the brightness of shading (n,) with uniform smoothness, from initial coordinates."""
         mean = self._shading(found).mean(axis=1)
         weights = self.weights.sum(axis=(1, 2))
         coupling = np.full(len(self.pairs[0]), self.coupling)
-        return factorised(self.pairs, coupling, weights).solve(weights * mean)
+        return factorised(self.pairs, coupling, weights + self.held).solve(weights * mean)
 
     def solved(self, found: np.ndarray, brightness: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Run one pass; return coordinates (m,), brightness of shading (n,) and the coordinates' covariance (m, m)."""
-        of_colours = np.einsum("kc,ncd,kd->n", CHROMATICITY, self.weights, CHROMATICITY)
-        colour, slope = light_curve(brightness, self._shading(found), of_colours)(brightness)
+        colour = slope = np.zeros_like(self.seen)
+        if not self.held.any():
+            of_colours = np.einsum("kc,ncd,kd->n", CHROMATICITY, self.weights, CHROMATICITY)
+            colour, slope = light_curve(brightness, self._shading(found), of_colours)(brightness)
         # Linearised, the shading is brightness * along plus a known term.
         along, right = 1.0 + slope, self.seen - (colour - brightness[:, None] * slope)
         weighted = np.einsum("ncd,nd->nc", self.weights, along)
         jumps = np.abs(brightness[self.pairs[0]] - brightness[self.pairs[1]])
-        system = factorised(self.pairs, self.coupling / (jumps + CORNER), (weighted * along).sum(axis=1))
+        own = (weighted * along).sum(axis=1) + self.held
+        system = factorised(self.pairs, self.coupling / (jumps + CORNER), own)
         mixed = np.einsum("mnc,nc->nm", self.modes, weighted)
         eliminated = system.solve(np.column_stack([mixed, (weighted * right).sum(axis=1)]))
         of_modes = np.einsum("ncd,mnd->mnc", self.weights, self.modes, optimize=True).reshape(len(mixed.T), -1)
@@ -194,25 +203,29 @@ def appearance_in_light(model: AAM, seen: Seen, start: ShadowFree, prior: float 
     if not usable[kept].any():
         return start, start.log_rgb
     part, n, barycentric = known.at(kept), known.n_modes, _barycentric(frame)
-    fixed = np.concatenate([part.modes, _polynomials(frame)[:, kept, None] * np.ones(3)])
-    priors = (max(prior, NO_PRIOR) / np.maximum(known.eigenvalues, 1e-12), np.full(len(fixed) - n, AMOUNT**-2.0))
+    lit, polynomials = light_on_frame(model)[:, kept], _polynomials(frame)[:, kept, None] * np.ones(3)
+    fixed = np.concatenate([part.modes, polynomials if model.light is None else lit])
+    spread = AMOUNT if model.light is None else 1.0
+    priors = (max(prior, NO_PRIOR) / np.maximum(known.eigenvalues, 1e-12), np.full(len(fixed) - n, spread**-2.0))
     precision = np.concatenate([*priors, np.full(2 * len(barycentric), OFF**-2.0)])
     weights = _weights(known, seen.noise, usable)[kept]
     # Unknowns: lambda, the polynomial's coefficients, and the landmarks' offsets, all x before all y.
     found, covariance = np.concatenate([start.lam, np.zeros(len(precision) - n)]), np.diag(1.0 / precision)
+    held = np.square(UNIT / unexplained_on_frame(model)[kept])
     log_rgb, brightness = start.log_rgb, None
     for _ in range(PASSES):
         slopes = frame.gradient(log_rgb)[kept]
         offsets = np.einsum("vn,nac->avnc", barycentric[:, kept], slopes).reshape(-1, *part.mean.shape)
         modes = np.concatenate([fixed, offsets])
         # A sampled pixel represents step ** 2 pixels, and a jump ``step`` pixels of an edge.
-        problem = Problem(seen.log[kept] - part.mean, modes, precision, weights, pairs, COUPLING / step)
+        problem = Problem(seen.log[kept] - part.mean, modes, precision, weights, pairs, COUPLING / step, held)
         brightness = problem.first_brightness(found) if brightness is None else brightness
         found, brightness, covariance = problem.solved(found, brightness)
         log_rgb = known.texture(found[:n])
     offsets = found[-2 * len(barycentric) :].reshape(2, -1) @ barycentric
     displaced = log_rgb + np.einsum("an,nac->nc", offsets, frame.gradient(log_rgb))
-    return ShadowFree(log_rgb, found[:n], np.sqrt(np.diag(covariance)[:n])), displaced.astype(np.float32)
+    light = found[n : n + len(lit)]
+    return ShadowFree(log_rgb, found[:n], np.sqrt(np.diag(covariance)[:n]), light), displaced.astype(np.float32)
 
 
 def _weights(known: AppearanceModel, noise: np.ndarray, usable: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.extrapolation import around, continued
 from liaam.relighting.joint import appearance_in_light
+from liaam.relighting.lamplight import light_on_frame, light_on_image, square_around
 from liaam.relighting.painting import REACH, box_around, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
@@ -25,6 +26,9 @@ AMBIENT = 0.25
 
 LONGEST = 1.5
 """Largest exposure relative to frontal light; a lamp from behind leaves the object dark."""
+
+BRIGHT = np.log(0.6)
+"""Logarithm of light from which brightened pixels approach white gradually instead of being clipped."""
 
 DARKEST = 0.02
 """Lower bound on the light at a pixel, because black has no logarithm."""
@@ -108,7 +112,7 @@ class Relighter:
             return _unchanged(model, image, result.landmarks, response)
         seen = Seen.of(model, image, result.landmarks, response)
         appearance, log_rgb = appearance_in_light(model, seen, shadow_free(fitter, image, result, prior), prior)
-        shading = find_shading(model, seen, log_rgb)
+        shading = find_shading(model, seen, log_rgb, appearance.light)
         return _separated(model, image, result.landmarks, response, appearance, log_rgb, shading)
 
     def flat(self) -> np.ndarray:
@@ -158,13 +162,17 @@ class Relighter:
         """
         if other.model is not self.model:
             raise LiaamError("the two images were fitted with different models; fit both with the same model")
-        values, inside = paint(self.picture, self.shape, self.model, other.frame_shading.log)
+        light = other.appearance.light
+        rest = other.frame_shading.log - np.tensordot(light, light_on_frame(self.model)[: len(light)], axes=1)
+        values, inside = paint(self.picture, self.shape, self.model, rest.astype(np.float32))
         weights = inside[self.box][..., None].astype(np.float32)
         if not weights.size:
             return self.picture.copy()
         nearby, _ = around(values[self.box], weights, self.log_flat, self._reach)
-        shading = np.where(weights > 0, values[self.box], nearby)
-        return self._with(self.log_flat + self.share * shading)
+        shading = self.share * np.where(weights > 0, values[self.box], nearby)
+        if len(light):
+            shading += light_on_image(self.model.light, light, self.shape, self.box)
+        return self._with(self.log_flat + shading, np.abs(shading).max(axis=2) > 0)
 
     @property
     def nbytes(self) -> int:
@@ -176,10 +184,10 @@ class Relighter:
     def _reach(self) -> float:
         return reach_of(self.shape)
 
-    def _with(self, log_rgb: np.ndarray) -> np.ndarray:
-        """Return the image with new logarithms of light in the box."""
+    def _with(self, log_rgb: np.ndarray, relit: np.ndarray | bool = False) -> np.ndarray:
+        """Return the image with new logarithms of light where it was changed, or is relit, (bh, bw) bool."""
         picture = self.picture.copy()
-        changed = self.share[..., 0] > 0
+        changed = (self.share[..., 0] > 0) | self.log_shading.any(axis=2) | relit
         picture[self.box][changed] = eight_bits(log_rgb[changed], self.response)
         return picture
 
@@ -235,7 +243,8 @@ def _separated(
     painted, inside = paint(image, shape, model, np.column_stack(layers).astype(np.float32))
     if not inside.any():
         return _unchanged(model, image, shape, response)
-    box = box_around(inside, 4 * reach_of(shape))
+    light = appearance.light if model.light is not None else np.zeros(0)
+    box = square_around(model.light, shape, inside.shape) if len(light) else box_around(inside, 4 * reach_of(shape))
     painted, inside = painted[box], inside[box]
     log_model, log_smooth, normals = painted[..., :3], painted[..., 3:6], painted[..., 8:]
     own = log_light(image[box], response)
@@ -244,10 +253,12 @@ def _separated(
     detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + variance, 1e-12)
     detail = of_dark_channels(detail, stored_values(image[box]) <= DARK)
     weights = inside[..., None].astype(np.float32)
-    beyond = continued(log_smooth, inside, own, reach_of(shape))
+    lit = light_on_image(model.light, light, shape, box) if len(light) else np.zeros_like(own)
+    beyond = continued(log_smooth - lit, inside, own, reach_of(shape))
     lightened = beyond.mean(axis=2, keepdims=True) < 0
     nearby, share = around(normals, weights, own, reach_of(shape), lightened=lightened)
-    taken = np.where(inside[..., None], own - log_model - detail, share * beyond)
+    taken = np.where(inside[..., None], own - log_model - detail, lit + share * beyond)
+    taken = own - below_white(own - taken, own) if len(light) else taken
     pose = align(model.shape_model.mean, shape)
     normals = np.where(inside[..., None], normals, nearby)
     normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
@@ -266,6 +277,14 @@ def _separated(
         share=np.where(inside[..., None], 1.0, share).astype(np.float32),
         normals=normals,
     )
+
+
+def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Compress brightened highlights (h, w, 3) below white, keeping their hue; ``own`` is the original light."""
+    brightest = log_rgb.max(axis=2, keepdims=True)
+    excess = np.maximum(brightest - BRIGHT, 0.0)
+    limited = brightest - excess - BRIGHT * (1.0 - np.exp(excess / BRIGHT))
+    return log_rgb + np.minimum(np.maximum(limited, own.max(axis=2, keepdims=True)) - brightest, 0.0)
 
 
 def of_dark_channels(detail: np.ndarray, dark: np.ndarray) -> np.ndarray:

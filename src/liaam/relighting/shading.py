@@ -18,6 +18,7 @@ from liaam.model.shape import align
 from liaam.photometry import Response, from_linear
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope
+from liaam.relighting.lamplight import light_on_frame, unexplained_on_frame
 from liaam.relighting.painting import soft_edge
 from liaam.training.textures import sample_appearance
 
@@ -86,7 +87,7 @@ class Seen:
         return cls(log, usable, noise_variance(log, response, noise_deviation(image) / pixel))
 
 
-def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray) -> Shading:
+def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray, light: np.ndarray) -> Shading:
     """Estimate the shading of a fitted image.
 
     Parameters
@@ -96,6 +97,8 @@ def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray) -> Shading:
     log_rgb : (n_pixels, 3) float32
         Appearance under the training light, with corrected landmarks
         (:func:`liaam.relighting.joint.appearance_in_light`).
+    light : (k,) float
+        Coordinates of the light, see :class:`ShadowFree`.
 
     Returns
     -------
@@ -104,7 +107,9 @@ def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray) -> Shading:
     model_variance = errors_of_the_model(model, log_rgb)
     at_the_border = np.square(AT_THE_BORDER * (1.0 - soft_edge(model)))
     weights = seen.usable * UNIT**2 / (model_variance + seen.noise.mean(axis=1))
-    log = piecewise_smooth(model.frame, seen.log - log_rgb, weights)
+    lit = np.tensordot(light, light_on_frame(model)[: len(light)], axes=1)
+    held = np.square(UNIT / unexplained_on_frame(model))
+    log = (lit + piecewise_smooth(model.frame, seen.log - log_rgb - lit, weights, held)).astype(np.float32)
     steepness = np.square(model.frame.gradient(log)).sum(axis=1).mean(axis=1)
     return Shading(log, steepness.astype(np.float32), model_variance + at_the_border)
 
@@ -123,7 +128,9 @@ def noise_variance(log_rgb: np.ndarray, response: Response, deviation: float) ->
     return np.square(deviation * log_slope(stored, response)).astype(np.float32)
 
 
-def piecewise_smooth(frame: ReferenceFrame, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def piecewise_smooth(
+    frame: ReferenceFrame, values: np.ndarray, weights: np.ndarray, held: np.ndarray | float = 0.0
+) -> np.ndarray:
     """Compute the piecewise smooth part of values on the reference frame, (n_pixels, c) float32.
 
     Parameters
@@ -132,12 +139,14 @@ def piecewise_smooth(frame: ReferenceFrame, values: np.ndarray, weights: np.ndar
     values : (n_pixels, c) float
     weights : (n_pixels,) float
         Pixels of weight 0 are interpolated from their neighbours.
+    held : (n_pixels,) float
+        Weights of a pull towards 0.
     """
     pairs, weights = neighbours(frame), np.asarray(weights, np.float64)
     right = values * weights[:, None]
     jump, found = np.full(len(pairs[0]), 1.0), right
     for _ in range(PASSES + 1):  # the first pass has uniform coupling
-        found = factorised(pairs, COUPLING / (jump + CORNER), weights).solve(right)
+        found = factorised(pairs, COUPLING / (jump + CORNER), weights + held).solve(right)
         jump = np.linalg.norm(found[pairs[0]] - found[pairs[1]], axis=1)
     return found.astype(np.float32)
 

@@ -88,6 +88,7 @@ def train(
         contours=contours,
         name=name,
         n_textures=len(copied.owners),
+        light=None if copied.lamps is None else copied.lamps.basis(mirror_order(mean) is not None),
     )
     entries, grey = check_images(entries, model.warp)
     for entry in entries:

@@ -1,0 +1,70 @@
+"""The light of an image as a model trained with lamps knows it: on the object and around it."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from liaam.lamps.bank import HALF, SIDE, places
+from liaam.model import AAM
+from liaam.model.light import LightBasis
+from liaam.model.shape import align, diagonal_of
+
+LEAST_UNEXPLAINED = 0.05
+"""Lower bound on the standard deviation of what a basis does not explain, for bases learnt from few lamps."""
+
+
+@lru_cache(maxsize=4)
+def light_on_frame(model: AAM) -> np.ndarray:
+    """Return the modes of a model's light on its reference frame, (k, n_pixels, 3) float32; k is 0 without a basis."""
+    if model.light is None:
+        return np.zeros((0, model.n_pixels, 3), np.float32)
+    return np.stack([_at_frame(model, mode) for mode in model.light.modes])
+
+
+@lru_cache(maxsize=4)
+def unexplained_on_frame(model: AAM) -> np.ndarray:
+    """Return the standard deviation of what a model's light does not explain, (n_pixels,); infinite without a basis."""
+    if model.light is None:
+        return np.full(model.n_pixels, np.inf)
+    return np.maximum(_at_frame(model, model.light.remainder), LEAST_UNEXPLAINED)
+
+
+def light_on_image(
+    light: LightBasis, coordinates: np.ndarray, shape: np.ndarray, box: tuple[slice, slice]
+) -> np.ndarray:
+    """Return the change of log light at the pixels of a box, (bh, bw, 3) float32; it fades out around the object.
+
+    Parameters
+    ----------
+    light : LightBasis
+    coordinates : (k,) float
+    shape : (n, 2) float
+        Landmarks, image pixels.
+    box : (rows, columns)
+    """
+    corner = [box[1].start, box[0].start]
+    at = places(light.mean, shape - corner, (box[1].stop - corner[0], box[0].stop - corner[1]))
+    change = np.tensordot(coordinates.astype(np.float32), light.modes.astype(np.float32), axes=1)
+    return _remapped(change, at)
+
+
+def square_around(light: LightBasis, shape: np.ndarray, size: tuple[int, int]) -> tuple[slice, slice]:
+    """Return the rows and columns of an image of a size (height, width) to which a basis reaches."""
+    corners = align(light.mean, shape)(HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64))
+    low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int) + 1
+    return slice(max(low[1], 0), min(high[1], size[0])), slice(max(low[0], 0), min(high[0], size[1]))
+
+
+def _at_frame(model: AAM, picture: np.ndarray) -> np.ndarray:
+    """Sample a picture on the square, (side, side, ...), at the pixels of a model's reference frame."""
+    mean, frame = model.shape_model.mean, model.frame
+    middle = 0.5 * (mean.min(axis=0) + mean.max(axis=0))
+    away = (frame.pixels[:, ::-1] + frame.origin - middle) / diagonal_of(mean)
+    at = ((away + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)
+    return _remapped(picture.astype(np.float32), at[:, None])[:, 0]
+
+
+def _remapped(picture: np.ndarray, at: np.ndarray) -> np.ndarray:
+    import cv2  # heavy: imported when first needed
+
+    return cv2.remap(picture, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
