@@ -82,7 +82,7 @@ def lab_of(image: np.ndarray) -> np.ndarray:
     """Convert an image to CIE L, a, b, (h, w, 3) float32."""
     import cv2
 
-    return cv2.cvtColor(np.float32(image / 255.0), cv2.COLOR_RGB2LAB)
+    return cv2.cvtColor(np.asarray(image / 255.0, np.float32), cv2.COLOR_RGB2LAB)
 
 
 def skin_of(image: np.ndarray, inside: np.ndarray, points: np.ndarray) -> dict[str, np.ndarray]:

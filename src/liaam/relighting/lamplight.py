@@ -4,9 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from liaam.lamps.bank import HALF, SIDE, places
+from liaam.lamps.bank import HALF, places
 from liaam.model import AAM
-from liaam.model.light import LightBasis
+from liaam.model.light import SIDE, LightBasis
 from liaam.model.shape import align, diagonal_of
 
 LEAST_UNEXPLAINED = 0.05
@@ -30,21 +30,23 @@ def unexplained_on_frame(model: AAM) -> np.ndarray:
 
 
 def light_on_image(
-    light: LightBasis, coordinates: np.ndarray, shape: np.ndarray, box: tuple[slice, slice]
+    model: AAM, coordinates: np.ndarray, shape: np.ndarray, corner: tuple[int, int], size: tuple[int, ...]
 ) -> np.ndarray:
-    """Return the change of log light at the pixels of a box, (bh, bw, 3) float32; it fades out around the object.
+    """Return the change of log light at the pixels of a box, (bh, bw, 3) float32, 0 without a basis.
 
     Parameters
     ----------
-    light : LightBasis
+    model : AAM
     coordinates : (k,) float
     shape : (n, 2) float
         Landmarks, image pixels.
-    box : (rows, columns)
+    corner, size : (int, int)
+        First column and row of the box, and its height and width.
     """
-    corner = [box[1].start, box[0].start]
-    at = places(light.mean, shape - corner, (box[1].stop - corner[0], box[0].stop - corner[1]))
-    change = np.tensordot(coordinates.astype(np.float32), light.modes.astype(np.float32), axes=1)
+    if model.light is None or not len(coordinates):
+        return np.zeros((*size, 3), np.float32)
+    at = places(model.light.mean, shape - corner, (size[1], size[0]))
+    change = np.tensordot(coordinates.astype(np.float32), model.light.modes.astype(np.float32), axes=1)
     return _remapped(change, at)
 
 

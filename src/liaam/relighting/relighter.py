@@ -170,8 +170,7 @@ class Relighter:
             return self.picture.copy()
         nearby, _ = around(values[self.box], weights, self.log_flat, self._reach)
         shading = self.share * np.where(weights > 0, values[self.box], nearby)
-        if len(light):
-            shading += light_on_image(self.model.light, light, self.shape, self.box)
+        shading += light_on_image(self.model, light, self.shape, corner_of(self.box), self.inside.shape)
         return self._with(self.log_flat + shading, np.abs(shading).max(axis=2) > 0)
 
     @property
@@ -243,8 +242,11 @@ def _separated(
     painted, inside = paint(image, shape, model, np.column_stack(layers).astype(np.float32))
     if not inside.any():
         return _unchanged(model, image, shape, response)
-    light = appearance.light if model.light is not None else np.zeros(0)
-    box = square_around(model.light, shape, inside.shape) if len(light) else box_around(inside, 4 * reach_of(shape))
+    light = appearance.light
+    if model.light is None or not len(light):
+        box = box_around(inside, 4 * reach_of(shape))
+    else:
+        box = square_around(model.light, shape, inside.shape)
     painted, inside = painted[box], inside[box]
     log_model, log_smooth, normals = painted[..., :3], painted[..., 3:6], painted[..., 8:]
     own = log_light(image[box], response)
@@ -253,7 +255,7 @@ def _separated(
     detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + variance, 1e-12)
     detail = of_dark_channels(detail, stored_values(image[box]) <= DARK)
     weights = inside[..., None].astype(np.float32)
-    lit = light_on_image(model.light, light, shape, box) if len(light) else np.zeros_like(own)
+    lit = light_on_image(model, light, shape, corner_of(box), inside.shape)
     beyond = continued(log_smooth - lit, inside, own, reach_of(shape))
     lightened = beyond.mean(axis=2, keepdims=True) < 0
     nearby, share = around(normals, weights, own, reach_of(shape), lightened=lightened)
@@ -285,6 +287,11 @@ def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:
     excess = np.maximum(brightest - BRIGHT, 0.0)
     limited = brightest - excess - BRIGHT * (1.0 - np.exp(excess / BRIGHT))
     return log_rgb + np.minimum(np.maximum(limited, own.max(axis=2, keepdims=True)) - brightest, 0.0)
+
+
+def corner_of(box: tuple[slice, slice]) -> tuple[int, int]:
+    """Return the first column and row of a box."""
+    return box[1].start, box[0].start
 
 
 def of_dark_channels(detail: np.ndarray, dark: np.ndarray) -> np.ndarray:
