@@ -1,6 +1,7 @@
-"""Helpers shared by tests: training, scenes between scenes, disturbed starts, model pixels, fit problems, persons."""
+"""Helpers shared by tests: training, scenes between scenes, disturbed starts, model pixels, fit problems, persons, open files."""
 
 import shutil
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 
@@ -132,3 +133,12 @@ def copy_files(folder: Path, to: Path, *patterns: str) -> Path:
         for path in folder.glob(pattern):
             shutil.copy(path, to)
     return to
+
+
+def open_files(folder: Path) -> list[Path]:
+    """Files of a folder that this process holds open; none on systems that do not list them."""
+    listed, found = Path("/proc/self/fd"), []
+    for link in listed.iterdir() if listed.is_dir() else ():
+        with suppress(OSError):  # closed meanwhile, such as this listing itself
+            found.append(link.readlink())
+    return [file for file in found if file.is_relative_to(folder)]

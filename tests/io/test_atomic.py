@@ -15,14 +15,9 @@ import pytest
 
 from liaam.errors import LiaamError, ModelFileError
 from liaam.io import atomic, atomic_path, write_bytes_atomically, write_text_atomically
+from setups import open_files
 
 fcntl = pytest.importorskip("fcntl", reason="Windows neither locks nor sweeps temporary files")
-
-
-def open_files() -> int:
-    """Number of open files, or 0 where the system does not list them."""
-    listed = Path("/proc/self/fd")
-    return len(list(listed.iterdir())) if listed.is_dir() else 0
 
 
 def names_in(folder: Path) -> list[str]:
@@ -104,10 +99,9 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
 
 
 def test_no_file_is_left_open(tmp_path: Path) -> None:
-    before = open_files()
     for _ in range(5):
         write_bytes_atomically(tmp_path / "a", b"x")
-    assert open_files() == before
+    assert open_files(tmp_path) == []
 
 
 @pytest.mark.parametrize(
@@ -283,7 +277,6 @@ class ReadOnly(io.FileIO):
 def test_without_usable_locks_temporary_files_are_kept_for_a_day(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without: Callable[[pytest.MonkeyPatch], None]
 ) -> None:
-    before = open_files()
     with pytest.raises(RuntimeError), monkeypatch.context() as patched:
         without(patched)
         with atomic_path(tmp_path / "a.csv") as temporary:
@@ -294,8 +287,7 @@ def test_without_usable_locks_temporary_files_are_kept_for_a_day(
             assert temporary.read_bytes() == b""
             raise RuntimeError
     assert names_in(tmp_path) == []
-    if before:
-        assert open_files() == before
+    assert open_files(tmp_path) == []
 
 
 def test_a_locked_file_is_written_by_the_name_of_its_machine(tmp_path: Path) -> None:
@@ -320,9 +312,8 @@ def test_a_temporary_file_that_is_swept_before_it_is_locked_is_made_again(
         return real(descriptor, wait=wait)
 
     monkeypatch.setattr(atomic, "lock", swept_first)
-    before = open_files()
     write_bytes_atomically(tmp_path / "a", b"whole")
-    assert open_files() == before
+    assert open_files(tmp_path) == []
     assert (tmp_path / "a").read_bytes() == b"whole"
     assert locked == [True, True]
 
@@ -357,12 +348,11 @@ def test_a_file_that_is_replaced_before_it_is_locked_is_not_swept(
 
 
 def test_sweeping_leaves_no_file_open(tmp_path: Path) -> None:
-    before = open_files()
     for i in range(5):
         (tmp_path / f".liaam-{atomic._HOST}0000000{i}").write_bytes(b"left")
     atomic.sweep(tmp_path)
     assert names_in(tmp_path) == []
-    assert open_files() == before
+    assert open_files(tmp_path) == []
 
 
 @pytest.mark.parametrize(("number", "is_taken"), [(errno.EAGAIN, True), (errno.EACCES, True), (errno.ENOLCK, False)])
