@@ -80,6 +80,7 @@ ORDER = [
     "plot_invariant.py",
     "plot_registration.py",
     "plot_occlusion.py",
+    "plot_own_features.py",
     "plot_label_faults.py",
 ]
 sphinx_gallery_conf = {

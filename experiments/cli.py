@@ -416,6 +416,25 @@ def basin(
 
 
 @app.command()
+def points(
+    data: SpotFolder,
+    out: Out,
+    theirs: Annotated[
+        Path | None,
+        typer.Option(help="Folder of another landmarker's files, named as the images. By default it is simulated."),
+    ] = None,
+    trials: Annotated[int, typer.Option(help="Draws of the simulated points of an image.", min=1)] = 3,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+) -> None:
+    """What are the points of another landmarker worth as the start of a fit?"""
+    from experiments import points as module
+
+    summary = execute(module.points_experiment(data, theirs, trials, seed), out, jobs)
+    print_protocol(module.table(summary), summary, out)
+
+
+@app.command()
 def occlusion(
     data: SpotFolder,
     out: Out,

@@ -43,14 +43,25 @@ SIZE = (48, 56)
 
 @cache
 def tiny() -> Any:
-    """Return a complete model of five landmarks."""
+    """Return a complete model of five landmarks, which takes seven points of another landmarker."""
     from liaam.training import train
 
     rng = np.random.default_rng(0)
     shapes = np.array([[20, 20], [50, 20], [52, 50], [20, 50], [35, 33]]) + rng.normal(0, 1, (6, 5, 2))
     coarse = rng.integers(40, 200, (6, 10, 10, 3), dtype=np.uint8)
     images = [np.kron(each, np.ones((7, 7, 1), np.uint8)) for each in coarse]
-    return train(zip(images, shapes, strict=True), diagonal=16, variance=0.95)
+    points = np.concatenate([shapes, 0.5 * (shapes[:, :2] + shapes[:, 1:3])], axis=1) + rng.normal(0, 1, (6, 7, 2))
+    pairs = zip(images, shapes, strict=True)
+    return train(pairs, diagonal=16, variance=0.95, points=points, features=twice)
+
+
+def twice(image: np.ndarray) -> np.ndarray:
+    """Return eight channels of an image, one more than a model compares."""
+    return np.concatenate([image, np.square(image), image[..., :2]], axis=2)
+
+
+POINTS = ((12, 12), (40, 12), (42, 40), (12, 42), (26, 26), (27, 12), (41, 26))
+"""Points of another landmarker on the small image."""
 
 
 @cache
@@ -81,7 +92,7 @@ def _number(rng: Random, dtype: np.dtype) -> np.ndarray:
         return np.array(one_of(rng, NUMBERS)).astype(dtype)
 
 
-def _fit(model: Any, method: str, start: Any = (10, 10, 40, 40), **options: Any) -> None:
+def _fit(model: Any, method: Any, start: Any = (10, 10, 40, 40), **options: Any) -> None:
     """Fit to a small image, which must work for any accepted input."""
     from liaam.fitting import Fitter
 
@@ -156,17 +167,24 @@ def make_model(rng: Random) -> bytes:
 
 def check_model(data: bytes) -> None:
     """Read a model. If accepted, fitting and writing it must work."""
-    from liaam.errors import MethodError
+    from liaam.errors import MethodError, StartError
+    from liaam.fitting import features_method
     from liaam.model import load_model
 
     path = Path("m.liaam")
     path.write_bytes(data)
     model = load_model(path)
     method = METHODS[len(data) % len(METHODS)]
-    for name, start in (("soft-li", (10, 10, 40, 40)), (method, None if len(data) % 8 == 0 else (12, 8, 44, 40))):
+    tried = (
+        ("soft-li", (10, 10, 40, 40)),
+        (method, None if len(data) % 8 == 0 else (12, 8, 44, 40)),
+        (method, POINTS if model.points is not None and model.points.n_theirs == len(POINTS) else (10, 10, 40, 40)),
+        (features_method(twice), (10, 10, 40, 40)),
+    )
+    for name, start in tried:
         try:
             _fit(model, name, start)
-        except MethodError:  # the model does not support the method
+        except (MethodError, StartError):  # the model does not support the method, or maps the points elsewhere
             continue
     model.save(path)
     load_model(path)

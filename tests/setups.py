@@ -1,4 +1,4 @@
-"""Helpers shared by tests: training, scenes between scenes, disturbed starts, model pixels, fit problems, persons, open files."""
+"""Helpers shared by tests: training, scenes, disturbed starts, model pixels, fit problems, persons, open files."""
 
 import shutil
 from contextlib import suppress

@@ -56,6 +56,34 @@ def test_train_info_show(run, portraits, tmp_path):
     assert read_image(tmp_path / "m_model.png").shape[2] == 3
 
 
+def test_another_landmarkers_points_start_fits(run, portraits, tmp_path):
+    """From files: trained with them, a fit starts from such a file and weighs it in; without, the message says how."""
+    folder, image, truth = portraits
+    rng, theirs = np.random.default_rng(0), tmp_path / "theirs"
+    theirs.mkdir()
+
+    def write_theirs(path, shape):
+        write_landmarks(path, 0.5 * (shape[::2] + shape[1::2]) + rng.normal(0, 1, (len(shape) // 2, 2)))
+
+    for file in sorted(folder.glob("*.pts")):
+        write_theirs(theirs / file.name, read_landmarks(file).points)
+    write_theirs(tmp_path / "new.pts", read_landmarks(truth).points)
+    model = tmp_path / "m.liaam"
+    options = ("--diagonal", 60, "--no-leave-out")
+    code, out, _ = run("train", folder, "-o", model, "--points", theirs, *options)
+    assert code == 0
+    assert "the other landmarker's 29 points: mapped to the landmarks with an error of" in out
+    assert "29 points of another landmarker" in run("info", model)[1]
+    code, out, err = run("fit", model, image, "--init", tmp_path / "new.pts", "-o", tmp_path / "fits")
+    assert (code, err) == (0, "")
+    found, wanted = read_landmarks(tmp_path / "fits" / "new.pts").points, read_landmarks(truth).points
+    assert np.linalg.norm(found - wanted, axis=1).mean() < 2.0
+    run("train", folder, "-o", model, *options)
+    code, _, err = run("fit", model, image, "--init", tmp_path / "new.pts", "-o", tmp_path / "fits")
+    assert code == 1
+    assert "train with them ('liaam train --points FOLDER'" in err
+
+
 def test_training_that_is_stopped_leaves_one_line_and_no_file(run, portraits, tmp_path, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt

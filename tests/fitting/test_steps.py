@@ -188,9 +188,9 @@ def test_a_step_is_taken_and_undone(kernel, rng):
 
 def test_a_prior_is_part_of_the_system_and_of_the_cost(kernel, rng):
     prior, p, base = rng.random(3), rng.normal(size=3), symmetric(rng, np.arange(1.0, 5.0))
-    precision, metric, hessian, gradient = np.empty(3), np.empty((4, 4)), 2 * base, rng.normal(size=4)
+    precision, metric, hessian, gradient = np.empty(3), base.copy(), 2 * base, rng.normal(size=4)
     bare = gradient.copy()
-    kernel.add_prior(prior, 2.0, 0.3, p, precision, base, metric, hessian, gradient)
+    kernel.add_prior(prior, 2.0, 0.3, p, precision, metric, hessian, gradient)
     np.testing.assert_allclose(precision, 0.6 * prior)
     wide = np.diag([*precision, 0.0])
     np.testing.assert_allclose(metric, base + wide)
@@ -198,9 +198,29 @@ def test_a_prior_is_part_of_the_system_and_of_the_cost(kernel, rng):
     np.testing.assert_allclose(gradient[:3], bare[:3] + precision * p)
     assert gradient[3] == bare[3]
     lam, ridge = rng.normal(size=2), rng.random(2)
-    merit = kernel.merit_of(np.array([5.0, 10.0]), p, precision, lam, ridge)
+    nothing = np.zeros((0, 0)), np.zeros(0), 0.0
+    merit = kernel.merit_of(np.array([5.0, 10.0]), p, precision, lam, ridge, *nothing)
     assert merit == pytest.approx((5.0 + precision @ p**2 + ridge @ lam**2) / 10.0)
-    assert kernel.merit_of(np.zeros(2), p, precision, lam, ridge) == np.inf  # no pixel counts
+    assert kernel.merit_of(np.zeros(2), p, precision, lam, ridge, *nothing) == np.inf  # no pixel counts
+
+
+def test_points_of_another_landmarker_are_part_of_the_system_and_of_the_cost(kernel, rng):
+    pull, towards, p = symmetric(rng, np.arange(1.0, 4.0)), rng.normal(size=3), rng.normal(size=3)
+    metric, hessian, gradient = np.zeros((4, 4)), np.ones((4, 4)), np.ones(4)
+    kernel.add_points(pull, towards, 0.3, p, metric, hessian, gradient)
+    wide = np.zeros((4, 4))
+    wide[:3, :3] = 0.3 * pull
+    np.testing.assert_allclose(metric, wide)
+    np.testing.assert_allclose(hessian, 1.0 + wide)
+    np.testing.assert_allclose(gradient, [*(1.0 + 0.3 * pull @ (p - towards)), 1.0])
+
+    def merit(p: np.ndarray) -> float:
+        nothing = np.zeros(3), np.zeros(0), np.zeros(0)
+        return kernel.merit_of(np.array([5.0, 10.0]), p, *nothing, pull, towards, 0.3)
+
+    assert merit(towards) == pytest.approx(0.5)
+    slope = [(merit(p + step) - merit(p - step)) / 2e-4 for step in 1e-4 * np.eye(3)]  # of squares / 10: twice J'r / 10
+    np.testing.assert_allclose(slope, 0.2 * (gradient[:3] - 1.0), rtol=1e-6)
 
 
 # What angles can be told.

@@ -40,7 +40,9 @@ def tiny_file(tmp_path_factory) -> Path:
     shapes = np.array([[20, 20], [50, 20], [50, 50], [20, 50.0]]) + rng.normal(0, 1, (4, 4, 2))
     images = rng.integers(40, 200, (4, 70, 70, 3), dtype=np.uint8)
     path = tmp_path_factory.mktemp("tiny") / "tiny.liaam"
-    train(zip(images, shapes, strict=True), diagonal=16, blurs={MESH: (0.0,)}, variance=1).save(path)
+    points = np.concatenate([shapes, shapes[:, :2] + 3.0], axis=1) + rng.normal(0, 1, (4, 6, 2))
+    pairs = zip(images, shapes, strict=True)
+    train(pairs, diagonal=16, blurs={MESH: (0.0,)}, variance=1, points=points, features=np.square).save(path)
     return path
 
 
@@ -443,7 +445,57 @@ def empty_view(header, tensors):
         del tensors[key]
 
 
+def map_of_other_landmarks(header, tensors):
+    tensors["points.weights"] = tensors["points.weights"][1:]
+
+
+def map_of_as_many_points(header, tensors):
+    tensors["points.weights"] = tensors["points.weights"][:, :4].copy()
+
+
+def heavy_point(header, tensors):
+    tensors["points.weights"][0, 0] = 1e9
+
+
+def certain_points(header, tensors):
+    tensors["points.noise"][0] = 0.0
+
+
+def endless_errors(header, tensors):
+    tensors["points.errors"][0, 0] = 1e30
+
+
+def nameless_features(header, tensors):
+    header["features"] = "a b"
+
+
+def stretched_features(header, tensors):
+    tensors["features.projection"] *= 2.0
+
+
+def huge_features(header, tensors):
+    tensors["features.mean"][0] = 1e30
+
+
+def unknown_features(header, tensors):
+    del tensors["features.mean"]
+
+
+def other_features(header, tensors):
+    tensors["features.projection"] = tensors["features.projection"][:, :2].copy()
+
+
 FORGERIES = [
+    (map_of_other_landmarks, "points.weights has type"),
+    (map_of_as_many_points, "points.weights do not map"),
+    (heavy_point, "points.weights do not map"),
+    (certain_points, "points.errors or points.noise are out of range"),
+    (endless_errors, "points.errors or points.noise are out of range"),
+    (nameless_features, "features.projection is not a projection"),
+    (stretched_features, "features.projection is not a projection"),
+    (huge_features, "features.mean is out of range"),
+    (unknown_features, "features.mean"),
+    (other_features, "0/features.modes has type"),
     (many_shape_modes, "60000 shape modes are too many for 4 landmarks"),
     (many_appearance_modes, "0/log has 5 modes; the maximum is 4"),
     (huge_shape_modes, "shape.modes are not orthonormal"),

@@ -566,7 +566,7 @@ class TestRequests:
         answer = page.fit(picture="dark.png", method="li", start={"box": [40, 10, 120, 110]})
         assert answer.status_code == 200
         assert (answer.json()["ok"], answer.json()["status"]) == (False, "too dark")
-        assert "use a brighter image" in answer.json()["message"]
+        assert "or a brighter image" in answer.json()["message"]
 
     @pytest.mark.parametrize(
         ("path", "status", "text"),

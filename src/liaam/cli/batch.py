@@ -31,7 +31,8 @@ def batch(
         str | None,
         typer.Option(
             help="Where to start: a box x0,y0,x1,y1 or x,y,size for all images; a folder with a landmark or .box file "
-            "for each image; or 'beside' for such files next to the images. By default the object is searched for."
+            "for each image; 'beside' for such files next to the images; or mediapipe. By default the object is "
+            "searched for."
         ),
     ] = None,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",

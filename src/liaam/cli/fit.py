@@ -41,7 +41,8 @@ def fit(
         str | None,
         typer.Option(
             help="Where to start: a box x0,y0,x1,y1 around the landmarks; a centre and the box's diagonal x,y,size; "
-            "a landmark file; or a folder with a landmark file per image. By default the object is searched for."
+            "a landmark file, of the landmarks or of the points of 'liaam train --points'; a folder with a landmark "
+            "file per image; or mediapipe. By default the object is searched for."
         ),
     ] = None,
     every: Annotated[

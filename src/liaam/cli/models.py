@@ -80,6 +80,12 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
+        **(
+            {}
+            if model.points is None
+            else {"starts from": f"{model.points.n_theirs} points of another landmarker, too"}
+        ),
+        **({} if model.features is None else {"features": f"{model.features.name}, a function"}),
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
         "camera": describe_camera(model.camera),

@@ -65,6 +65,13 @@ def train(
             "Without --lamps one mirrored copy. 0 for none."
         ),
     ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder with another landmarker's points on the images, in files named as the images, or 'mediapipe' "
+            "for its face mesh. Fits can then start from its points with --init, and weigh them in."
+        ),
+    ] = None,
     leave_out: Annotated[
         bool,
         typer.Option(
@@ -106,6 +113,7 @@ def train(
             diagonal=diagonal,
             lamps=light,
             copies=copies,
+            points=points,
             name=name or folder.name,
             leave_out=leave_out,
             progress=progress,
@@ -121,6 +129,12 @@ def train(
         f"limit of accuracy: fits to new images are off by at least about {bound / model.diagonal:.1%} of the object's "
         "size; more training images lower it"
     )
+    if model.points is not None:
+        away = model.points.deviation
+        say(
+            f"the other landmarker's {model.points.n_theirs} points: mapped to the landmarks with an error of "
+            f"{away:.1f} pixels ({away / model.diagonal:.1%}) on left-out images"
+        )
     if leave_out and view.reliability is None:
         complain("fits have no calibrated quality: too few fits to left-out images were right; train on more images")
 

@@ -2,7 +2,7 @@
 
 from liaam.fitting.fitter import Fitter, fit
 from liaam.fitting.many import fit_each, fit_many
-from liaam.fitting.methods import METHODS, Method, get_method
+from liaam.fitting.methods import METHODS, Method, features_method, get_method
 from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.search import Candidate, Finder, find
 from liaam.fitting.solver import SolverOptions
@@ -17,6 +17,7 @@ __all__ = [
     "Iteration",
     "Method",
     "SolverOptions",
+    "features_method",
     "find",
     "fit",
     "fit_each",

@@ -100,12 +100,14 @@ def cramer_rao_bound(
     Raises
     ------
     MethodError
-        For methods that compare gradient orientations: their noise depends on the gradient and is not Gaussian.
+        For methods that compare gradient orientations, whose noise depends on the gradient and is not Gaussian, or the
+        channels of a function.
     """
     method, response = get_method(method), model.response if response is None else response
-    if method.encoding in ("orientation", "soft"):
+    if method.encoding_name in ("orientation", "soft", "features"):
+        what = "a function's channels" if callable(method.encoding) else "gradient orientations"
         raise MethodError(
-            f"method {method.name}: the noise of gradient orientations is unknown, so there is no bound; "
+            f"method {method.name}: the noise of {what} is unknown, so there is no bound; "
             "use 'li' or another method that compares values or logarithms"
         )
     objective = make_objectives(model, method, "reference")[-1].of_all_pixels

@@ -38,7 +38,7 @@ the solution the gradients of image and model agree less, and undamped steps wou
 of IMM: without it a third more fits end beyond 8 %; 1 is Fisher scoring, which takes twice as many steps."""
 
 
-UNIT, GAIN, OFFSET, SHOWN, SCALE, LEAST = 0, 1, 2, 3, 4, 5
+UNIT, GAIN, OFFSET, SHOWN, SCALE, LEAST, PULL = 0, 1, 2, 3, 4, 5, 6
 """Indices into :attr:`Work.scales`."""
 
 
@@ -98,6 +98,10 @@ class Picture(NamedTuple):
     """(2,) float64: fraction of that deviation left after the blur, in values and in gradients per model pixel."""
     correlated: float
     """Number of sampled pixels per independent residual, for weights by rows."""
+    pull: Double2
+    """(n_p, n_p) float64: precision of p by the points of another landmarker; (0, 0) for none."""
+    towards: Double1
+    """(n_p,) float64: p of these points."""
 
 
 class Row(NamedTuple):
@@ -209,8 +213,9 @@ class Work(NamedTuple):
     unexplained: Double2
     """(2, 2) float64: unexplained variance of gradients and colour, when weights were last computed and now."""
     scales: Double1
-    """(6,) float64: variance at weight 1 (NaN if the weights define none), gain and offset of the samples, gain in
-    ``steep``, scale of the prior, and lower bound on the curvature (:data:`LEAST_CURVATURE`)."""
+    """(7,) float64: variance at weight 1 (NaN if the weights define none), gain and offset of the samples, gain in
+    ``steep``, scale of the prior, lower bound on the curvature (:data:`LEAST_CURVATURE`), and the factor that converts
+    ``Picture.pull`` to units of squared residuals."""
     gram: Double2
     """(m, m) float64: A'A under ``own``."""
     factor: Double2

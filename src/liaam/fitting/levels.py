@@ -67,6 +67,10 @@ class Target(NamedTuple):
     """Margin around the start that the fit may use, as a fraction of the object's diagonal."""
     light: Light | None = None
     """The image averaged around the start for all levels; by default each level averages for itself."""
+    pull: np.ndarray | None = None
+    """(n_p, n_p) float64: precision of the parameters of ``mapped``; None if there is no such prior."""
+    mapped: np.ndarray | None = None
+    """(n, 2) float64: landmarks mapped from another landmarker's points, weighed in as a Gaussian prior."""
 
     def measured(self, method: Method) -> "Target":
         """Return a target with the noise measured in the image, if the method needs it and it is unknown."""
@@ -123,6 +127,8 @@ def prepare_level(
     pose = align(warp.rest, shape)
     image = target.image if target.light is None else target.light
     problem = FitProblem.at(image, shape, pose, objective.method, target.response, blur, target.noise, margin)
+    if target.pull is not None and target.mapped is not None:
+        problem = replace(problem, pull=target.pull, towards=warp.parameters(pose.inverse()(target.mapped)))
     state = objective.start(warp.parameters(pose.inverse()(shape)))
     angles = (
         stages[-1].solution.state.angles if stages else _first_angles(objective, problem, state, options, target.theta)

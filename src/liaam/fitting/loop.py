@@ -12,9 +12,10 @@ import numpy as np
 
 from liaam.fitting.equations import copy, copy_matrix
 from liaam.fitting.evaluate import movement
-from liaam.fitting.level import SCALE, UNIT, Controls, Picture, Row, Template, Work
+from liaam.fitting.level import PULL, SCALE, UNIT, Controls, Picture, Row, Template, Work
 from liaam.fitting.steps import (
     LEAST,
+    add_points,
     add_prior,
     along_with,
     free_entries,
@@ -67,7 +68,7 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
     while True:
         row.look(template, picture, row, work, solves)  # eq 9
         row.settle(template, row, work, False, solves)  # lambda, where it is solved for at every state
-        merit = merit_of(work.sums, work.p, work.precision, work.lam, template.ridge)
+        merit = merit_in(template, picture, work)
         if tried and controls.damping > 0.0 and not merit <= rise * least:  # NaN is refused, too
             go_back(work.before, work.p, work.angles, work.lam)
             settled, damping = small or damping >= DAMPING_LIMIT, _raised(damping, controls.expected)
@@ -89,11 +90,11 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
         ends = settled or n_tried >= controls.max_iterations or not np.isfinite(work.costs[n_taken])
         if ends and not controls.look:
             break
-        found, held, unnoticed = propose(template, row, controls, work, damping, fresh, ends)  # eq 10, eq 5
+        found, held, unnoticed = propose(template, picture, row, controls, work, damping, fresh, ends)  # eq 10, eq 5
         flat = not found
         if ends or flat:
             break
-        merit, length = merit_of(work.sums, work.p, work.precision, work.lam, template.ridge), movement(template, work)
+        merit, length = merit_in(template, picture, work), movement(template, work)
         solves, least, fresh, tried = not controls.joint, merit if merit < least else least, False, True
         small = unnoticed or length < controls.tolerance or (n_tried < controls.quick and length < controls.loose)
         n_tried += 1
@@ -108,8 +109,22 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
 
 
 @compiled
+def merit_in(template: Template, picture: Picture, work: Work) -> float:
+    """Return the cost of the current state that an accepted step must not raise."""
+    pull, towards, factor = picture.pull, picture.towards, work.scales[PULL]
+    return merit_of(work.sums, work.p, work.precision, work.lam, template.ridge, pull, towards, factor)
+
+
+@compiled
 def propose(
-    template: Template, row: Row, controls: Controls, work: Work, damping: float, fresh: bool, ends: bool
+    template: Template,
+    picture: Picture,
+    row: Row,
+    controls: Controls,
+    work: Work,
+    damping: float,
+    fresh: bool,
+    ends: bool,
 ) -> tuple[bool, bool, bool]:
     """Compute the step of q = (p, free angles) and of lambda (eq 5); at the end, only the Gauss-Newton Hessian.
 
@@ -141,12 +156,15 @@ def propose(
         return found, held, unnoticed
     known = row.weights == BY_ROWS and np.isfinite(work.scales[UNIT])
     unit = work.scales[UNIT] if known else template.correlated * work.sums[0] / work.sums[1]
+    work.scales[PULL] = unit
+    copy_matrix(work.base, work.damper)
+    add_points(picture.pull, picture.towards, unit, work.p, work.damper, work.hessian, work.gradient)
     prior, strength, freedom, scale = template.prior, controls.shape_prior, template.freedom, work.scales[SCALE]
     if strength > 0.0 and np.isfinite(freedom):
-        scale = next_scale(work.base, work.p, prior, strength, unit, freedom, scale, work.small[0], work.small[1])
+        scale = next_scale(work.damper, work.p, prior, strength, unit, freedom, scale, work.small[0], work.small[1])
         work.scales[SCALE] = scale
     variance = unit / scale
-    add_prior(prior, strength, variance, work.p, work.precision, work.base, work.damper, work.hessian, work.gradient)
+    add_prior(prior, strength, variance, work.p, work.precision, work.damper, work.hessian, work.gradient)
     found = row.raised(work, damping) if expects else row.damped(work, damping)
     if expects and goes_back(work.step, work.last_step, work.damper):
         work.scales[LEAST] *= 2.0

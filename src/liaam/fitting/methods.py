@@ -1,6 +1,7 @@
 """The table of methods: each fitting method is one row of parameters of the common objective (eq 9, generalised)."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from liaam.fitting.losses import LOSSES
 from liaam.model import MESH, SURROUNDINGS, VIEWS
 from liaam.model.appearance import APPEARANCES
 from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE
+from liaam.photometry.features import WIDEST, Encoder, FeatureFunction, name_of
 
 METRICS = {
     "luminance": LUMINANCE,
@@ -17,9 +19,10 @@ METRICS = {
     "orientation": np.eye(3)[:2],
     "soft": np.eye(3, 6),
     "invariant": np.zeros((1, 3)),
+    "features": np.eye(WIDEST),
 }
 """Rows of P by name, (k, channels of the encoding). ``invariant``, and the last row of ``soft``, are L(theta) (eq 7) on
-the channels of log RGB."""
+the channels of log RGB. ``features`` has as many rows as the model compares channels."""
 
 INVARIANT_AT = {"invariant": (0, 0), "soft": (2, 2)}
 """Metrics that depend on the angles: the row that holds L(theta), and the first of its three channels."""
@@ -39,8 +42,9 @@ ENCODING_OF = {
     "invariant": "log",
     "orientation": "orientation",
     "soft": "soft",
+    "features": "features",
 }
-"""Encoding of each appearance."""
+"""Encoding of each appearance; ``features`` is any function of the user."""
 
 BIASES = ("none", "common", "rows")
 
@@ -63,11 +67,11 @@ class Method:
         Name in results and messages. Two rows that differ only in name and summary are equal.
     summary : str
         One-line description.
-    encoding : {"value", "log", "orientation", "soft"}
-        Encoding of the image.
-    appearance : {"value", "log", "orientation", "soft", "invariant", "varied"}
+    encoding : {"value", "log", "orientation", "soft"} or callable
+        Encoding of the image, or a function of the user (:func:`liaam.fitting.features_method`).
+    appearance : {"value", "log", "orientation", "soft", "invariant", "varied", "features"}
         Which of the model's appearances is fitted.
-    metric : {"luminance", "rgb", "chromaticity", "orientation", "soft", "invariant"}
+    metric : {"luminance", "rgb", "chromaticity", "orientation", "soft", "invariant", "features"}
         Rows of P. Only ``invariant`` and the last row of ``soft`` depend on the angles.
     free_angles : {"none", "image", "both", "shared"}
         Which of theta_1 (model) and theta_2 (image) are estimated.
@@ -94,7 +98,7 @@ class Method:
 
     name: str = field(compare=False)
     summary: str = field(compare=False)
-    encoding: str
+    encoding: Any
     appearance: str
     metric: str
     free_angles: str = "none"
@@ -108,7 +112,8 @@ class Method:
     view: str = MESH
 
     def __post_init__(self) -> None:
-        _check("encoding", self.encoding, ENCODINGS)
+        if not callable(self.encoding):
+            _check("encoding", self.encoding, ENCODINGS)
         _check("appearance", self.appearance, APPEARANCES)
         _check("metric", self.metric, METRICS)
         _check("free_angles", self.free_angles, FREE_ANGLES)
@@ -124,11 +129,15 @@ class Method:
         if self.gain and self.metric == "invariant":
             raise MethodError(f"method {self.name}: a gain on logarithms does not model any change of light")
         _check("loss", self.loss, ("squares", *LOSSES))
-        if ENCODING_OF[self.appearance] != self.encoding:
-            raise MethodError(f"method {self.name}: {self.encoding} images do not suit a {self.appearance} appearance")
-        for name in ("orientation", "soft"):
-            if (self.metric == name) != (self.encoding == name):
-                raise MethodError(f"method {self.name}: metric {self.metric} does not suit encoding {self.encoding}")
+        if ENCODING_OF[self.appearance] != self.encoding_name:
+            raise MethodError(
+                f"method {self.name}: {self.encoding_name} images do not suit a {self.appearance} appearance"
+            )
+        for name in ("orientation", "soft", "features"):
+            if (self.metric == name) != (self.encoding_name == name):
+                raise MethodError(
+                    f"method {self.name}: metric {self.metric} does not suit encoding {self.encoding_name}"
+                )
         if self.weights == "rows" and self.encoding != "soft":
             raise MethodError(f"method {self.name}: weights by rows are for encoding soft")
         if self.weights == "noise" and self.encoding != "log":
@@ -148,6 +157,11 @@ class Method:
             raise MethodError(f"method {self.name}: theta_1 is fixed by an appearance projected before the PCA")
 
     @property
+    def encoding_name(self) -> str:
+        """Name of the encoding; ``features`` for a function of the user."""
+        return "features" if callable(self.encoding) else self.encoding
+
+    @property
     def needs_colour(self) -> bool:
         """Whether the method cannot use grey images."""
         return self.metric in ("invariant", "chromaticity")
@@ -155,7 +169,14 @@ class Method:
     @property
     def n_rows(self) -> int:
         """Number of rows of P, k."""
-        return len(METRICS[self.metric])
+        return len(self._rows)
+
+    @property
+    def _rows(self) -> np.ndarray:
+        """Rows of P, (k, channels of the encoding); those of L(theta) are 0."""
+        if isinstance(self.encoding, Encoder):
+            return np.eye(self.encoding.width)
+        return METRICS[self.metric]
 
     @property
     def reweighs(self) -> bool:
@@ -193,7 +214,7 @@ class Method:
 
         Encoded images have 8 channels; the last one is the weight.
         """
-        rows = METRICS[self.metric]
+        rows = self._rows
         parts = np.zeros((3, len(rows), 8))
         parts[0, :, : rows.shape[1]] = rows
         if self.has_angles:
@@ -208,7 +229,7 @@ class Method:
         """The same for P(theta_1), on the channels of the appearance, (3, k, c) float64."""
         if not self.projects_appearance:
             return np.stack([np.eye(self.n_rows), *np.zeros((2, self.n_rows, self.n_rows))])
-        return self.metric_parts[:, :, : METRICS[self.metric].shape[1]]
+        return self.metric_parts[:, :, : self._rows.shape[1]]
 
     def model_metric(self, theta: float) -> np.ndarray:
         """Return P(theta_1) for the model, (k, channels of the appearance)."""
@@ -216,13 +237,13 @@ class Method:
 
     def image_metric(self, theta: float) -> np.ndarray:
         """Return P(theta_2) for the image, (k, channels of the encoding)."""
-        parts = self.metric_parts[:, :, : METRICS[self.metric].shape[1]]
+        parts = self.metric_parts[:, :, : self._rows.shape[1]]
         return np.tensordot([1.0, np.cos(theta), np.sin(theta)], parts, axes=1)
 
     @property
     def projects_appearance(self) -> bool:
         """Whether P applies to the model's appearance; the others were projected before they were learnt."""
-        return self.appearance not in ("invariant", "orientation", "soft")
+        return self.appearance not in ("invariant", "orientation", "soft", "features")
 
 
 def _check(what: str, value: str, known) -> None:
@@ -332,6 +353,22 @@ METHODS: dict[str, Method] = {
     )
 }
 """All methods by name, in the order of the table."""
+
+
+def features_method(function: FeatureFunction, **changes) -> Method:
+    """Return a method that compares the channels of a function of the image.
+
+    Parameters
+    ----------
+    function : callable
+        From an image (h, w, 3) float32, sRGB values in [0, 1], to its channels (h, w, c) float. The model must be
+        trained with it: ``liaam.train(data, features=function)``.
+    **changes
+        Fields of :class:`Method`, such as ``loss="huber"``.
+    """
+    name = name_of(function)
+    fields = {"summary": f"channels of the function {name}", "appearance": "features", "metric": "features"}
+    return Method(**{"name": name, "encoding": function, **fields, **changes})
 
 
 DEFAULT_METHOD = "soft-li"

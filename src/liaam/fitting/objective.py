@@ -1,6 +1,6 @@
 """The objective of a model, a method and a level: the model's side of the residual, and the calls of the loop."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -33,6 +33,7 @@ from liaam.model import AAM, Level
 from liaam.model.appearance import AppearanceModel
 from liaam.model.shape import ShapeModel
 from liaam.model.warp import Mesh, Warp
+from liaam.photometry.features import Encoder, name_of
 
 
 class State(NamedTuple):
@@ -213,7 +214,7 @@ class Objective:
             known=np.full(n if known else 0, np.nan, np.float32),
             known_now=single(n if known else 0),
             unexplained=np.full((2, 2), np.nan),
-            scales=np.array([1.0 if noisy else np.nan, 1.0, 0.0, 1.0, 1.0, LEAST_CURVATURE]),
+            scales=np.array([1.0 if noisy else np.nan, 1.0, 0.0, 1.0, 1.0, LEAST_CURVATURE, 0.0]),
             gram=template.gram.copy(),
             factor=np.empty((m, m)),
             ar=np.empty(m),
@@ -407,6 +408,7 @@ def make_objectives(
             f"method {method.name} compares colours, but the model was trained on grey images; "
             "use method 'soft-li' or 'grey'"
         )
+    method = _encoded(model, method)
     _check_holds(model, method)
     get_kernel(kernel)
     if thinning is None:
@@ -440,6 +442,21 @@ def _objective(model: AAM, method: Method, kernel: str, level: Level, thinning: 
         )
 
     return at(warp.every(thinning * level.blur), at(warp.every(0.0)))
+
+
+def _encoded(model: AAM, method: Method) -> Method:
+    """Return a method whose encoding, if it is a function of the user, ends with the model's projection."""
+    if not callable(method.encoding) or isinstance(method.encoding, Encoder):
+        return method
+    function: Any = method.encoding
+    known, name = model.features, name_of(function)
+    if known is None or known.name != name:
+        given = "was trained without features" if known is None else f"was trained with the features {known.name}"
+        raise MethodError(
+            f"method {method.name} compares the features {name}, but the model {given}; train it with this function "
+            "(train(..., features=function))"
+        )
+    return replace(method, encoding=Encoder(function, known))
 
 
 def _check_holds(model: AAM, method: Method) -> None:

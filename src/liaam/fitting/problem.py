@@ -1,6 +1,6 @@
 """The fit problem: the encoded region of an image around the start, and its noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -46,6 +46,8 @@ class FitProblem:
         Standard deviation of a gradient per model pixel after the blur, for noise of unit standard deviation.
     blur : float
         Standard deviation of the blur, model pixels.
+    pull, towards : (n_p, n_p), (n_p,) float64
+        Precision and mean of p by the points of another landmarker; empty for none.
     """
 
     patch: Patch
@@ -55,6 +57,8 @@ class FitProblem:
     noise_left: float = 1.0
     slope_left: float = 1.0
     blur: float = 0.0
+    pull: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    towards: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def picture(self, correlated: float, noisy: bool) -> Picture:
         """Return the image in the form that the loop takes, with a noise table if ``noisy``."""
@@ -68,6 +72,8 @@ class FitProblem:
             np.array(LOGS),
             np.array([self.noise_left, self.slope_left], np.float64),
             float(correlated),
+            self.pull,
+            self.towards,
         )
 
     @cached_property

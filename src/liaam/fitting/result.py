@@ -104,7 +104,7 @@ class Iteration:
     theta : float
         Image angle theta_2, radians; NaN for methods without angles.
     level : int
-        Level of the model, 0 the coarsest; costs of different levels are not comparable.
+        Level, 0 the coarsest that the fit used; costs of different levels are not comparable.
     """
 
     cost: float

@@ -34,11 +34,7 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
     StartError
         If the start has the wrong number of points, is not numeric, or lies outside the image.
     """
-    try:
-        given = np.asarray(getattr(init, "points", init), dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise StartError(f"{name}: the start {init!r} is not a shape, box, or point and size ({error})") from error
-    shape = _shape(model, given, name)
+    shape = _shape(model, _numbers(init, name), name)
     width, height = image_size
     centre = 0.5 * (shape.min(axis=0) + shape.max(axis=0))
     inside = ((shape >= 0) & (shape <= [width - 1, height - 1])).all(axis=1).mean()
@@ -60,6 +56,29 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
     return shape
 
 
+def mapped_points(model: AAM, init, name: str = "image") -> np.ndarray | None:
+    """Map the points of another landmarker to landmarks, (n, 2) float64; None if the start is something else.
+
+    Raises
+    ------
+    StartError
+        If the start is not numeric, or some of these points are not finite.
+    """
+    given = _numbers(init, name)
+    if model.points is None or given.shape != (model.points.n_theirs, 2):
+        return None
+    if not np.isfinite(given).all():
+        raise StartError(f"{name}: some of the other landmarker's points are not finite; start from a box, or search")
+    return model.points(given)
+
+
+def _numbers(init, name: str) -> np.ndarray:
+    try:
+        return np.asarray(getattr(init, "points", init), dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise StartError(f"{name}: the start {init!r} is not a shape, box, or point and size ({error})") from error
+
+
 def _shape(model: AAM, given: np.ndarray, name: str) -> np.ndarray:
     if given.shape == (model.n_points, 2):
         return _from_shape(model, given, name)
@@ -68,7 +87,11 @@ def _shape(model: AAM, given: np.ndarray, name: str) -> np.ndarray:
     if given.shape == (3,):
         return _from_point(model, given, name)
     if given.ndim == 2 and given.shape[1] == 2:
-        raise StartError(f"{name}: the start has {len(given)} landmarks but the model has {model.n_points}")
+        theirs = f" or {model.points.n_theirs} points of the other landmarker" if model.points is not None else ""
+        raise StartError(
+            f"{name}: the start has {len(given)} landmarks but the model has {model.n_points}{theirs}; to start from "
+            "another landmarker's points, train with them ('liaam train --points FOLDER', or train(..., points=...))"
+        )
     raise StartError(
         f"{name}: a start of shape {given.shape} is neither landmarks ({model.n_points}, 2), nor a box "
         "(x0, y0, x1, y1), nor a point and a size (x, y, diagonal)"

@@ -331,12 +331,11 @@ def add_prior(
     variance: float,
     p: Double1,
     precision: Double1,
-    base: Double2,
     metric: Double2,
     hessian: Double2,
     gradient: Double1,
 ) -> None:
-    """Add the prior on p to the normal equations, in units of squared residuals.
+    """Add the prior on p to the normal equations, in place and in units of squared residuals.
 
     Parameters
     ----------
@@ -347,19 +346,43 @@ def add_prior(
     p : (n_p,) float64
     precision : (n_p,) float64
         Output: the product of the precision and both factors.
-    base, metric : (n_q, n_q) float64
-        Expected Hessian, and output: the same plus the prior.
-    hessian, gradient : (n_q, n_q), (n_q,) float64
-        The prior is added in place.
+    metric, hessian, gradient : (n_q, n_q), (n_q, n_q), (n_q,) float64
+        Expected Hessian, Hessian and gradient.
     """
-    for a in range(len(base)):
-        for b in range(len(base)):
-            metric[a, b] = base[a, b]
     for i in range(len(p)):
         precision[i] = strength * variance * prior[i]
         metric[i, i] += precision[i]
         hessian[i, i] += precision[i]
         gradient[i] += precision[i] * p[i]
+
+
+@compiled
+def add_points(
+    pull: Double2,
+    towards: Double1,
+    variance: float,
+    p: Double1,
+    metric: Double2,
+    hessian: Double2,
+    gradient: Double1,
+) -> None:
+    """Add the points of another landmarker to the normal equations: a Gaussian around ``towards``, in place.
+
+    Parameters
+    ----------
+    pull, towards : (n_p, n_p), (n_p,) float64
+        Precision and mean of p; empty for none.
+    variance : float
+        Factor that converts the precision to units of squared residuals.
+    p, metric, hessian, gradient
+        See :func:`add_prior`.
+    """
+    for i in range(len(pull)):
+        for j in range(len(pull)):
+            more = variance * pull[i, j]
+            metric[i, j] += more
+            hessian[i, j] += more
+            gradient[i] += more * (p[j] - towards[j])
 
 
 @compiled
@@ -373,11 +396,23 @@ def along_with(factor: Double2, ar: Double1, aj: Double2, step: Double1, out: Do
 
 
 @compiled
-def merit_of(sums: Double1, p: Double1, precision: Double1, lam: Double1, ridge: Double1) -> float:
+def merit_of(
+    sums: Double1,
+    p: Double1,
+    precision: Double1,
+    lam: Double1,
+    ridge: Double1,
+    pull: Double2,
+    towards: Double1,
+    variance: float,
+) -> float:
     """Return the cost that an accepted step must not raise: mean squared residual plus the priors on p and lambda."""
     squares = sums[0]
     for i in range(len(p)):
         squares += precision[i] * p[i] * p[i]
+    for i in range(len(towards)):
+        for j in range(len(towards)):
+            squares += variance * (p[i] - towards[i]) * pull[i, j] * (p[j] - towards[j])
     for j in range(len(lam)):
         squares += ridge[j] * lam[j] * lam[j]
     return squares / sums[1] if sums[1] > 0.0 else np.inf

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from liaam.errors import StartError
 from liaam.io.files import existing_file, read_bytes
+from liaam.io.images import read_image
+from liaam.io.landmarkers import LANDMARKERS
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
 
 _SHOWN = 100
@@ -22,7 +24,8 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
     ----------
     text : str
         A box ``x0,y0,x1,y1``; a centre and a size ``x,y,size``; a landmark file; a text file ``.box`` with such
-        numbers; or a folder that holds such a file with the image's name.
+        numbers; a folder that holds such a file with the image's name; or a name of
+        :data:`liaam.io.landmarkers.LANDMARKERS`.
     image : Path
     size : (int, int)
         Width and height of the image.
@@ -35,6 +38,11 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
     path = start_file(text, image)
     if path is not None:
         return _read(path, image, size)
+    if text in LANDMARKERS:
+        points = LANDMARKERS[text](read_image(image))
+        if points is None:
+            raise StartError(f"{image.name}: {text} finds nothing in this image; give a box, or leave --init out")
+        return Landmarks(points)
     if _kind(text) == "folder":
         raise StartError(f"{image.name}: {Path(text)} holds no landmark file for it; add one such as {image.stem}.pts")
     shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
@@ -52,7 +60,7 @@ def start_file(text: str, image: Path) -> Path | None:
 
 def check_start(text: str) -> None:
     """Raise if a text cannot be a start for any image: not a file, a folder, or numbers."""
-    if not _kind(text):
+    if not _kind(text) and text not in LANDMARKERS:
         read_start(text, Path(), (1, 1))
 
 

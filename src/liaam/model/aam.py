@@ -9,10 +9,12 @@ from liaam.errors import ModelFileError
 from liaam.model.file import file_bytes, read_fields
 from liaam.model.light import LightBasis
 from liaam.model.mesh import ReferenceFrame
+from liaam.model.point_map import PointMap
 from liaam.model.shape import ShapeModel, diagonal_of
 from liaam.model.views import MESH, Level, View
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import CameraModel, Response
+from liaam.photometry.features import Features
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,11 @@ class AAM:
         Number of training images and their copies together; 0 in files that lack it.
     light : LightBasis, optional
         What other lights do to the object and its surroundings; only of models trained with lamps.
+    points : PointMap, optional
+        Map from the points of another landmarker to the landmarks, if it was trained.
+    features : Features, optional
+        What is known of the function whose channels the appearance ``features`` holds. The function itself is given
+        with the method (:func:`liaam.fitting.features_method`).
     """
 
     views: dict[str, View]
@@ -47,6 +54,8 @@ class AAM:
     name: str = ""
     n_textures: int = 0
     light: LightBasis | None = None
+    points: PointMap | None = None
+    features: Features | None = None
 
     def __repr__(self) -> str:
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"

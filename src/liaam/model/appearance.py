@@ -7,8 +7,18 @@ from functools import cached_property
 import numpy as np
 
 from liaam.model.pca import Components, centred, chunks, components_by, explained_by_others, gram_about, strongest
+from liaam.photometry.features import WIDEST
 
-CHANNELS = {"value": 3, "log": 3, "orientation": 2, "soft": 3, "invariant": 1, "varied": 3, "illumination": 3}
+CHANNELS = {
+    "value": 3,
+    "log": 3,
+    "orientation": 2,
+    "soft": 3,
+    "invariant": 1,
+    "varied": 3,
+    "illumination": 3,
+    "features": WIDEST,
+}
 """Appearances that a model can contain, and their numbers of channels.
 
 - ``value``, ``log``, ``orientation``: in the encoding of that name.
@@ -17,6 +27,8 @@ CHANNELS = {"value": 3, "log": 3, "orientation": 2, "soft": 3, "invariant": 1, "
 - ``varied``: values of the images and of their relit copies in one PCA (the paper's [11]).
 - ``illumination``: additional modes for the part of the relit copies that ``value`` does not explain (the illumination
   basis of AIA, the paper's [6]).
+- ``features``: channels of a function of the user, projected to 7 if there are more, or as many as there are
+  (:mod:`liaam.photometry.features`).
 """
 
 APPEARANCES = tuple(name for name in CHANNELS if name != "illumination")

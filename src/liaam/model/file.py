@@ -14,9 +14,11 @@ from liaam.io.files import json_object, writable
 from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel
 from liaam.model.light import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
+from liaam.model.point_map import LEAST_NOISE, PointMap
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
 from liaam.model.views import MESH, VIEWS, Level, Reliability, View, make_view
 from liaam.photometry import CameraModel, camera_from, describe_response, parse_response
+from liaam.photometry.features import LARGEST, WIDEST, Features
 
 if TYPE_CHECKING:
     from liaam.model.aam import AAM
@@ -45,6 +47,16 @@ MAX_BLUR, MAX_LEVELS = 10.0, 10
 
 MAX_LIGHTS = 100
 """Largest number of modes of a light basis."""
+
+OWN_PARTS = {
+    "light": ("mean", "modes", "remainder"),
+    "points": ("weights", "errors", "noise"),
+    "features": ("mean", "projection"),
+}
+"""Tensors of a light basis, of a map from another landmarker's points, and of a function's channels."""
+
+MOST_WEIGHT = 1e6
+"""Largest weight of such a point."""
 
 FORMAT = "liaam-aam"
 
@@ -86,6 +98,7 @@ def _header(model: "AAM") -> dict:
         "n_textures": model.n_textures,
         "contours": [[list(indices), closed] for indices, closed in model.contours],
         "name": model.name,
+        **({} if model.features is None else {"features": model.features.name}),
     }
 
 
@@ -100,11 +113,12 @@ def _view_header(view: View) -> dict:
 
 def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     tensors = {"mean": model.shape_model.mean, "triangles": model.triangles}
-    if model.light is not None:
-        tensors |= {f"light.{field}": getattr(model.light, field) for field in ("mean", "modes", "remainder")}
     for name, view in model.views.items():
         for part, owner, keys in _parts(view):
             tensors |= {f"{name}/{part}.{key}": getattr(owner, key) for key in keys}
+    for part in OWN_PARTS:
+        if (owner := getattr(model, part)) is not None:
+            tensors |= {f"{part}.{key}": getattr(owner, key) for key in OWN_PARTS[part]}
     return {key: np.ascontiguousarray(np.atleast_1d(value)) for key, value in tensors.items() if value is not None}
 
 
@@ -151,8 +165,11 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         raise ValueError(f"there is no view {MESH}")
     # Number of textures that each appearance was learnt from.
     counts = dict.fromkeys(CHANNELS, n_images) | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
+    features = _features(header, tensors)
+    channels = CHANNELS if features is None else {**CHANNELS, "features": features.width}
+    sizes = {name: (channels[name], count) for name, count in counts.items()}
     return {
-        "views": {name: _view(name, about, tensors, mean, triangles, counts) for name, about in views.items()},
+        "views": {name: _view(name, about, tensors, mean, triangles, sizes) for name, about in views.items()},
         "triangles": triangles,
         "camera": _camera(header),
         "n_images": n_images,
@@ -160,6 +177,8 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "name": writable(str(header["name"]))[:LONGEST_NAME],
         "n_textures": n_textures,
         "light": _light(tensors, n) if "light.modes" in tensors else None,
+        "points": _point_map(tensors, n),
+        "features": features,
     }
 
 
@@ -175,13 +194,41 @@ def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     return LightBasis(mean, modes, remainder)
 
 
+def _features(header: dict, tensors: dict[str, np.ndarray]) -> Features | None:
+    """What is known of the user's function."""
+    if "features" not in header:
+        return None
+    mean = _tensor(tensors, "features.mean", np.float64, (None,))
+    projection = _tensor(tensors, "features.projection", np.float64, (len(mean), None))
+    name, width = str(header["features"]), projection.shape[1]
+    if not name.isidentifier() or not 1 <= width <= WIDEST or not _are_unit(projection.T):
+        raise ValueError("features.projection is not a projection")
+    if np.abs(mean).max(initial=0.0) > LARGEST:
+        raise ValueError("features.mean is out of range")
+    return Features(name, mean, projection)
+
+
+def _point_map(tensors: dict[str, np.ndarray], n: int) -> PointMap | None:
+    """The map from another landmarker's points."""
+    if "points.weights" not in tensors:
+        return None
+    weights = _tensor(tensors, "points.weights", np.float64, (n, None))
+    errors = _tensor(tensors, "points.errors", np.float64, (None, 2 * n))
+    noise = float(_tensor(tensors, "points.noise", np.float64, (1,))[0])
+    if not 3 <= weights.shape[1] <= MAX_POINTS or weights.shape[1] == n or np.abs(weights).max() > MOST_WEIGHT:
+        raise ValueError("points.weights do not map another landmarker's points")
+    if np.abs(errors).max(initial=0.0) > MAX_DIAGONAL or not LEAST_NOISE <= noise <= MAX_DIAGONAL**2:
+        raise ValueError("points.errors or points.noise are out of range")
+    return PointMap(weights, errors, noise)
+
+
 def _view(
     name: str,
     about: dict,
     tensors: dict[str, np.ndarray],
     mean: np.ndarray,
     triangles: np.ndarray,
-    counts: dict[str, int],
+    counts: dict[str, tuple[int, int]],
 ) -> View:
     """Make one view; all views share the mean shape."""
     if name not in VIEWS:
@@ -249,20 +296,19 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
 
 
 def _appearances(
-    tensors: dict[str, np.ndarray], i: int, n_pixels: int, counts: dict[str, int]
+    tensors: dict[str, np.ndarray], i: int, n_pixels: int, counts: dict[str, tuple[int, int]]
 ) -> dict[str, AppearanceModel]:
-    """All appearances of a level."""
+    """All appearances of a level; ``counts`` are the channels and the largest number of modes of each."""
     names = [name for name in CHANNELS if f"{i}/{name}.mean" in tensors]
-    return {name: _appearance(tensors, f"{i}/{name}", name, n_pixels, counts) for name in names}
+    return {name: _appearance(tensors, f"{i}/{name}", n_pixels, *counts[name]) for name in names}
 
 
 def _appearance(
-    tensors: dict[str, np.ndarray], prefix: str, name: str, n_pixels: int, counts: dict[str, int]
+    tensors: dict[str, np.ndarray], prefix: str, n_pixels: int, channels: int, n_textures: int
 ) -> AppearanceModel:
-    channels = CHANNELS[name]
     modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
     # More modes than images would need more memory in a fit than the file's size suggests.
-    most = min(n_pixels * channels, counts[name])
+    most = min(n_pixels * channels, n_textures)
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes; the maximum is {most}")
     if not _are_unit(modes.reshape(len(modes), n_pixels * channels)):

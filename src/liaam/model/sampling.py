@@ -8,7 +8,7 @@ import numpy as np
 
 from liaam.model.shape import Similarity, diagonal_of
 from liaam.photometry import Response
-from liaam.photometry.encoding import WIDTHS, Means, block_means, encode_means
+from liaam.photometry.encoding import Encoding, Means, block_means, encode_means, width_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class _Blocks(NamedTuple):
 
     @classmethod
     def of(
-        cls, image: np.ndarray, low: np.ndarray, high: np.ndarray, size: float, encoding: str, response: Response
+        cls, image: np.ndarray, low: np.ndarray, high: np.ndarray, size: float, encoding: Encoding, response: Response
     ) -> "_Blocks":
         """Average an image between two corners (x, y) int, the second excluded."""
         first = _first_block(low, size)
@@ -72,7 +72,7 @@ class Light:
     """
 
     image: np.ndarray
-    encoding: str
+    encoding: Encoding
     response: Response
     blocks: _Blocks
 
@@ -83,7 +83,7 @@ class Light:
         shape: np.ndarray,
         pose: Similarity,
         *,
-        encoding: str,
+        encoding: Encoding,
         response: Response,
         blurs: Sequence[float],
         margin: float,
@@ -96,7 +96,7 @@ class Light:
         return cls(image, encoding, response, _Blocks.of(image, low, high, size, encoding, response))
 
     def blocks_of(
-        self, low: np.ndarray, high: np.ndarray, size: float, encoding: str, response: Response
+        self, low: np.ndarray, high: np.ndarray, size: float, encoding: Encoding, response: Response
     ) -> "_Blocks | None":
         """Join the blocks to blocks of about the given size; None if they do not fit the request."""
         if (encoding, response) != (self.encoding, self.response):
@@ -113,7 +113,7 @@ def make_patch(
     shape: np.ndarray,
     pose: Similarity,
     *,
-    encoding: str,
+    encoding: Encoding,
     response: Response,
     blur: float,
     margin: float,
@@ -150,7 +150,7 @@ def make_patch(
     channels = encode_means(means, encoding, response, blur / pixel, turn, pixel)
     # The centre of the first block of pixels is at first * size + (size - 1) / 2.
     from_image = Similarity(np.eye(2) / size, -first - 0.5 * (size - 1) / size)
-    return Patch(channels, from_image, WIDTHS[encoding])
+    return Patch(channels, from_image, width_of(encoding))
 
 
 def corners_around(image: np.ndarray, shape: np.ndarray, margin: float, size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +170,7 @@ def _limited(size: float, low: np.ndarray, high: np.ndarray) -> float:
     return float(max(1.0, min(size, (high - low).min() // 3)))
 
 
-def block_size(encoding: str, scale: float, blur: float) -> float:
+def block_size(encoding: Encoding, scale: float, blur: float) -> float:
     """Side of the block of image pixels that is averaged into one patch pixel, at least 1.
 
     ``scale`` is the number of image pixels per model pixel; ``blur`` is in model pixels.

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam.errors import ImageError, LiaamError, MethodError
+from liaam.photometry.features import Encoder
 from liaam.photometry.invariant import LUMINANCE
 from liaam.photometry.response import Response, linear_to_srgb, to_linear
 
@@ -30,6 +31,9 @@ LOGARITHMIC = ("log", "soft")
 
 WIDTHS = {"value": 3, "log": 3, "orientation": 3, "soft": 6}
 """Number of channels of each encoding, without the weight of the pixel."""
+
+Encoding = str | Encoder
+"""A name of :data:`ENCODINGS`, or a function of the user with a model's projection."""
 
 BRIGHTNESS = np.full(3, 1.0 / 3.0)
 """Weights of linear R, G and B in the brightness for the gradients of ``soft``. On simulated scenes equal weights have
@@ -147,7 +151,7 @@ def exposure_faults(pixels: np.ndarray) -> tuple[float, float]:
 
 def encode(
     image: np.ndarray,
-    encoding: str,
+    encoding: Encoding,
     response: Response = "srgb",
     blur: float = 0.0,
     reduce: float = 1.0,
@@ -161,7 +165,7 @@ def encode(
     ----------
     image : (h, w, 3) uint8, uint16 or float32
         Stored values. Integers range from 0 to the type's maximum.
-    encoding : {"value", "log", "orientation", "soft"}
+    encoding : {"value", "log", "orientation", "soft"} or Encoder
         See :data:`ENCODINGS`.
     response : Response
         Map from stored values to linear light.
@@ -195,7 +199,7 @@ def encode(
     channels = encode_means(
         block_means(image, encoding, response, reduce, start), encoding, response, blur, turn, pixel
     )
-    return np.concatenate([channels[..., : WIDTHS[encoding]], channels[..., -1:]], axis=2)
+    return np.concatenate([channels[..., : width_of(encoding)], channels[..., -1:]], axis=2)
 
 
 BRIGHTEST = 1e6
@@ -230,7 +234,7 @@ class Means(NamedTuple):
 
 
 def block_means(
-    image: np.ndarray, encoding: str, response: Response, size: float, start: tuple[float, float] = (0.0, 0.0)
+    image: np.ndarray, encoding: Encoding, response: Response, size: float, start: tuple[float, float] = (0.0, 0.0)
 ) -> Means:
     """Average an image in linear light over complete blocks; the encoding defines the usable pixels.
 
@@ -238,7 +242,7 @@ def block_means(
     """
     from liaam.photometry import averaging  # numba: imported when first needed
 
-    if encoding not in ENCODINGS:
+    if not callable(encoding) and encoding not in ENCODINGS:
         raise MethodError(f"encoding {encoding!r} does not exist; there are {', '.join(ENCODINGS)}")
     image = _three_channels(image)
     rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
@@ -262,7 +266,7 @@ FLOATS_AT_ONCE = 4_000_000
 """Pixels of a picture of floats whose light is worked out at a time: that takes 40 bytes a pixel."""
 
 
-def _light_of_floats(image: np.ndarray, encoding: str, response: Response) -> Means:
+def _light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -> Means:
     """Linear light of each pixel of a picture of floats."""
     finite = np.asarray(np.isfinite(image).all(axis=-1))
     stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, BRIGHTEST), np.float32(0.0))
@@ -288,7 +292,7 @@ def _stacked(parts: Sequence[Means]) -> Means:
 
 def encode_means(
     means: Means,
-    encoding: str,
+    encoding: Encoding,
     response: Response,
     blur: float = 0.0,
     turn: np.ndarray | None = None,
@@ -301,6 +305,8 @@ def encode_means(
     """
     from liaam.photometry import averaging  # numba: imported when first needed
 
+    if callable(encoding):
+        return _own_channels(means, encoding, blur)
     planes, known, usable = _planes(means, encoding, response, blur)
     turn, soft = np.eye(2) if turn is None else turn, encoding in ("soft", "orientation")
     softness = SOFTNESS * pixel if encoding == "soft" else FLAT
@@ -342,6 +348,28 @@ def _value_planes(means: Means, encoding: str, blur: float) -> tuple[np.ndarray,
         planes[1:] = 0.0
         return planes, planes[3], usable
     return planes, usable, usable
+
+
+def _own_channels(means: Means, encoding: Encoder, blur: float) -> np.ndarray:
+    """Eight channels by a function of the user; unusable pixels hardly count in the blur."""
+    from liaam.photometry import averaging  # numba: imported when first needed
+
+    usable = (means.light[3] > ALL).astype(np.float32)
+    values = encoding(np.ascontiguousarray(np.moveaxis(linear_to_srgb(means.light[:3]), 0, -1), np.float32))
+    channels = np.zeros((*usable.shape, 8), np.float32)
+    channels[..., : values.shape[2]], channels[..., -1] = values, usable
+    if blur > 0.0:
+        weight = usable + UNUSABLE
+        planes = np.ascontiguousarray(np.moveaxis(channels, -1, 0)) * weight
+        planes[-1], blurred = weight, np.empty_like(planes)
+        averaging.blur_planes(planes, blur, blurred)
+        channels[..., :-1] = np.moveaxis(blurred[:-1] / blurred[-1], 0, -1)
+    return channels
+
+
+def width_of(encoding: Encoding) -> int:
+    """Number of channels of an encoding, without the weight of the pixel."""
+    return WIDTHS[encoding] if isinstance(encoding, str) else encoding.width
 
 
 @lru_cache(maxsize=16)

@@ -20,13 +20,15 @@ from liaam.model.sampling import make_patch, sample_texture
 from liaam.model.shape import align
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import Response, invariant_row
-from liaam.photometry.encoding import as_colour
+from liaam.photometry.encoding import Encoding, as_colour
+from liaam.photometry.features import Encoder
 from liaam.training.entries import Entry
 from liaam.training.options import Blurs
 from liaam.training.steps import Steps
 
-SAMPLED = {MESH: ("value", "log", "orientation", "varied"), SURROUNDINGS: ("soft",)}
-"""Appearances of each view for which images are sampled; ``varied`` only with relit copies."""
+SAMPLED = {MESH: ("value", "log", "orientation", "varied", "features"), SURROUNDINGS: ("soft",)}
+"""Appearances of each view for which images are sampled; ``varied`` only with relit copies, ``features`` only with a
+function of the user."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,13 @@ class Sampled:
 
 
 def sample_all(
-    entries: list[Entry], grey: np.ndarray, model: AAM, blurs: dict[str, Blurs], steps: Steps, copied: Copies
+    entries: list[Entry],
+    grey: np.ndarray,
+    model: AAM,
+    blurs: dict[str, Blurs],
+    steps: Steps,
+    copied: Copies,
+    encoder: Encoder | None = None,
 ) -> Sampled:
     """Sample the textures of all entries and their copies at each blur of the views' levels.
 
@@ -72,13 +80,17 @@ def sample_all(
     """
     camera, owners = model.camera, copied.owners
     coloured = np.arange(len(entries)) if grey.all() else np.flatnonzero(~grey)
-    view_of = {name: view for view, known in SAMPLED.items() for name in known if name != "varied" or copied.are_relit}
+    absent = {"varied": not copied.are_relit, "features": encoder is None}
+    view_of = {name: view for view, known in SAMPLED.items() for name in known if not absent.get(name)}
+    channels = CHANNELS if encoder is None else {**CHANNELS, "features": encoder.width}
     counts = {name: len(owners) if name in COPIED_APPEARANCES else len(coloured) for name in view_of}
     warps = {name: model.views[view].warp for name, view in view_of.items()}
-    room = {name: [_room(n, warps[name], name) for _ in blurs[view_of[name]]] for name, n in counts.items()}
+    room = {
+        name: [_room(n, warps[name], name, channels[name]) for _ in blurs[view_of[name]]] for name, n in counts.items()
+    }
 
     def sample(image: np.ndarray, points: np.ndarray, name: str, row: int, colour: bool) -> None:
-        encoding = ENCODING_OF[name]
+        encoding = encoder if encoder is not None and name == "features" else ENCODING_OF[name]
         for (values, usable), blur in zip(room[name], blurs[view_of[name]], strict=True):
             found = sample_appearance(image, points, warps[name], encoding, camera.response, blur)
             values[row], usable[row] = _learnt(encoding, *found, camera.theta, colour)
@@ -101,22 +113,22 @@ def sample_all(
     return Sampled(textures, owners, coloured, bool(grey.all()))
 
 
-def _room(n: int, warp: PiecewiseAffineWarp, name: str) -> tuple[np.ndarray, np.ndarray]:
+def _room(n: int, warp: PiecewiseAffineWarp, name: str, channels: int) -> tuple[np.ndarray, np.ndarray]:
     """Allocate the values of n textures of an appearance, and their usable masks."""
-    shape = (n, warp.frame.n_pixels, CHANNELS[name])
+    shape = (n, warp.frame.n_pixels, channels)
     # ``soft`` has separate masks for gradient and invariant.
     return np.empty(shape, np.float32), np.empty(shape if name == "soft" else shape[:2], np.float32)
 
 
 def _learnt(
-    encoding: str, values: np.ndarray, usable: np.ndarray, theta: float, colour: bool
+    encoding: Encoding, values: np.ndarray, usable: np.ndarray, theta: float, colour: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Convert samples in an encoding to values to learn, (n_pixels, c), and their usable mask.
 
     For ``soft``, log RGB is projected to the invariant, which is unusable without colour.
     """
     if encoding != "soft":
-        return values[:, : CHANNELS[encoding]], usable
+        return values[:, : CHANNELS[encoding] if isinstance(encoding, str) else None], usable
     direction, log_rgb, known = np.split(values, [2, 5], axis=1)
     rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=1)
     return rows, np.column_stack([usable, usable, usable * ((known[:, 0] > 0.99) & colour)])
@@ -126,7 +138,7 @@ def sample_appearance(
     image: np.ndarray,
     shape: np.ndarray,
     warp: PiecewiseAffineWarp,
-    encoding: str,
+    encoding: Encoding,
     response: Response,
     blur: float,
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,7 @@
 """Train an active appearance model from landmarked images."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,15 @@ from liaam.lamps import Copies, Lamps, learn_lamps
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, make_view
 from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.photometry import CameraModel
+from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress
 from liaam.training.appearances import mesh_appearances, soft_appearance
 from liaam.training.entries import check_flat, check_fold, mesh_of, read_entries
+from liaam.training.features import encoder_of
 from liaam.training.images import check_images
 from liaam.training.left_out import fitted_of, folds_of, reliability_of
 from liaam.training.options import TrainingOptions
+from liaam.training.points import Points, map_of_points
 from liaam.training.steps import Steps, learning_cost, total_cost
 from liaam.training.textures import sample_all
 
@@ -28,6 +32,8 @@ def train(
     camera: CameraModel | None = None,
     lamps: Lamps | Iterable | None = None,
     training_lamp: str | None = None,
+    points: Points | None = None,
+    features: FeatureFunction | None = None,
     name: str = "",
     progress: Progress | None = None,
     **changes: Any,
@@ -48,6 +54,15 @@ def train(
         from (:func:`liaam.lamps.learn_lamps`).
     training_lamp : str, optional
         Name of the light of ``data`` in the names of the images of ``lamps``.
+    points : path, callable or sequence, optional
+        Points of another landmarker on the images, so that fits can start from its points and weigh them in: a folder
+        of landmark files named as the images, or ``"mediapipe"`` for its face mesh; a function that returns the points
+        of an image, (m, 2) or None; or the points of each image in turn. Images without points are not used to learn
+        the map. The number m must differ from that of the landmarks.
+    features : callable, optional
+        A function from an image (h, w, 3) float32, sRGB values in [0, 1], to its channels (h, w, c) float, for
+        :func:`liaam.fitting.features_method`. The model keeps its name, and a projection to 7 channels if there are
+        more.
     name : str
         Name of the model, for display.
     progress : callable, optional
@@ -77,6 +92,7 @@ def train(
     recipes = {prior: choose_recipe(mean, shapes, prior, folds) for prior in dict.fromkeys(priors.values())}
     learnt = {prior: shape_model_on(mean, shapes, options.variance, r, folds) for prior, r in recipes.items()}
     check_flat(mean)
+    point_map = None if points is None else map_of_points(points, entries, mean)
     triangles = mesh_of(mean, options.triangles, edges)
 
     copied = _copies(lamps, training_lamp, options.n_copies, mean, len(entries), camera)
@@ -89,16 +105,19 @@ def train(
         name=name,
         n_textures=len(copied.owners),
         light=None if copied.lamps is None else copied.lamps.basis(mirror_order(mean) is not None),
+        points=point_map,
     )
     entries, grey = check_images(entries, model.warp)
     for entry in entries:
         check_fold(entry, model.frame)
 
+    encoder = None if features is None else encoder_of(features, entries, mean, camera)
+    model = model if encoder is None else replace(model, features=encoder.features)
     blurs, kept = options.blurs_by_view, options.appearance_variances
     left_out = folds if options.leave_out else []
     n_levels, n_fitted = sum(map(len, blurs.values())), sum(len(fitted_of(fold, folds)) for fold in left_out)
     steps = Steps(progress, total_cost(len(copied.owners), n_levels, len(left_out), n_fitted))
-    sampled = sample_all(entries, grey, model, blurs, steps, copied)
+    sampled = sample_all(entries, grey, model, blurs, steps, copied, encoder)
     learn = {
         MESH: lambda i: mesh_appearances(sampled, i, camera.theta, kept[MESH], folds),
         SURROUNDINGS: lambda i: {"soft": soft_appearance(sampled, i, kept[SURROUNDINGS], folds)},

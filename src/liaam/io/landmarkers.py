@@ -1,0 +1,53 @@
+"""Landmarkers of others, by name: their points on an image, to start fits from."""
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from liaam.errors import StartError
+
+_OWN = threading.local()
+"""A face mesh for each thread, because it takes one image at a time."""
+
+
+def face_mesh(image: np.ndarray) -> np.ndarray | None:
+    """Return the 478 points of MediaPipe's face mesh on the most certain face of an image.
+
+    It needs ``pip install "liaam[mediapipe]"``, which includes the networks; nothing is downloaded when it runs.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, uint16 or float
+        Stored sRGB values.
+
+    Returns
+    -------
+    (478, 2) float64 or None
+        Image pixels; None if there is no face.
+    """
+    top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
+    pixels = np.clip(np.nan_to_num(image.astype(np.float32)) * (255.0 / top), 0, 255).astype(np.uint8)
+    if not hasattr(_OWN, "mesh"):
+        _OWN.mesh = _make_face_mesh()
+    faces = _OWN.mesh.process(np.ascontiguousarray(pixels)).multi_face_landmarks
+    if not faces:
+        return None
+    size = np.array(image.shape[1::-1])
+    # MediaPipe's coordinates are fractions of the size, from the border of the first pixel.
+    return np.array([(point.x, point.y) for point in faces[0].landmark]) * size - 0.5
+
+
+def _make_face_mesh():
+    try:
+        from mediapipe.python.solutions.face_mesh import FaceMesh  # type: ignore
+    except ImportError as error:
+        raise StartError(
+            f'MediaPipe\'s face mesh is not available ({error}); install it with pip install "liaam[mediapipe]" '
+            "(Python 3.11 or 3.12)"
+        ) from error
+    return FaceMesh(static_image_mode=True, max_num_faces=1, refine_landmarks=True)
+
+
+LANDMARKERS: dict[str, Callable[[np.ndarray], np.ndarray | None]] = {"mediapipe": face_mesh}
+"""Landmarkers by name, for ``--points`` and ``--init``."""

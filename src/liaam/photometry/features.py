@@ -1,0 +1,119 @@
+"""Encodings by functions of the user: the channels of any function of an image, projected to a few.
+
+A model keeps the function's name and the projection, but not the function: a file cannot hold it safely.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from liaam.errors import MethodError
+
+FeatureFunction = Callable[[np.ndarray], Any]
+"""From an image (h, w, 3) float32, sRGB values in [0, 1], to its channels (h, w, c) float."""
+
+WIDEST = 7
+"""Largest number of channels that are compared; kernels sample eight, and the last is the weight of the pixel."""
+
+MOST_CHANNELS = 4096
+"""Largest number of channels of a function."""
+
+LARGEST = 1e6
+"""Largest magnitude of a channel."""
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """What a model knows of a function of the user.
+
+    Attributes
+    ----------
+    name : str
+        Name of the function.
+    mean : (c,) float64
+        Mean of each channel in the training images.
+    projection : (c, w) float64
+        Orthonormal columns; the w channels that are compared are ``(channels - mean) @ projection``.
+    """
+
+    name: str
+    mean: np.ndarray
+    projection: np.ndarray
+
+    @property
+    def width(self) -> int:
+        """Number of channels that are compared, w."""
+        return self.projection.shape[1]
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """A function of the user followed by a model's projection, as the encoding of a method."""
+
+    function: FeatureFunction
+    features: Features
+
+    @property
+    def width(self) -> int:
+        """Number of channels."""
+        return self.features.width
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """Encode an image (h, w, 3) float32 to (h, w, c) float32."""
+        channels, known = channels_of(self.function, image), self.features
+        if channels.shape[2] != len(known.mean):
+            raise MethodError(
+                f"the function {known.name} returns {channels.shape[2]} channels, but returned {len(known.mean)} when "
+                "the model was trained; use the same function, or train the model again"
+            )
+        return ((channels - known.mean) @ known.projection).astype(np.float32)
+
+
+def name_of(function: Any) -> str:
+    """Return the name of a function."""
+    name = getattr(function, "__name__", "")
+    if not callable(function) or not name.isidentifier():
+        raise MethodError(f"features {function!r}: give a function with a name, defined by 'def'")
+    return name
+
+
+def channels_of(function: FeatureFunction, image: np.ndarray) -> np.ndarray:
+    """Return the channels of an image (h, w, 3), (h, w, c) float64, and check them."""
+    try:
+        channels = np.asarray(function(image), dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MethodError(
+            f"the function {name_of(function)} fails on an image of shape {image.shape}: {error}"
+        ) from error
+    if channels.ndim != 3 or channels.shape[:2] != image.shape[:2] or not 1 <= channels.shape[2] <= MOST_CHANNELS:
+        raise MethodError(
+            f"the function {name_of(function)} returns an array of shape {channels.shape} for an image of shape "
+            f"{image.shape}; it must return (height, width, channels) with at most {MOST_CHANNELS} channels"
+        )
+    if not (np.abs(channels) <= LARGEST).all():
+        raise MethodError(
+            f"the function {name_of(function)} returns values that are not finite, or beyond {LARGEST:g}; scale them"
+        )
+    return channels
+
+
+def learn_features(name: str, count: int, mean: np.ndarray, moments: np.ndarray) -> Features:
+    """Learn the projection: the principal components of the channels, or all of them if there are few.
+
+    Parameters
+    ----------
+    name : str
+    count : int
+        Number of pixels.
+    mean : (c,) float64
+        Sum of the channels over these pixels.
+    moments : (c, c) float64
+        Sum of the products of the channels.
+    """
+    mean = mean / count
+    if len(mean) <= WIDEST:
+        return Features(name, np.zeros(len(mean)), np.eye(len(mean)))
+    vectors = np.linalg.eigh(moments / count - np.outer(mean, mean))[1]
+    return Features(name, mean, np.ascontiguousarray(vectors[:, ::-1][:, :WIDEST]))

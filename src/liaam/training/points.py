@@ -1,0 +1,87 @@
+"""Learn the map from the points of another landmarker on the training images."""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from liaam.errors import TrainingError
+from liaam.io import LANDMARK_SUFFIXES, read_landmarks
+from liaam.io.landmarkers import LANDMARKERS
+from liaam.model.file import MAX_POINTS
+from liaam.model.point_map import PointMap, learn_point_map
+from liaam.photometry.encoding import as_colour
+from liaam.training.entries import Entry
+from liaam.training.left_out import folds_of
+
+Points = str | os.PathLike[str] | Callable[[np.ndarray], np.ndarray | None] | Sequence[np.ndarray | None] | np.ndarray
+"""A folder of landmark files or a name of :data:`liaam.io.landmarkers.LANDMARKERS`; a function from an image to its
+points; or the points of each image."""
+
+
+def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) -> PointMap:
+    """Learn the map from the points of another landmarker to the landmarks of samples.
+
+    Parameters
+    ----------
+    points : Points
+        See :func:`liaam.training.train`.
+    entries : sequence of Entry
+    mean : (n, 2) float64
+        Mean shape of the model.
+    """
+    known = [
+        (entry, found) for entry, found in zip(entries, _points_of(points, entries), strict=True) if found is not None
+    ]
+    if len(known) < 3:
+        where = f" of {points}" if isinstance(points, (str, os.PathLike)) else ""
+        raise TrainingError(
+            f"points{where}: there are points of another landmarker for {len(known)} of {len(entries)} images; at "
+            f"least 3 are needed, in files named as the images, such as {Path(entries[0].name).stem}.pts"
+        )
+    theirs = [_checked(entry.name, found, known[0][1]) for entry, found in known]
+    if len(theirs[0]) == len(mean):
+        raise TrainingError(
+            f"points: the other landmarker has {len(mean)} points, as the model has; fits tell them apart by their "
+            "number: add a point to theirs (such as their mean), or leave one out"
+        )
+    folds = folds_of([entry.name for entry, _ in known])
+    return learn_point_map(np.array(theirs), np.array([entry.points for entry, _ in known]), mean, folds)
+
+
+def _points_of(points: Points, entries: Sequence[Entry]) -> Iterator[np.ndarray | None]:
+    """Yield the points of each sample, or None."""
+    if isinstance(points, (str, os.PathLike)):
+        folder = Path(points)
+        if str(points) in LANDMARKERS and not folder.exists():
+            yield from _points_of(LANDMARKERS[str(points)], entries)
+            return
+        if not folder.is_dir():
+            raise TrainingError(f"points: {folder} is not a folder; give the folder of the other landmarker's files")
+        yield from (_read(folder, entry) for entry in entries)
+    elif callable(points):
+        yield from (points(as_colour(entry.read_image(), entry.name)) for entry in entries)
+    elif len(points) != len(entries):
+        raise TrainingError(f"points: there are points for {len(points)} images, but {len(entries)} images")
+    else:
+        yield from points
+
+
+def _read(folder: Path, entry: Entry) -> np.ndarray | None:
+    """Read the points of a sample from a file with its name, with or without its subfolder."""
+    names = dict.fromkeys((entry.name, Path(entry.name).name))
+    files = (folder / f"{name}{suffix}" for name in names for suffix in LANDMARK_SUFFIXES)
+    found = next((file for file in files if file.is_file()), None)
+    return None if found is None else read_landmarks(found, entry.read_image().shape[1::-1]).points
+
+
+def _checked(name: str, points, first) -> np.ndarray:
+    """Return points as (m, 2) float64."""
+    array, m = np.array(getattr(points, "points", points), dtype=np.float64), len(getattr(first, "points", first))
+    if array.shape != (m, 2) or m < 3 or m > MAX_POINTS or not np.isfinite(array).all() or not np.ptp(array):
+        raise TrainingError(
+            f"{name}: the points of the other landmarker, of shape {array.shape}, are not {max(m, 3)} finite (x, y); "
+            f"every image needs the same 3 to {MAX_POINTS} points in the same order"
+        )
+    return array
