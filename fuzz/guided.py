@@ -11,6 +11,7 @@ import hashlib
 import importlib.util
 import os
 import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -80,7 +81,8 @@ def _child(name: str, corpus: str, seconds: str, under_way: str) -> None:
         target.prepare()
     _write_seeds(target, Path(corpus))
     limits = Limits()
-    resident = int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+    # What libFuzzer compares with its limit, which includes the peak of the parent.
+    resident = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     options = {
         "max_total_time": seconds,
         "max_len": LONGEST,
