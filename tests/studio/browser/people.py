@@ -108,3 +108,9 @@ def picture(page, name: str) -> dict:
 def shoot(page, folder: Path, name: str) -> None:
     """Keep a screenshot."""
     page.screenshot(path=folder / f"{name}.png")
+
+
+def kill(server, page):
+    """Kill a server, and wait until its page says so, which moves the picture down."""
+    server.kill()
+    page.locator("[data-testid=connection]", has_text="not reachable").wait_for()

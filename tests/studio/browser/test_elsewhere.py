@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from people import NAMES, client, drag, open_picture, opened, picture, points_of, saved, wait_for
+from people import NAMES, client, drag, kill, open_picture, opened, picture, points_of, saved, wait_for
 
 from liaam.io import read_image, read_landmarks, write_image
 
@@ -24,7 +24,7 @@ def test_unsaved_marks_stay_with_their_folder_whatever_another_is_called(serve, 
     page.goto(first.address)
     open_picture(page, NAMES[1])
     port = port_of(first)
-    first.kill()
+    kill(first, page)
     drag(page, client(page, 2), [v + 30 for v in client(page, 2)])
     page.wait_for_selector("[data-testid=save-status]:not([data-state=saved])")
     mine = points_of(page)
@@ -70,7 +70,7 @@ def test_unsaved_marks_reach_a_studio_on_another_port(serve, page, marked, tmp_p
     first = serve(marked, "--port", "0")
     page.goto(first.address)
     open_picture(page, NAMES[1])
-    first.kill()
+    kill(first, page)
     drag(page, client(page, 2), [v + 30 for v in client(page, 2)])
     mine = points_of(page)
     with page.expect_download() as download:

@@ -8,6 +8,7 @@ from people import (
     client,
     drag,
     errors,
+    kill,
     make_template,
     open_picture,
     opened,
@@ -141,7 +142,7 @@ def test_a_killed_server_loses_nothing(serve, page, annotated):
     saved(page)
     kept = points_of(page)
     port = first.address.split(":")[2].split("/")[0]
-    first.kill()
+    kill(first, page)
     assert np.abs(read_landmarks(annotated / "portrait-03.ljson").points - kept).max() < 0.02
     drag(page, client(page, 6), [v + 20 for v in client(page, 6)])  # nobody listens now
     page.wait_for_selector("[data-testid=save-status]:not([data-state=saved])")
