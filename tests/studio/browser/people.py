@@ -111,6 +111,7 @@ def shoot(page, folder: Path, name: str) -> None:
 
 
 def kill(server, page):
-    """Kill a server, and wait until its page says so, which moves the picture down."""
+    """Kill a server, and wait until its page has said so and moved the picture down."""
     server.kill()
     page.locator("[data-testid=connection]", has_text="not reachable").wait_for()
+    page.evaluate("() => new Promise((then) => requestAnimationFrame(() => requestAnimationFrame(then)))")
