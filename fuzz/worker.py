@@ -169,9 +169,13 @@ def outcome_of(target: Target, data: Any) -> tuple[str, str] | str:
 
 
 def _lacked_memory(error: BaseException | None) -> bool:
-    """Return whether an error means out of memory; -4 is OpenCV's code for it."""
+    """Return whether an error means out of memory; -4 is OpenCV's code for it.
+
+    FFmpeg also reports blocks that it refuses, from 2 GB on, as a lack of memory.
+    """
     while error is not None:
-        if isinstance(error, MemoryError) or getattr(error, "code", None) == -4:
+        of_ffmpeg = type(error).__module__.startswith("av.")
+        if (isinstance(error, MemoryError) and not of_ffmpeg) or getattr(error, "code", None) == -4:
             return True
         error = error.__cause__ or error.__context__
     return False

@@ -7,8 +7,9 @@ import pytest
 from fuzz import guided, parent
 from fuzz.__main__ import keep, main, report
 from fuzz.parent import run
-from fuzz.target import MODULES, targets_of
-from fuzz.worker import Job, Limits
+from fuzz.target import MODULES, Target, targets_of
+from fuzz.worker import Job, Limits, outcome_of
+from liaam.errors import LiaamError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the fuzzer runs on Linux only")
 
@@ -154,3 +155,12 @@ def test_guided_fuzzing_runs(tmp_path):
     status, what = guided.fuzz("landmarks.pts", 2, tmp_path)
     assert (status, list(tmp_path.iterdir())) == (0, [])
     assert int(what.split()[0]) > 1000
+
+
+def test_a_size_that_ffmpeg_refuses_is_no_lack_of_memory():
+    error = pytest.importorskip("av.error")
+
+    def check(_):
+        raise LiaamError("refused") from error.MemoryError(12, "Cannot allocate memory")
+
+    assert outcome_of(Target("x", make=lambda rng: b"", check=check), b"") == "refused"
