@@ -7,7 +7,17 @@ from pathlib import Path
 import pytest
 
 from liaam.errors import ImageError, LandmarkError, LiaamError
-from liaam.io.files import existing_file, is_number, make_folder, natural_key, read_bytes, writable
+from liaam.io.files import (
+    existing_file,
+    is_number,
+    json_object,
+    make_folder,
+    natural_key,
+    read_bytes,
+    real_path,
+    some_names,
+    writable,
+)
 
 
 def complaint(path: Path, kind: str = "image") -> str:
@@ -124,3 +134,34 @@ def test_a_folder_that_cannot_be_made_says_why(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(Path, "mkdir", refuse)
     with pytest.raises(LiaamError, match=r"the folder cannot be created \(odd\)"):
         make_folder(tmp_path / "a")
+
+
+def test_some_names() -> None:
+    assert some_names(["a"]) == "a"
+    assert some_names(list("abcdef")) == "a, b, c, d, e, f"
+    assert some_names(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
+    assert some_names(list("abc"), most=2, joint="; ") == "a; b and 1 more"
+
+
+def test_links_are_resolved(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "there")
+    (tmp_path / "circle").symlink_to(tmp_path / "circle")
+    assert real_path(tmp_path / "link") == tmp_path.resolve() / "there"
+    assert real_path(str(tmp_path / "circle")).name == "circle"
+
+
+@pytest.mark.parametrize(
+    ("text", "parsed"),
+    [
+        ('{"a": 1}', {"a": 1}),
+        (b"{}", {}),
+        ("[1]", None),
+        ("7", None),
+        ("{", None),
+        (b"\xff", None),
+        ("[" * 100_000, None),
+        (None, None),
+    ],
+)
+def test_json_objects(text: str | bytes, parsed: dict | None) -> None:
+    assert json_object(text) == parsed
