@@ -61,7 +61,7 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
 
 def scene_landmarks(scene: "Scene") -> Landmarks:
     """Return the landmarks of a simulated scene with their contours."""
-    return Landmarks(scene.landmarks, tuple(Contour(tuple(i), c) for i, c in scene.contours))
+    return Landmarks(scene.landmarks, Contour.all_of(scene.contours))
 
 
 def disturbed(truth: np.ndarray, mean: np.ndarray) -> np.ndarray:

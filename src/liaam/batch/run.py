@@ -212,7 +212,7 @@ class _Batch:
         summary = self._fit(journal)
         self.progress(summary.total, summary.total, f"writing {self.output.name}")
         model = self.job.model
-        contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
+        contours = Contour.all_of(model.contours)
         table = Table(self._rows(journal), model.n_points, self.job.settings.covariance, self.facts, contours)
         write_table(self.output, table)
         facts = {

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.fitting import FitStatus
+from liaam.fitting.result import USABLE
 from liaam.io import Contour, Landmarks, atomic_path
 from liaam.io.files import json_object
 from liaam.io.landmarks import tps
@@ -130,10 +130,9 @@ def _write_lines(path: Path, table: Table) -> None:
 
 def _write_tps(path: Path, table: Table) -> None:
     """Write the landmarks of fits that may be used only, because the format has no status."""
-    usable = {str(status) for status in FitStatus if status.ok}
     with path.open("w", encoding="utf-8", newline="") as file:
         for _, row in table.rows:
-            if row["status"] in usable:
+            if row["status"] in USABLE:
                 points = np.array(row["landmarks"], dtype=np.float64).reshape(-1, 2)
                 landmarks = Landmarks(points, table.contours, image_name=row["path"], scale=row["scale"])
                 file.write(tps.dump(tps.place(landmarks, row["size"])))
@@ -182,9 +181,12 @@ def _read_parquet(path: Path) -> Iterator[dict[str, Any]]:
 
 def _read_csv(path: Path) -> Iterator[dict[str, Any]]:
     with path.open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            n_points = next(i for i in count() if f"x{i}" not in row)
-            found = {name: [row.get(header) or "" for header in _headers(name, n_points)] for name in _PARTS}
+        reader = csv.DictReader(file)
+        known = set(reader.fieldnames or ())
+        n_points = next(i for i in count() if f"x{i}" not in known)
+        headers = {name: _headers(name, n_points) for name in _PARTS}
+        for row in reader:
+            found = {name: [row.get(header) or "" for header in own] for name, own in headers.items()}
             yield {**row, **{name: [float(cell) for cell in cells] for name, cells in found.items() if all(cells)}}
 
 

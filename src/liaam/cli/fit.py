@@ -174,7 +174,7 @@ def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, outputs:
 
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
-    contours = tuple(Contour(indices, closed) for indices, closed in model.contours)
+    contours = Contour.all_of(model.contours)
     scale = start.scale if isinstance(start, Landmarks) else None
     landmarks = Landmarks(result.landmarks, contours, image_name=image.name, scale=scale)
     facts = result.to_dict() | {"image": image.name, "scale": scale}

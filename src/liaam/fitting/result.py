@@ -53,6 +53,9 @@ class FitStatus(StrEnum):
         return _MESSAGES[self]
 
 
+USABLE = frozenset(str(status) for status in FitStatus if status.ok)
+"""Statuses of fits whose landmarks may be used, as written in files."""
+
 _MESSAGES = {
     FitStatus.CONVERGED: "The fit converged.",
     FitStatus.LIGHT_UNOBSERVABLE: (

@@ -116,8 +116,7 @@ class Lamps:
         for i in which:
             field = self.fields[i].astype(np.float32)
             field = field.mean(axis=2, keepdims=True).repeat(3, axis=2) if grey else field
-            warped = cv2.remap(field, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            relit = np.clip(values * cv2.exp(warped) - np.float32(DARK), 0.0, 1.0)
+            relit = np.clip(values * cv2.exp(sample_field(field, at)) - np.float32(DARK), 0.0, 1.0)
             images.append(_as_stored(relit, image.dtype, response))
         return images
 
@@ -171,9 +170,21 @@ def places(mean: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> np.nd
     # Triangulate the image's points, not the mean shape: this cannot fold.
     found = LinearNDInterpolator(there, rest)(coarse)
     found = np.where(np.isfinite(found), found, pose.inverse()(coarse.reshape(-1, 2)).reshape(coarse.shape))
-    found = ((found + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)
+    found = in_field(found)
     across, down = (np.arange(n, dtype=np.float32) / STRIDE for n in size)
     return cv2.remap(found, *np.meshgrid(across, down), cv2.INTER_LINEAR)
+
+
+def in_field(points: np.ndarray) -> np.ndarray:
+    """Convert coordinates of the mean shape (..., 2) to pixels of a field, float32."""
+    return ((points + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)
+
+
+def sample_field(field: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Interpolate a field (SIDE, SIDE, ...) float32 at its pixels ``at`` (h, w, 2) float32; constant beyond it."""
+    import cv2  # heavy: imported when first needed
+
+    return cv2.remap(field, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def square() -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import warnings
 from collections.abc import Callable, Iterator
@@ -14,7 +13,7 @@ import numpy as np
 
 from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
-from liaam.io.files import existing_file, natural_key
+from liaam.io.files import existing_file, json_object, natural_key
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
 from liaam.io.landmarks.base import read_text
 
@@ -131,11 +130,8 @@ def _of_file(path: Path) -> Iterator[Specimen]:
 
 def _fit_in(path: Path) -> dict[str, Any] | None:
     """Return the content of a fit's .json file, None if it is another."""
-    try:
-        content = json.loads(read_text(path))
-    except (ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) and {"landmarks", "status"} <= content.keys() else None
+    content = json_object(read_text(path)) or {}
+    return content if {"landmarks", "status"} <= content.keys() else None
 
 
 def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) -> Specimen:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.fitting.result import FitStatus
+from liaam.fitting.result import USABLE
 from liaam.io import write_text_atomically
 from liaam.model.shape import procrustes_mean
 from liaam.morphometry.measures import (
@@ -30,7 +30,7 @@ from liaam.morphometry.specimens import Specimen
 Columns = dict[str, list]
 Row = dict[str, str | float]
 
-_USABLE = {"", *(str(status) for status in FitStatus if status.ok)}
+_USABLE = {"", *USABLE}
 
 
 @dataclass(frozen=True)

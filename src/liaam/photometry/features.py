@@ -99,7 +99,7 @@ def channels_of(function: FeatureFunction, image: np.ndarray) -> np.ndarray:
     return channels
 
 
-def learn_features(name: str, count: int, mean: np.ndarray, moments: np.ndarray) -> Features:
+def learn_features(name: str, count: int, total: np.ndarray, products: np.ndarray) -> Features:
     """Learn the projection: the principal components of the channels, or all of them if there are few.
 
     Parameters
@@ -107,13 +107,13 @@ def learn_features(name: str, count: int, mean: np.ndarray, moments: np.ndarray)
     name : str
     count : int
         Number of pixels.
-    mean : (c,) float64
+    total : (c,) float64
         Sum of the channels over these pixels.
-    moments : (c, c) float64
+    products : (c, c) float64
         Sum of the products of the channels.
     """
-    mean = mean / count
+    mean = total / count
     if len(mean) <= WIDEST:
         return Features(name, np.zeros(len(mean)), np.eye(len(mean)))
-    vectors = np.linalg.eigh(moments / count - np.outer(mean, mean))[1]
+    vectors = np.linalg.eigh(products / count - np.outer(mean, mean))[1]
     return Features(name, mean, np.ascontiguousarray(vectors[:, ::-1][:, :WIDEST]))

@@ -4,9 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from liaam.lamps.bank import HALF, places
+from liaam.lamps.bank import HALF, in_field, places, sample_field
 from liaam.model import AAM
-from liaam.model.light import SIDE, LightBasis
+from liaam.model.light import LightBasis
 from liaam.model.shape import align, diagonal_of
 
 LEAST_UNEXPLAINED = 0.05
@@ -19,6 +19,11 @@ def light_on_frame(model: AAM) -> np.ndarray:
     if model.light is None:
         return np.zeros((0, model.n_pixels, 3), np.float32)
     return np.stack([_at_frame(model, mode) for mode in model.light.modes])
+
+
+def lit_frame(model: AAM, coordinates: np.ndarray) -> np.ndarray:
+    """Return the change of log light on the reference frame, (n_pixels, 3); 0 for no coordinates."""
+    return np.tensordot(coordinates, light_on_frame(model)[: len(coordinates)], axes=1)
 
 
 @lru_cache(maxsize=4)
@@ -47,7 +52,7 @@ def light_on_image(
         return np.zeros((*size, 3), np.float32)
     at = places(model.light.mean, shape - corner, (size[1], size[0]))
     change = np.tensordot(coordinates.astype(np.float32), model.light.modes.astype(np.float32), axes=1)
-    return _remapped(change, at)
+    return sample_field(change, at)
 
 
 def square_around(light: LightBasis, shape: np.ndarray, size: tuple[int, int]) -> tuple[slice, slice]:
@@ -62,11 +67,4 @@ def _at_frame(model: AAM, picture: np.ndarray) -> np.ndarray:
     mean, frame = model.shape_model.mean, model.frame
     middle = 0.5 * (mean.min(axis=0) + mean.max(axis=0))
     away = (frame.pixels[:, ::-1] + frame.origin - middle) / diagonal_of(mean)
-    at = ((away + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)
-    return _remapped(picture.astype(np.float32), at[:, None])[:, 0]
-
-
-def _remapped(picture: np.ndarray, at: np.ndarray) -> np.ndarray:
-    import cv2  # heavy: imported when first needed
-
-    return cv2.remap(picture, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return sample_field(picture.astype(np.float32), in_field(away)[:, None])[:, 0]

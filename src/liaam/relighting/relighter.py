@@ -16,7 +16,7 @@ from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.extrapolation import around, continued
 from liaam.relighting.joint import appearance_in_light
-from liaam.relighting.lamplight import light_on_frame, light_on_image, square_around
+from liaam.relighting.lamplight import light_on_image, lit_frame, square_around
 from liaam.relighting.painting import REACH, box_around, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
@@ -163,7 +163,7 @@ class Relighter:
         if other.model is not self.model:
             raise LiaamError("the two images were fitted with different models; fit both with the same model")
         light = other.appearance.light
-        rest = other.frame_shading.log - np.tensordot(light, light_on_frame(self.model)[: len(light)], axes=1)
+        rest = other.frame_shading.log - lit_frame(self.model, light)
         values, inside = paint(self.picture, self.shape, self.model, rest.astype(np.float32))
         weights = inside[self.box][..., None].astype(np.float32)
         if not weights.size:

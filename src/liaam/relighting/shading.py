@@ -18,7 +18,7 @@ from liaam.model.shape import align
 from liaam.photometry import Response, from_linear
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope
-from liaam.relighting.lamplight import light_on_frame, unexplained_on_frame
+from liaam.relighting.lamplight import lit_frame, unexplained_on_frame
 from liaam.relighting.painting import soft_edge
 from liaam.training.textures import sample_appearance
 
@@ -107,7 +107,7 @@ def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray, light: np.ndarray)
     model_variance = errors_of_the_model(model, log_rgb)
     at_the_border = np.square(AT_THE_BORDER * (1.0 - soft_edge(model)))
     weights = seen.usable * UNIT**2 / (model_variance + seen.noise.mean(axis=1))
-    lit = np.tensordot(light, light_on_frame(model)[: len(light)], axes=1)
+    lit = lit_frame(model, light)
     held = np.square(UNIT / unexplained_on_frame(model))
     log = (lit + piecewise_smooth(model.frame, seen.log - log_rgb - lit, weights, held)).astype(np.float32)
     steepness = np.square(model.frame.gradient(log)).sum(axis=1).mean(axis=1)

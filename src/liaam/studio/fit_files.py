@@ -34,7 +34,7 @@ def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, fl
         For ``relit``.
     """
     stem = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name)
-    contours = tuple(Contour(indices, closed) for indices, closed in fit.model.contours)
+    contours = Contour.all_of(fit.model.contours)
     if what in ("pts", "ljson", "csv", "json"):
         landmarks = Landmarks(fit.result.landmarks, contours)
         if what == "json":

@@ -92,7 +92,6 @@ def train(
     recipes = {prior: choose_recipe(mean, shapes, prior, folds) for prior in dict.fromkeys(priors.values())}
     learnt = {prior: shape_model_on(mean, shapes, options.variance, r, folds) for prior, r in recipes.items()}
     check_flat(mean)
-    point_map = None if points is None else map_of_points(points, entries, mean)
     triangles = mesh_of(mean, options.triangles, edges)
 
     copied = _copies(lamps, training_lamp, options.n_copies, mean, len(entries), camera)
@@ -104,20 +103,23 @@ def train(
         contours=contours,
         name=name,
         n_textures=len(copied.owners),
-        light=None if copied.lamps is None else copied.lamps.basis(mirror_order(mean) is not None),
-        points=point_map,
     )
-    entries, grey = check_images(entries, model.warp)
-    for entry in entries:
+    checked, grey = check_images(entries, model.warp)
+    for entry in checked:
         check_fold(entry, model.frame)
 
-    encoder = None if features is None else encoder_of(features, entries, mean, camera)
-    model = model if encoder is None else replace(model, features=encoder.features)
+    encoder = None if features is None else encoder_of(features, checked, mean, camera)
+    model = replace(
+        model,
+        light=None if copied.lamps is None else copied.lamps.basis(mirror_order(mean) is not None),
+        points=None if points is None else map_of_points(points, entries, mean),
+        features=None if encoder is None else encoder.features,
+    )
     blurs, kept = options.blurs_by_view, options.appearance_variances
     left_out = folds if options.leave_out else []
     n_levels, n_fitted = sum(map(len, blurs.values())), sum(len(fitted_of(fold, folds)) for fold in left_out)
     steps = Steps(progress, total_cost(len(copied.owners), n_levels, len(left_out), n_fitted))
-    sampled = sample_all(entries, grey, model, blurs, steps, copied, encoder)
+    sampled = sample_all(checked, grey, model, blurs, steps, copied, encoder)
     learn = {
         MESH: lambda i: mesh_appearances(sampled, i, camera.theta, kept[MESH], folds),
         SURROUNDINGS: lambda i: {"soft": soft_appearance(sampled, i, kept[SURROUNDINGS], folds)},
@@ -132,7 +134,7 @@ def train(
     if options.leave_out:
         default = METHODS[DEFAULT_METHOD].view
         settings = (recipes[priors[default]], options.variance, kept[default])
-        reliability = reliability_of(model, entries, shapes, sampled, copied, settings, folds, steps)
+        reliability = reliability_of(model, checked, shapes, sampled, copied, settings, folds, steps)
         model = model.with_view(default, reliability=reliability)
     steps.next("trained", 0)
     return model

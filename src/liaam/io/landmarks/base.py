@@ -32,6 +32,11 @@ class Contour:
     closed: bool = False
     """Whether the last landmark is connected to the first."""
 
+    @classmethod
+    def all_of(cls, pairs: Iterable[tuple[Iterable[int], bool]]) -> tuple[Contour, ...]:
+        """Return the contours of (indices, closed), as a model has them."""
+        return tuple(cls(tuple(indices), closed) for indices, closed in pairs)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Landmarks:
