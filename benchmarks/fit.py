@@ -103,7 +103,7 @@ def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray
     pose = align(objective.warp.rest, shape)
     problem = FitProblem.at(image, shape, pose, objective.method, "srgb", fitter.model.levels[-1].blur)
     state = objective.start(objective.warp.parameters(pose.inverse()(shape)))
-    return lambda: [objective.equations(objective.look(problem, state)) for _ in range(10)]
+    return lambda: [objective.equations(objective.evaluate(problem, state)) for _ in range(10)]
 
 
 def measure_modes() -> None:

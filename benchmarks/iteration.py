@@ -128,8 +128,10 @@ def make_loops(objective: Objective, problem: FitProblem) -> Parts:
     method, damping = objective.method, DAMPING[objective.method.name]
 
     def loop(n: int) -> Callable[[], int]:
-        options = SolverOptions(max_iterations=n, tolerance=0.0, hurry=0.0, notice=0.0, damping=damping)
-        controls = options.controls(expected=method.step == "expected", reweigh=method.reweighs, look=False)
+        options = SolverOptions(
+            max_iterations=n, tolerance=0.0, early_tolerance=0.0, relative_tolerance=0.0, damping=damping
+        )
+        controls = options.controls(expected=method.step == "expected", reweigh=method.reweighs, evaluate_last=False)
         call = lambda: objective.solve(problem, objective.work(start, n), controls).n_taken  # noqa: E731
         assert call() == n, "a step was refused: the loop's time is not that of its iterations"
         return call
@@ -143,16 +145,16 @@ def make_parts(objective: Objective, problem: FitProblem) -> Parts:
     work = objective.work(objective.start(np.zeros(objective.warp.n_parameters)))
     picture, there = map(kernel.by_reference, (objective.picture(problem), work))
     expects = objective.method.step == "expected"
-    expected = work.expected if expects else work.steep
+    expected = work.expected if expects else work.image_slopes
 
     def weigh() -> bool:
         work.known.fill(np.nan)  # force a full evaluation
         return objective.row.weigh(model, picture, row, there)
 
     parts: Parts = {
-        "look": lambda: kernel.look(model, picture, row, there, False),
-        "settle": lambda: kernel.settle(model, row, there, False, True),
-        "differentiate": lambda: kernel.differentiate(model, row, there, work.steep, expected),
+        "evaluate_residual": lambda: kernel.evaluate_residual(model, picture, row, there, False),
+        "solve_lambda": lambda: kernel.solve_lambda(model, row, there, False, True),
+        "differentiate": lambda: kernel.differentiate(model, row, there, work.image_slopes, expected),
     }
     if expects:
         parts["expect"] = lambda: kernel.expect(model, there)

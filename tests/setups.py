@@ -90,8 +90,8 @@ def look_again(objective: Objective, problem: FitProblem, work: Work, solves: bo
     kernel = get_kernel(objective.kernel)
     template, row = objective.given
     picture, record = map(kernel.by_reference, (objective.picture(problem), work))
-    kernel.look(template, picture, row, record, solves)
-    kernel.settle(template, row, record, False, solves)
+    kernel.evaluate_residual(template, picture, row, record, solves)
+    kernel.solve_lambda(template, row, record, False, solves)
     return work
 
 
@@ -101,7 +101,7 @@ def differentiate(objective: Objective, work: Work, expects: bool = False) -> Wo
     (template, row), record = objective.given, kernel.by_reference(work)
     if expects:
         kernel.expect(template, record)
-    kernel.differentiate(template, row, record, work.steep, work.expected if expects else work.steep)
+    kernel.differentiate(template, row, record, work.image_slopes, work.expected if expects else work.image_slopes)
     return work
 
 

@@ -29,6 +29,8 @@ COINED = (
     r"for want of",
     r"(?<!there )is no (?:image|model|picture|number|shape|file|camera|start|folder|method|such)",
     r"(?:was|were|is|are|be) begun",
+    r"understated",
+    r"hurry",
 )
 """Expressions that the field does not use, or that must be read twice; CONTRIBUTING.md says what to write instead."""
 

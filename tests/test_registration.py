@@ -202,16 +202,16 @@ def test_columns_are_the_derivative_of_the_residual(method, rng):
     pose = align(warp.rest, warp.rest)
     problem = FitProblem.at(b, warp.rest, pose, objective.method, "srgb", blur)
     state = objective.start(rng.normal(0, 0.5, n_p))._replace(angles=np.array([2.0, 2.2]))
-    work = objective.look(problem, state, weigh=2)
+    work = objective.evaluate(problem, state, weigh=2)
     objective.equations(work)
     root = work.root.astype(np.float64)
-    by_warp, by_angles = root[:, None] * jacobian(warp, state.p, work.steep), (root * work.columns).T
+    by_warp, by_angles = root[:, None] * jacobian(warp, state.p, work.image_slopes), (root * work.columns).T
 
     def residual(p: np.ndarray, turn: np.ndarray) -> np.ndarray:
         there = work._replace(p=p, angles=state.angles + objective.method.angle_directions @ turn)
         kernel = get_kernel("reference")
-        kernel.look(objective.template, objective.picture(problem), objective.row, there, False)
-        kernel.settle(objective.template, objective.row, there, False, False)
+        kernel.evaluate_residual(objective.template, objective.picture(problem), objective.row, there, False)
+        kernel.solve_lambda(objective.template, objective.row, there, False, False)
         return there.root.astype(np.float64) * there.residual
 
     def in_one_cell(low, high):

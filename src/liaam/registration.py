@@ -329,7 +329,7 @@ def _status(stage: Stage, start: np.ndarray, inside: np.ndarray, correlation: fl
         return FitStatus.TOO_DARK
     if not correlation >= LEAST_CORRELATION:
         return FitStatus.DIVERGED
-    if not solution.settled:
+    if not solution.converged:
         return FitStatus.MAX_ITERATIONS
     return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
 

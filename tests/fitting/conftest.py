@@ -6,6 +6,6 @@ from setups import train_on
 
 
 @pytest.fixture(scope="session")
-def judged(scenes):
+def calibrated(scenes):
     """Give a model that has learnt how far its fits can be trusted."""
     return train_on(scenes, diagonal=60.0, leave_out=True)

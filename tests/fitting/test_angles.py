@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from liaam.fitting import SolverOptions
 from liaam.fitting.angles import SEARCH, _minimise_on_arc, best_image_angle
-from liaam.fitting.solver import settle_lambda
+from liaam.fitting.solver import solve_at
 from setups import disturb, finest_objective, make_problem
 
 
@@ -44,7 +44,7 @@ def test_the_start_angle_beats_a_brute_force_search(model, lit_scene, method, at
 
     def cost(theta):
         there = state._replace(angles=np.array([state.angles[0], theta]))
-        return settle_lambda(objective, problem, there, SolverOptions()).costs[-1]
+        return solve_at(objective, problem, there, SolverOptions()).costs[-1]
 
     grid = state.angles[0] + np.linspace(-SEARCH, SEARCH, 241)
     costs = np.array([cost(theta) for theta in grid])

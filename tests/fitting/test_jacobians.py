@@ -53,10 +53,10 @@ class Setting:
         self.problem, p = make_problem(model, scene.image, disturb(scene.landmarks), self.objective)
         angles = self.objective.start(p).angles + np.array([0.1, -0.2])
         self.state = State(p, angles, 0.5 * rng.normal(size=self.objective.n_lambda))
-        self.seen = self.objective.look(self.problem, self.state, weigh=2)
+        self.seen = self.objective.evaluate(self.problem, self.state, weigh=2)
         assert np.ptp(self.seen.weighed) > 0 or not self.objective.method.reweighs or self.objective.method.normalise
 
-    def look(self, solves: bool = False, **changes) -> Work:
+    def evaluate(self, solves: bool = False, **changes) -> Work:
         """Look from another state, under the same weights."""
         return self.look_at(self.problem, solves, **changes)
 
@@ -67,7 +67,7 @@ class Setting:
         return look_again(self.objective, problem, work, solves)
 
     def weighted_residual(self, **changes) -> np.ndarray:
-        work = self.look(**changes)
+        work = self.evaluate(**changes)
         return work.root.astype(np.float64) * work.residual
 
     def turned(self, free: np.ndarray) -> np.ndarray:
@@ -78,7 +78,7 @@ class Setting:
         """Columns of the free angles, (n k, n_free)."""
         columns, template = np.empty_like(work.columns), self.objective.template
         for column, (by_model, by_image) in zip(columns, self.objective.row.directions.T, strict=True):
-            seen = work.slope, work.values, work.growth, work.residual
+            seen = work.slope, work.values, work.own_derivative, work.residual
             self.kernel.angle_column(by_model, by_image, *seen, template.parts, work.angles[0], work.lam, column)
         return columns.T.astype(np.float64)
 
@@ -89,12 +89,12 @@ class Setting:
 @every_method
 def test_columns_of_the_warp_parameters(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
-    work, warp = setting.look(), setting.objective.warp
+    work, warp = setting.evaluate(), setting.objective.warp
     # Between pixel lines the samples are quadratic along any line: central differences are exact.
     movement = np.abs(warp.jacobian(setting.state.p)).max(axis=(0, 1))
     assert_jacobian(
         lambda p: setting.weighted_residual(p=p),
-        work.root[:, None] * jacobian(warp, setting.state.p, work.steep),
+        work.root[:, None] * jacobian(warp, setting.state.p, work.image_slopes),
         setting.state.p,
         steps=0.04 / movement,
         tolerance=1e-3,
@@ -107,8 +107,8 @@ def test_columns_of_the_warp_parameters(model, lit_scene, method, kernel, rng):
 @methods_with_angles
 def test_columns_of_the_angles(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
-    work = setting.look()
-    assert bool(len(work.growth)) == (setting.objective.method.weights == "noise")
+    work = setting.evaluate()
+    assert bool(len(work.own_derivative)) == (setting.objective.method.weights == "noise")
     assert_jacobian(
         lambda free: setting.weighted_residual(angles=setting.turned(free)),
         work.root[:, None] * setting.angle_columns(work),
@@ -121,7 +121,7 @@ def test_columns_of_the_angles(model, lit_scene, method, kernel, rng):
 @every_method
 def test_columns_of_lambda(model, lit_scene, method, kernel, rng):
     setting = Setting(model, lit_scene, method, kernel, rng)
-    work = setting.look()
+    work = setting.evaluate()
     assert_jacobian(
         lambda lam: setting.weighted_residual(lam=lam),
         -(work.rows[1:] * work.root).T.astype(np.float64),
@@ -135,7 +135,7 @@ def test_columns_of_lambda(model, lit_scene, method, kernel, rng):
 def test_the_residual_is_that_of_the_picture_and_the_model(model, lit_scene, method, kernel, rng):
     """P(theta_2) E(I) - P(theta_1) (A0 + lambda A), its squares under the weights, and none where nothing is seen."""
     setting = Setting(model, lit_scene, method, kernel, rng)
-    work, objective = setting.look(), setting.objective
+    work, objective = setting.evaluate(), setting.objective
     metric = objective.method.image_metric(setting.state.angles[1])
     seen = work.values.reshape(-1, 8)[:, : metric.shape[1]] @ metric.T
     if objective.method.normalise:
@@ -163,9 +163,10 @@ def half_blind(problem):
 def dense(objective, work, by_angles, expects: bool) -> tuple[np.ndarray, ...]:
     """A'A, A'J, the Hessian and the gradient from columns formed in full, and A."""
     root, p = work.root.astype(np.float64), work.p
-    by_place = work.expected if expects else work.steep
+    by_place = work.expected if expects else work.image_slopes
     J, E = (
-        root[:, None] * np.hstack([jacobian(objective.warp, p, steep), by_angles]) for steep in (work.steep, by_place)
+        root[:, None] * np.hstack([jacobian(objective.warp, p, image_slopes), by_angles])
+        for image_slopes in (work.image_slopes, by_place)
     )
     A, r = (work.rows[1:] * root).T, root * work.residual
     ridge = objective.template.ridge
@@ -202,8 +203,8 @@ def test_equations_are_those_of_dense_columns_where_half_of_the_picture_is_blind
 def test_the_appearance_at_its_best_leaves_nothing_to_gain(model, lit_scene, method, kernel, rng):
     """Its lambda is that of least squares over the columns and the prior, and the residual is that of another look."""
     setting = Setting(model, lit_scene, method, kernel, rng)
-    work = setting.look(solves=True)
-    again = setting.look(lam=work.lam)
+    work = setting.evaluate(solves=True)
+    again = setting.evaluate(lam=work.lam)
     np.testing.assert_allclose(work.residual, again.residual, atol=1e-5 * max(1.0, np.abs(again.residual).max()))
     assert again.sums[0] == pytest.approx(work.sums[0], rel=1e-4, abs=1e-6)
     pull = np.sqrt(setting.objective.template.ridge)
@@ -220,7 +221,7 @@ def test_the_reduced_gradient_is_that_of_the_cost_with_lambda_at_its_best(model,
     objective = setting.objective
 
     def reduced(free):
-        return setting.look(solves=True, angles=setting.turned(free))
+        return setting.evaluate(solves=True, angles=setting.turned(free))
 
     at = np.zeros(objective.n_q - objective.warp.n_parameters)
     gradient = differentiate(objective, reduced(at)).gradient[objective.warp.n_parameters :]
@@ -235,5 +236,5 @@ def test_a_constant_grey_bias_is_a_null_vector(model, lit_scene, method, kernel,
     channels = patch.channels.copy()
     channels[..., :3] += 1.5
     brighter = setting.look_at(replace(setting.problem, patch=replace(patch, channels=channels)))
-    np.testing.assert_allclose(brighter.residual, setting.look().residual, atol=1e-5)
-    np.testing.assert_allclose(brighter.steep, setting.look().steep, atol=1e-5)
+    np.testing.assert_allclose(brighter.residual, setting.evaluate().residual, atol=1e-5)
+    np.testing.assert_allclose(brighter.image_slopes, setting.evaluate().image_slopes, atol=1e-5)

@@ -55,9 +55,9 @@ def assert_same(found, expected):
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
-def test_each_fit_is_that_of_a_single_one_to_the_last_bit(judged, pictures, workers):
-    many = fit_many(judged, *pictures, workers=workers)
-    fitter = Fitter(judged)
+def test_each_fit_is_that_of_a_single_one_to_the_last_bit(calibrated, pictures, workers):
+    many = fit_many(calibrated, *pictures, workers=workers)
+    fitter = Fitter(calibrated)
     with one_thread():
         single = [fitter.fit(image, start) for image, start in zip(*pictures, strict=True)]
     assert len(many) == len(single)
@@ -77,13 +77,13 @@ def test_threads_do_not_see_what_others_keep_of_their_fits(model, pictures, meth
         assert_same(found, expected)
 
 
-def test_objects_are_searched_for_where_there_is_no_start(judged, pictures, lit_scene):
+def test_objects_are_searched_for_where_there_is_no_start(calibrated, pictures, lit_scene):
     image = lit_scene.image
     with one_thread():
-        searched, started = Fitter(judged).fit(image), Fitter(judged).fit(image, pictures[1][4])
-    for found in fit_many(judged, [image, image], workers=2):
+        searched, started = Fitter(calibrated).fit(image), Fitter(calibrated).fit(image, pictures[1][4])
+    for found in fit_many(calibrated, [image, image], workers=2):
         assert_same(found, searched)
-    both = fit_many(judged, [image, image], [pictures[1][4], None], workers=2)
+    both = fit_many(calibrated, [image, image], [pictures[1][4], None], workers=2)
     assert_same(both[0], started)
     assert_same(both[1], searched)
 

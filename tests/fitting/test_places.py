@@ -15,9 +15,9 @@ HIGH = 0.9
 
 
 @pytest.fixture
-def place(judged, lit_scene, monkeypatch):
+def place(calibrated, lit_scene, monkeypatch):
     """Give the function that fits without a start where the search finds places of given sizes and qualities."""
-    image, right = lit_scene.image, Fitter(judged).fit(lit_scene.image, lit_scene.landmarks)
+    image, right = lit_scene.image, Fitter(calibrated).fit(lit_scene.image, lit_scene.landmarks)
 
     def call(*places: tuple[float, float]):
         unit = (lit_scene.landmarks - lit_scene.landmarks.mean(axis=0)) / diagonal_of(lit_scene.landmarks)
@@ -27,7 +27,7 @@ def place(judged, lit_scene, monkeypatch):
             shape.tobytes(): replace(right, landmarks=shape, quality=quality, status=FitStatus.CONVERGED)
             for shape, (_, quality) in zip(shapes, places, strict=True)
         }
-        fitter = Fitter(judged, restarts=False)
+        fitter = Fitter(calibrated, restarts=False)
         vars(fitter)["finder"] = SimpleNamespace(find=lambda *_, **__: found[:1], others=lambda *_: found[1:])
         monkeypatch.setattr(Fitter, "_fit_from", lambda self, target: fits[target.start.tobytes()])
         result = fitter.fit(image)
@@ -73,9 +73,9 @@ def test_what_is_lost_everywhere_stays_lost(place):
     assert result.quality == 0.0
 
 
-def test_what_is_blurred_or_half_outside_speaks_little_for_a_fit(judged, same_light_scene):
+def test_what_is_blurred_or_half_outside_speaks_little_for_a_fit(calibrated, same_light_scene):
     image, truth = same_light_scene.image, same_light_scene.landmarks
-    fitter, middle = Fitter(judged, restarts=False), int(truth[:, 0].mean())
+    fitter, middle = Fitter(calibrated, restarts=False), int(truth[:, 0].mean())
 
     def explained(picture, shape=truth):
         return fitter.fit(np.ascontiguousarray(picture), shape).evidence[0]

@@ -9,14 +9,14 @@ from safetensors.numpy import save_file
 
 from liaam.errors import ModelFileError
 from liaam.fitting import METHODS, FitStatus, Fitter
-from liaam.fitting.reliability import MOST_UNDERSTATED, _landmarks, _logistic, _surprise, _understated, _weights
+from liaam.fitting.reliability import LARGEST_FACTOR, _landmarks, _logistic, _surprise, _variance_factor, _weights
 from liaam.model import SURROUNDINGS, load_model
 from liaam.model.shape import diagonal_of
 from setups import disturb
 
 
-def test_it_tells_right_fits_from_wrong_ones(judged, lit_scene, same_light_scene):
-    fitter = Fitter(judged)
+def test_it_tells_right_fits_from_wrong_ones(calibrated, lit_scene, same_light_scene):
+    fitter = Fitter(calibrated)
     for scene in (lit_scene, same_light_scene):
         right = fitter.fit(scene.image, disturb(scene.landmarks))
         away = scene.landmarks - scene.landmarks.mean(axis=0) + 0.25 * np.array(scene.image.shape[1::-1])
@@ -28,43 +28,43 @@ def test_it_tells_right_fits_from_wrong_ones(judged, lit_scene, same_light_scene
             assert not wrong.status.ok
 
 
-def test_a_settled_fit_of_low_quality_is_doubtful(judged, rng):
+def test_a_settled_fit_of_low_quality_is_doubtful(calibrated, rng):
     import cv2
 
     blots = cv2.GaussianBlur(rng.random((180, 240, 3)).astype(np.float32), (0, 0), 6.0)
     blots = (blots - blots.min()) / np.ptp(blots)
-    result = Fitter(judged).fit(blots, (60, 40, 180, 150))
+    result = Fitter(calibrated).fit(blots, (60, 40, 180, 150))
     assert not result.status.ok
     assert result.quality < 0.5
 
 
 @pytest.mark.parametrize("value", [0, 255])
-def test_what_is_lost_by_its_status_has_no_chance_to_be_right(judged, value):
-    result = Fitter(judged).fit(np.full((180, 240, 3), value, np.uint8), (60, 40, 180, 150))
+def test_what_is_lost_by_its_status_has_no_chance_to_be_right(calibrated, value):
+    result = Fitter(calibrated).fit(np.full((180, 240, 3), value, np.uint8), (60, 40, 180, 150))
     assert result.status.lost
     assert result.quality == 0.0
 
 
-def test_other_methods_have_no_quality(judged, lit_scene):
-    result = Fitter(judged, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
+def test_other_methods_have_no_quality(calibrated, lit_scene):
+    result = Fitter(calibrated, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert np.isnan(result.quality)
     assert result.status is not FitStatus.DOUBTFUL
 
 
-def test_it_is_kept_in_the_model_file(judged, tmp_path):
-    judged.save(tmp_path / "m.liaam")
+def test_it_is_kept_in_the_model_file(calibrated, tmp_path):
+    calibrated.save(tmp_path / "m.liaam")
     loaded = load_model(tmp_path / "m.liaam").views[SURROUNDINGS].reliability
     assert loaded is not None
-    np.testing.assert_array_equal(loaded.landmarks, judged.views[SURROUNDINGS].reliability.landmarks)
-    np.testing.assert_array_equal(loaded.weights, judged.views[SURROUNDINGS].reliability.weights)
-    assert loaded.understated == judged.views[SURROUNDINGS].reliability.understated
-    assert loaded.ordinary == judged.views[SURROUNDINGS].reliability.ordinary
-    assert 0.5 < loaded.little < loaded.ordinary < 1.0
+    np.testing.assert_array_equal(loaded.landmarks, calibrated.views[SURROUNDINGS].reliability.landmarks)
+    np.testing.assert_array_equal(loaded.weights, calibrated.views[SURROUNDINGS].reliability.weights)
+    assert loaded.variance_factor == calibrated.views[SURROUNDINGS].reliability.variance_factor
+    assert loaded.typical == calibrated.views[SURROUNDINGS].reliability.typical
+    assert 0.5 < loaded.low < loaded.typical < 1.0
 
 
-def rewritten(judged, path, **tensors):
+def rewritten(calibrated, path, **tensors):
     """Model file whose reliability is changed; None takes a tensor out."""
-    judged.save(path)
+    calibrated.save(path)
     with safe_open(path, framework="numpy") as file:
         header, known = file.metadata(), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     known |= {f"surroundings/reliability.{name}": value for name, value in tensors.items()}
@@ -72,44 +72,44 @@ def rewritten(judged, path, **tensors):
     return path
 
 
-def test_a_copy_of_the_method_under_another_name_is_judged_alike(judged, lit_scene):
+def test_a_copy_of_the_method_under_another_name_is_judged_alike(calibrated, lit_scene):
     copy, start = replace(METHODS["soft-li"], name="mine", summary="a copy"), disturb(lit_scene.landmarks)
-    ours, theirs = (Fitter(judged, method).fit(lit_scene.image, start) for method in ("soft-li", copy))
+    ours, theirs = (Fitter(calibrated, method).fit(lit_scene.image, start) for method in ("soft-li", copy))
     assert theirs.method.name == "mine"
     assert 0.0 < ours.quality == theirs.quality
     np.testing.assert_array_equal(theirs.covariance, ours.covariance)
     np.testing.assert_array_equal(theirs.landmark_covariances, ours.landmark_covariances)
 
 
-def test_another_row_on_the_same_view_has_no_quality(judged, lit_scene):
+def test_another_row_on_the_same_view_has_no_quality(calibrated, lit_scene):
     other = replace(METHODS["soft-li"], loss="huber")
-    assert np.isnan(Fitter(judged, other).fit(lit_scene.image, disturb(lit_scene.landmarks)).quality)
+    assert np.isnan(Fitter(calibrated, other).fit(lit_scene.image, disturb(lit_scene.landmarks)).quality)
 
 
-def test_a_file_that_does_not_know_what_is_ordinary_is_refused(judged, tmp_path):
-    with pytest.raises(ModelFileError, match="ordinary"):
-        load_model(rewritten(judged, tmp_path / "m.liaam", ordinary=None))
+def test_a_file_without_a_typical_quality_is_refused(calibrated, tmp_path):
+    with pytest.raises(ModelFileError, match="typical"):
+        load_model(rewritten(calibrated, tmp_path / "m.liaam", typical=None))
 
 
-@pytest.mark.parametrize("ordinary", [-0.1, 1.1, np.nan])
-def test_an_ordinary_quality_that_is_no_probability_is_refused(judged, tmp_path, ordinary):
+@pytest.mark.parametrize("typical", [-0.1, 1.1, np.nan])
+def test_a_typical_quality_that_is_no_probability_is_refused(calibrated, tmp_path, typical):
     with pytest.raises(ModelFileError):
-        load_model(rewritten(judged, tmp_path / "m.liaam", ordinary=np.array([ordinary])))
+        load_model(rewritten(calibrated, tmp_path / "m.liaam", typical=np.array([typical])))
 
 
-@pytest.mark.parametrize(("ordinary", "little"), [(0.5, 0.5), (0.9, 0.8123), (0.99, 0.9554), (0.0, 0.0), (1.0, 1.0)])
-def test_little_is_two_thirds_of_the_log_odds(judged, ordinary, little):
-    assert replace(judged.views[SURROUNDINGS].reliability, ordinary=ordinary).little == pytest.approx(little, abs=1e-3)
+@pytest.mark.parametrize(("typical", "low"), [(0.5, 0.5), (0.9, 0.8123), (0.99, 0.9554), (0.0, 0.0), (1.0, 1.0)])
+def test_low_is_two_thirds_of_the_log_odds(calibrated, typical, low):
+    assert replace(calibrated.views[SURROUNDINGS].reliability, typical=typical).low == pytest.approx(low, abs=1e-3)
 
 
-def test_nearly_all_right_fits_are_ordinary(judged, scenes):
-    fits = [Fitter(judged).fit(scene.image, disturb(scene.landmarks)) for scene in scenes]
-    assert np.mean([fit.quality >= judged.views[SURROUNDINGS].reliability.ordinary for fit in fits]) >= 0.8
+def test_nearly_all_right_fits_are_typical(calibrated, scenes):
+    fits = [Fitter(calibrated).fit(scene.image, disturb(scene.landmarks)) for scene in scenes]
+    assert np.mean([fit.quality >= calibrated.views[SURROUNDINGS].reliability.typical for fit in fits]) >= 0.8
 
 
-def test_variances_grow_by_what_fits_understate(judged, lit_scene):
-    known = judged.views[SURROUNDINGS].reliability
-    models = (judged.with_view(SURROUNDINGS, reliability=replace(known, understated=k)) for k in (1.0, 2.0))
+def test_variances_grow_by_what_fits_understate(calibrated, lit_scene):
+    known = calibrated.views[SURROUNDINGS].reliability
+    models = (calibrated.with_view(SURROUNDINGS, reliability=replace(known, variance_factor=k)) for k in (1.0, 2.0))
     one, two = (Fitter(model).fit(lit_scene.image, disturb(lit_scene.landmarks)) for model in models)
     np.testing.assert_allclose(two.covariance, 2 * one.covariance)
     grown = np.linalg.eigvalsh(two.landmark_covariances - one.landmark_covariances)
@@ -126,11 +126,11 @@ def test_surprises_of_what_is_stated_rightly_are_one_on_average(rng):
 
 
 def test_understatement_is_learnt_from_many_doubted_from_few_and_bounded():
-    assert _understated(np.full(100, 4.0)) == pytest.approx(4.0, rel=0.1)
-    assert 1.0 < _understated(np.full(3, 4.0)) < 2.0
-    assert _understated(np.full(20, 0.1)) == 1.0  # nothing is ever surer than it says
-    assert _understated(np.full(20, 1e9)) == MOST_UNDERSTATED
-    assert _understated(np.array([np.nan, np.inf])) == 1.0
+    assert _variance_factor(np.full(100, 4.0)) == pytest.approx(4.0, rel=0.1)
+    assert 1.0 < _variance_factor(np.full(3, 4.0)) < 2.0
+    assert _variance_factor(np.full(20, 0.1)) == 1.0  # nothing is ever surer than it says
+    assert _variance_factor(np.full(20, 1e9)) == LARGEST_FACTOR
+    assert _variance_factor(np.array([np.nan, np.inf])) == 1.0
 
 
 def test_the_covariance_of_landmarks_makes_up_for_what_fits_do_not_state(rng):

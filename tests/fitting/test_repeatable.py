@@ -59,6 +59,9 @@ def test_a_copy_of_a_row_is_the_same_method(model, same_light_scene, method):
 @pytest.mark.parametrize("method", ["soft-li", "li", "grey"])
 def test_how_far_a_fit_is_taken_hardly_matters(model, same_light_scene, method):
     """Fits that stop sooner end where patient ones do, by far less than they are uncertain."""
-    start, patience = disturb(same_light_scene.landmarks), SolverOptions(tolerance=1e-4, hurry=0.0, notice=0.0)
+    start, patience = (
+        disturb(same_light_scene.landmarks),
+        SolverOptions(tolerance=1e-4, early_tolerance=0.0, relative_tolerance=0.0),
+    )
     soon, late = (Fitter(model, method, o).fit(same_light_scene.image, start) for o in (SolverOptions(), patience))
     assert model_pixels(model, soon.landmarks, late.landmarks) < 0.1

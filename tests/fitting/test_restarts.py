@@ -19,17 +19,17 @@ FAR = ((0.7, (0.12, -0.04)), (1.2, (-0.15, 0.1)))
 
 
 @pytest.fixture(scope="module")
-def both(judged, lit_scene):
+def both(calibrated, lit_scene):
     """Give the fits from far starts without and with restarts."""
     rng = np.random.default_rng(5)
     far = [(np.exp(rng.uniform(np.log(0.7), np.log(1.35))), tuple(rng.uniform(-0.2, 0.2, 2))) for _ in range(20)]
     starts = [disturb(lit_scene.landmarks, *by) for by in far]
-    return [[Fitter(judged, restarts=on).fit(lit_scene.image, start) for start in starts] for on in (False, True)]
+    return [[Fitter(calibrated, restarts=on).fit(lit_scene.image, start) for start in starts] for on in (False, True)]
 
 
 @pytest.mark.slow
-def test_fits_from_far_starts_are_saved(judged, lit_scene, both):
-    once, again = ([model_pixels(judged, fit.landmarks, lit_scene.landmarks) for fit in fits] for fits in both)
+def test_fits_from_far_starts_are_saved(calibrated, lit_scene, both):
+    once, again = ([model_pixels(calibrated, fit.landmarks, lit_scene.landmarks) for fit in fits] for fits in both)
     lost = np.array(once) > 3.0
     assert lost.sum() >= 8, "these starts are no longer far"
     assert np.mean(np.array(again)[lost] < 1.0) >= 0.4
@@ -41,20 +41,20 @@ def test_no_fit_ends_with_less_quality(both):
     assert any(again.n_starts > 1 for again in both[1])
 
 
-def test_right_fits_are_not_begun_again(judged, lit_scene, same_light_scene, monkeypatch):
+def test_right_fits_are_not_begun_again(calibrated, lit_scene, same_light_scene, monkeypatch):
     monkeypatch.setattr(fitter, "other_starts", None)  # not to be called
     for scene in (lit_scene, same_light_scene):
-        result = Fitter(judged).fit(scene.image, disturb(scene.landmarks))
+        result = Fitter(calibrated).fit(scene.image, disturb(scene.landmarks))
         assert result.n_starts == 1
         assert result.status.ok
 
 
 @pytest.mark.parametrize("value", [0, 255, 128])
-def test_where_the_picture_says_nothing_no_start_is_tried(judged, value, monkeypatch):
+def test_where_the_picture_says_nothing_no_start_is_tried(calibrated, value, monkeypatch):
     monkeypatch.setattr(fitter, "other_starts", None)
     picture = np.full((180, 240, 3), value, np.uint8)
     picture[0, 0] = (90, 100, 110)  # not grey all over
-    result = Fitter(judged).fit(picture, (60, 40, 180, 150))
+    result = Fitter(calibrated).fit(picture, (60, 40, 180, 150))
     assert result.status.unusable
     assert result.n_starts == 1
 
@@ -66,10 +66,10 @@ def test_where_no_quality_is_known_no_start_is_tried(scenes, lit_scene, monkeypa
     assert np.isnan(Fitter(model).fit(lit_scene.image, start).quality)
 
 
-def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(judged, lit_scene, both):
+def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(calibrated, lit_scene, both):
     again = next(new for old, new in zip(*both, strict=True) if new.quality > old.quality)
     assert again.to_dict()["starts_tried"] == again.n_starts > 1
-    alone = Fitter(judged, restarts=False).fit(lit_scene.image, again.start)
+    alone = Fitter(calibrated, restarts=False).fit(lit_scene.image, again.start)
     np.testing.assert_allclose(alone.landmarks, again.landmarks, atol=1e-6)
     assert (alone.status, alone.n_iterations, len(alone.history)) == (
         again.status,
@@ -82,27 +82,27 @@ def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(judged, 
     ("quality", "steps", "again"),
     [(0.3, 10, True), (0.3, 40, True), (0.7, 40, True), (0.7, 10, False), (0.85, 40, False), (np.nan, 40, False)],
 )
-def test_doubtful_fits_are_begun_again_and_slow_ones_of_little_quality(judged, lit_scene, quality, steps, again):
-    own = replace(judged.views[SURROUNDINGS].reliability, ordinary=0.9)  # 0.81 is little then
-    ours = Fitter(judged.with_view(SURROUNDINGS, reliability=own))
-    made = Fitter(judged, restarts=False).fit(lit_scene.image, disturb(lit_scene.landmarks))
+def test_doubtful_fits_are_begun_again_and_slow_ones_of_little_quality(calibrated, lit_scene, quality, steps, again):
+    own = replace(calibrated.views[SURROUNDINGS].reliability, typical=0.9)  # 0.81 is little then
+    ours = Fitter(calibrated.with_view(SURROUNDINGS, reliability=own))
+    made = Fitter(calibrated, restarts=False).fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert ours._falls_short(replace(made, quality=quality, n_iterations=steps)) is again
     few = replace(ours, options=SolverOptions(max_iterations=SLOW))
     assert not few._falls_short(replace(made, quality=quality, n_iterations=steps))
 
 
-def test_no_iterations_leave_the_start_as_it_is(judged, lit_scene):
+def test_no_iterations_leave_the_start_as_it_is(calibrated, lit_scene):
     start = disturb(lit_scene.landmarks, *FAR[0])
-    result = Fitter(judged, options=SolverOptions(max_iterations=0)).fit(lit_scene.image, start)
+    result = Fitter(calibrated, options=SolverOptions(max_iterations=0)).fit(lit_scene.image, start)
     assert result.n_starts == 1
     np.testing.assert_allclose(result.start, result.landmarks)
 
 
-def test_a_fit_that_ran_off_is_not_kept(judged, lit_scene, monkeypatch):
-    ours = Fitter(judged)
+def test_a_fit_that_ran_off_is_not_kept(calibrated, lit_scene, monkeypatch):
+    ours = Fitter(calibrated)
     start = disturb(lit_scene.landmarks, *FAR[0])
     target, _ = ours.target(lit_scene.image, start)
-    first = Fitter(judged, restarts=False).fit(lit_scene.image, start)
+    first = Fitter(calibrated, restarts=False).fit(lit_scene.image, start)
     off = replace(first, quality=1.0, landmarks=10 * first.landmarks)
     monkeypatch.setattr(Fitter, "_fit_from", lambda _self, _target: off)
     kept = ours._fit_again(target, first)
@@ -110,28 +110,30 @@ def test_a_fit_that_ran_off_is_not_kept(judged, lit_scene, monkeypatch):
     assert kept.n_starts > 1
 
 
-def test_an_ordinary_fit_ends_the_search(judged, lit_scene, monkeypatch):
-    ours, calls = Fitter(judged), []
+def test_a_typical_fit_ends_the_search(calibrated, lit_scene, monkeypatch):
+    ours, calls = Fitter(calibrated), []
     target, _ = ours.target(lit_scene.image, disturb(lit_scene.landmarks, *FAR[0]))
-    first = Fitter(judged, restarts=False).fit(lit_scene.image, target.start)
+    first = Fitter(calibrated, restarts=False).fit(lit_scene.image, target.start)
     good = replace(first, quality=0.99, landmarks=target.start)
     monkeypatch.setattr(Fitter, "_fit_from", lambda _self, _target: calls.append(1) or good)
     assert ours._fit_again(target, first).quality == 0.99
     assert len(calls) == 1
 
 
-def test_trackers_search_instead(judged):
-    tracker = Tracker(judged)
+def test_trackers_search_instead(calibrated):
+    tracker = Tracker(calibrated)
     assert not tracker.fitter.restarts
     assert not tracker._near.restarts
 
 
 @pytest.mark.parametrize(("far", "least"), [(FAR[0], 1), (FAR[1], 2)])
-def test_other_starts_lie_apart_and_within_reason(judged, lit_scene, far, least):
+def test_other_starts_lie_apart_and_within_reason(calibrated, lit_scene, far, least):
     start = disturb(lit_scene.landmarks, *far)
-    own = Fitter(judged)
+    own = Fitter(calibrated)
     target, _ = own.target(lit_scene.image, start)
-    shapes = other_starts(own.objectives[0], judged.views[SURROUNDINGS].levels[0].blur, target, SolverOptions(), kept=4)
+    shapes = other_starts(
+        own.objectives[0], calibrated.views[SURROUNDINGS].levels[0].blur, target, SolverOptions(), kept=4
+    )
     assert least <= len(shapes) <= 4
     for i, shape in enumerate(shapes):
         assert is_sane(shape, start)

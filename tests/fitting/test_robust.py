@@ -160,7 +160,7 @@ def test_kinks_of_noisy_samples_do_not_keep_it_from_settling(fine_model, lit_sce
         noisy = np.clip(lit_scene.image + rng.normal(0, 0.03, lit_scene.image.shape), 0, 1).astype(np.float32)
         problem, p = make_problem(fine_model, noisy, disturb(lit_scene.landmarks), objective)
         solution = solver.solve(objective, problem, objective.start(p), SolverOptions())
-        assert solution.settled
+        assert solution.converged
         assert solution.n_iterations <= 30
 
 
@@ -192,10 +192,10 @@ def test_scoring_steps_that_leave_more_are_not_taken(fine_model, lit_scene, monk
     objective = finest_objective(fine_model, "li+noise")
     problem, p = make_problem(fine_model, lit_scene.image, disturb(lit_scene.landmarks), objective)
     monkeypatch.setattr(solver, "SCORING_STEPS", 0)
-    plain = solver.solve(objective, problem, objective.start(p), SolverOptions(hurry=0.0))
+    plain = solver.solve(objective, problem, objective.start(p), SolverOptions(early_tolerance=0.0))
     monkeypatch.undo()
     monkeypatch.setattr(solver, "EXPECTED_RISE", 0.0)
-    kept = solver.solve(objective, problem, objective.start(p), SolverOptions(hurry=0.0))
+    kept = solver.solve(objective, problem, objective.start(p), SolverOptions(early_tolerance=0.0))
     np.testing.assert_array_equal(kept.path, plain.path)
     np.testing.assert_array_equal(kept.costs, plain.costs)
     np.testing.assert_array_equal(kept.angles, plain.angles)

@@ -30,14 +30,14 @@ def test_where_it_starts_does_not_matter(fine_model, lit_scene):
 
 
 def test_it_ends_at_the_zero_of_the_expected_gradients_equation(fine_model, lit_scene):
-    fitter = Fitter(fine_model, options=SolverOptions(tolerance=1e-4, notice=0.0))
+    fitter = Fitter(fine_model, options=SolverOptions(tolerance=1e-4, relative_tolerance=0.0))
     target, _ = fitter.target(lit_scene.image, disturb(lit_scene.landmarks))
     levels = [
         (objective, level.blur)
         for objective, level in zip(fitter.objectives, fine_model.views[SURROUNDINGS].levels, strict=True)
     ]
     objective, solution = levels[-1][0], solve_levels(levels, target, fitter.options)[-1].solution
-    assert solution.settled
+    assert solution.converged
     work = differentiate(objective, solution.work, expects=True)
     precision = objective.unit(work) / solution.scale * objective.prior
     step = np.linalg.solve(work.hessian + np.diag(precision), work.gradient + precision * solution.state.p)
@@ -150,6 +150,6 @@ def test_soft_li_fits_with_shapes_of_its_own(model, lit_scene):
     np.testing.assert_array_equal(soft.landmark_covariances, alone.landmark_covariances)
     np.testing.assert_array_equal(plain.landmarks, Fitter(model, "li").fit(lit_scene.image, start).landmarks)
     # What one method has found another can look at.
-    objective, solution = Fitter(both, "li").settled_at(lit_scene.image, soft)
+    objective, solution = Fitter(both, "li").solution_at(lit_scene.image, soft)
     assert objective.warp.n_parameters == len(plain.p)
     assert np.isfinite(solution.state.lam).all()

@@ -14,7 +14,7 @@ from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
 from setups import disturb, finest_objective, make_problem, model_pixels
 
-EXACT = {"tolerance": 1e-4, "hurry": 0.0, "max_iterations": 300, "shape_prior": 0.0}
+EXACT = {"tolerance": 1e-4, "early_tolerance": 0.0, "max_iterations": 300, "shape_prior": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -23,9 +23,9 @@ EXACT = {"tolerance": 1e-4, "hurry": 0.0, "max_iterations": 300, "shape_prior": 
         ({"elimination": "magic"}, "'magic' does not exist; there are varpro, joint"),
         ({"max_iterations": -1}, "of at least 0|from 0 to"),
         ({"tolerance": -0.1}, "of at least 0|from 0 to"),
-        ({"hurry": -0.1}, "of at least 0|from 0 to"),
-        ({"hurry": np.nan}, "finite"),
-        ({"notice": np.inf}, "finite"),
+        ({"early_tolerance": -0.1}, "of at least 0|from 0 to"),
+        ({"early_tolerance": np.nan}, "finite"),
+        ({"relative_tolerance": np.inf}, "finite"),
         ({"damping": -1.0}, "of at least 0|from 0 to"),
         ({"shape_prior": -1.0}, "of at least 0|from 0 to"),
     ],
@@ -67,7 +67,7 @@ def test_pure_gauss_newton_reaches_the_minimum_too(fine_model, lit_scene):
 
 @pytest.mark.parametrize("damping", [0.0, 1e-3])
 def test_iterations_are_never_exceeded(model, lit_scene, damping):
-    options = SolverOptions(max_iterations=3, tolerance=0.0, hurry=0.0, damping=damping)
+    options = SolverOptions(max_iterations=3, tolerance=0.0, early_tolerance=0.0, damping=damping)
     for scoring, most in ((0, 3), (None, 6)):  # so many of each kind
         fitter = Fitter(model, "li", replace(options, scoring=scoring))
         result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
@@ -77,7 +77,9 @@ def test_iterations_are_never_exceeded(model, lit_scene, damping):
 
 @pytest.mark.parametrize("method", ["soft-li", "li"])
 def test_a_step_within_the_tolerance_is_the_last(model, lit_scene, method):
-    fitter = Fitter(model, method, SolverOptions(tolerance=100.0, hurry=0.0, notice=0.0, scoring=0))
+    fitter = Fitter(
+        model, method, SolverOptions(tolerance=100.0, early_tolerance=0.0, relative_tolerance=0.0, scoring=0)
+    )
     result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert result.n_iterations == len(fitter.objectives)
 
@@ -90,7 +92,7 @@ def test_a_fit_that_sees_nothing_stays_where_it_is(model, lit_scene, method):
     start = objective.start(p)
     solution = solve(objective, problem, start._replace(lam=start.lam + 1.0), SolverOptions())
     assert solution.flat
-    assert not solution.settled
+    assert not solution.converged
     assert solution.costs.tolist() == [np.inf]
     np.testing.assert_array_equal(solution.state.p, p)
     assert not solution.state.lam.any()  # the mean appearance
@@ -173,7 +175,10 @@ def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
     starts = [disturb(lit_scene.landmarks, shift=shift) for shift in ((0.02, -0.015), (-0.02, 0.01), (0.0, 0.03))]
     patient, sparing = (
         [fitter.fit(lit_scene.image, start) for start in starts]
-        for fitter in (Fitter(fine_model, "soft-li", SolverOptions(notice=notice, hurry=0.0)) for notice in (0.0, 0.03))
+        for fitter in (
+            Fitter(fine_model, "soft-li", SolverOptions(relative_tolerance=relative_tolerance, early_tolerance=0.0))
+            for relative_tolerance in (0.0, 0.03)
+        )
     )
     assert sum(result.n_iterations for result in sparing) < sum(result.n_iterations for result in patient)
     for spared, full in zip(sparing, patient, strict=True):
@@ -183,22 +188,22 @@ def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
 
 def test_a_last_step_that_nobody_can_tell_is_taken_without_another_look(fine_model, lit_scene, monkeypatch):
     """Where another level follows; at the sharpest one the result is what is seen there."""
-    looks = []
+    evaluations = []
     objective = finest_objective(fine_model, "soft-li", "reference")
     problem, p = make_problem(fine_model, lit_scene.image, disturb(lit_scene.landmarks), objective, blur=1.0)
     template, row = objective.given
-    counted = row._replace(look=lambda *args: looks.append(args) or row.look(*args))
+    counted = row._replace(evaluate_residual=lambda *args: evaluations.append(args) or row.evaluate_residual(*args))
     monkeypatch.setitem(objective.__dict__, "given", (template, counted))
-    options = SolverOptions(tolerance=0.0, hurry=0.0)
-    sparing = solve(objective, problem, objective.start(p), options, look=False)
+    options = SolverOptions(tolerance=0.0, early_tolerance=0.0)
+    sparing = solve(objective, problem, objective.start(p), options, evaluate_last=False)
     # One for the start, and one for each step but the last.
-    assert sparing.settled
-    assert len(looks) == sparing.n_iterations
+    assert sparing.converged
+    assert len(evaluations) == sparing.n_iterations
     assert sparing.costs[-1] == sparing.costs[-2]
     assert not np.array_equal(sparing.path[-1], sparing.path[-2])
-    looks.clear()
-    whole = solve(objective, problem, objective.start(p), options, look=True)
-    assert len(looks) == whole.n_iterations + 1
+    evaluations.clear()
+    whole = solve(objective, problem, objective.start(p), options, evaluate_last=True)
+    assert len(evaluations) == whole.n_iterations + 1
     assert whole.costs[-1] != whole.costs[-2]
     np.testing.assert_array_equal(whole.path, sparing.path)
 
@@ -218,7 +223,7 @@ def test_a_patch_reaches_as_far_as_it_is_asked_to(fine_model, lit_scene):
 
 def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):
     start = disturb(lit_scene.landmarks)
-    fitter, dense = (Fitter(fine_model, "soft-li", SolverOptions(notice=0.0)) for _ in range(2))
+    fitter, dense = (Fitter(fine_model, "soft-li", SolverOptions(relative_tolerance=0.0)) for _ in range(2))
     dense.__dict__["objectives"] = tuple(objective.of_all_pixels for objective in dense.objectives)
     assert fitter.objectives[0].density < 0.1
     few, all_of_them = (each.fit(lit_scene.image, start) for each in (fitter, dense))

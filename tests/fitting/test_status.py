@@ -1,4 +1,4 @@
-"""A fit's status tells a shape unlike any in training from one that has merely not settled."""
+"""A fit's status tells a shape unlike any in training from one that has merely not converged."""
 
 import numpy as np
 import pytest

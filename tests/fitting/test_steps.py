@@ -97,7 +97,7 @@ def test_a_raised_step_is_nowhere_flatter_than_a_share_of_what_is_expected(
 
 @given(seed=seeds)
 def test_a_step_is_the_same_just_above_and_just_below_the_least_curvature(kernel, seed):
-    """Where all is steep enough the system is solved as it is, else by its axes: one formula."""
+    """Where all is image_slopes enough the system is solved as it is, else by its axes: one formula."""
     rng = np.random.default_rng(seed)
     base, gradient, free = symmetric(rng, np.geomspace(1.0, 50.0, 5)), rng.normal(size=5), np.ones(5, bool)
     root = np.linalg.cholesky(base)
@@ -281,7 +281,7 @@ def next_scale(kernel, hessian, p, prior, unit, freedom, scale, strength=1.0):
     return kernel.next_scale(hessian, p, prior, strength, unit, freedom, scale, *room)
 
 
-def settled(kernel, hessian, unit, prior, seen, freedom, strength=1.0):
+def converged(kernel, hessian, unit, prior, seen, freedom, strength=1.0):
     scale = 1.0
     for _ in range(3000 if kernel.name == "fast" else 300):
         p = np.linalg.solve(hessian / unit + np.diag(strength * prior / scale), hessian @ seen / unit)
@@ -306,13 +306,13 @@ def test_the_scale_is_the_most_probable_one(kernel, rng, scale, freedom):
         return 0.5 * (y @ np.linalg.solve(whole, y) + np.linalg.slogdet(whole)[1] + freedom * (np.log(s) + 1 / s))
 
     best = np.exp(minimize_scalar(unlikely, bounds=(-6, 6), method="bounded", options={"xatol": 1e-9}).x)
-    assert settled(kernel, hessian, unit, prior, seen, freedom) == pytest.approx(best, rel=1e-2)
+    assert converged(kernel, hessian, unit, prior, seen, freedom) == pytest.approx(best, rel=1e-2)
 
 
 def test_the_strength_of_a_prior_is_part_of_it(kernel, rng):
     hessian, unit, prior, seen = picture(rng, 1.0)
-    stronger = settled(kernel, hessian, unit, 4.0 * prior, seen, 3.0)
-    assert settled(kernel, hessian, unit, prior, seen, 3.0, strength=4.0) == pytest.approx(stronger, rel=1e-6)
+    stronger = converged(kernel, hessian, unit, 4.0 * prior, seen, 3.0)
+    assert converged(kernel, hessian, unit, prior, seen, 3.0, strength=4.0) == pytest.approx(stronger, rel=1e-6)
 
 
 def test_angles_do_not_count_for_the_scale(kernel, rng):
@@ -325,7 +325,7 @@ def test_angles_do_not_count_for_the_scale(kernel, rng):
 
 
 def test_many_degrees_of_freedom_leave_the_variances_as_they_are(kernel, rng):
-    assert settled(kernel, *picture(rng, 8.0), 1e9) == pytest.approx(1.0, abs=1e-6)
+    assert converged(kernel, *picture(rng, 8.0), 1e9) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_picture_that_tells_nothing_leaves_the_scale_alone(kernel, rng):

@@ -229,17 +229,17 @@ def test_a_safetensors_file_of_another_kind_is_refused(tmp_path):
     assert_refused(path, "is not a liaam model")
 
 
-@pytest.mark.parametrize("schema", [0, 1, 2, 99, None, "3"])
+@pytest.mark.parametrize("schema", [0, 1, 2, 3, 99, None, "4"])
 def test_another_schema_version_is_refused(tiny_file, tmp_path, schema):
     header, tensors = parts(tiny_file)
     path = forge(tmp_path / "old.liaam", header | {"schema": schema}, tensors)
-    assert_refused(path, f"schema version {schema}, this liaam reads version 3; train the model again")
+    assert_refused(path, f"schema version {schema}, this liaam reads version 4; train the model again")
 
 
 @pytest.mark.parametrize("size", [10**12, 2**62, 2**64 - 1])
 def test_a_forged_size_is_refused_without_asking_for_the_memory(tmp_path, size):
     header = {
-        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 3})},
+        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 4})},
         "mean": {"dtype": "F64", "shape": [size // 16, 2], "data_offsets": [0, size]},
     }
     text = json.dumps(header).encode()
@@ -728,8 +728,8 @@ def test_values_at_their_limits(tiny_file, tmp_path, change, words):
 RELIABILITY = {
     "landmarks": np.tile(np.eye(2), (4, 1, 1)),
     "weights": np.array([-1.0, 4.0, -0.5]),
-    "understated": np.array([1.5]),
-    "ordinary": np.array([0.75]),
+    "variance_factor": np.array([1.5]),
+    "typical": np.array([0.75]),
 }
 
 
@@ -748,19 +748,19 @@ def test_what_is_known_of_fits_is_kept(tiny_file, tmp_path):
         assert known is not None
         np.testing.assert_array_equal(known.landmarks, RELIABILITY["landmarks"])
         np.testing.assert_array_equal(known.weights, RELIABILITY["weights"])
-        assert (known.understated, known.ordinary) == (1.5, 0.75)
+        assert (known.variance_factor, known.typical) == (1.5, 0.75)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"understated": [1.0], "ordinary": [0.0]}, ""),
-        ({"ordinary": [1.0]}, ""),
-        ({"understated": [0.99]}, "reliability.understated is below 1"),
-        ({"ordinary": [-0.01]}, "reliability.ordinary is not a probability"),
-        ({"ordinary": [1.01]}, "reliability.ordinary is not a probability"),
-        ({"ordinary": [0.5, 0.5]}, "reliability.ordinary has type float64 and shape (2,)"),
-        ({"understated": [[1.0]]}, "reliability.understated has type float64 and shape (1, 1)"),
+        ({"variance_factor": [1.0], "typical": [0.0]}, ""),
+        ({"typical": [1.0]}, ""),
+        ({"variance_factor": [0.99]}, "reliability.variance_factor is below 1"),
+        ({"typical": [-0.01]}, "reliability.typical is not a probability"),
+        ({"typical": [1.01]}, "reliability.typical is not a probability"),
+        ({"typical": [0.5, 0.5]}, "reliability.typical has type float64 and shape (2,)"),
+        ({"variance_factor": [[1.0]]}, "reliability.variance_factor has type float64 and shape (1, 1)"),
         ({"weights": [1.0, 2.0]}, "reliability.weights has type float64 and shape (2,)"),
         ({"weights": [1.0, 2.0, np.inf]}, "reliability.weights has"),
         ({"landmarks": np.tile(-np.eye(2), (4, 1, 1))}, "reliability.landmarks has negative variances"),
@@ -773,15 +773,15 @@ def test_what_is_known_of_fits_is_checked(tiny_file, tmp_path, changes, words):
 
 
 def test_quality_is_a_probability_of_the_evidence():
-    known = Reliability(**{**RELIABILITY, "understated": 1.5, "ordinary": 0.8})
+    known = Reliability(**{**RELIABILITY, "variance_factor": 1.5, "typical": 0.8})
     assert known.quality(np.array([0.25, 0.0])) == 0.5
     assert known.quality(np.array([0.5, 1.0])) == pytest.approx(1 / (1 + np.exp(-0.5)))
     assert known.quality(np.array([1e9, 0.0])) == pytest.approx(1.0)
     assert 0 < known.quality(np.array([-1e9, 0.0])) < 1e-20
     assert known.quality(np.array([np.nan, 0.0])) == 0.0
-    assert known.little == pytest.approx(4 ** (2 / 3) / (1 + 4 ** (2 / 3)))  # two thirds of the log odds of 4 to 1
-    assert replace(known, ordinary=1.0).little == pytest.approx(1.0, abs=1e-5)
-    assert replace(known, ordinary=0.0).little == pytest.approx(0.0, abs=1e-5)
+    assert known.low == pytest.approx(4 ** (2 / 3) / (1 + 4 ** (2 / 3)))  # two thirds of the log odds of 4 to 1
+    assert replace(known, typical=1.0).low == pytest.approx(1.0, abs=1e-5)
+    assert replace(known, typical=0.0).low == pytest.approx(0.0, abs=1e-5)
 
 
 # What the header says
@@ -845,7 +845,7 @@ def test_a_header_that_is_no_header_is_refused(tmp_path, text):
 def test_types_that_numpy_lacks_are_refused(tmp_path, dtype):
     n_bytes = 12 if dtype == "BF16" else 6
     header = {
-        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 3})},
+        "__metadata__": {"liaam": json.dumps({"format": "liaam-aam", "schema": 4})},
         "mean": {"dtype": dtype, "shape": [3, 2], "data_offsets": [0, n_bytes]},
     }
     text = json.dumps(header).encode()

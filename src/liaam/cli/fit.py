@@ -104,7 +104,7 @@ def fit(
                 if not result.status.ok:
                     failed += 1
                     advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
-                if result.place_doubtful:
+                if result.detection_doubtful:
                     advice.setdefault(low_score, []).append(image.name)
     if table.row_count:
         console.print(table)

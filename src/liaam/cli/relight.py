@@ -166,7 +166,7 @@ def warn(image: Path, result: "FitResult", what: str) -> bool:
 
     if not result.status.ok:
         complain(f"{image.name}: {result.status}: {result.message.rstrip('.')}; {what} from this fit")
-    if result.place_doubtful:
+    if result.detection_doubtful:
         complain(f"{image.name}: {LOW_SCORE}")
     elif np.isnan(result.quality):
         place = "" if result.found is None else f", search score {result.found.score:.2f}"

@@ -35,7 +35,7 @@ def best_image_angle(objective: Objective, problem: FitProblem, state: State) ->
     float
         Best theta_2 within :data:`SEARCH` of theta_1, radians. The state's own theta_2 if no pixel is usable.
     """
-    seen, template = objective.look(problem, state), objective.template
+    seen, template = objective.evaluate(problem, state), objective.template
     root = seen.root.astype(np.float64)
     log_r, log_g, log_b = seen.values.reshape(-1, 8)[:, :3].astype(np.float64).T
     columns = np.stack([log_r - log_b, log_g - log_b, template.rows[0]]) * root

@@ -140,8 +140,8 @@ def _covariance(
 ) -> np.ndarray:
     """Return the inverse Fisher information of (p, free angles) with lambda marginalised."""
     method, n, n_p = objective.method, len(density), objective.warp.n_parameters
-    work, only_look = objective.work(objective.start(p)._replace(angles=angles)), SolverOptions(max_iterations=0)
-    objective.solve(problem, work, only_look.controls(expected=False, reweigh=False, look=True))
+    work, one_evaluation = objective.work(objective.start(p)._replace(angles=angles)), SolverOptions(max_iterations=0)
+    objective.solve(problem, work, one_evaluation.controls(expected=False, reweigh=False, evaluate_last=True))
     objective.equations(work)
     metric = method.image_metric(angles[1])
     noise = _channel_noise(work.values.reshape(n, -1)[:, : metric.shape[1]], method.encoding, problem.response, sigma)
@@ -152,7 +152,7 @@ def _covariance(
         each = rows.reshape(len(rows), n, method.n_rows)
         return np.einsum("nkr,jnr->jnk", whitening, each, optimize=True).reshape(len(rows), -1)
 
-    J = whitened(np.concatenate([jacobian(objective.warp, p, work.steep).T, work.columns]))
+    J = whitened(np.concatenate([jacobian(objective.warp, p, work.image_slopes).T, work.columns]))
     scale = np.square(J).sum(axis=1)
     if scale[n_p:].size:
         # One angle for both cameras: its column depends on the change of light and may be rounding error only.

@@ -47,7 +47,7 @@ from liaam.kernels.fields import Single1
 
 
 @compiled
-def look(template: Template, picture: Picture, row: Row, work: Work, solves: bool) -> None:
+def evaluate_residual(template: Template, picture: Picture, row: Row, work: Work, solves: bool) -> None:
     """Compute the residual of a state (eq 9), with the mean appearance only if lambda is to be solved for."""
     set_metric(row.metric, work.angles[1], work.metric, work.slope)
     if len(template.parts):
@@ -68,8 +68,8 @@ def sample_picture(template: Template, picture: Picture, work: Work) -> None:
     similarity, corner, between = picture.similarity, work.corner, work.between
     height, width, metric = picture.height, picture.width, work.metric
     place(mesh.beta, mesh.starts, mesh.triangles, work.points, similarity, height, width, corner, between)
-    values, residual, steep = work.values, work.residual, work.steep
-    sample(picture.pixels, width, corner, between, similarity, metric, values, residual, steep, work.usable)
+    values, residual, image_slopes = work.values, work.residual, work.image_slopes
+    sample(picture.pixels, width, corner, between, similarity, metric, values, residual, image_slopes, work.usable)
 
 
 @compiled
@@ -130,7 +130,7 @@ def by_loss(template: Template, row: Row, work: Work) -> None:
 @compiled
 def normalise_samples(row: Row, work: Work) -> None:
     """Compute the residual of the normalised samples, gain * E(I) + offset minus the appearance."""
-    project(work.values, work.metric, work.scales, work.residual, work.steep)
+    project(work.values, work.metric, work.scales, work.residual, work.image_slopes)
     take_off(work.residual, work.rows, work.lam)
 
 
@@ -138,11 +138,11 @@ def normalise_samples(row: Row, work: Work) -> None:
 def whiten(work: Work) -> None:
     """Compute noise weights at theta_2."""
     metric, slope, noise, by_errors = work.metric, work.slope, work.noise, work.by_model
-    root_by_noise(work.weighed, metric, slope, noise, by_errors, work.scales[UNIT], work.own, work.growth)
+    root_by_noise(work.weighed, metric, slope, noise, by_errors, work.scales[UNIT], work.own, work.own_derivative)
 
 
 @compiled
-def settle(template: Template, row: Row, work: Work, weighed: bool, solves: bool) -> None:
+def solve_lambda(template: Template, row: Row, work: Work, weighed: bool, solves: bool) -> None:
     """Sum squared residuals under the weights, after solving for lambda (A'A + ridge) dl = A'r if ``solves``."""
     if row.normalise:
         row.normalise_samples(row, work)
@@ -169,19 +169,19 @@ def settle(template: Template, row: Row, work: Work, weighed: bool, solves: bool
 @compiled
 def expect(template: Template, work: Work) -> None:
     """Compute the expected spatial gradient of the residual: that of the fitted appearance (eq 4)."""
-    combine(work.slopes, work.lam, work.at_rest)
+    combine(work.slopes, work.lam, work.appearance_slopes)
     mesh = template.warp
     vertices_at(mesh.rest, mesh.basis, work.p, work.points)
-    pull(mesh.starts, mesh.triangles, mesh.rest, work.points, work.at_rest, work.expected)
+    pull(mesh.starts, mesh.triangles, mesh.rest, work.points, work.appearance_slopes, work.expected)
 
 
 @compiled
-def sum_products(template: Template, work: Work, steep: Single1, expected: Single1) -> None:
+def sum_products(template: Template, work: Work, image_slopes: Single1, expected: Single1) -> None:
     """Sum the products E'J, A'J and E'r of the derivatives by p, and those of E with the columns of the angles."""
     mesh, n_p, n_free = template.warp, len(work.p), len(work.columns)
     fours, room = work.fours, work.room
     for f in range(n_free if n_free else 1):
-        weigh_columns(steep, work.root, work.residual, work.columns, f, fours)
+        weigh_columns(image_slopes, work.root, work.residual, work.columns, f, fours)
         add_squares(mesh.beta, mesh.starts, mesh.triangles, mesh.basis, fours, expected, room, work.squares)
         to_parameters(work.squares, mesh.basis, work.carried_squares)
         for i in range(n_p if n_free else 0):
@@ -197,15 +197,15 @@ def sum_products(template: Template, work: Work, steep: Single1, expected: Singl
 
 
 @compiled
-def differentiate(template: Template, row: Row, work: Work, steep: Single1, expected: Single1) -> None:
+def differentiate(template: Template, row: Row, work: Work, image_slopes: Single1, expected: Single1) -> None:
     """Compute the Hessian E'QJ and the gradient E'Qr (eq 10 and 5).
 
-    J follows from the spatial gradients ``steep`` and E from ``expected``, both (2 n k,) float32. If they differ, the
-    term eliminated is still that of J: E'J - (A'J)' (A'A)^-1 A'J.
+    J follows from the spatial gradients ``image_slopes`` and E from ``expected``, both (2 n k,) float32. If they
+    differ, the term eliminated is still that of J: E'J - (A'J)' (A'A)^-1 A'J.
     """
     if len(work.columns):
         row.add_angles(template, row, work)
-    sum_products(template, work, steep, expected)
+    sum_products(template, work, image_slopes, expected)
     eliminate(work.factor, work.aj, work.ar, work.hessian, work.gradient, work.eliminated, work.along)
 
 
@@ -214,9 +214,18 @@ def add_angles(template: Template, row: Row, work: Work) -> None:
     """Differentiate the residual by the free angles (eq 10), and sum the products of these columns."""
     n_p, by = len(work.p), row.directions
     for f in range(len(work.columns)):
-        column, values, growth, residual = work.columns[f], work.values, work.growth, work.residual
+        column, values, own_derivative, residual = work.columns[f], work.values, work.own_derivative, work.residual
         angle_column(
-            by[0, f], by[1, f], work.slope, values, growth, residual, template.parts, work.angles[0], work.lam, column
+            by[0, f],
+            by[1, f],
+            work.slope,
+            values,
+            own_derivative,
+            residual,
+            template.parts,
+            work.angles[0],
+            work.lam,
+            column,
         )
         with_modes(work.rows, work.root, column, work.line, work.lam_step)
         for j in range(len(work.lam)):

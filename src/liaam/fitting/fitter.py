@@ -19,7 +19,7 @@ from liaam.fitting.problem import MARGIN, NEAR, FitProblem
 from liaam.fitting.restarts import other_starts
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration
 from liaam.fitting.search import DOUBTFUL, LARGE, Candidate, Finder, are_apart
-from liaam.fitting.solver import Solution, SolverOptions, scored, settle_lambda
+from liaam.fitting.solver import Solution, SolverOptions, scored, solve_at
 from liaam.fitting.start import mapped_points, start_shape
 from liaam.model import AAM, Level, Reliability, View
 from liaam.model.mesh import folded_share
@@ -48,9 +48,9 @@ REACH = 0.35
 square error on left-out images. Measured on the spot protocol with simulated points, on average 5, 10 and 20 % of the
 distance between the eyes off: errors as with all levels, within 0.1 %."""
 
-MAPPED_HURRY = 1.0
-"""``SolverOptions.hurry`` of these fits, unless it is set: a start of known precision needs fewer steps. On the spot
-protocol two steps instead of three, and the same errors within 0.1 %."""
+MAPPED_TOLERANCE = 1.0
+"""``SolverOptions.early_tolerance`` of these fits, unless it is set: a start of known precision needs fewer steps. On
+the spot protocol two steps instead of three, and the same errors within 0.1 %."""
 
 USABLE_LIMIT = 0.25
 """Fraction of the object's pixels that must be usable."""
@@ -73,7 +73,7 @@ class Fitter:
     margin : float
         Margin around a start that fits may use, as a fraction of the object's diagonal; less for accurate starts.
     restarts : bool
-        Restart fits that are doubtful, or slow and of low quality (:attr:`liaam.model.Reliability.little`), from other
+        Restart fits that are doubtful, or slow and of low quality (:attr:`liaam.model.Reliability.low`), from other
         shapes (:func:`liaam.fitting.restarts.other_starts`), and keep the fit of highest quality. This finds more
         turned heads, at about ten times the time of a fit. It has no effect for methods and models without a quality,
         or if ``max_iterations`` is at most 25.
@@ -213,14 +213,16 @@ class Fitter:
     def _fit_from(self, target: Target) -> FitResult:
         levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
         if target.pull is None or self.model.points is None:
-            return self.judged(target.image, solve_levels(levels, target, self.options))
+            return self.result_of(target.image, solve_levels(levels, target, self.options))
         needed = [each for each in levels if each[1] <= REACH * self.model.points.deviation] or levels[-1:]
-        hurry = MAPPED_HURRY if self.options.hurry is None else self.options.hurry
-        return self.judged(target.image, solve_levels(needed, target, replace(self.options, hurry=hurry)))
+        early_tolerance = MAPPED_TOLERANCE if self.options.early_tolerance is None else self.options.early_tolerance
+        return self.result_of(
+            target.image, solve_levels(needed, target, replace(self.options, early_tolerance=early_tolerance))
+        )
 
     def _falls_short(self, result: FitResult) -> bool:
         """Return whether a fit has low quality, so that another start may be better."""
-        least = max(LEAST_QUALITY, self._little) if result.n_iterations > SLOW else LEAST_QUALITY
+        least = max(LEAST_QUALITY, self._low) if result.n_iterations > SLOW else LEAST_QUALITY
         return self._has_quality(result) and result.quality < least
 
     def _has_quality(self, result: FitResult) -> bool:
@@ -229,8 +231,8 @@ class Fitter:
         return self.reliability is not None and not result.status.unusable and not short
 
     @property
-    def _little(self) -> float:
-        return 0.0 if self.reliability is None else self.reliability.little
+    def _low(self) -> float:
+        return 0.0 if self.reliability is None else self.reliability.low
 
     def _region(self, init, image: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the corners of the region to search: all without a start, around a box, None for a shape."""
@@ -259,7 +261,7 @@ class Fitter:
         def prior(result: FitResult) -> float:
             return (diagonal_of(result.landmarks) / large) ** 2 if result.quality > 0 else 0.0
 
-        if not _with_prior(first, min(prior(first), 1.0)).quality >= self._little:
+        if not _with_prior(first, min(prior(first), 1.0)).quality >= self._low:
             for other in self.finder.others(target.image[low[1] : high[1], low[0] : high[0]], target.response):
                 there = target._replace(start=other.landmarks + low)
                 tried.append((self._fit_from(there), there, None if found is None else other))
@@ -271,13 +273,13 @@ class Fitter:
         return replace(best, n_starts=len(tried)), min(own, 1.0) * shared, its_target, its_start
 
     def _fit_again(self, target: Target, first: FitResult) -> FitResult:
-        """Return the best fit by quality, of the first and those from other starts; stop at an ordinary quality."""
+        """Return the best fit by quality, of the first and those from other starts; stop at a typical quality."""
         known, best, n_starts = self.reliability, first, first.n_starts
         for start in other_starts(self.objectives[0], self._levels[0].blur, target, self.options):
             other, n_starts = self._fit_from(target._replace(start=start)), n_starts + 1
             if other.quality > best.quality and is_sane(other.landmarks, target.start):
                 best = other
-            if known is not None and best.quality >= known.ordinary:
+            if known is not None and best.quality >= known.typical:
                 break
         return replace(best, n_starts=n_starts)
 
@@ -309,7 +311,7 @@ class Fitter:
         """Precision of the parameters of landmarks that are mapped from another landmarker's points, (n_p, n_p)."""
         return None if self.model.points is None else self.model.points.precision(self.shapes)
 
-    def settled_at(self, image, result: FitResult) -> tuple[Objective, Solution]:
+    def solution_at(self, image, result: FitResult) -> tuple[Objective, Solution]:
         """Evaluate a result at all pixels of the sharpest level, with the best lambda there.
 
         Parameters
@@ -328,7 +330,7 @@ class Fitter:
         objective, problem, state = self._end_of(result, image)
         if self._method.free_angles == "image" and not np.isfinite(result.theta):
             state = state._replace(angles=np.array([state.angles[0], best_image_angle(objective, problem, state)]))
-        return objective, settle_lambda(objective, problem, state, self.options)
+        return objective, solve_at(objective, problem, state, self.options)
 
     def residual(self, image, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
         """Compute the residual (paper eq 9) in the method's encoding, at all pixels of the sharpest level.
@@ -353,7 +355,7 @@ class Fitter:
             objective, problem, state = self._end_of(result, image)
             if len(result.lam) == objective.n_lambda:  # else the fit did not reach the sharpest level
                 state = state._replace(lam=result.lam)
-            work = objective.look(problem, state, weigh=int(self._method.normalise))
+            work = objective.evaluate(problem, state, weigh=int(self._method.normalise))
             usable[kept] = work.usable
             residual[kept] = np.where(work.usable[:, None] > 0, work.residual.reshape(-1, k), 0.0)
         return residual, usable
@@ -393,13 +395,13 @@ class Fitter:
     def _camera(self) -> CameraModel:
         return self.model.camera if self.camera is None else self.camera
 
-    def judged(self, image: np.ndarray, stages: Sequence[Stage]) -> FitResult:
+    def result_of(self, image: np.ndarray, stages: Sequence[Stage]) -> FitResult:
         """Make the result of a fit from its stages: compute status, quality and covariances."""
         stage, has_angle = stages[-1], self._method.has_angles
         solution, history = stage.solution, trace(stages)
         known = self.reliability
         spread = covariance(stage, self.options.shape_prior / solution.scale)
-        spread = spread if known is None else known.understated * spread
+        spread = spread if known is None else known.variance_factor * spread
         seen = evidence(stage)
         status = self._status(image, history, stage)
         quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
@@ -441,7 +443,7 @@ class Fitter:
             return FitStatus.DIVERGED
         if solution.flat:
             return FitStatus.NO_TEXTURE
-        if not solution.settled:
+        if not solution.converged:
             return FitStatus.MAX_ITERATIONS
         return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
 

@@ -2,7 +2,7 @@
 
 A pixel moves only with the three vertices of its triangle (eq 3), so its row of derivatives by the vertices,
 
-    dr(x) / d(vertex v) = beta_v(x) steep(x),
+    dr(x) / d(vertex v) = beta_v(x) image_slopes(x),
 
 has six non-zero entries. Products are summed by triangle, and mapped to the warp's parameters at the end.
 
@@ -76,7 +76,7 @@ def angle_column(
     by_image: float,
     slope: Single1,
     values: Single1,
-    growth: Single1,
+    own_derivative: Single1,
     residual: Single1,
     parts: Single3,
     theta: float,
@@ -93,7 +93,7 @@ def angle_column(
         Derivatives of theta_1 and theta_2 by the free angle.
     slope : (8 k,) float32
         dP/dtheta_2.
-    values, growth, residual : (8 n,), (n k,) or empty, (n k,) float32
+    values, own_derivative, residual : (8 n,), (n k,) or empty, (n k,) float32
         See :class:`liaam.fitting.level.Work`.
     parts : (3, 1 + m, n k) float32
         See :attr:`liaam.fitting.level.Template.parts`.
@@ -107,8 +107,8 @@ def angle_column(
         i, r, change = e // k, e % k, F(0.0)
         for c in range(SIZE - 1):
             change += slope[SIZE * r + c] * values[SIZE * i + c]
-        if len(growth):
-            change += growth[e] * residual[e]
+        if len(own_derivative):
+            change += own_derivative[e] * residual[e]
         out[e] = F(by_image) * change
     along, across = F(by_model * np.cos(theta)), F(by_model * np.sin(theta))
     for j in range(parts.shape[1]):
@@ -119,11 +119,13 @@ def angle_column(
 
 
 @compiled
-def weigh_columns(steep: Single1, root: Single1, residual: Single1, columns: Single2, f: int, fours: Single1) -> None:
-    """Write w^2 (steep x, steep y, residual, angle column f or 0) for each residual, (4 n k + 8,) float32."""
+def weigh_columns(
+    image_slopes: Single1, root: Single1, residual: Single1, columns: Single2, f: int, fours: Single1
+) -> None:
+    """Write w^2 (slope by x, by y, residual, angle column f or 0) for each residual, (4 n k + 8,) float32."""
     for e in range(len(root)):
         square = root[e] * root[e]
-        fours[4 * e], fours[4 * e + 1] = square * steep[2 * e], square * steep[2 * e + 1]
+        fours[4 * e], fours[4 * e + 1] = square * image_slopes[2 * e], square * image_slopes[2 * e + 1]
         fours[4 * e + 2] = square * residual[e]
         fours[4 * e + 3] = square * columns[f, e] if len(columns) else F(0.0)
 

@@ -26,10 +26,10 @@ def get_kernel(name: str = "fast") -> SimpleNamespace:
     if name not in KERNELS:
         raise MethodError(f"kernel {name!r} does not exist; there are {', '.join(KERNELS)}")
     # Imported here: numba is slow to import.
-    from liaam.fitting import equations, evaluate, jacobian, loop, reference, residual, steps, weights
+    from liaam.fitting import equations, evaluate, jacobian, loop, proposal, reference, residual, steps, weights
     from liaam.kernels.compiled import Record
 
-    core = (equations, weights, residual, jacobian, evaluate, steps, loop)
+    core = (equations, weights, residual, jacobian, evaluate, steps, proposal, loop)
     names = {key: value for module in core for key, value in vars(module).items() if not key.startswith("__")}
     names["by_reference"] = Record
     if name == "fast":

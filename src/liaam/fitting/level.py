@@ -119,12 +119,12 @@ class Row(NamedTuple):
     """Median magnitude of a Gaussian residual (root mean square over the rows), in standard deviations."""
     normalise: bool
     """Bring samples to the mean and standard deviation of the mean appearance."""
-    look: Callable[["Template", Picture, "Row", "Work", bool], None]
+    evaluate_residual: Callable[["Template", Picture, "Row", "Work", bool], None]
     """This and the functions below are those of :mod:`liaam.fitting.evaluate`; :func:`without` if not used."""
     turn: Callable[["Template", "Work"], None]
     weigh: Callable[["Template", Picture, "Row", "Work"], bool]
     weigh_by_loss: Callable[["Template", "Row", "Work"], None]
-    settle: Callable[["Template", "Row", "Work", bool, bool], None]
+    solve_lambda: Callable[["Template", "Row", "Work", bool, bool], None]
     normalise_samples: Callable[["Row", "Work"], None]
     whiten: Callable[["Work"], None]
     expect: Callable[["Template", "Work"], None]
@@ -140,10 +140,10 @@ class Controls(NamedTuple):
 
     max_iterations: int
     tolerance: float
-    loose: float
-    """Larger tolerance for the first ``quick`` steps: a fit that gets so near so soon is not a difficult one."""
-    quick: int
-    notice: float
+    early_tolerance: float
+    """Larger tolerance for the first ``early_steps`` steps: a fit that gets so near so soon is not a difficult one."""
+    early_steps: int
+    relative_tolerance: float
     damping: float
     shape_prior: float
     observable: float
@@ -155,7 +155,7 @@ class Controls(NamedTuple):
     """Update the weights between steps."""
     solve: bool
     """Solve for lambda at the first state; else keep it."""
-    look: bool
+    evaluate_last: bool
     """Evaluate the residual once more after a last step that is too short to matter."""
 
 
@@ -188,7 +188,7 @@ class Work(NamedTuple):
     """(8 n,) float32: samples of the image's channels."""
     residual: Single1
     """(n k,) float32."""
-    steep: Single1
+    image_slopes: Single1
     """(2 n k,) float32: spatial gradient of the residual, model pixels."""
     usable: Single1
     """(n,) float32: the image's weight, 0 or 1."""
@@ -196,7 +196,7 @@ class Work(NamedTuple):
     """(n k,) float32: square root of the weights without noise weights, which depend on theta_2."""
     own: Single1
     """(n k,) float32: square root of the weights, before unusable pixels are set to 0."""
-    growth: Single1
+    own_derivative: Single1
     """(n k,) float32: relative derivative of ``own`` by theta_2; empty if it does not depend on theta_2."""
     root: Single1
     """(n k,) float32: square root of the weights, 0 at unusable pixels."""
@@ -214,8 +214,8 @@ class Work(NamedTuple):
     """(2, 2) float64: unexplained variance of gradients and colour, when weights were last computed and now."""
     scales: Double1
     """(7,) float64: variance at weight 1 (NaN if the weights define none), gain and offset of the samples, gain in
-    ``steep``, scale of the prior, lower bound on the curvature (:data:`LEAST_CURVATURE`), and the factor that converts
-    ``Picture.pull`` to units of squared residuals."""
+    ``image_slopes``, scale of the prior, lower bound on the curvature (:data:`LEAST_CURVATURE`), and the factor that
+    converts ``Picture.pull`` to units of squared residuals."""
     gram: Double2
     """(m, m) float64: A'A under ``own``."""
     factor: Double2
@@ -226,7 +226,7 @@ class Work(NamedTuple):
     """(2,) float64: r'r and the sum of the weights."""
     expected: Single1
     """(2 n k,) float32: expected spatial gradient of the residual, model pixels."""
-    at_rest: Single1
+    appearance_slopes: Single1
     """(2 n k,) float32: spatial gradient of the fitted appearance, in the reference frame."""
     columns: Single2
     """(n_free, n k) float32: derivatives by the free angles."""
@@ -299,7 +299,7 @@ class Outcome(NamedTuple):
     """Accepted and refused steps."""
     moved: float
     """Root mean square movement of the landmarks by the last accepted step, model pixels."""
-    settled: bool
+    converged: bool
     """The loop converged: the last step was too small to matter."""
     held: bool
     """An angle, or the common turn of both, was unobservable at the end and kept fixed."""

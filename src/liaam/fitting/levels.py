@@ -19,9 +19,9 @@ from liaam.photometry import NoiseModel, Response
 SCALE_LIMITS = (1 / 3, 3.0)
 """Limits on the change of size from the start; beyond them a fit has diverged."""
 
-COARSE, COARSE_NOTICE = 10.0, 5.0
-"""Factors on ``tolerance`` and ``notice`` at all levels but the finest. With 10 for ``notice``, 4 % of the fits from
-distant starts are lost instead of 1 %."""
+COARSE, COARSE_RELATIVE = 10.0, 5.0
+"""Factors on ``tolerance`` and ``relative_tolerance`` at all levels but the finest. With 10 for the second, 4 % of the
+fits from distant starts are lost instead of 1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def solve_levels(levels: Sequence[tuple[Objective, float]], target: Target, opti
         last = objective is levels[-1][0]
         own = options if last else spare(options)
         problem, state, pose = prepare_level(objective, blur, target, stages, own)
-        stages.append(Stage(objective, problem, pose, solve(objective, problem, state, own, look=last)))
+        stages.append(Stage(objective, problem, pose, solve(objective, problem, state, own, evaluate_last=last)))
         if not is_sane(stages[-1].reached, target.start):
             break
     return stages
@@ -139,8 +139,8 @@ def prepare_level(
 def spare(options: SolverOptions) -> SolverOptions:
     """Return looser options for a coarse level, whose solution only starts the next."""
     scoring = None if options.scoring is None else 0
-    tolerance, notice = COARSE * options.tolerance, COARSE_NOTICE * options.notice
-    return replace(options, tolerance=tolerance, notice=notice, scoring=scoring)
+    tolerance, relative_tolerance = COARSE * options.tolerance, COARSE_RELATIVE * options.relative_tolerance
+    return replace(options, tolerance=tolerance, relative_tolerance=relative_tolerance, scoring=scoring)
 
 
 def _first_angles(

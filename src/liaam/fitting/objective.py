@@ -117,11 +117,11 @@ class Objective:
             loss=loss,
             median=gaussian_median(method.n_rows) if loss >= 0 else 1.0,
             normalise=method.normalise,
-            look=kernel.look,
+            evaluate_residual=kernel.evaluate_residual,
             turn=kernel.turn_model if self._turns else without,
             weigh=weigh.get(method.weights, kernel.by_model) if method.reweighs else without,
             weigh_by_loss=kernel.by_loss if loss >= 0 else without,
-            settle=kernel.settle,
+            solve_lambda=kernel.solve_lambda,
             normalise_samples=kernel.normalise_samples if method.normalise else without,
             whiten=kernel.whiten if noisy else without,
             expect=kernel.expect if method.expects else without,
@@ -202,11 +202,11 @@ class Objective:
             between=single(3 * n),
             values=single(WIDE * n),
             residual=single(e),
-            steep=single(2 * e),
+            image_slopes=single(2 * e),
             usable=single(n),
             weighed=template.own.copy(),
             own=template.own.copy(),
-            growth=single(e if noisy and n_free else 0),
+            own_derivative=single(e if noisy and n_free else 0),
             root=single(e),
             noise=np.zeros(WIDE * noisy, np.float32),
             by_model=np.ones(noisy),
@@ -220,7 +220,7 @@ class Objective:
             ar=np.empty(m),
             sums=np.zeros(2),
             expected=single(2 * e if self.method.expects else 0),
-            at_rest=single(2 * e if self.method.expects else 0),
+            appearance_slopes=single(2 * e if self.method.expects else 0),
             columns=single(n_free, e),
             aj=np.zeros((m, n_q)),
             hessian=np.zeros((n_q, n_q)),
@@ -336,24 +336,24 @@ class Objective:
         """Return a state with the mean appearance and the model's angle for both cameras."""
         return State(np.array(p, np.float64), np.full(2, self.theta_model), np.zeros(self.n_lambda))
 
-    def look(self, problem: FitProblem, state: State, weigh: int = 0) -> Work:
+    def evaluate(self, problem: FitProblem, state: State, weigh: int = 0) -> Work:
         """Evaluate the residual of a state without solving for lambda, and update the weights ``weigh`` times."""
         kernel, work = get_kernel(self.kernel), self.work(state)
         (template, row), seen = self.given, kernel.by_reference(work)
         picture = kernel.by_reference(self.picture(problem))
-        kernel.look(template, picture, row, seen, False)
-        kernel.settle(template, row, seen, False, False)
+        kernel.evaluate_residual(template, picture, row, seen, False)
+        kernel.solve_lambda(template, row, seen, False, False)
         for _ in range(weigh if self.method.reweighs else 0):
             if self.row.weigh(template, picture, row, seen):
                 if self.row.loss >= 0:
                     self.row.weigh_by_loss(template, row, seen)
-                kernel.settle(template, row, seen, True, False)
+                kernel.solve_lambda(template, row, seen, True, False)
         return work
 
     def equations(self, work: Work) -> tuple[np.ndarray, np.ndarray]:
         """Return the Hessian J'QJ (n_q, n_q) and the gradient J'Qr (n_q,) of eq 5, from the image's own gradient."""
         kernel = get_kernel(self.kernel)
-        kernel.differentiate(*self.given, kernel.by_reference(work), work.steep, work.steep)
+        kernel.differentiate(*self.given, kernel.by_reference(work), work.image_slopes, work.image_slopes)
         return work.hessian, work.gradient
 
     def unit(self, work: Work) -> float:
@@ -373,8 +373,8 @@ class Objective:
         template, row = self.given
         picture, controls, there = map(kernel.by_reference, (self.picture(problem), controls, work))
         kernel.solve_level(template, picture, row, controls, there)
-        n_taken, n_tried, moved, settled, held, flat = work.outcome.tolist()
-        return Outcome(int(n_taken), int(n_tried), moved, bool(settled), bool(held), bool(flat))
+        n_taken, n_tried, moved, converged, held, flat = work.outcome.tolist()
+        return Outcome(int(n_taken), int(n_tried), moved, bool(converged), bool(held), bool(flat))
 
 
 THINNING = 1.5

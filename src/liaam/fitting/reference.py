@@ -31,8 +31,8 @@ def sample_picture(template: Template, picture: Picture, work: Work) -> None:
     values, gradients, work.usable[:] = sample(picture.pixels.reshape(picture.height, picture.width, 8), points)
     by_x, by_y = gradients[:, 0] @ metric.T, gradients[:, 1] @ metric.T  # per image pixel
     work.values[:], work.residual[:] = values.ravel(), (values @ metric.T).ravel()
-    work.steep[0::2] = (by_x * matrix[0, 0] + by_y * matrix[1, 0]).ravel()
-    work.steep[1::2] = (by_x * matrix[0, 1] + by_y * matrix[1, 1]).ravel()
+    work.image_slopes[0::2] = (by_x * matrix[0, 0] + by_y * matrix[1, 0]).ravel()
+    work.image_slopes[1::2] = (by_x * matrix[0, 1] + by_y * matrix[1, 1]).ravel()
 
 
 def turn(parts: np.ndarray, theta: float, rows: np.ndarray) -> None:
@@ -46,13 +46,13 @@ def transpose(rows: np.ndarray, lines: np.ndarray) -> None:
 
 
 def project(
-    values: np.ndarray, metric: np.ndarray, scales: np.ndarray, projected: np.ndarray, steep: np.ndarray
+    values: np.ndarray, metric: np.ndarray, scales: np.ndarray, projected: np.ndarray, image_slopes: np.ndarray
 ) -> None:
     """Project gain * E(I) + offset."""
     metric = metric.reshape(-1, 8)[:, :7].astype(np.float64)
     shown = values.reshape(-1, 8)[:, :7] @ metric.T
     projected[:] = (scales[1] * shown + scales[2] * metric.sum(axis=1)).ravel()
-    steep *= np.float32(scales[1] / scales[3])
+    image_slopes *= np.float32(scales[1] / scales[3])
     scales[3] = scales[1]
 
 
@@ -102,22 +102,22 @@ def factorise(
 
 def expect(template: Template, work: Work) -> None:
     """Compute the spatial gradient of the fitted appearance, transformed to the image."""
-    at_rest = np.concatenate([[1.0], work.lam]) @ work.slopes
-    work.expected[:] = template.warp.pulled(at_rest.reshape(len(work.usable), 2, -1), work.p).ravel()
+    appearance_slopes = np.concatenate([[1.0], work.lam]) @ work.slopes
+    work.expected[:] = template.warp.pulled(appearance_slopes.reshape(len(work.usable), 2, -1), work.p).ravel()
 
 
-def jacobian(warp: Warp, p: np.ndarray, steep: np.ndarray) -> np.ndarray:
+def jacobian(warp: Warp, p: np.ndarray, image_slopes: np.ndarray) -> np.ndarray:
     """Return dr/dp = dr/dW dW/dp (eq 10), (n k, n_p) float64, from spatial gradients dr/dW (2 n k,)."""
     by_warp = warp.jacobian(p)
-    by_x, by_y = np.moveaxis(steep.reshape(len(by_warp), -1, 2, 1).astype(np.float64), 2, 0)
+    by_x, by_y = np.moveaxis(image_slopes.reshape(len(by_warp), -1, 2, 1).astype(np.float64), 2, 0)
     return (by_x * by_warp[:, None, 0] + by_y * by_warp[:, None, 1]).reshape(-1, by_warp.shape[2])
 
 
-def sum_products(template: Template, work: Work, steep: np.ndarray, expected: np.ndarray) -> None:
+def sum_products(template: Template, work: Work, image_slopes: np.ndarray, expected: np.ndarray) -> None:
     """Compute E'J, A'J and E'r, and E' times the columns of the angles."""
     n_p, root = len(work.p), work.root[:, None].astype(np.float64)
-    J = root * jacobian(template.warp, work.p, steep)
-    E = J if expected is steep else root * jacobian(template.warp, work.p, expected)
+    J = root * jacobian(template.warp, work.p, image_slopes)
+    E = J if expected is image_slopes else root * jacobian(template.warp, work.p, expected)
     by_angles = root * work.columns.T
     work.hessian[:n_p, :n_p] = E.T @ J
     work.hessian[:n_p, n_p:] = E.T @ by_angles
@@ -145,7 +145,7 @@ def angle_column(
     by_image: float,
     slope: np.ndarray,
     values: np.ndarray,
-    growth: np.ndarray,
+    own_derivative: np.ndarray,
     residual: np.ndarray,
     parts: np.ndarray,
     theta: float,
@@ -154,7 +154,7 @@ def angle_column(
 ) -> None:
     """Differentiate the weighted residual by an angle, divided by the square root of the weight."""
     change = (values.reshape(-1, 8)[:, :7] @ slope.reshape(-1, 8)[:, :7].T).ravel()
-    out[:] = by_image * (change + (growth * residual if len(growth) else 0.0))
+    out[:] = by_image * (change + (own_derivative * residual if len(own_derivative) else 0.0))
     if len(parts):
         out -= by_model * (np.concatenate([[1.0], lam]) @ (np.cos(theta) * parts[2] - np.sin(theta) * parts[1]))
 
@@ -297,15 +297,15 @@ def root_by_noise(
     by_model: np.ndarray,
     unit: float,
     own: np.ndarray,
-    growth: np.ndarray,
+    own_derivative: np.ndarray,
 ) -> None:
     """Compute the square root of noise weights at an angle, and its relative derivative."""
-    steep, by_angle = (part.reshape(-1, 8).astype(np.float64) for part in (metric, slope))
+    at_angle, by_angle = (part.reshape(-1, 8).astype(np.float64) for part in (metric, slope))
     channels = noise.reshape(len(by_model), 8).astype(np.float64)
-    variance = channels @ np.square(steep).T + by_model[:, None]
+    variance = channels @ np.square(at_angle).T + by_model[:, None]
     own[:] = weighed * np.sqrt(unit / variance).ravel()
-    if len(growth):
-        growth[:] = (-(channels @ (steep * by_angle).T) / variance).ravel()
+    if len(own_derivative):
+        own_derivative[:] = (-(channels @ (at_angle * by_angle).T) / variance).ravel()
 
 
 def loss_weights(loss: int, u: np.ndarray) -> np.ndarray:

@@ -37,9 +37,9 @@ underestimate the tails. On generated scenes with 20 images left out, the 95 % e
 TAIL."""
 
 RARE = 0.05
-"""Fraction of right fits whose quality is below :attr:`liaam.model.Reliability.ordinary`."""
+"""Fraction of right fits whose quality is below :attr:`liaam.model.Reliability.typical`."""
 
-MOST_UNDERSTATED = 10.0
+LARGEST_FACTOR = 10.0
 """Largest factor on a fit's own variances. Images without noise may suggest any factor, too large for noisy ones."""
 
 
@@ -100,11 +100,11 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     weights = _weights(np.array(seen), np.array(right))
     if not weights[1] > 0:  # quality must increase with the explained contrast
         return None
-    understated = _understated(np.array(surprises))
-    landmarks = _landmarks(np.array(errors), understated * np.array(spreads))
-    made = Reliability(_larger(landmarks, _by_shape(model)), weights, understated)
+    variance_factor = _variance_factor(np.array(surprises))
+    landmarks = _landmarks(np.array(errors), variance_factor * np.array(spreads))
+    made = Reliability(_larger(landmarks, _by_shape(model)), weights, variance_factor)
     qualities = [made.quality(own) for own, is_right in zip(seen, right, strict=True) if is_right]
-    return replace(made, ordinary=float(np.quantile(qualities, RARE)))
+    return replace(made, typical=float(np.quantile(qualities, RARE)))
 
 
 def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
@@ -150,10 +150,10 @@ def _surprise(error: np.ndarray, spread: np.ndarray) -> float:
         return np.nan
 
 
-def _understated(surprises: np.ndarray) -> float:
+def _variance_factor(surprises: np.ndarray) -> float:
     """Return the factor on a fit's own variances: a geometric mean of surprises (m,), shrunk to 1 if there are few."""
     logs = np.log(np.maximum(surprises[np.isfinite(surprises)], 1e-6))
-    return float(np.clip(np.exp(logs.sum() / (len(logs) + SHRINK)), 1.0, MOST_UNDERSTATED))
+    return float(np.clip(np.exp(logs.sum() / (len(logs) + SHRINK)), 1.0, LARGEST_FACTOR))
 
 
 def _landmarks(errors: np.ndarray, spreads: np.ndarray) -> np.ndarray:

@@ -119,7 +119,7 @@ def sample(
     metric: Single1,
     values: Single1,
     projected: Single1,
-    steep: Single1,
+    image_slopes: Single1,
     usable: Single1,
 ) -> None:
     """Sample an image bilinearly at the points of :func:`place`, and project samples and gradients by P(theta_2).
@@ -133,7 +133,7 @@ def sample(
     metric : (8 k,) float32
     values : (8 n,) float32
     projected : (n k,) float32
-    steep : (2 n k,) float32
+    image_slopes : (2 n k,) float32
         Derivatives of ``projected`` by x and y, model pixels.
     usable : (n,) float32
     """
@@ -155,11 +155,11 @@ def sample(
         for r in range(k):
             weigh, e = load(metric, SIZE * r), i * k + r
             projected[e] = total(weigh * value)
-            steep[2 * e], steep[2 * e + 1] = total(weigh * by_x), total(weigh * by_y)
+            image_slopes[2 * e], image_slopes[2 * e + 1] = total(weigh * by_x), total(weigh * by_y)
 
 
 @compiled
-def project(values: Single1, metric: Single1, scales: Double1, projected: Single1, steep: Single1) -> None:
+def project(values: Single1, metric: Single1, scales: Double1, projected: Single1, image_slopes: Single1) -> None:
     """Project samples (8 n,) as gain * E(I) + offset, and scale their derivatives by the gain.
 
     Gain, offset and the current gain of the derivatives are in ``scales`` (:attr:`liaam.fitting.level.Work.scales`).
@@ -171,8 +171,8 @@ def project(values: Single1, metric: Single1, scales: Double1, projected: Single
             shown += metric[SIZE * r + c] * values[SIZE * i + c]
             shift += metric[SIZE * r + c]
         projected[e] = gain * shown + F(scales[2]) * shift
-        steep[2 * e] *= more
-        steep[2 * e + 1] *= more
+        image_slopes[2 * e] *= more
+        image_slopes[2 * e + 1] *= more
     scales[3] = scales[1]
 
 

@@ -70,7 +70,7 @@ def other_starts(
     def reached(p: np.ndarray, moved: Sequence[float] = (0.0, 0.0)) -> Stage:
         shape = warp.shape(p) + np.array(moved) * diagonal_of(warp.rest)
         start = state._replace(p=warp.parameters(shape))
-        return Stage(objective, problem, pose, solve(objective, problem, start, options, look=False))
+        return Stage(objective, problem, pose, solve(objective, problem, start, options, evaluate_last=False))
 
     mean = state.p.copy()
     mean[:n_modes] = 0.0

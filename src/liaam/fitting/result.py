@@ -215,7 +215,7 @@ class FitResult:
         return np.sqrt(0.5 * np.trace(self.landmark_covariances, axis1=1, axis2=2))
 
     @property
-    def place_doubtful(self) -> bool:
+    def detection_doubtful(self) -> bool:
         """Whether the detection is uncertain, and the quality does not show that the fit is right."""
         return self.found is not None and self.found.doubtful and not self.quality >= LEAST_QUALITY
 
@@ -247,7 +247,7 @@ class FitResult:
             "start": "given" if self.found is None else "searched",
             "starts_tried": self.n_starts,
             "search_score": None if self.found is None else self.found.score,
-            "search_doubtful": None if self.found is None else self.place_doubtful,
+            "search_doubtful": None if self.found is None else self.detection_doubtful,
             "method": self.method.name,
             "status": str(self.status),
             "message": self.message,

@@ -264,10 +264,10 @@ def free_entries(
     n_free = directions.shape[1]
     if not n_free:
         return True
-    n_p, steep, size = len(free) - n_free, 0.0, 0.0
+    n_p, image_slopes, size = len(free) - n_free, 0.0, 0.0
     for c in range(len(metric)):
-        steep, size = steep + slope[c] * slope[c], size + metric[c] * metric[c]
-    noise = sums[0] * steep / size + 1e-12 * sums[1]
+        image_slopes, size = image_slopes + slope[c] * slope[c], size + metric[c] * metric[c]
+    noise = sums[0] * image_slopes / size + 1e-12 * sums[1]
     limit = OBSERVABLE_APART if observable > OBSERVABLE_APART else observable  # 0 keeps all free, as in the paper
     own = hessian[n_p, n_p]
     if n_free == 1:

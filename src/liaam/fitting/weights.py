@@ -334,9 +334,9 @@ def root_by_noise(
     by_model: Double1,
     unit: float,
     own: Single1,
-    growth: Single1,
+    own_derivative: Single1,
 ) -> None:
-    """Compute the square root of noise weights at theta_2 and its relative derivative (``growth``, empty to skip).
+    """Compute the square root of noise weights at theta_2 and its relative derivative (empty to skip).
 
     The derivative of the weights is part of eq 10 here, because var L(theta) depends on the angle. With weights fixed
     at the last angle, the sum of squares is biased towards angles of low noise.
@@ -346,12 +346,12 @@ def root_by_noise(
         for r in range(k):
             variance, change = by_model[i], 0.0
             for c in range(SIZE):
-                steep, by_noise = metric[SIZE * r + c], noise[SIZE * i + c]
-                variance += steep * steep * by_noise
-                change += 2.0 * steep * slope[SIZE * r + c] * by_noise
+                image_slopes, by_noise = metric[SIZE * r + c], noise[SIZE * i + c]
+                variance += image_slopes * image_slopes * by_noise
+                change += 2.0 * image_slopes * slope[SIZE * r + c] * by_noise
             own[i * k + r] = weighed[i * k + r] * np.sqrt(unit / variance)
-            if len(growth):
-                growth[i * k + r] = -0.5 * change / variance
+            if len(own_derivative):
+                own_derivative[i * k + r] = -0.5 * change / variance
 
 
 @compiled

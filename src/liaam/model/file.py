@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from liaam.model.aam import AAM
 
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Version of the format; increased when its meaning changes."""
 
 MAX_DIAGONAL = 2000.0
@@ -126,7 +126,7 @@ def _parts(view: View) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
     """Yield name, object and fields of all parts of a view that are stored as tensors."""
     yield "shape", view.shape_model, ("modes", "eigenvalues", "unexplained")
     if view.reliability is not None:
-        yield "reliability", view.reliability, ("landmarks", "weights", "understated", "ordinary")
+        yield "reliability", view.reliability, ("landmarks", "weights", "variance_factor", "typical")
     for i, level in enumerate(view.levels):
         for name, appearance in level.appearances.items():
             yield f"{i}/{name}", appearance, ("mean", "modes", "eigenvalues", "usable", "unexplained")
@@ -285,14 +285,14 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     if "reliability.weights" not in tensors:
         return None
     landmarks = _tensor(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
-    understated = float(_tensor(tensors, "reliability.understated", np.float64, (1,))[0])
-    if understated < 1.0:
-        raise ValueError("reliability.understated is below 1")
-    ordinary = float(_tensor(tensors, "reliability.ordinary", np.float64, (1,))[0])
-    if not 0.0 <= ordinary <= 1.0:
-        raise ValueError("reliability.ordinary is not a probability")
+    variance_factor = float(_tensor(tensors, "reliability.variance_factor", np.float64, (1,))[0])
+    if variance_factor < 1.0:
+        raise ValueError("reliability.variance_factor is below 1")
+    typical = float(_tensor(tensors, "reliability.typical", np.float64, (1,))[0])
+    if not 0.0 <= typical <= 1.0:
+        raise ValueError("reliability.typical is not a probability")
     weights = _tensor(tensors, "reliability.weights", np.float64, (3,))
-    return Reliability(landmarks, weights, understated, ordinary)
+    return Reliability(landmarks, weights, variance_factor, typical)
 
 
 def _appearances(

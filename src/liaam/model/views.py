@@ -17,8 +17,8 @@ VIEWS: dict[str, Callable[[ShapeModel, np.ndarray], PiecewiseAffineWarp]] = {
 }
 """Views by name: functions that make the warp of a view from the shape model and the triangles."""
 
-LITTLE = 2 / 3
-"""Fraction of the log odds at :attr:`Reliability.ordinary` below which a quality is low: 0.816 on 924 fits of unseen
+LOW = 2 / 3
+"""Fraction of the log odds at :attr:`Reliability.typical` below which a quality is low: 0.816 on 924 fits of unseen
 persons under four lamps. All 34 that poor starts led to a wrong place are below 0.815, all right ones above 0.84."""
 
 
@@ -50,22 +50,22 @@ class Reliability:
     weights : (3,) float64
         Log odds that a fit is right: intercept, and coefficients of the fraction of the image that the fit explains
         and of its shape's distance to the mean.
-    understated : float
+    variance_factor : float
         Factor, at least 1, by which the variances of a fit's parameters are too small, since the model biases them.
-    ordinary : float
+    typical : float
         5th percentile of the quality of right fits to left-out images.
     """
 
     landmarks: np.ndarray
     weights: np.ndarray
-    understated: float
-    ordinary: float = 0.5
+    variance_factor: float
+    typical: float = 0.5
 
     @property
-    def little(self) -> float:
-        """Threshold of low quality: :data:`LITTLE` of the log odds of ``ordinary``."""
-        odds = np.log(max(self.ordinary, 1e-9)) - np.log(max(1.0 - self.ordinary, 1e-9))
-        return float(1.0 / (1.0 + np.exp(-LITTLE * odds)))
+    def low(self) -> float:
+        """Threshold of low quality: :data:`LOW` of the log odds of ``typical``."""
+        odds = np.log(max(self.typical, 1e-9)) - np.log(max(1.0 - self.typical, 1e-9))
+        return float(1.0 / (1.0 + np.exp(-LOW * odds)))
 
     def quality(self, evidence: np.ndarray) -> float:
         """Probability, 0 to 1, that a fit with the given evidence (2,) is right, for equal prior odds."""

@@ -69,7 +69,7 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     if method.appearance == "soft":  # use the invariant alone, as 'li' does
         refuse_grey(as_colour(image), "image", "the appearance without shadows is computed from colours", MethodError)
         fitter, result = replace(fitter, method="li"), replace(result, theta=np.nan)
-    solution, known = fitter.settled_at(image, result)[1], fitter.view.levels[-1].appearances["log"]
+    solution, known = fitter.solution_at(image, result)[1], fitter.view.levels[-1].appearances["log"]
     work, n, eigenvalues = solution.work, known.n_modes, known.eigenvalues
     if not work.sums[1] > 0:  # no pixel is usable: return the prior
         return ShadowFree(known.texture(np.zeros(n)), np.zeros(n), np.sqrt(eigenvalues))

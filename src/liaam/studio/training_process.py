@@ -200,7 +200,7 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
         return {**_NOTHING, **facts}
     covariances, size = result.landmark_covariances, diagonal_of(result.landmarks)
     has_covariances = bool(np.isfinite(covariances).all()) and size > 0
-    found = not result.place_doubtful
+    found = not result.detection_doubtful
     return {
         **facts,
         "points": [[round(x, 3), round(y, 3)] for x, y in result.landmarks.tolist()],

@@ -38,7 +38,7 @@ SLOWING = 0.7
 FIRST_SPEED = 0.01
 """Prior standard deviation of the speed, as a fraction of the object's diagonal per frame."""
 
-NOTICE = 0.1
+RELATIVE_TOLERANCE = 0.1
 """Step size, in standard deviations, at which a fit from a prediction has converged. Measured on a talking face: 20 %
 fewer iterations than 0.03, landmarks within 0.04 pixels (1/40 of their standard deviation), and the same jitter."""
 
@@ -235,8 +235,10 @@ class Tracker:
 
     def __post_init__(self) -> None:
         self.fitter = Fitter(self.model, self.method, camera=self.camera, restarts=False)  # it searches instead
-        # hurry=0: stopping early would leave the landmarks between the previous frame's and this one's.
-        near = SolverOptions(max_iterations=self.options.iterations, notice=NOTICE, hurry=0.0)
+        # early_tolerance=0: stopping early would leave the landmarks between the previous frame's and this one's.
+        near = SolverOptions(
+            max_iterations=self.options.iterations, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0
+        )
         few = sharpest(self.model, self.options.levels)
         self._near = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
         self._motion = Motion(self.fitter.shapes)
@@ -386,7 +388,7 @@ class Tracker:
                 raise
             return False, None
         # Reject a place with a low search score unless the quality of the fit confirms it.
-        return _usable(tried) and not tried.place_doubtful, tried
+        return _usable(tried) and not tried.detection_doubtful, tried
 
     def _seen(self, result: FitResult, status: TrackStatus, index: int, time: float) -> TrackedFrame:
         """Update the track with a fit."""
