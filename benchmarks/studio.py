@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -182,7 +182,9 @@ class Server:
         self.process.wait()
 
 
-def start(folder: Path, *arguments: str, errors: IO[str] | None = None) -> Server:
+def start(
+    folder: Path, *arguments: str, errors: IO[str] | None = None, program: Sequence[str] = ("-m", "liaam")
+) -> Server:
     """Run ``liaam studio`` on a folder. Write its errors to a file, if one is given.
 
     Raises
@@ -190,7 +192,7 @@ def start(folder: Path, *arguments: str, errors: IO[str] | None = None) -> Serve
     RuntimeError
         If it ends without printing its address.
     """
-    command = [sys.executable, "-m", "liaam", "studio", str(folder), "--no-browser", *arguments]
+    command = [sys.executable, *program, "studio", str(folder), "--no-browser", *arguments]
     environment = {**os.environ, "COLUMNS": "300"}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment)
     assert process.stdout

@@ -102,6 +102,6 @@ def test_the_living_are_read_from_a_report():
 @pytest.mark.skipif(sys.platform != "linux", reason="mutants are tried in forked processes, and their memory is read")
 def test_mutants_of_a_module_are_killed():
     command = [sys.executable, "-m", "fuzz.mutants", "liaam.io.results", "--sample", "8", "--at-least", "50"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "of 8 killed" in done.stdout

@@ -27,7 +27,7 @@ def run_by_node(test: str, folder: Path, environment: Mapping[str, str] | None =
         env={**os.environ, **(environment or {})},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert "# fail 0" in ran.stdout

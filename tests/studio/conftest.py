@@ -85,7 +85,7 @@ class Running:
 
     def stop(self) -> None:
         self.server.should_exit = True
-        self.thread.join(30)
+        self.thread.join(60)
         assert not self.thread.is_alive()
 
 
@@ -102,7 +102,7 @@ def serve() -> Iterator[Callable[..., Running]]:
         server.on_start = up.set
         thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
         thread.start()
-        assert up.wait(30)
+        assert up.wait(60)
         client = httpx.Client(
             base_url=f"http://127.0.0.1:{studio.settings.port}",
             headers={"authorization": f"Bearer {studio.settings.token}"},

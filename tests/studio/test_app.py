@@ -310,13 +310,13 @@ def test_ctrl_c_stops_the_command(folder, command):
     address = process.stdout.readline().split()[-1]
     assert address.startswith("http://127.0.0.1:") and "/?token=" in address
     assert process.stdout.readline() == "Press Ctrl-C to stop it\n"
-    with httpx.Client(trust_env=False, follow_redirects=True) as browser:
+    with httpx.Client(trust_env=False, follow_redirects=True, timeout=60) as browser:
         assert browser.get(address).status_code == 200
         with browser.stream("GET", address.partition("?")[0] + "api/events") as events:
             lines = events.iter_lines()
             assert next(lines).startswith("retry")
             process.send_signal(signal.SIGINT)
-            assert process.wait(30) == 0
+            assert process.wait(60) == 0
     assert process.stdout.read() == "stopped\n"
 
 
@@ -324,7 +324,7 @@ def test_what_was_saved_survives_a_kill(folder, command, serve):
     home = folder(2)
     process = command(home, "--port", "0")
     address = process.stdout.readline().split()[-1]
-    with httpx.Client(trust_env=False, follow_redirects=True) as browser:
+    with httpx.Client(trust_env=False, follow_redirects=True, timeout=60) as browser:
         browser.get(address)
         site = address.partition("?")[0]
         browser.put(site + "api/template", json={"names": ["a", "b", "c"]}).raise_for_status()

@@ -29,7 +29,7 @@ def test_whoever_brings_too_much_waits():
 
     def work(number):
         started.append(number)
-        goes_on.wait(10)
+        goes_on.wait(60)
 
     brought = []
     with aside(work) as take:
@@ -44,7 +44,7 @@ def test_whoever_brings_too_much_waits():
         other.join(0.5)
         assert other.is_alive() and len(brought) <= WAITING + 1
         goes_on.set()
-        other.join(10)
+        other.join(60)
     assert started == list(range(WAITING + 5))
 
 
@@ -83,7 +83,7 @@ def test_an_error_outside_leaves_the_rest_undone_and_no_thread_behind():
     assert len(done) < WAITING
     left = [thread for thread in threading.enumerate() if thread.name.startswith("aside")]
     for thread in left:
-        thread.join(5)
+        thread.join(60)
     assert not any(thread.is_alive() for thread in left)
 
 
@@ -98,17 +98,19 @@ def interruptible():
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals of POSIX")
 def test_an_interrupt_at_the_end_waits_for_the_work_at_hand(interruptible):
     """What the work writes to is closed after the block: nothing may be under way then."""
-    under_way, ended = threading.Event(), []
+    under_way, sent, ended = threading.Event(), threading.Event(), []
 
     def work(number):
         under_way.set()
+        sent.wait(60)
         time.sleep(0.3)
         ended.append(number)
 
     def interrupt():
-        under_way.wait(5)
+        under_way.wait(60)
         time.sleep(0.1)  # a signal that comes just before somebody waits is heard after
         signal.pthread_kill(main, signal.SIGINT)
+        sent.set()
 
     main = threading.main_thread().ident or 0
     threading.Thread(target=interrupt).start()

@@ -5,11 +5,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from people import NAMES
+from people import NAMES, TIMEOUT
 
 from benchmarks.studio import Server, lacking, launched, start
 from liaam.datasets.scenes import DIFFUSE, Head, Scene, lateral, make_set, random_expression, random_pose, render
 from liaam.io import Landmarks, write_image, write_landmarks
+
+DELAYED = "LIAAM_DELAY" in os.environ
+"""Whether to look for races: answers are late by up to so many milliseconds, and the page is slow."""
+
+PROGRAM = (str(Path(__file__).with_name("delayed_server.py")),) if DELAYED else ("-m", "liaam")
+SLOWDOWN = 6 if DELAYED else 1
 
 
 @pytest.fixture(scope="module")
@@ -32,15 +38,30 @@ def artefacts(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def page(browser):
-    """Give a fresh page of 1280×720 that fails the test when its scripts do."""
-    context = browser.new_context(viewport={"width": 1280, "height": 720}, accept_downloads=True)
-    opened, faults = context.new_page(), []
-    opened.on("pageerror", lambda fault: faults.append(str(fault)))
-    opened.set_default_timeout(20_000)
-    yield opened
-    context.close()
+def open_page(browser):
+    """Give a function that opens a fresh page, which fails the test when its scripts do."""
+    contexts, faults = [], []
+
+    def open_page(width: int = 1280, height: int = 720, **options):
+        contexts.append(browser.new_context(viewport={"width": width, "height": height}, **options))
+        page = contexts[-1].new_page()
+        page.on("pageerror", lambda fault: faults.append(str(fault)))
+        page.set_default_timeout(TIMEOUT)
+        if SLOWDOWN > 1:
+            session = contexts[-1].new_cdp_session(page)
+            session.send("Emulation.setCPUThrottlingRate", {"rate": SLOWDOWN})
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
     assert not faults, f"scripts of the page failed: {faults}"
+
+
+@pytest.fixture
+def page(open_page):
+    """Give a fresh page of 1280×720."""
+    return open_page()
 
 
 @pytest.fixture
@@ -52,7 +73,7 @@ def serve(tmp_path) -> Iterator[Callable[..., Server]]:
         log = tmp_path / f"studio-{len(running)}.log"
         with log.open("w") as errors:
             try:
-                running.append(start(folder, *arguments, errors=errors))
+                running.append(start(folder, *arguments, errors=errors, program=PROGRAM))
             except RuntimeError as fault:
                 pytest.fail(f"{fault} {log.read_text()}")
         return running[-1]

@@ -1,12 +1,14 @@
 """What a person does with the studio, by mouse and keyboard."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 TIMEOUT = 120_000
-"""Milliseconds that training may take on a busy machine."""
+"""Milliseconds that anything may take on a busy machine."""
 
 POINTS = [0, 2, 4, 6, 8, 10, 12, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31, 33, 34, 36, 38, 39, 41, 43, 45, 49, 51, 52, 55]
 """Landmarks of the scenes that are placed: jaw, eyes, brows, mouth, nose."""
@@ -36,6 +38,25 @@ def points_of(page) -> np.ndarray:
 def wait_for(page, condition: str, argument=None) -> None:
     """Wait until JavaScript says yes."""
     page.wait_for_function(condition, arg=argument, timeout=TIMEOUT)
+
+
+def wait_until(page, condition: Callable[[], object]) -> None:
+    """Wait until Python says yes, while the page goes on."""
+    end = time.monotonic() + TIMEOUT / 1000
+    while not condition():
+        assert time.monotonic() < end, "the page did not come to the expected state"
+        page.wait_for_timeout(20)
+
+
+def wait_for_state(page, name: str, state: str) -> None:
+    """Wait until the page knows that a picture is in a state."""
+    wait_for(page, "([name, state]) => window.liaamStudio.state.picture(name)?.state === state", [name, state])
+
+
+def wait_for_tab(page, label: str) -> None:
+    """Wait until a tab is open."""
+    chosen = "document.querySelector('[role=tab][aria-selected=true]')?.textContent"
+    wait_for(page, f"label => {chosen} === label", label)
 
 
 def opened(page, name: str) -> None:
@@ -76,23 +97,32 @@ def make_template(page, truth: np.ndarray) -> None:
     saved(page)
 
 
-def drag(page, start: Sequence[float], end: Sequence[float], steps: int = 3) -> None:
-    """Drag with the mouse, page coordinates."""
+@contextmanager
+def dragging(page, start: Sequence[float], end: Sequence[float], steps: int = 3) -> Iterator[None]:
+    """Drag with the mouse, page coordinates; the block runs before the button is released."""
     page.mouse.move(*start)
     page.mouse.down()
     page.mouse.move(*end, steps=steps)
+    yield
     page.mouse.up()
 
 
-def place_all(page, truth: np.ndarray, near: float = 1.5) -> int:
-    """Drag each point that is further off than ``near`` pixels to where it belongs; gives how many were."""
-    moved = 0
+def drag(page, start: Sequence[float], end: Sequence[float], steps: int = 3) -> None:
+    """Drag with the mouse, page coordinates."""
+    with dragging(page, start, end, steps):
+        pass
+
+
+def place_all(page, truth: np.ndarray, near: float = 1.5) -> None:
+    """Drag each point that is further off than ``near`` pixels to where it belongs.
+
+    The model may place the points of an untouched picture anew at any time, so that the first drag misses.
+    """
     for i, target in enumerate(truth):
-        now = points_of(page)[i]
-        if np.linalg.norm(now - target) > near:
+        for _ in range(3):
+            if np.linalg.norm(points_of(page)[i] - target) <= near:
+                break
             drag(page, client(page, i), client(page, target.tolist()))
-            moved += 1
-    return moved
 
 
 def errors(page, truth: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ import re
 import shutil
 
 import pytest
-from people import NAMES, TIMEOUT, annotate, client, drag, open_picture, opened, picture, saved, wait_for
+from people import NAMES, annotate, client, drag, open_picture, opened, saved, wait_for, wait_for_state
 
 pytestmark = pytest.mark.slow
 
@@ -20,10 +20,6 @@ def blank(serve, page, marked):
     return page
 
 
-def state_of(page, name: str) -> str:
-    return picture(page, name)["state"]
-
-
 def test_enter_on_an_untouched_mean_shape_saves_nothing(blank, marked):
     blank.keyboard.press("v")  # a change of visibility is not a check, either
     blank.keyboard.press("Enter")
@@ -31,23 +27,24 @@ def test_enter_on_an_untouched_mean_shape_saves_nothing(blank, marked):
     assert annotate(blank, "name()") == NAMES[1]
     blank.keyboard.press("Enter")
     opened(blank, NAMES[2])
-    wait_for(blank, "name => window.liaamStudio.state.picture(name).state === 'unchecked'", NAMES[1])
-    assert "not checked" in blank.locator(f"[data-testid=strip] [data-name='{NAMES[1]}']").inner_text()
+    wait_for_state(blank, NAMES[1], "unchecked")
+    blank.locator(f"[data-testid=strip] [data-name='{NAMES[1]}']", has_text="not checked").wait_for()
     assert not list(marked.glob("portrait-02.*json"))
     blank.reload()
     opened(blank, NAMES[2])
-    assert state_of(blank, NAMES[1]) == "unchecked"
+    wait_for_state(blank, NAMES[1], "unchecked")
 
 
 def test_a_moved_or_a_confirmed_mean_shape_is_saved(blank, marked):
     drag(blank, client(blank, 2), [v + 12 for v in client(blank, 2)])
     blank.keyboard.press("Enter")
     opened(blank, NAMES[2])
-    assert state_of(blank, NAMES[1]) == "done"
+    wait_for_state(blank, NAMES[1], "done")
+    assert (marked / "portrait-02.ljson").exists()
     blank.locator("[data-testid=confirm-layout]").click()
     blank.locator("[data-testid=confirm]").click()
     saved(blank)
-    wait_for(blank, "name => window.liaamStudio.state.picture(name).state === 'done'", NAMES[2])
+    wait_for_state(blank, NAMES[2], "done")
     assert (marked / "portrait-03.ljson").exists()
 
 
@@ -60,7 +57,7 @@ def test_a_picture_that_the_model_leaves_out_says_so(serve, page, marked):
     page.goto(serve(marked).address)
     item = page.locator(f"[data-testid=strip] [data-name='{NAMES[2]}']")
     item.click()
-    item.get_by_text("left out").wait_for(timeout=TIMEOUT)
+    item.get_by_text("left out").wait_for()
     assert "cut short" in item.get_attribute("title")
     why = page.locator("[data-testid=why-next]")
     why.get_by_text(re.compile("leaves this picture out.*cut short")).wait_for()

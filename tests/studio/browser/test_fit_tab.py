@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from people import shoot, wait_for
+from people import shoot, wait_for, wait_until
 
 from liaam.io import read_landmarks, write_image, write_landmarks
 from liaam.training import train
@@ -77,6 +77,15 @@ def dropped(page, path: Path) -> dict:
     return hook(page, "fit")
 
 
+FRAME = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+
+
+def wait_for_layer(page, name: str) -> None:
+    """Wait until a view with an image of its own is painted."""
+    wait_for(page, "name => window.liaamStudio.fit.view === name && window.liaamStudio.fit.hasLayer", name)
+    page.evaluate(FRAME)
+
+
 def centre(page, testid: str) -> tuple[float, float]:
     """Middle of a control on the page."""
     box = page.locator(f"[data-testid={testid}]").bounding_box()
@@ -112,6 +121,7 @@ def test_a_file_that_is_no_picture_is_refused_and_the_fit_before_stays(fit_tab, 
 def test_theta_is_dragged_and_moved_by_keys(fit_tab, lit_file, artefacts):
     dropped(fit_tab, lit_file)
     fit_tab.locator("[data-testid=layer-invariant]").click()
+    wait_for_layer(fit_tab, "invariant")
     slider = fit_tab.locator("[data-testid=theta-slider]")
     box = slider.bounding_box()
     place = [box["width"] * 0.5, box["height"] / 2]
@@ -142,8 +152,9 @@ def test_the_divider_has_the_picture_at_its_left(fit_tab, lit_file, artefacts):
     fit_tab.locator("[data-testid=layer-flat]").click()
     for overlay in ("landmarks", "mesh"):
         assert fit_tab.locator(f"[data-testid=layer-{overlay}]").get_attribute("aria-pressed") == "false"
-    wait_for(fit_tab, f"() => String(({PIXEL})([{place[0]}, {place[1]}])) !== '{','.join(map(str, plain))}'")
+    wait_for_layer(fit_tab, "flat")
     flat = fit_tab.evaluate(PIXEL, place)
+    assert flat != plain
     fit_tab.locator("[data-testid=fit-split]").click()
     divider = fit_tab.locator("[data-testid=divider]")
     viewer = fit_tab.locator("[data-testid=fit-viewer]").bounding_box()
@@ -177,15 +188,16 @@ def test_a_moved_light_asks_for_one_picture_at_a_time_and_the_last(fit_tab, lit_
 
     fit_tab.route("**/relit?*", answer)
     fit_tab.locator("[data-testid=layer-relit]").click()
-    x, y = centre(fit_tab, "light-handle")
+    wait_for_layer(fit_tab, "relit")
     wait_for(fit_tab, "() => !window.liaamStudio.fit.relightBusy")
+    x, y = centre(fit_tab, "light-handle")
     moving, before = True, len(asked)
     fit_tab.mouse.move(x, y)
     fit_tab.mouse.down()
     for step in range(40):
         fit_tab.mouse.move(x + 3 * step, y + 2 * step)
     fit_tab.mouse.up()
-    fit_tab.wait_for_function("() => window.liaamStudio.fit.relightBusy")
+    wait_until(fit_tab, lambda: waiting)
     moving = False
     (first,) = waiting  # the others wait for its answer
     give(first)
@@ -268,13 +280,11 @@ def test_a_fit_of_low_quality_is_shown_in_amber_and_compared_by_quality(fit_tab,
 
     fit_tab.route("**/api/fits", answer)
     dropped(fit_tab, lit_file)
-    badge = fit_tab.locator("[data-testid=fit-status] .badge")
-    assert badge.inner_text() == "converged, quality 60 %"
-    assert "warn" in badge.get_attribute("class")
+    fit_tab.locator("[data-testid=fit-status] .badge.warn", has_text="converged, quality 60 %").wait_for()
     fit_tab.locator("[data-testid=tab-compare]").click()
     verdict = fit_tab.locator("[data-testid=compare-verdict]")
     verdict.get_by_text("rgb is more likely to be right: quality 70 %, soft-li: 60 %").wait_for()
-    assert "nearer" in fit_tab.locator("[data-testid=compare-right]").get_attribute("class")
+    fit_tab.locator("[data-testid=compare-right].nearer").wait_for()
 
 
 def test_two_methods_are_compared(fit_tab, artefacts):
@@ -293,11 +303,10 @@ def test_two_methods_are_compared(fit_tab, artefacts):
     fit_tab.locator("[data-testid=compare-right] canvas").hover()
     fit_tab.mouse.wheel(0, -300)
     wait_for(fit_tab, f"(scale) => ({views})()[0].scale > scale", start[0]["scale"])
-    left, right = fit_tab.evaluate(views)
-    assert left == right
+    wait_for(fit_tab, f"() => {{ const [a, b] = ({views})(); return JSON.stringify(a) === JSON.stringify(b); }}")
     fit_tab.locator("[data-testid=compare-swap]").click()
-    swapped = [fit_tab.evaluate(f"() => window.liaamStudio.compare.{side}.fit.id") for side in ("left", "right")]
-    assert swapped == [fit["id"] for fit in reversed(sides)]
+    ids = "[window.liaamStudio.compare.left.fit?.id, window.liaamStudio.compare.right.fit?.id]"
+    wait_for(fit_tab, f"wanted => String({ids}) === String(wanted)", [fit["id"] for fit in reversed(sides)])
     shoot(fit_tab, artefacts, "24-compare")
 
 
@@ -309,8 +318,6 @@ COUNT_SCALINGS = """() => {
     return draw.call(this, image, ...where);
   };
 }"""
-
-FRAME = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 
 
 def test_a_picture_is_scaled_once_for_a_view(fit_tab):

@@ -4,7 +4,7 @@ import base64
 
 import numpy as np
 import pytest
-from people import NAMES, opened, wait_for
+from people import NAMES, opened, wait_for, wait_until
 
 from liaam.io import Landmarks, write_image, write_landmarks
 
@@ -39,6 +39,20 @@ def names(page) -> list[str]:
     return page.locator(FACES).evaluate_all("items => items.map((item) => item.dataset.name)")
 
 
+def propose(page, proposals: dict[int, dict]) -> None:
+    """Change the server's answers, so that some pictures have proposals."""
+
+    def answer(route):
+        project = route.fetch().json()
+        for i, proposal in proposals.items():
+            if "pictures" in project:
+                project["pictures"][i] |= {"state": "proposed", **proposal}
+        route.fulfill(json=project)
+
+    page.route("**/api/project*", answer)
+    page.evaluate("() => window.liaamStudio.state.refresh()")
+
+
 def test_a_long_list_holds_only_what_is_visible(long):
     assert len(names(long)) < 40
     long.locator("[data-testid=strip]").evaluate("list => list.scrollTo(0, list.scrollHeight)")
@@ -54,25 +68,20 @@ def test_a_long_list_holds_only_what_is_visible(long):
 
 def test_the_list_is_searched_filtered_and_sorted(long):
     long.locator("[data-testid=strip-search]").fill("GE-39")
-    assert names(long) == [f"image-39{i}.png" for i in range(10)]
-    assert "10 shown, 2 of 400 done" in long.locator(".strip-head").inner_text()
+    wait_until(long, lambda: names(long) == [f"image-39{i}.png" for i in range(10)])
+    long.locator(".strip-head", has_text="10 shown, 2 of 400 done").wait_for()
     long.locator(f"{FACES}[data-name='image-395.png']").click()
     opened(long, "image-395.png")
     long.keyboard.press("]")
     opened(long, "image-396.png")
     long.locator("[data-testid=strip-search]").fill("")
     long.locator("[data-testid=strip-filter]").select_option("done")
-    assert names(long) == ["image-000.png", "image-001.png"]
+    wait_until(long, lambda: names(long) == ["image-000.png", "image-001.png"])
     long.locator("[data-testid=strip-filter]").select_option("all")
-    long.evaluate("""() => {
-      const { state } = window.liaamStudio;
-      state.update({ ...state.picture("image-200.png"), state: "proposed", uncertainty: 0.1 });
-      state.update({ ...state.picture("image-300.png"), state: "proposed", uncertainty: 0.01, doubtful: true });
-    }""")
+    propose(long, {200: {"uncertainty": 0.1}, 300: {"uncertainty": 0.01, "doubtful": True}})
     long.locator("[data-testid=strip-order]").select_option("uncertainty")
     long.locator("[data-testid=strip]").evaluate("list => list.scrollTo(0, 0)")
-    wait_for(long, "() => document.querySelector('[data-testid=strip] [data-name=\"image-300.png\"]')")
-    assert names(long)[:3] == ["image-300.png", "image-200.png", "image-000.png"]
+    wait_until(long, lambda: names(long)[:3] == ["image-300.png", "image-200.png", "image-000.png"])
 
 
 def test_slow_work_is_shown_and_fast_work_is_not(long):
@@ -82,6 +91,7 @@ def test_slow_work_is_shown_and_fast_work_is_not(long):
     waiting = []
     long.route("**/api/pictures/image-010.png/image*", lambda route: waiting.append(route))
     long.evaluate("() => window.liaamStudio.state.select('image-010.png')")
+    wait_until(long, lambda: waiting)
     assert not line.evaluate("line => line.hidden")  # the delay is that of the style
     wait_for(long, "() => Number(getComputedStyle(document.querySelector('[data-testid=busy]')).opacity) === 1")
     (route,) = waiting

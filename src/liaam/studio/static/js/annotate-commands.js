@@ -169,13 +169,14 @@ export class Commands {
   /** Leave the mean shape as it is: warn once, then mark the picture as not checked. */
   async leaveUnchecked() {
     const { tab } = this;
-    if (this.warned !== tab.name) {
-      this.warned = tab.name;
+    const { name } = tab;
+    if (this.warned !== name) {
+      this.warned = name;
       tab.app.toast(UNTOUCHED);
       return;
     }
-    await tab.saving.markUnchecked(tab.name);
-    this.goNext();
+    await tab.saving.markUnchecked(name);
+    if (tab.name === name) this.goNext();
   }
 
   /** Save the mean shape as it is, after asking. */
@@ -194,16 +195,18 @@ export class Commands {
   async goNext() {
     const { tab } = this;
     const { name, state } = tab;
-    const { pictures } = state.project;
+    const { saver } = tab.saving;
     this.warned = null;
-    const next = nextToTeach(pictures, name);
+    // The states of the pictures that are being saved are out of date.
+    const known = state.project.pictures.filter((picture) => picture.name === name || !saver.isDirty(picture.name));
+    const next = nextToTeach(known, name);
     if (next) {
       state.select(next.name);
       tab.viewer.canvas.focus({ preventScroll: true });
       return;
     }
     tab.leavePicture(name);
-    await tab.saving.saver.flush(name); // updates the picture's state
+    await saver.flush(); // updates the states of the pictures
     const left = unfinished(state.project);
     tab.app.toast(left || "All pictures are done. Open Fit to try the model.", left ? "info" : "good");
   }

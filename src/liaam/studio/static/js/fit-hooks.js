@@ -8,6 +8,7 @@ export function hooksOf(tab) {
     lastDropMs: () => tab.lastDropMs,
     fit: () => tab.fit,
     view: () => view.name,
+    hasLayer: () => view._image() !== null, // whether the view's own image has come
     theta: () => view.invariant.theta,
     light: () => ({ direction: view.light.direction, ambient: view.light.ambient }),
     relightBusy: () => view.relighter.busy,

@@ -1,0 +1,33 @@
+"""Run ``liaam`` with random delays before the studio handles a request and before it answers, to find races."""
+
+import asyncio
+import os
+import random
+
+from liaam.__main__ import main
+from liaam.studio import app as studio
+
+LIMIT = float(os.environ.get("LIAAM_DELAY", "0")) / 1000
+"""Longest sum of both delays, seconds."""
+
+
+class Delayed:
+    """An application whose answers are late."""
+
+    def __init__(self, app) -> None:
+        self.app = app
+
+    async def __call__(self, scope, receive, send) -> None:
+        async def send_late(message) -> None:
+            if message["type"] == "http.response.start":
+                await asyncio.sleep(random.uniform(0, LIMIT / 2))
+            await send(message)
+
+        await asyncio.sleep(random.uniform(0, LIMIT / 2))
+        await self.app(scope, receive, send_late)
+
+
+if __name__ == "__main__":
+    make_app = studio.make_app
+    studio.make_app = lambda *arguments: Delayed(make_app(*arguments))
+    main()
