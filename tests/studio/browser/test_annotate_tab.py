@@ -4,7 +4,7 @@ import re
 import shutil
 
 import pytest
-from people import NAMES, annotate, client, drag, open_picture, opened, saved, wait_for, wait_for_state
+from people import NAMES, annotate, client, drag, open_picture, opened, saved, wait_for, wait_for_state, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -46,6 +46,22 @@ def test_a_moved_or_a_confirmed_mean_shape_is_saved(blank, marked):
     saved(blank)
     wait_for_state(blank, NAMES[2], "done")
     assert (marked / "portrait-03.ljson").exists()
+
+
+def test_a_picture_that_is_being_saved_is_not_opened_again(blank):
+    saves = []
+    blank.route(
+        "**/landmarks", lambda route: route.continue_() if route.request.method == "GET" else saves.append(route)
+    )
+    for n, name in enumerate(NAMES[1:], 1):
+        opened(blank, name)
+        drag(blank, client(blank, 2), [v + 12 for v in client(blank, 2)])
+        blank.keyboard.press("Enter")
+        wait_until(blank, lambda n=n: len(saves) == n)
+    assert annotate(blank, "name()") == NAMES[2]
+    for route in saves:
+        route.continue_()
+    blank.locator(".toast", has_text="All pictures are done").wait_for()
 
 
 def test_a_picture_that_the_model_leaves_out_says_so(serve, page, marked):

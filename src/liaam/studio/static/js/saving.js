@@ -61,7 +61,7 @@ export class Saver {
     if (!this.entries.has(name)) {
       this.entries.set(name, {
         revision: null, template: null, size: null, deleted: false, saved: null, wanted: null, sent: null, timer: null,
-        retries: 0, state: "saved", message: "", heard: null,
+        retries: 0, state: "saved", message: "", heard: null, request: null,
       });
     }
     return this.entries.get(name);
@@ -148,18 +148,23 @@ export class Saver {
     return Promise.all(names.map((each) => this.send(each)));
   }
 
+  /** Send the unsaved content of a picture; resolves when it is saved or has failed. */
   async send(name) {
     const entry = this.entry(name);
-    if (entry.sent || !entry.wanted || entry.state === "conflict") return;
+    if (!entry.sent && entry.wanted && entry.state !== "conflict") entry.request = this.sendNow(name, entry);
+    await entry.request;
+  }
+
+  async sendNow(name, entry) {
     this.clearTimer(entry.timer);
     entry.timer = null;
     entry.sent = entry.wanted;
     entry.wanted = null;
     this.keep(name, entry);
     try {
-      this.landed(name, entry, await this.put(name, body(entry)));
+      await this.landed(name, entry, await this.put(name, body(entry)));
     } catch (error) {
-      this.failed(name, entry, error);
+      await this.failed(name, entry, error);
     }
   }
 
@@ -171,8 +176,7 @@ export class Saver {
     this.onSaved(name, answer);
     if (entry.wanted) {
       this.keep(name, entry);
-      this.send(name);
-      return;
+      return this.sendNow(name, entry);
     }
     this.unsaved.delete(name);
     this.mark(entry, "saved");
@@ -198,8 +202,7 @@ export class Saver {
       if (sameMarks(entry.saved, sent)) {
         if (entry.wanted === sent) entry.wanted = null;
         entry.sent = sent;
-        this.landed(name, entry, { revision: current.revision });
-        return;
+        return this.landed(name, entry, { revision: current.revision });
       }
       this.mark(entry, "conflict");
       this.onConflict(name, current);
