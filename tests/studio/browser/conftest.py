@@ -11,11 +11,11 @@ from benchmarks.studio import Server, lacking, launched, start
 from liaam.datasets.scenes import DIFFUSE, Head, Scene, lateral, make_set, random_expression, random_pose, render
 from liaam.io import Landmarks, write_image, write_landmarks
 
-DELAYED = "LIAAM_DELAY" in os.environ
-"""Whether to look for races: answers are late by up to so many milliseconds, and the page is slow."""
+PROGRAM = (str(Path(__file__).with_name("delayed_server.py")),) if "LIAAM_DELAY" in os.environ else ("-m", "liaam")
+"""What runs the studio. To find races, LIAAM_DELAY makes its answers late by up to so many milliseconds."""
 
-PROGRAM = (str(Path(__file__).with_name("delayed_server.py")),) if DELAYED else ("-m", "liaam")
-SLOWDOWN = 6 if DELAYED else 1
+SLOWDOWN = float(os.environ.get("LIAAM_SLOWDOWN", "1"))
+"""How much slower the page is, also to find races."""
 
 
 @pytest.fixture(scope="module")
