@@ -86,6 +86,7 @@ def test_an_unknown_format_names_those_that_can_be_read(run, folder, tmp_path):
     code, _, err = run("train", folder, "-o", tmp_path / "m.liaam")
     assert code == 1
     assert "unknown format: face0.nts, face1.nts" in err and "Convert them to one of .pts, " in err
+    assert "the simplest is a .csv of a line 'x,y'" in err
 
 
 def test_landmarks_of_another_size_of_the_image_are_named_before_any_work(run, scenes, folder, tmp_path):
@@ -127,3 +128,41 @@ def test_a_turned_object_offers_rotations(run, model_file, scenes, tmp_path):
     assert code == 1 and "--rotations all" in err
     code, out, err = run("fit", model_file, image, "-o", tmp_path / "turned", "--rotations", "all")
     assert code == 0 and "converged" in out
+
+
+def test_a_batch_of_turned_objects_offers_rotations(run, model_file, scenes, tmp_path):
+    image = tmp_path / "turned.png"
+    write_image(image, np.ascontiguousarray(np.rot90(scenes[0].image)))
+    options = (image, "-o", tmp_path / "fits.csv", "--jobs", 1)
+    code, out, err = run("batch", model_file, *options)
+    assert code == 0 and "1 row: 1 doubtful" in out
+    assert "doubtful fits: 1; check those, by the column 'status'; if the object is rotated" in err
+    _, out, err = run("batch", model_file, *options, "--rotations", "all", "--restart")
+    assert "1 row: 1 converged" in out and "doubtful" not in err
+
+
+def test_a_folder_to_fit_offers_its_images_and_batch(run, model_file, folder):
+    code, _, err = run("fit", model_file, folder)
+    assert code == 1
+    assert f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'" in err
+
+
+def test_every_object_of_an_image_is_trained_on(run, scenes, tmp_path):
+    """dlib XML may hold several boxes of an image; one of these lacks a part."""
+    folder, images, width = tmp_path / "parties", "", scenes[0].image.shape[1]
+    folder.mkdir()
+    for i in range(3):
+        pair = scenes[2 * i : 2 * i + 2]
+        write_image(folder / f"party{i}.png", np.concatenate([scene.image for scene in pair], axis=1))
+        for j, scene in enumerate(pair):
+            points = scene.landmarks[: 50 if i == j == 1 else None] + np.array([j * width, 0.0])
+            parts = "".join(f"<part name='{k}' x='{x}' y='{y}'/>" for k, (x, y) in enumerate(points))
+            box = f"<box width='{9 - j}' height='9'>{parts}</box>"
+            images += f"<image file='party{i}.png'>{box}</image>"
+    (folder / "all.xml").write_text(f"<dataset>{images}</dataset>")
+    code, out, err = run("train", folder, "-o", tmp_path / "m.liaam", *FAST)
+    assert code == 0, err
+    assert "2 images hold 4 objects, each a sample, such as party0#2 (party0.png, party2.png)" in out
+    assert "left out 1: one of several objects in an image lacks landmarks (party1#2)" in out
+    assert "first: 8 of 58; place them or delete the object, in all.xml" in out
+    assert "trained on 5 images" in out

@@ -97,6 +97,37 @@ def test_collections(tmp_path: Path) -> None:
     assert reasons(dataset) == {"all.csv": "it names images that do not exist: gone.png"}
 
 
+def boxes_of(*shapes: np.ndarray) -> str:
+    """Boxes of an imglab file, the larger the later."""
+    parts = [
+        "".join(f"<part name='{i}' x='{x:g}' y='{y:g}'/>" for i, (x, y) in enumerate(shape) if np.isfinite(x))
+        for shape in shapes
+    ]
+    return "".join(f"<box width='{i}' height='1'>{part}</box>" for i, part in enumerate(parts, 1))
+
+
+def test_each_object_of_an_image_is_a_sample(tmp_path: Path) -> None:
+    partial = np.vstack([SQUARE[:3], [[np.nan, np.nan]]])
+    for stem in ("a", "b", "c"):
+        add_image(tmp_path / f"{stem}.png")
+    (tmp_path / "all.xml").write_text(
+        f"<dataset><image file='a.png'>{boxes_of(partial, SQUARE + 1, SQUARE)}</image>"
+        f"<image file='b.png'>{boxes_of(SQUARE)}</image><image file='c.png'>{boxes_of(SQUARE + 1, partial)}</image>"
+        "</dataset>"
+    )
+    dataset = load_folder(tmp_path)
+    assert names(dataset) == ["a", "a#2", "b", "c", "c#2"]
+    np.testing.assert_array_equal(dataset[1].landmarks.points, SQUARE + 1)
+    assert {sample.image for sample in dataset[:2]} == {tmp_path / "a.png"}
+    assert dataset[3].landmarks.missing.sum() == 1  # the largest object is kept in any case
+    assert reasons(dataset) == {
+        "a#3": "one of several objects in an image lacks landmarks: 1 of 4; place them or delete the object, in all.xml"
+    }
+    assert "2 images hold 4 objects, each a sample, such as a#2 (a.png, c.png)" in dataset.report()
+    write_landmarks(tmp_path / "a.pts", SQUARE)
+    assert names(load_folder(tmp_path)) == ["a", "b", "c", "c#2"]
+
+
 def test_an_entry_s_path_decides_between_images_of_one_name(tmp_path: Path) -> None:
     for folder in ("one", "two"):
         add_image(tmp_path / folder / "a.png")

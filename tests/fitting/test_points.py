@@ -12,6 +12,8 @@ from liaam.fitting.fitter import covariance
 from liaam.fitting.levels import solve_levels
 from liaam.io import write_landmarks
 from liaam.model.shape import diagonal_of
+from liaam.training.entries import Entry
+from liaam.training.points import map_of_points
 from setups import model_pixels, train_on
 
 COUNT = 20
@@ -117,6 +119,16 @@ def test_images_without_points_are_left_out(scenes):
     rng = np.random.default_rng(5)
     some = [points_of(scene.landmarks, rng) if i % 2 else None for i, scene in enumerate(scenes)]
     assert train_on(scenes, diagonal=80.0, points=some).points.n_theirs == COUNT
+
+
+def test_points_belong_to_the_nearest_of_several_objects_in_an_image(scenes):
+    """A function finds the same points for each object of an image."""
+    rng, mean = np.random.default_rng(5), scenes[0].landmarks
+    found = [points_of(scene.landmarks, rng) for scene in scenes]
+    entries = [Entry(str(i), lambda: scenes[0].image, scene.landmarks) for i, scene in enumerate(scenes)]
+    party = [Entry("0#2", entries[0].read_image, mean + np.array([500.0, 0])), *entries]
+    together = map_of_points([found[0], *found], party, mean)
+    np.testing.assert_array_equal(together.weights, map_of_points(found, entries, mean).weights)
 
 
 def test_a_start_of_unknown_points_names_the_option(model, trained, same_light_scene):

@@ -265,8 +265,23 @@ def box(x: int, size: str = "", name: str = "1") -> str:
         ((box(1), box(2)), 1),
     ],
 )
-def test_the_largest_box_counts(tmp_path: Path, boxes: tuple[str, ...], x: int) -> None:
-    assert read_collection(save(tmp_path, "a.xml", imglab(*boxes)))["a.jpg"].points.tolist() == [[x, 0]]
+def test_the_largest_box_comes_first(tmp_path: Path, boxes: tuple[str, ...], x: int) -> None:
+    found = read_collection(save(tmp_path, "a.xml", imglab(*boxes)))["a.jpg"]
+    assert found.points.tolist() == [[x, 0]]
+    assert [other.points.tolist() for other in found.others] == [[[3 - x, 0]]]
+
+
+def test_a_box_of_unknown_size_is_small(tmp_path: Path) -> None:
+    boxes = box(1, "width='nan' height='5'"), box(2, "width='1' height='1'")
+    assert read_collection(save(tmp_path, "a.xml", imglab(*boxes)))["a.jpg"].points.tolist() == [[2, 0]]
+
+
+def test_all_boxes_have_the_same_landmarks(tmp_path: Path) -> None:
+    boxes = box(1, "width='9' height='9'", name="2"), box(5, "width='2' height='2'", name="10")
+    found = read_collection(save(tmp_path, "a.xml", imglab(*boxes)))["a.jpg"]
+    np.testing.assert_array_equal(found.points, [[1, 0], [NAN, NAN]])
+    np.testing.assert_array_equal(found.others[0].points, [[NAN, NAN], [5, 0]])
+    assert found.names == found.others[0].names == ("2", "10")
 
 
 def test_dlib_parts_and_images_without_a_name(tmp_path: Path) -> None:
@@ -284,7 +299,7 @@ def test_dlib_images_may_lack_twenty_parts_for_each_that_they_have(tmp_path: Pat
     if not refused:
         assert len(read_collection(path)) == n
         return
-    with pytest.raises(LandmarkError, match=r"its 21 images share hardly any of the 21 part names"):
+    with pytest.raises(LandmarkError, match=r"its 21 boxes share hardly any of the 21 part names"):
         read_collection(path)
 
 
@@ -306,8 +321,15 @@ def coco(*annotations: dict) -> dict:
         (({"area": 9, "keypoints": []}, {}), 2),
     ],
 )
-def test_the_largest_annotation_counts(tmp_path: Path, annotations: tuple[dict, ...], x: int) -> None:
+def test_the_largest_annotation_comes_first(tmp_path: Path, annotations: tuple[dict, ...], x: int) -> None:
     assert read_collection(save(tmp_path, "a.json", coco(*annotations)))["a.jpg"].points.tolist() == [[x, 0]]
+
+
+def test_other_annotations_come_by_size_unless_they_have_no_keypoint(tmp_path: Path) -> None:
+    areas = {"area": 1}, {"area": 9}, {"area": 5}, {"area": 3, "keypoints": [0, 0, 0]}
+    found = read_collection(save(tmp_path, "a.json", coco(*areas)))["a.jpg"]
+    assert [other.points.tolist() for other in found.others] == [[[3, 0]], [[1, 0]]]
+    assert [name for name, _ in found.objects("a")] == ["a", "a#2", "a#3"]
 
 
 def test_categories_that_say_nothing_or_are_not_used(tmp_path: Path) -> None:

@@ -142,3 +142,11 @@ def test_wrong_input(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("path,status,message,x0,y0\na.png,converged,,1,two\n")
     with pytest.raises(LiaamError, match=r"t\.csv: row 1 is not one of 'liaam batch' .*'two'"):
         read_specimens(tmp_path / "t.csv")
+
+
+def test_each_object_of_an_image_is_a_specimen(tmp_path: Path) -> None:
+    box = "<box width='{0}' height='1'><part name='1' x='{0}' y='0'/></box>"
+    text = f"<dataset><image file='tray.png'>{box.format(1)}{box.format(2)}</image></dataset>"
+    (tmp_path / "all.xml").write_text(text)
+    specimens = read_specimens(tmp_path / "all.xml")
+    assert [(each.name, each.points.tolist()) for each in specimens] == [("tray", [[2, 0]]), ("tray#2", [[1, 0]])]

@@ -101,6 +101,15 @@ def test_a_pts_is_kept_up_with_its_invisible_points(small):
     assert read_landmarks(small.root / "p1.pts").missing.all()  # a person's own file is never removed
 
 
+def test_of_several_objects_in_a_picture_the_largest_is_shown(small):
+    parts = "".join(f"<part name='{i}' x='{{0}}' y='{i}'/>" for i in range(3))
+    boxes = "".join(f"<box width='{x}' height='1'>{parts.format(x)}</box>" for x in (4, 9, 6))
+    (small.root / "all.xml").write_text(f"<dataset><image file='p1.png'>{boxes}</image></dataset>")
+    assert [x for x, _ in small.marks("p1.png")["points"]] == [9, 9, 9]
+    problem = "p1.png: of several objects in a picture, only the largest is shown and saved"
+    assert problem in small.problems
+
+
 @pytest.mark.parametrize("suffix", [".asf", ".csv", ".tem"])
 def test_files_of_other_formats_count_and_are_left_alone(small, suffix):
     texts = {

@@ -364,6 +364,8 @@ def test_pictures_of_one_object_are_left_out_together():
     assert [fold.tolist() for fold in folds_of(names)] == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
     shuffled = ["anna1", "bob1", "carl1", "anna2", "bob2", "carl2"]
     assert [fold.tolist() for fold in folds_of(shuffled)] == [[0, 3], [1, 4], [2, 5]]
+    several = ["anna1", "bob1", "carl1", "anna1#2", "bob2", "carl2"]
+    assert [fold.tolist() for fold in folds_of(several)] == [[0, 3], [1, 4], [2, 5]]
 
 
 def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_folds():

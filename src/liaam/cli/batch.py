@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.inputs import CameraOption, ResponseOption, RotationsOption
+from liaam.cli.inputs import TURNED, CameraOption, ResponseOption, RotationsOption
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 
@@ -61,6 +61,7 @@ def batch(
     from liaam.batch import Settings, run_batch
     from liaam.batch.run import in_words
     from liaam.batch.work import ERROR
+    from liaam.fitting import FitStatus
     from liaam.photometry import load_camera
 
     camera = None if camera_file is None else load_camera(camera_file)
@@ -88,6 +89,9 @@ def batch(
         complain(f"skipped {folder}: it cannot be read; check its permissions")
     if errors := summary.statuses.get(ERROR, 0):
         complain(f"{_count(errors, 'image')} could not be fitted; see the column 'message'")
+    if doubtful := summary.statuses.get(FitStatus.DOUBTFUL, 0):
+        turned = TURNED if init is None and rotations == "upright" else ""
+        complain(f"doubtful fits: {doubtful}; check those, by the column 'status'{turned}")
     if errors == summary.total:
         raise typer.Exit(1)
 

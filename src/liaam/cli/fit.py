@@ -8,6 +8,7 @@ import typer
 
 from liaam.cli.inputs import (
     LOW_SCORE,
+    TURNED,
     CameraOption,
     EllipsesOption,
     ResponseOption,
@@ -18,9 +19,6 @@ from liaam.cli.inputs import (
 )
 from liaam.cli.terminal import cell, complain, console, progress_bar, say, table_of
 from liaam.errors import LiaamError
-
-TURNED = "; if the object is rotated against the training images, add --rotations all"
-"""Ending of :data:`LOW_SCORE`, if only upright objects were searched for."""
 
 SEVERAL = "the image holds more such objects: add --all to fit each of them, or --init to choose one"
 """Advice for an image with several objects, of which the best was fitted."""
@@ -67,6 +65,8 @@ def fit(
 
     if every and init is not None:
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
+    if folder := next((image for image in images if image.is_dir()), None):
+        raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
     options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
     camera = camera_for(images, camera_file, response, model.camera)
     fitter = Fitter(model, method, options, camera=camera, rotations=rotations)

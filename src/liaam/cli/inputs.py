@@ -23,6 +23,9 @@ LOW_SCORE = (
 )
 """Warning for a start with a low search score."""
 
+TURNED = "; if the object is rotated against the training images, add --rotations all"
+"""Ending of warnings, if only upright objects were searched for."""
+
 
 LandmarkedFolder = Annotated[Path, typer.Argument(help="Folder of images with landmarks beside them.")]
 ImagesOption = Annotated[

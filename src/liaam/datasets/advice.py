@@ -97,7 +97,9 @@ def no_pairs(
     text = f"{root}: {count} ({some_names([image.name for image in wanted], 3)})."
     if unread:
         names = some_names([file.name for file in unread])
-        return f"{text} Files in an unknown format: {names}. Convert them to one of {', '.join(LANDMARK_SUFFIXES)}."
+        known = ", ".join(LANDMARK_SUFFIXES)
+        simplest = "the simplest is a .csv of a line 'x,y' and then x,y of each landmark, in pixels"
+        return f"{text} Files in an unknown format: {names}. Convert them to one of {known}; {simplest}."
     absent = [f"{path.name}: {reason}." for path, reason in left_out if reason.startswith(ABSENT)]
     faults = [reason for _, reason in left_out if "cannot be read" in reason]
     if faults:

@@ -2,8 +2,8 @@
 
 An image ``face.jpg`` takes its landmarks from the file of the same stem in the same folder (``face.pts``),
 or from an entry for it in a file of many images (dlib ``.xml``, COCO ``.json``, ``.tps``, ``.csv`` with a column
-``image``). A file of its own takes precedence over a file of many images, then the order of
-`liaam.io.LANDMARK_SUFFIXES` decides.
+``image``). Several objects of an image are a sample each. A file of its own takes precedence over a file of many
+images, then the order of `liaam.io.LANDMARK_SUFFIXES` decides.
 """
 
 from __future__ import annotations
@@ -39,14 +39,16 @@ PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
 
 
 _BARE = "the image has no landmarks"
+_PARTIAL = "one of several objects in an image lacks landmarks"
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One landmarked image."""
+    """One landmarked object in an image."""
 
     name: str
-    """Unique in its data set: the path inside the folder, without suffix."""
+    """Unique in its data set: the path inside the folder, without suffix. If the image holds several objects, those
+    after the largest have a number: ``party``, ``party#2``, ``party#3``."""
     image: np.ndarray | Path
     """(height, width, 3) uint8, uint16 or float32 in RGB order, or the file to read it from."""
     landmarks: Landmarks
@@ -125,7 +127,7 @@ class Dataset:
     def report(self) -> str:
         """Summarise the number of samples, their formats, and the files left out with reasons, as text."""
         source = f" from {self.source}" if self.source else ""
-        lines = [f"{len(self)} samples{source}", *self._landmark_lines()]
+        lines = [f"{len(self)} samples{source}", *self._landmark_lines(), *self._shared_lines()]
         groups: dict[str, list[LeftOut]] = defaultdict(list)
         for left in self.left_out:
             groups[left.reason.partition(":")[0]].append(left)
@@ -134,6 +136,15 @@ class Dataset:
             lines.append(f"left out {len(members)}: {reason} ({some_names([left.path.name for left in members])})")
             lines += [f"  first: {detail}"] if detail else []
         return "\n".join(lines)
+
+    def _shared_lines(self) -> list[str]:
+        counts = Counter(sample.image for sample in self.samples if isinstance(sample.image, Path))
+        shared = [image for image, count in counts.items() if count > 1]
+        if not shared:
+            return []
+        n_objects, names = sum(counts[image] for image in shared), some_names([image.name for image in shared])
+        holds = "image holds" if len(shared) == 1 else "images hold"
+        return [f"{len(shared)} {holds} {n_objects} objects, each a sample, such as {shared[0].stem}#2 ({names})"]
 
     def _landmark_lines(self) -> list[str]:
         if not self.samples:
@@ -322,11 +333,21 @@ class _Pairing:
             if image != best:
                 self._leave_out(image, f"another image has the same name: {best.name} is used")
             elif options:
-                samples.append(Sample(_name(self.root, image), image, options[0].landmarks, options[0].file))
+                samples += self._samples(image, options[0])
                 self._leave_out_unused(options)
             elif image not in self.reported:
                 self._leave_out(image, _BARE)
         return samples
+
+    def _samples(self, image: Path, option: _Option) -> Iterator[Sample]:
+        """Yield a sample of each object: of the largest in any case, of others if no landmark is missing."""
+        for name, landmarks in option.landmarks.objects(_name(self.root, image)):
+            if landmarks is option.landmarks or not landmarks.missing.any():
+                yield Sample(name, image, landmarks, option.file)
+            else:
+                remedy = f"place them or delete the object, in {option.file.name}"
+                reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
+                self.left_out.append(LeftOut(image.with_name(PurePosixPath(name).name), reason))
 
     def _winners(self) -> dict[Path, Path]:
         """Choose among images of the same stem: one with landmarks, then by suffix (lossless formats first)."""

@@ -160,6 +160,7 @@ def _of_landmarks(path: Path) -> Iterator[Specimen]:
         # The height of the image only shifts the points of .tps, which no measure depends on.
         placed = in_pixels(path, landmarks, (1, 1) if path.suffix.lower() == ".tps" else None)
         try:
-            yield Specimen(PureWindowsPath(entry).stem, placed.points, names=placed.names, scale=placed.scale)
+            for name, own in placed.objects(PureWindowsPath(entry).stem):
+                yield Specimen(name, own.points, names=own.names, scale=own.scale)
         except LandmarkError as fault:
             raise LandmarkError(f"{path}: {fault}") from fault

@@ -17,7 +17,7 @@ from typing import Any
 from liaam.datasets.folder import pair_files
 from liaam.errors import LandmarkError
 from liaam.io.atomic import write_bytes_atomically, write_text_atomically
-from liaam.io.files import read_bytes
+from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import FORMATS, Landmarks, parse_landmark_data
 from liaam.studio.folder import remove, revision_of
 from liaam.studio.listing import File, Listing, Signature
@@ -170,8 +170,12 @@ class LandmarkFiles:
                     revisions[file] = None
                     problems.append(self._folder.plain(fault))
             revision = revisions[file]
-            if revision is not None:
-                marks[sample.image.name] = Marks(file.name, revision, sample.landmarks)
+            if revision is not None:  # of several objects in a picture, the largest comes first
+                marks.setdefault(sample.image.name, Marks(file.name, revision, sample.landmarks))
+        several = [name for name, mark in marks.items() if mark.landmarks is not None and mark.landmarks.others]
+        if several:
+            only = "of several objects in a picture, only the largest is shown and saved"
+            problems.append(f"{some_names(several)}: {only}")
         for left in left_out:
             if "cannot be read" not in left.reason:
                 continue

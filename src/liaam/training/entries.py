@@ -1,6 +1,7 @@
 """Training samples: read and validate landmarks, contours and mesh."""
 
 import os
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -82,6 +83,11 @@ def _entry(item, i: int) -> tuple[Entry, tuple]:
         raise TrainingError(f"{name}: all landmarks lie within 2 pixels of each other; are they in pixels?")
     contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
     return Entry(name, read, points), contours
+
+
+def image_of(name: str) -> str:
+    """Return the name of the image of a sample, which may be one of several objects in it: party#2."""
+    return re.sub(r"#\d+$", "", name)
 
 
 def check_flat(mean: np.ndarray) -> None:

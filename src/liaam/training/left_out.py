@@ -14,7 +14,7 @@ from liaam.model.appearance import train_appearance_model
 from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
-from liaam.training.entries import Entry
+from liaam.training.entries import Entry, image_of
 from liaam.training.steps import FITTED, Steps, learning_cost
 from liaam.training.textures import Sampled
 
@@ -61,7 +61,7 @@ def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
 def folds_of(names: list[str]) -> list[np.ndarray]:
     """Folds of samples, by object if names such as 07-1, 07-2 or anna1, anna2 identify it."""
     groups: dict[str, list[int]] = {}
-    for i, name in enumerate(names):
+    for i, name in enumerate(map(image_of, names)):
         groups.setdefault(re.sub(r"([-_. ][^-_. /]*|\d+)$", "", re.sub(r"\.[A-Za-z]{2,4}\d?$", "", name)), []).append(i)
     several = len(groups) >= 3 and max(map(len, groups.values())) <= len(names) / 2
     members = list(groups.values()) if several else [[i] for i in range(len(names))]

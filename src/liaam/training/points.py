@@ -13,7 +13,7 @@ from liaam.io.landmarks import FORMATS
 from liaam.model.file import MAX_POINTS
 from liaam.model.point_map import PointMap, learn_point_map
 from liaam.photometry.encoding import as_colour
-from liaam.training.entries import Entry
+from liaam.training.entries import Entry, image_of
 from liaam.training.left_out import folds_of
 
 Points = str | os.PathLike[str] | Callable[[np.ndarray], np.ndarray | None] | Sequence[np.ndarray | None] | np.ndarray
@@ -35,20 +35,35 @@ def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) ->
     known = [
         (entry, found) for entry, found in zip(entries, _points_of(points, entries), strict=True) if found is not None
     ]
+    known = _of_one_object([(entry, _checked(entry.name, found, known[0][1])) for entry, found in known])
     if len(known) < 3:
         where = f" of {points}" if isinstance(points, (str, os.PathLike)) else ""
         raise TrainingError(
             f"points{where}: there are points of another landmarker for {len(known)} of {len(entries)} images; at "
             f"least 3 are needed, in files named as the images, such as {Path(entries[0].name).stem}.pts"
         )
-    theirs = [_checked(entry.name, found, known[0][1]) for entry, found in known]
-    if len(theirs[0]) == len(mean):
+    theirs = np.array([found for _, found in known])
+    if theirs.shape[1] == len(mean):
         raise TrainingError(
             f"points: the other landmarker has {len(mean)} points, as the model has; fits tell them apart by their "
             "number: add a point to theirs (such as their mean), or leave one out"
         )
     folds = folds_of([entry.name for entry, _ in known])
-    return learn_point_map(np.array(theirs), np.array([entry.points for entry, _ in known]), mean, folds)
+    return learn_point_map(theirs, np.array([entry.points for entry, _ in known]), mean, folds)
+
+
+def _of_one_object(known: Sequence[tuple[Entry, np.ndarray]]) -> list[tuple[Entry, np.ndarray]]:
+    """Of several objects in an image for which the landmarker found the same points, keep the nearest to them."""
+    nearest: dict[tuple[str, bytes], tuple[Entry, np.ndarray]] = {}
+    for pair in known:
+        key = image_of(pair[0].name), pair[1].tobytes()
+        nearest[key] = min(nearest.get(key, pair), pair, key=_distance)
+    return list(nearest.values())
+
+
+def _distance(pair: tuple[Entry, np.ndarray]) -> float:
+    entry, found = pair
+    return float(np.linalg.norm(entry.points.mean(axis=0) - found.mean(axis=0)))
 
 
 def _points_of(points: Points, entries: Sequence[Entry]) -> Iterator[np.ndarray | None]:

@@ -7,8 +7,8 @@ A missing landmark is (NaN, NaN). Each format's module converts from and to its 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,8 @@ class Landmarks:
     """Occluded landmarks with known positions, ascending. Only ``.ljson`` stores them."""
     scale: float | None = None
     """Length of a pixel in the specimen's units, such as 0.01 mm. Only ``.tps`` stores it."""
+    others: tuple[Landmarks, ...] = ()
+    """Smaller objects of the same image, the larger ones first. Only ``.xml`` and ``.json`` store several."""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)
@@ -89,6 +91,12 @@ class Landmarks:
     def missing(self) -> np.ndarray:
         """(n,) bool mask of missing landmarks."""
         return np.isnan(self.points[:, 0])
+
+    def objects(self, name: str) -> Iterator[tuple[str, Landmarks]]:
+        """Yield each object of the image and its name: ``name``, ``name#2``, ``name#3``, ..."""
+        yield name, self
+        for number, other in enumerate(self.others, 2):
+            yield f"{name}#{number}", other
 
 
 def _checked_points(points: Any) -> np.ndarray:
@@ -137,6 +145,12 @@ def make_landmarks(
         return Landmarks(points, tuple(contours), tuple(names), image_name, tuple(invisible), scale)
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
+
+
+def largest_of(objects: Iterable[tuple[float, Landmarks]]) -> Landmarks:
+    """Return the largest object of an image, with the others that have landmarks; from their areas and landmarks."""
+    first, *others = (landmarks for _, landmarks in sorted(objects, key=lambda each: -each[0]))
+    return replace(first, others=tuple(other for other in others if not other.missing.all()))
 
 
 def read_text(path: Path) -> str:

@@ -2,8 +2,8 @@
 
 COCO defines keypoints as "a 0-indexed location x, y". Annotators clicked on whole pixels, so the numbers are taken as
 pixel centres, without a shift of half a pixel. A keypoint of visibility 0 is missing; one of visibility 1 (labelled
-but hidden) is not. One file holds many images. Of several annotations of an image, the one with the largest area is
-used. The category's keypoint names become the names, and its skeleton (pairs counted from 1) the contours.
+but hidden) is not. One file holds many images. Each annotation with keypoints is an object. The category's keypoint
+names become the names, and its skeleton (pairs counted from 1) the contours.
 """
 
 from __future__ import annotations
@@ -13,7 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Contour, Landmarks, chain_edges, check_number, make_landmarks, parse_json
+from liaam.io.landmarks.base import (
+    Contour,
+    Landmarks,
+    chain_edges,
+    check_number,
+    largest_of,
+    make_landmarks,
+    parse_json,
+)
 
 _Lines = tuple[tuple[str, ...], tuple[Contour, ...]]
 _NO_LINES: _Lines = ((), ())
@@ -31,34 +39,21 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
     try:
         files = {image["id"]: str(image["file_name"]) for image in content["images"]}
         categories = {category["id"]: category for category in content.get("categories") or ()}
-        chosen = _largest(path, content["annotations"])
-        used = {annotation.get("category_id") for annotation in chosen.values()} & set(categories)
+        annotations = [each for each in content["annotations"] if each.get("keypoints")]
+        used = {annotation.get("category_id") for annotation in annotations} & set(categories)
         lines = {number: _lines(path, categories[number]) for number in used}
-        found = {
-            files[image]: _landmarks(
-                path, annotation, lines.get(annotation.get("category_id"), _NO_LINES), files[image]
-            )
-            for image, annotation in chosen.items()
-        }
+        objects: dict[str, list[tuple[float, Landmarks]]] = {}
+        for annotation in annotations:
+            image, own = files[annotation["image_id"]], lines.get(annotation.get("category_id"), _NO_LINES)
+            landmarks = _landmarks(path, annotation, own, image)
+            objects.setdefault(image, []).append((_area(path, annotation), landmarks))
     except (TypeError, KeyError, ValueError, AttributeError) as fault:
         raise LandmarkError(
             f"{path} lacks the parts of a COCO keypoints file (images, annotations, categories): export it again."
         ) from fault
-    if not found:
+    if not objects:
         raise LandmarkError(f"{path} is COCO without keypoints: export the annotations with keypoints.")
-    return found
-
-
-def _largest(path: Path, annotations: Any) -> dict[Any, Any]:
-    """Choose one annotation with keypoints per image."""
-    chosen: dict[Any, tuple[float, Any]] = {}
-    for annotation in annotations:
-        if not annotation.get("keypoints"):
-            continue
-        area = _area(path, annotation)
-        if area > chosen.get(annotation["image_id"], (-math.inf, None))[0]:
-            chosen[annotation["image_id"]] = (area, annotation)
-    return {image: annotation for image, (_, annotation) in chosen.items()}
+    return {image: largest_of(each) for image, each in objects.items()}
 
 
 def _area(path: Path, annotation: Any) -> float:

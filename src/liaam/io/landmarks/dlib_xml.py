@@ -1,8 +1,7 @@
 """dlib ``imglab`` data sets (``.xml``): pixel centres counted from 0, x to the right and y downwards.
 
-One file holds many images. The landmarks are the ``part`` elements of a box. Of several boxes in an image, the largest
-one with parts is used. Parts are in natural order of their names (1, 2, ... 10) over all images. If an image lacks a
-part, that landmark is missing.
+One file holds many images. The landmarks are the ``part`` elements of a box. Each box with parts is an object. Parts
+are in natural order of their names (1, 2, ... 10) over all images. If a box lacks a part, that landmark is missing.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Any
 
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key
-from liaam.io.landmarks.base import Landmarks, make_landmarks, parse_number
+from liaam.io.landmarks.base import Landmarks, largest_of, make_landmarks, parse_number
 
 _Parts = dict[str, tuple[float, float]]
 
@@ -29,22 +28,27 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
     LandmarkError
         If the file is not complete XML, declares a document type or entities, or has no landmarks.
     """
-    chosen: dict[str, tuple[float, _Parts]] = {}
+    objects: dict[str, list[tuple[float, _Parts]]] = {}
     for image in _root(path, text).iter("image"):
         name = image.get("file", "")
         for box in image.iterfind("box"):  # direct children only, so that nested images do not repeat the work
             parts = _parts(path, name, box)
             area = _area(path, name, box)
-            if parts and area > chosen.get(name, (-math.inf, {}))[0]:
-                chosen[name] = (area, parts)
-    if not chosen:
+            if parts:
+                objects.setdefault(name, []).append((area, parts))
+    if not objects:
         raise LandmarkError(f"{path} has no image with landmarks (part elements in a box): export it again.")
-    names = sorted({name for _, parts in chosen.values() for name in parts}, key=natural_key)
-    _check_shared(path, names, chosen)
+    found = [parts for each in objects.values() for _, parts in each]
+    names = sorted({name for parts in found for name in parts}, key=natural_key)
+    _check_shared(path, names, found)
     absent = (math.nan, math.nan)
+
+    def landmarks(image: str, parts: _Parts) -> Landmarks:
+        points = [parts.get(name, absent) for name in names]
+        return make_landmarks(path, points, names=names, image_name=image)
+
     return {
-        image: make_landmarks(path, [parts.get(name, absent) for name in names], names=names, image_name=image)
-        for image, (_, parts) in chosen.items()
+        image: largest_of((area, landmarks(image, parts)) for area, parts in each) for image, each in objects.items()
     }
 
 
@@ -63,12 +67,12 @@ def _root(path: Path, text: str) -> Any:
         raise LandmarkError(f"{path} is not complete XML ({fault}); it may be cut short: export it again.") from fault
 
 
-def _check_shared(path: Path, names: list[str], chosen: dict[str, tuple[float, _Parts]]) -> None:
-    """Raise if images share hardly any part names, because nearly all landmarks would be missing."""
-    n_there = sum(len(parts) for _, parts in chosen.values())
-    if len(names) * len(chosen) > _MOST_MISSING * n_there:
+def _check_shared(path: Path, names: list[str], objects: list[_Parts]) -> None:
+    """Raise if objects share hardly any part names, because nearly all landmarks would be missing."""
+    n_there = sum(map(len, objects))
+    if len(names) * len(objects) > _MOST_MISSING * n_there:
         raise LandmarkError(
-            f"{path}: its {len(chosen)} images share hardly any of the {len(names)} part names: give a part the same "
+            f"{path}: its {len(objects)} boxes share hardly any of the {len(names)} part names: give a part the same "
             "name in all images."
         )
 
@@ -88,4 +92,4 @@ def _parts(path: Path, image: str, box: Any) -> _Parts:
 
 def _area(path: Path, image: str, box: Any) -> float:
     sides = [parse_number(path, box.get(side, "0"), f"a box of image '{image}'") for side in ("width", "height")]
-    return sides[0] * sides[1]
+    return 0.0 if math.isnan(sides[0] * sides[1]) else sides[0] * sides[1]
