@@ -9,7 +9,7 @@ from safetensors.numpy import save_file
 
 from liaam.errors import ModelFileError
 from liaam.fitting import METHODS, FitStatus, Fitter
-from liaam.fitting.reliability import LARGEST_FACTOR, _landmarks, _logistic, _surprise, _variance_factor, _weights
+from liaam.fitting.reliability import LARGEST_FACTOR, _beyond, _logistic, _surprise, _variance_factor, _weights
 from liaam.model import SURROUNDINGS, load_model
 from liaam.model.shape import diagonal_of
 from setups import disturb
@@ -56,6 +56,8 @@ def test_it_is_kept_in_the_model_file(calibrated, tmp_path):
     loaded = load_model(tmp_path / "m.liaam").views[SURROUNDINGS].reliability
     assert loaded is not None
     np.testing.assert_array_equal(loaded.landmarks, calibrated.views[SURROUNDINGS].reliability.landmarks)
+    np.testing.assert_array_equal(loaded.bias, calibrated.views[SURROUNDINGS].reliability.bias)
+    assert loaded.unit == calibrated.views[SURROUNDINGS].reliability.unit
     np.testing.assert_array_equal(loaded.weights, calibrated.views[SURROUNDINGS].reliability.weights)
     assert loaded.variance_factor == calibrated.views[SURROUNDINGS].reliability.variance_factor
     assert loaded.typical == calibrated.views[SURROUNDINGS].reliability.typical
@@ -137,12 +139,25 @@ def test_the_covariance_of_landmarks_makes_up_for_what_fits_do_not_state(rng):
     true = np.array([[4.0, 1.0], [1.0, 2.0]])
     errors = rng.multivariate_normal(np.zeros(2), true, (4000, 3))
     stated = np.broadcast_to(0.5 * np.eye(2), (4000, 3, 2, 2))
-    np.testing.assert_allclose(_landmarks(errors, stated) + stated[0], np.broadcast_to(true, (3, 2, 2)), atol=0.3)
+    shapes = np.broadcast_to(0.3 * np.eye(2), (3, 2, 2))
+    beyond = _beyond(errors, stated, shapes)
+    np.testing.assert_allclose(beyond + shapes + stated[0], np.broadcast_to(true, (3, 2, 2)), atol=0.3)
+    assert not _beyond(errors, stated, 9.0 * shapes / 0.3).any()
+
+
+def test_what_an_image_leaves_unexplained_widens_its_covariances(calibrated, same_light_scene):
+    known, start = calibrated.views[SURROUNDINGS].reliability, disturb(same_light_scene.landmarks)
+    fit = Fitter(calibrated).fit(same_light_scene.image, start)
+    assert fit.residual_variance > 0
+    harder = calibrated.with_view(SURROUNDINGS, reliability=replace(known, unit=known.unit / 3))
+    grown = Fitter(harder).fit(same_light_scene.image, start).landmark_covariances - fit.landmark_covariances
+    scale = fit.pose.scale**2 * fit.residual_variance / known.unit
+    assert np.trace(grown, axis1=1, axis2=2) == pytest.approx(2 * scale * np.trace(known.bias, axis1=1, axis2=2))
 
 
 def test_few_pictures_widen_it(rng):
     errors = rng.standard_normal((5, 40, 2))
-    few = _landmarks(errors, np.zeros((5, 40, 2, 2)))
+    few = _beyond(errors, np.zeros((5, 40, 2, 2)), np.zeros((40, 2, 2)))
     assert np.trace(few, axis1=1, axis2=2).mean() > 1.5 * np.square(errors).sum(axis=2).mean()
     assert (np.linalg.eigvalsh(few) > 0).all()
 

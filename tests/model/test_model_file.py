@@ -727,6 +727,8 @@ def test_values_at_their_limits(tiny_file, tmp_path, change, words):
 
 RELIABILITY = {
     "landmarks": np.tile(np.eye(2), (4, 1, 1)),
+    "bias": np.tile(np.diag([2.0, 3.0]), (4, 1, 1)),
+    "unit": np.array([0.25]),
     "weights": np.array([-1.0, 4.0, -0.5]),
     "variance_factor": np.array([1.5]),
     "typical": np.array([0.75]),
@@ -747,8 +749,9 @@ def test_what_is_known_of_fits_is_kept(tiny_file, tmp_path):
         known = load_model(tmp_path / path).views[SURROUNDINGS].reliability
         assert known is not None
         np.testing.assert_array_equal(known.landmarks, RELIABILITY["landmarks"])
+        np.testing.assert_array_equal(known.bias, RELIABILITY["bias"])
         np.testing.assert_array_equal(known.weights, RELIABILITY["weights"])
-        assert (known.variance_factor, known.typical) == (1.5, 0.75)
+        assert (known.unit, known.variance_factor, known.typical) == (0.25, 1.5, 0.75)
 
 
 @pytest.mark.parametrize(
@@ -764,6 +767,8 @@ def test_what_is_known_of_fits_is_kept(tiny_file, tmp_path):
         ({"weights": [1.0, 2.0]}, "reliability.weights has type float64 and shape (2,)"),
         ({"weights": [1.0, 2.0, np.inf]}, "reliability.weights has"),
         ({"landmarks": np.tile(-np.eye(2), (4, 1, 1))}, "reliability.landmarks has negative variances"),
+        ({"bias": np.tile(-np.eye(2), (4, 1, 1))}, "reliability.bias has negative variances"),
+        ({"unit": [0.0]}, "reliability.unit is not positive"),
         ({"landmarks": np.zeros((3, 2, 2))}, "reliability.landmarks has type float64 and shape (3, 2, 2)"),
     ],
 )
@@ -773,7 +778,8 @@ def test_what_is_known_of_fits_is_checked(tiny_file, tmp_path, changes, words):
 
 
 def test_quality_is_a_probability_of_the_evidence():
-    known = Reliability(**{**RELIABILITY, "variance_factor": 1.5, "typical": 0.8})
+    known = Reliability(**{**RELIABILITY, "unit": 0.25, "variance_factor": 1.5, "typical": 0.8})
+    assert known.errors(0.5)[0] == pytest.approx(np.diag([5.0, 7.0]))
     assert known.quality(np.array([0.25, 0.0])) == 0.5
     assert known.quality(np.array([0.5, 1.0])) == pytest.approx(1 / (1 + np.exp(-0.5)))
     assert known.quality(np.array([1e9, 0.0])) == pytest.approx(1.0)

@@ -403,7 +403,7 @@ class Fitter:
         spread = covariance(stage, self.options.shape_prior / solution.scale)
         spread = spread if known is None else known.variance_factor * spread
         seen = evidence(stage)
-        status = self._status(image, history, stage)
+        status, unit = self._status(image, history, stage), stage.objective.unit(solution.work)
         quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
         # A fit that explains nothing is doubtful, also without calibration.
         explains = seen[0] > 0.0 if known is not None else explains_more_than_noise(stage)
@@ -421,7 +421,8 @@ class Fitter:
             n_iterations=sum(stage.solution.n_iterations for stage in stages),
             history=history,
             covariance=spread,
-            landmark_covariances=landmark_covariances(self.shapes, stage.pose, spread, known),
+            landmark_covariances=landmark_covariances(self.shapes, stage.pose, spread, known, unit),
+            residual_variance=unit,
             evidence=seen,
             quality=quality,
             method=self._method,
@@ -561,7 +562,11 @@ def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
 
 
 def landmark_covariances(
-    shapes: ShapeModel, pose: Similarity, spread: np.ndarray, reliability: Reliability | None = None
+    shapes: ShapeModel,
+    pose: Similarity,
+    spread: np.ndarray,
+    reliability: Reliability | None = None,
+    unit: float = 1.0,
 ) -> np.ndarray:
     """Return the covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit plus left-out errors.
 
@@ -574,9 +579,11 @@ def landmark_covariances(
         Covariance of (p, free angles).
     reliability : Reliability, optional
         Source of the fits' errors on left-out images; by default the shape model's errors on left-out shapes.
+    unit : float
+        Variance of a residual at weight 1, on which these errors depend.
     """
     fitted = fitted_covariances(shapes, spread)
-    unexplained = shapes.unexplained if reliability is None else reliability.landmarks
+    unexplained = shapes.unexplained if reliability is None else reliability.errors(unit)
     own = fitted if unexplained is None else fitted + unexplained
     return pose.matrix @ own @ pose.matrix.T
 

@@ -70,7 +70,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     Reliability or None
         None if there are too few right fits to learn from.
     """
-    seen, right, errors, spreads, surprises, fitter = [], [], [], [], [], None
+    seen, right, errors, spreads, surprises, units, fitter = [], [], [], [], [], [], None
     finder = Finder(model)
     for i, picture in enumerate(pictures):
         rng = np.random.default_rng([7, i])
@@ -87,6 +87,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
                 unposed, shapes = result.pose.inverse(), fitter.shapes
                 errors.append((picture.points - result.landmarks) @ unposed.matrix.T)
                 spreads.append(fitted_covariances(shapes, result.covariance))
+                units.append(result.residual_variance)
                 surprises.append(_surprise(shapes.parameters(unposed(picture.points)) - result.p, result.covariance))
             if not RIGHT < error <= WRONG:
                 seen.append(result.evidence)
@@ -101,8 +102,9 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     if not weights[1] > 0:  # quality must increase with the explained contrast
         return None
     variance_factor = _variance_factor(np.array(surprises))
-    landmarks = _landmarks(np.array(errors), variance_factor * np.array(spreads))
-    made = Reliability(_larger(landmarks, _by_shape(model)), weights, variance_factor)
+    landmarks = _by_shape(model)
+    bias = _beyond(np.array(errors), variance_factor * np.array(spreads), landmarks)
+    made = Reliability(landmarks, bias, float(np.mean(units)), weights, variance_factor)
     qualities = [made.quality(own) for own, is_right in zip(seen, right, strict=True) if is_right]
     return replace(made, typical=float(np.quantile(qualities, RARE)))
 
@@ -156,11 +158,16 @@ def _variance_factor(surprises: np.ndarray) -> float:
     return float(np.clip(np.exp(logs.sum() / (len(logs) + SHRINK)), 1.0, LARGEST_FACTOR))
 
 
-def _landmarks(errors: np.ndarray, spreads: np.ndarray) -> np.ndarray:
-    """Return the covariance (n, 2, 2) of the errors (m, n, 2) beyond the fits' own covariances (m, n, 2, 2)."""
-    beyond = np.einsum("mna,mnb->nab", errors, errors) / len(errors) - spreads.mean(axis=0)
-    values, vectors = np.linalg.eigh(beyond)
-    return _widened(np.einsum("nai,ni,nbi->nab", vectors, np.maximum(values, 0.0), vectors), len(errors))
+def _beyond(errors: np.ndarray, spreads: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+    """Return the covariance (n, 2, 2) of errors (m, n, 2) beyond that of fits (m, n, 2, 2) and of shapes (n, 2, 2)."""
+    moments = _positive(np.einsum("mna,mnb->nab", errors, errors) / len(errors) - spreads.mean(axis=0))
+    return _positive(_widened(moments, len(errors)) - landmarks)
+
+
+def _positive(matrices: np.ndarray) -> np.ndarray:
+    """Set negative eigenvalues of symmetric matrices (n, 2, 2) to 0."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.einsum("nai,ni,nbi->nab", vectors, np.maximum(values, 0.0), vectors)
 
 
 def _widened(moments: np.ndarray, m: int) -> np.ndarray:
@@ -174,12 +181,6 @@ def _by_shape(model: AAM) -> np.ndarray:
     unexplained = model.views[METHODS[DEFAULT_METHOD].view].shape_model.unexplained
     nothing = np.zeros((model.n_points, 2, 2))
     return nothing if unexplained is None else _widened(unexplained, model.n_images)
-
-
-def _larger(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return, for each landmark, the one of two covariances (n, 2, 2) with the larger trace."""
-    traces = [np.trace(each, axis1=1, axis2=2) for each in (a, b)]
-    return np.where((traces[0] >= traces[1])[:, None, None], a, b)
 
 
 def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:

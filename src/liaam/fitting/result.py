@@ -154,6 +154,9 @@ class FitResult:
     landmark_covariances : (n, 2, 2) float64
         Covariance of each landmark, image pixels squared: that of p propagated to the landmarks, plus the errors
         measured on left-out training images.
+    residual_variance : float
+        Variance of a residual at weight 1: what the model leaves unexplained in this image. The landmarks' covariances
+        grow with it.
     evidence : (2,) float64
         Explained contrast, and the shape's distance from the mean (:func:`liaam.fitting.fitter.evidence`).
     quality : float
@@ -185,6 +188,7 @@ class FitResult:
     history: tuple[Iteration, ...]
     covariance: np.ndarray
     landmark_covariances: np.ndarray
+    residual_variance: float
     evidence: np.ndarray
     quality: float
     method: Method

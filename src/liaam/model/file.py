@@ -126,7 +126,7 @@ def _parts(view: View) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
     """Yield name, object and fields of all parts of a view that are stored as tensors."""
     yield "shape", view.shape_model, ("modes", "eigenvalues", "unexplained")
     if view.reliability is not None:
-        yield "reliability", view.reliability, ("landmarks", "weights", "variance_factor", "typical")
+        yield "reliability", view.reliability, ("landmarks", "bias", "unit", "weights", "variance_factor", "typical")
     for i, level in enumerate(view.levels):
         for name, appearance in level.appearances.items():
             yield f"{i}/{name}", appearance, ("mean", "modes", "eigenvalues", "usable", "unexplained")
@@ -284,7 +284,10 @@ def _blurs(blurs: list) -> list[float]:
 def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     if "reliability.weights" not in tensors:
         return None
-    landmarks = _tensor(tensors, "reliability.landmarks", np.float64, (n, 2, 2))
+    landmarks, bias = (_tensor(tensors, f"reliability.{name}", np.float64, (n, 2, 2)) for name in ("landmarks", "bias"))
+    unit = float(_tensor(tensors, "reliability.unit", np.float64, (1,))[0])
+    if not unit > 0.0:
+        raise ValueError("reliability.unit is not positive")
     variance_factor = float(_tensor(tensors, "reliability.variance_factor", np.float64, (1,))[0])
     if variance_factor < 1.0:
         raise ValueError("reliability.variance_factor is below 1")
@@ -292,7 +295,7 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     if not 0.0 <= typical <= 1.0:
         raise ValueError("reliability.typical is not a probability")
     weights = _tensor(tensors, "reliability.weights", np.float64, (3,))
-    return Reliability(landmarks, weights, variance_factor, typical)
+    return Reliability(landmarks, bias, unit, weights, variance_factor, typical)
 
 
 def _appearances(
@@ -339,7 +342,7 @@ def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple)
         key.endswith("usable") and (tensor > 1).any()
     ):
         raise ValueError(f"{key} has values out of range")
-    if key.endswith(("unexplained", "landmarks")) and (np.diagonal(tensor, axis1=1, axis2=2) < 0).any():
+    if key.endswith(("unexplained", "landmarks", "bias")) and (np.diagonal(tensor, axis1=1, axis2=2) < 0).any():
         raise ValueError(f"{key} has negative variances")
     return tensor
 

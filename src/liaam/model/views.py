@@ -46,7 +46,12 @@ class Reliability:
     Attributes
     ----------
     landmarks : (n, 2, 2) float64
-        Covariance of each landmark in addition to that of a fit, square pixels of the reference frame.
+        Covariance of each landmark of left-out shapes about the nearest shape of the model, square pixels of the
+        reference frame.
+    bias : (n, 2, 2) float64
+        Covariance of the remaining errors of fits to left-out images, beyond that of a fit.
+    unit : float
+        Mean variance of a residual at weight 1 in these fits. ``bias`` grows in proportion to that of a fit.
     weights : (3,) float64
         Log odds that a fit is right: intercept, and coefficients of the fraction of the image that the fit explains
         and of its shape's distance to the mean.
@@ -57,6 +62,8 @@ class Reliability:
     """
 
     landmarks: np.ndarray
+    bias: np.ndarray
+    unit: float
     weights: np.ndarray
     variance_factor: float
     typical: float = 0.5
@@ -66,6 +73,10 @@ class Reliability:
         """Threshold of low quality: :data:`LOW` of the log odds of ``typical``."""
         odds = np.log(max(self.typical, 1e-9)) - np.log(max(1.0 - self.typical, 1e-9))
         return float(1.0 / (1.0 + np.exp(-LOW * odds)))
+
+    def errors(self, unit: float) -> np.ndarray:
+        """Covariance of each landmark (n, 2, 2), beyond that of a fit whose residuals have variance ``unit``."""
+        return self.landmarks + unit / self.unit * self.bias
 
     def quality(self, evidence: np.ndarray) -> float:
         """Probability, 0 to 1, that a fit with the given evidence (2,) is right, for equal prior odds."""
