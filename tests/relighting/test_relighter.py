@@ -10,7 +10,7 @@ from liaam.datasets.scenes import Head
 from liaam.errors import LiaamError, MethodError
 from liaam.fitting import Fitter
 from liaam.model.mesh import ReferenceFrame, delaunay
-from liaam.relighting import Relighter
+from liaam.relighting import Lamp, Relighter
 from liaam.relighting.extrapolation import around, continued
 from liaam.relighting.painting import eight_bits, log_light
 from liaam.relighting.relief import normals_of
@@ -109,6 +109,25 @@ def test_light_comes_from_where_it_is_said_to(taken_apart, direction):
     near = towards > np.median(towards)
     change = (relit - flat)[y, x]
     assert change[near].mean() > change[~near].mean() + 0.2
+
+
+def test_two_lamps_light_both_sides_in_their_colours(taken_apart):
+    red, blue = Lamp((-1, 0, 0.3), (1.0, 0.2, 0.2)), Lamp((1, 0, 0.3), (0.2, 0.2, 1.0))
+    made = log_light(taken_apart.under_lamps([red, blue], 0.1), "srgb") - log_light(taken_apart.flat(), "srgb")
+    inside = mesh_mask(taken_apart.model, taken_apart.picture, taken_apart.shape)
+    y, x = np.nonzero(inside)
+    redder = made[y, x, 0] - made[y, x, 2]
+    left = x < np.median(x)
+    assert redder[left].mean() > 0.3
+    assert redder[~left].mean() < -0.3
+
+
+def test_a_soft_lamp_from_the_side_lights_the_other_side_more(taken_apart):
+    hard, soft = (taken_apart.under_lamps([Lamp((1, 0, 0.2), softness=s)], 0.05).astype(int) for s in (0.0, 1.0))
+    inside = mesh_mask(taken_apart.model, taken_apart.picture, taken_apart.shape)
+    y, x = np.nonzero(inside)
+    left = x < np.percentile(x, 25)
+    assert soft[y[left], x[left]].mean() > 1.2 * hard[y[left], x[left]].mean()
 
 
 def test_far_from_the_object_nothing_changes(taken_apart):

@@ -13,7 +13,7 @@ import pytest
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, read_landmarks, write_image, write_landmarks
 from liaam.model import load_model
-from liaam.relighting.relighter import AMBIENT
+from liaam.relighting.lamp import AMBIENT
 from liaam.studio.serving import open_port
 from liaam.studio.serving import serve as serve_until_interrupted
 

@@ -75,7 +75,7 @@ def relight(
     from liaam.fitting import Fitter
     from liaam.io import write_image
     from liaam.model import load_model
-    from liaam.relighting.relighter import AMBIENT, check_ambient, unit_direction
+    from liaam.relighting.lamp import AMBIENT, check_ambient, unit_direction
 
     ambient = AMBIENT if ambient is None else ambient
     if direction is not None:

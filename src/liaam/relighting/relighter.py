@@ -16,22 +16,17 @@ from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.extrapolation import around, continued
 from liaam.relighting.joint import appearance_in_light
+from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of
 from liaam.relighting.lamplight import light_on_image, lit_frame, square_around
 from liaam.relighting.painting import REACH, box_around, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
-
-AMBIENT = 0.25
-"""Default fraction of ambient light."""
 
 LONGEST = 1.5
 """Largest exposure relative to frontal light; a lamp from behind leaves the object dark."""
 
 BRIGHT = np.log(0.6)
 """Logarithm of light from which brightened pixels approach white gradually instead of being clipped."""
-
-DARKEST = 0.02
-"""Lower bound on the light at a pixel, because black has no logarithm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +121,7 @@ class Relighter:
         return whole
 
     def under(self, direction: Sequence[float], ambient: float = AMBIENT) -> np.ndarray:
-        """Return the image with the object under a distant lamp, (h, w, 3) uint8.
-
-        Uses Lambert's law on the inflated surface, relative to a frontal lamp: under (0, 0, 1) the object is as in
-        :meth:`flat`. A lamp from the side gives less light on average. Half of this loss (in logarithms) is
-        compensated by the exposure, up to a factor :data:`LONGEST`.
+        """Return the image with the object under a distant lamp, (h, w, 3) uint8; see :meth:`under_lamps`.
 
         Parameters
         ----------
@@ -144,13 +135,34 @@ class Relighter:
         LiaamError
             For a zero or non-finite direction, and for ambient light out of range.
         """
-        lamp = unit_direction(direction)
+        return self.under_lamps([Lamp(direction)], ambient)
+
+    def under_lamps(self, lamps: Sequence[Lamp], ambient: float = AMBIENT) -> np.ndarray:
+        """Return the image with the object under several distant lamps, (h, w, 3) uint8.
+
+        Uses Lambert's law on the inflated surface, relative to a frontal lamp: under one white lamp from (0, 0, 1) the
+        object is as in :meth:`flat`. A lamp from the side gives less light on average. Half of this loss (in
+        logarithms) is compensated by the exposure, up to a factor :data:`LONGEST`, and so is half of the gain of
+        several lamps.
+
+        Parameters
+        ----------
+        lamps : sequence of Lamp
+            May be empty: then there is ambient light only.
+        ambient : float
+            Fraction of white ambient light, 0 to 1.
+
+        Raises
+        ------
+        LiaamError
+            For ambient light out of range.
+        """
         check_ambient(ambient)
         if not self.inside.any():
             return self.picture.copy()
-        shade, frontal = (lambert(facing, ambient) for facing in (self.normals @ lamp, self.normals[..., 2]))
-        exposure = min(float(frontal[self.inside].mean() / shade[self.inside].mean()) ** 0.5, LONGEST)
-        return self._with(self.log_flat + self.share * np.log(exposure * shade / frontal)[..., None])
+        light, frontal = (light_of(given, self.normals, ambient) for given in (lamps, [Lamp((0.0, 0.0, 1.0))]))
+        exposure = min(float(frontal[self.inside].mean() / light[self.inside].mean()) ** 0.5, LONGEST)
+        return self._with(self.log_flat + self.share * np.log(exposure * light / frontal))
 
     def like(self, other: "Relighter") -> np.ndarray:
         """Return the image with the object under the light of another fitted image, (h, w, 3) uint8.
@@ -189,38 +201,6 @@ class Relighter:
         changed = (self.share[..., 0] > 0) | self.log_shading.any(axis=2) | relit
         picture[self.box][changed] = eight_bits(log_rgb[changed], self.response)
         return picture
-
-
-def unit_direction(direction: Sequence[float]) -> np.ndarray:
-    """Normalise a direction to unit length, (3,) float32.
-
-    Raises
-    ------
-    LiaamError
-        If it is not three finite numbers, or all are 0.
-    """
-    try:
-        light = np.asarray(direction, dtype=np.float64)
-    except (TypeError, ValueError):
-        light = np.zeros(0)
-    if light.shape != (3,) or not np.isfinite(light).all() or not light.any():
-        shown = ",".join(f"{value:g}" for value in light.ravel()) or repr(direction)
-        raise LiaamError(
-            f"light direction {shown} is not valid; give three numbers x,y,z, not all 0 (right, down, to the viewer)"
-        )
-    light = light / np.abs(light).max()
-    return (light / np.linalg.norm(light)).astype(np.float32)
-
-
-def check_ambient(ambient: float) -> None:
-    """Raise an error for ambient light out of range."""
-    if not 0.0 <= ambient <= 1.0:
-        raise LiaamError(f"ambient light {ambient:g}: give a fraction from 0 (only the lamp) to 1 (no lamp)")
-
-
-def lambert(facing: np.ndarray, ambient: float) -> np.ndarray:
-    """Return the light on a surface, from the cosine between normal and lamp, and the fraction of ambient light."""
-    return np.maximum(ambient + (1.0 - ambient) * np.maximum(facing, 0.0), DARKEST)
 
 
 def reach_of(shape: np.ndarray) -> float:

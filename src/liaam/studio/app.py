@@ -24,7 +24,7 @@ from starlette.staticfiles import StaticFiles
 from liaam import __version__
 from liaam.errors import LiaamError
 from liaam.photometry import CameraModel
-from liaam.relighting.relighter import AMBIENT
+from liaam.relighting.lamp import AMBIENT
 from liaam.studio import fit_routes
 from liaam.studio.events import Events
 from liaam.studio.fit_files import attachment

@@ -12,7 +12,7 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks
-from liaam.relighting.relighter import AMBIENT
+from liaam.relighting.lamp import AMBIENT
 from liaam.studio.fit_files import attachment, file_of
 from liaam.studio.fits import LAYER_SIZE, Fits
 from liaam.studio.pictures import Source, checked_size, jpeg_bytes, source_of

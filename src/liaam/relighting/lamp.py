@@ -1,0 +1,118 @@
+"""Distant lamps, and their light on a surface."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.errors import LiaamError
+
+AMBIENT = 0.25
+"""Default fraction of ambient light."""
+
+DARKEST = 0.02
+"""Lower bound on the light at a pixel, because black has no logarithm."""
+
+STRONGEST = 10.0
+"""Largest strength of a lamp."""
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A distant lamp.
+
+    Attributes
+    ----------
+    direction : (3,) float
+        Direction to the lamp: x to the right, y down, z to the viewer; its length does not matter.
+    colour : (3,) float
+        Linear red, green and blue, 0 to 1. Default: white.
+    strength : float
+        Factor of its light, 0 to :data:`STRONGEST`.
+    softness : float
+        Size of the lamp, 0 (a point, with a sharp edge between light and shadow) to 1 (the light wraps around the
+        object).
+
+    Raises
+    ------
+    LiaamError
+        For a zero or non-finite direction, and for other values out of range.
+    """
+
+    direction: Sequence[float]
+    colour: Sequence[float] = (1.0, 1.0, 1.0)
+    strength: float = 1.0
+    softness: float = 0.0
+
+    def __post_init__(self) -> None:
+        unit_direction(self.direction)
+        if len(self.colour) != 3 or not all(0.0 <= value <= 1.0 for value in self.colour):
+            raise LiaamError(f"lamp colour {self.colour}: give red, green and blue from 0 to 1")
+        if not 0.0 <= self.strength <= STRONGEST:
+            raise LiaamError(f"lamp strength {self.strength:g}: give a factor from 0 to {STRONGEST:g}")
+        if not 0.0 <= self.softness <= 1.0:
+            raise LiaamError(f"lamp softness {self.softness:g}: give a number from 0 (a point) to 1")
+
+
+def light_of(lamps: Sequence[Lamp], normals: np.ndarray, ambient: float) -> np.ndarray:
+    """Return the light of lamps on a surface by Lambert's law.
+
+    Parameters
+    ----------
+    lamps : sequence of Lamp
+    normals : (..., 3) float32
+    ambient : float
+        Fraction of white ambient light, 0 to 1.
+
+    Returns
+    -------
+    (..., 3) or (..., 1) float32
+        One channel if all lamps are white. At least :data:`DARKEST`.
+    """
+    colours = np.array([np.multiply(lamp.colour, lamp.strength) for lamp in lamps], np.float32).reshape(-1, 3)
+    if (np.ptp(colours, axis=1) == 0).all():
+        colours = colours[:, :1]
+    light = np.full((*normals.shape[:-1], colours.shape[1]), ambient, np.float32)
+    for lamp, colour in zip(lamps, colours, strict=True):
+        light += lit(normals @ unit_direction(lamp.direction), lamp.softness)[..., None] * ((1.0 - ambient) * colour)
+    return np.maximum(light, DARKEST)
+
+
+def lit(facing: np.ndarray, softness: float) -> np.ndarray:
+    """Return the light of a white lamp from the cosine between normal and lamp.
+
+    A large lamp still reaches parts that face away from its middle: near the horizon, Lambert's law is averaged over
+    lamps whose cosines differ by up to ``softness``.
+    """
+    light = np.maximum(facing, 0.0)
+    if softness > 0:
+        near = np.abs(facing) < softness
+        light = np.where(near, np.square(facing + softness) / (4.0 * softness), light)
+    return light
+
+
+def unit_direction(direction: Sequence[float]) -> np.ndarray:
+    """Normalise a direction to unit length, (3,) float32.
+
+    Raises
+    ------
+    LiaamError
+        If it is not three finite numbers, or all are 0.
+    """
+    try:
+        light = np.asarray(direction, dtype=np.float64)
+    except (TypeError, ValueError):
+        light = np.zeros(0)
+    if light.shape != (3,) or not np.isfinite(light).all() or not light.any():
+        shown = ",".join(f"{value:g}" for value in light.ravel()) or repr(direction)
+        raise LiaamError(
+            f"light direction {shown} is not valid; give three numbers x,y,z, not all 0 (right, down, to the viewer)"
+        )
+    light = light / np.abs(light).max()
+    return (light / np.linalg.norm(light)).astype(np.float32)
+
+
+def check_ambient(ambient: float) -> None:
+    """Raise an error for ambient light out of range."""
+    if not 0.0 <= ambient <= 1.0:
+        raise LiaamError(f"ambient light {ambient:g}: give a fraction from 0 (only the lamp) to 1 (no lamp)")
