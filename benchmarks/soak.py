@@ -8,6 +8,7 @@ the memory of the server and of its children is measured.
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 import threading
@@ -258,8 +259,13 @@ class Person:
         if "flat" not in fit["layers"]:
             return
         for x, y, z in LIGHTS:
-            self.page.get(f"fits/{fit['id']}/relit?x={x}&y={y}&z={z}&ambient=0.3")
-        self.page.get(f"fits/{fit['id']}/export?what={EXPORTS[i % len(EXPORTS)]}&x=1&y=0&z=1&ambient=0.3")
+            self.page.get(f"fits/{fit['id']}/relit?light={light_from(x, y, z)}")
+        self.page.get(f"fits/{fit['id']}/export?what={EXPORTS[i % len(EXPORTS)]}&light={light_from(1, 0, 1)}")
+
+
+def light_from(*direction: float) -> str:
+    """Return a light for the query of a relit picture."""
+    return quote(json.dumps({"lamps": [{"direction": direction}], "ambient": 0.3}))
 
 
 def _template(n: int) -> dict[str, Any]:

@@ -95,6 +95,42 @@ def theta_rate(page) -> float:
     return rate
 
 
+def relight_rate(page) -> float:
+    """Relit images per second while a lamp is dragged round the ball."""
+    page.locator("[data-testid=layer-relit]").click()
+    page.wait_for_function("() => window.liaamStudio.fit.hasLayer")
+    box = page.locator("[data-testid=light-ball]").bounding_box()
+    x, y, radius = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, 0.4 * box["width"]
+    page.mouse.move(x + radius, y)
+    page.mouse.down()
+    for i in range(N_MOVES):
+        page.mouse.move(x + radius * np.cos(i / 8), y + radius * np.sin(i / 8))
+    rate = page.evaluate("() => window.liaamStudio.fit.relightFps()")
+    page.mouse.up()
+    return rate
+
+
+# A newcomer ----------------------------------------------------------------------------------------
+
+FLAT = "() => window.liaamStudio.fit.view === 'flat' && window.liaamStudio.fit.hasLayer"
+
+
+def newcomer() -> None:
+    """Print the seconds from ``liaam studio`` in an empty folder to a generated head without its shading."""
+    with browsing() as page, tempfile.TemporaryDirectory() as name:
+        if page is None:
+            return
+        began = time.perf_counter()
+        with served(Path(name)) as address:
+            page.goto(address)
+            page.locator("[data-testid=head-2]:visible").click()
+            seen = time.perf_counter() - began
+            page.wait_for_function(
+                "() => window.liaamStudio.fit.view === 'flat' && window.liaamStudio.fit.hasLayer", timeout=120_000
+            )
+            report("studio_newcomer_s", time.perf_counter() - began, f"1 click, after {seen:.2f} s", form=".2f")
+
+
 # Many pictures -------------------------------------------------------------------------------------
 
 MANY = 10_000
@@ -259,6 +295,7 @@ def main(data: str | None = None, letters: int = 2) -> None:
     The first `letters` of a name identify the person.
     """
     if data is None:
+        newcomer()
         many()
     with browsing() as page, tempfile.TemporaryDirectory() as name:
         if page is None:
@@ -277,6 +314,7 @@ def main(data: str | None = None, letters: int = 2) -> None:
             for part in ("search", "fit"):
                 report(f"studio_{part}_ms", 1000 * np.median([each[part] for each in seconds]), form=".0f")
             report("studio_theta_frames_per_second", theta_rate(page), form=".0f")
+            report("studio_relit_images_per_second", relight_rate(page), form=".0f")
 
 
 if __name__ == "__main__":

@@ -24,10 +24,11 @@ _TARGETS = (
         b"/api/uploads?name=x.png",
         b"/api/uploads/abc/image",
         b"/api/model/file",
+        b"/api/model/guest?name=x.liaam",
         b"/api/fits",
         b"/api/fits/x/layers/flat",
     ),
-    *(b"/api/fits/x/relit?x=1&y=0&z=1&ambient=0.5", b"/api/fits/x/export?what=pts", b"/api/nothing"),
+    *(b'/api/fits/x/relit?light={"lamps":[],"ambient":0.5}', b"/api/fits/x/export?what=pts", b"/api/nothing"),
 )
 _WORDS = (
     b"%2e%2e/",

@@ -52,7 +52,6 @@ def main() -> None:
             page.locator("[data-testid=fit-file]").set_input_files(picture)
             page.wait_for_function("() => window.liaamStudio.fit.fit?.width === 640")
             page.locator("[data-testid=layer-flat]").click()
-            page.locator("[data-testid=fit-split]").click()
             page.wait_for_load_state("networkidle")
             page.wait_for_timeout(1000)
             page.screenshot(path=HERE / "studio-fit.png")

@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
-from urllib.parse import unquote
+from urllib.parse import quote, unquote
 
 import numpy as np
 import pytest
@@ -21,10 +21,12 @@ from liaam.io import Landmarks, decode_image, read_landmarks, write_image, write
 from liaam.model import AAM, SURROUNDINGS
 from liaam.model.shape import diagonal_of
 from liaam.photometry import to_linear
+from liaam.relighting import Lamp
+from liaam.relighting.lamp import AMBIENT
 from liaam.studio import layers
 from liaam.studio.app import make_app, make_studio
 from liaam.studio.fit_files import FILES, attachment, file_of
-from liaam.studio.fit_routes import parse_start, truth_of
+from liaam.studio.fit_routes import light_of, parse_start, truth_of
 from liaam.studio.fits import Fits, error_of, example, numbers
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
@@ -35,6 +37,9 @@ from liaam.studio.uploads import Uploads
 from setups import moving_scene
 
 SETTINGS = Settings(fits_kept=5)
+ONE_LAMP = '{"direction":[0,0,1]}'
+FRONT = [Lamp((0.0, 0.0, 1.0))]
+LIGHT = quote(json.dumps({"lamps": [{"direction": [-1, 0, 0.5]}], "ambient": 0.2}))
 
 
 @pytest.fixture(scope="session")
@@ -174,7 +179,7 @@ class TestFit:
             made.append(fit(fits))
             fits.layer(made[-1], "flat", 100)
         fits.forget_former(None)  # a template that is changed leaves what is shown
-        assert {number for number, *_ in fits._fitters} == {3, 4}
+        assert {number for number, *_ in fits._fitters} == {id(made[2].model), id(made[3].model)}
         assert {number for *_, number in fits._found} == {3, 4}
         assert {number for number, _ in fits._lights} == {made[2].id, made[3].id}
         assert fits.get(made[2].id) is made[2]
@@ -207,8 +212,8 @@ class TestFit:
         works = (
             lambda: fit(fits),
             lambda: fits.layer(made, "flat", 100),
-            lambda: fits.relit(made, (0.0, 0.0, 1.0), 0.3, 90),
-            lambda: file_of(fits, made, "overlay", ((0.0, 0.0, 1.0), 0.3)),
+            lambda: fits.relit(made, FRONT, 0.3, 90),
+            lambda: file_of(fits, made, "overlay", (FRONT, 0.3)),
             lambda: fits.pictures.chroma(source, 60, "srgb"),
         )
         with ThreadPoolExecutor(len(works)) as pool:
@@ -224,7 +229,7 @@ class TestFit:
         fits = make_fits(folder, head_model)
         fits.warm_up_soon(fits.models.current).join()
         assert len(fits._fitters) == 2
-        searcher = fits._fitters.peek((1, "igo", False))
+        searcher = fits._fitters.peek((id(head_model), "igo", False))
         assert searcher is not None
         assert "templates" in searcher.finder.__dict__
 
@@ -329,18 +334,18 @@ class TestLight:
         fitted = fit(fits)
         for what in ("flat", "shading", "relit"):
             with pytest.raises(Refusal, match=r"face\.png has 120 x 160 pixels, .* use 'liaam relight'") as caught:
-                file_of(fits, fitted, what, ((0.0, 0.0, 1.0), 0.25))
+                file_of(fits, fitted, what, (FRONT, 0.25))
             assert caught.value.status == 422
-        assert file_of(fits, fitted, "overlay", ((0.0, 0.0, 1.0), 0.25))[2]
+        assert file_of(fits, fitted, "overlay", (FRONT, 0.25))[2]
         assert fits.draw(fitted, "flat", 100).shape == (100, 75, 3)  # to look at it is still there
 
     def test_from_the_front_is_flat(self, fits, fitted):
         flat = decode_image(fits.layer(fitted, "flat", 320)).astype(int)
-        assert np.abs(fits.relit(fitted, (0.0, 0.0, 1.0), 0.3, 320) - flat).max() <= 1
+        assert np.abs(fits.relit(fitted, FRONT, 0.3, 320) - flat).max() <= 1
 
     def test_from_a_side_brightens_that_side_and_leaves_the_rest(self, fits, fitted, scene):
-        left = fits.relit(fitted, (-1.0, 0.0, 0.5), 0.2, 320).astype(int)
-        right = fits.relit(fitted, (1.0, 0.0, 0.5), 0.2, 320).astype(int)
+        left = fits.relit(fitted, [Lamp((-1.0, 0.0, 0.5))], 0.2, 320).astype(int)
+        right = fits.relit(fitted, [Lamp((1.0, 0.0, 0.5))], 0.2, 320).astype(int)
         x, y = np.rint(fitted.result.landmarks.mean(axis=0)).astype(int)
         reach = int(np.ptp(fitted.result.landmarks[:, 0]) / 3)
         change = (left - right).mean(axis=2)
@@ -350,19 +355,28 @@ class TestLight:
         assert np.array_equal(left[far], scene.image[far])
 
     def test_comes_in_the_size_asked_for(self, fits, fitted):
-        assert fits.relit(fitted, (1.0, 0.0, 0.5), 0.2, 80).shape == (80, 60, 3)
+        assert fits.relit(fitted, [Lamp((1.0, 0.0, 0.5))], 0.2, 80).shape == (80, 60, 3)
 
     def test_a_method_without_shading_says_so(self, fits):
         with pytest.raises(layers.MethodError, match="method grey does not separate"):
-            fits.relit(fit(fits, method="grey"), (0.0, 0.0, 1.0), 0.3, 320)
+            fits.relit(fit(fits, method="grey"), FRONT, 0.3, 320)
 
     def test_on_request(self, page):
         made = page.fit(picture="face.png").json()
-        answer = page.ask("GET", f"/api/fits/{made['id']}/relit?x=-1&y=0&z=0.5&ambient=0.2&size=80")
+        answer = page.ask("GET", f"/api/fits/{made['id']}/relit?light={LIGHT}&size=80")
         assert (answer.status_code, answer.headers["content-type"]) == (200, "image/jpeg")
         assert decode_image(answer.content).shape == (80, 60, 3)
-        given = page.ask("GET", f"/api/fits/{made['id']}/export?what=relit&x=-1&z=0.5")
+        given = page.ask("GET", f"/api/fits/{made['id']}/export?what=relit&light={LIGHT}")
         assert decode_image(given.content).shape == (160, 120, 3)
+
+
+def test_the_light_of_a_request_has_linear_colours():
+    lamp = {"direction": [1, 0, 0], "colour": [1, 0.5, 0], "strength": 2, "softness": 0.5}
+    lamps, ambient = light_of({"light": json.dumps({"lamps": [lamp], "ambient": 0})})
+    assert ambient == 0
+    assert (lamps[0].direction, lamps[0].strength, lamps[0].softness) == ([1, 0, 0], 2, 0.5)
+    np.testing.assert_allclose(lamps[0].colour, [1.0, to_linear(np.array(0.5), "srgb"), 0.0])
+    assert light_of({}) == ([Lamp([0, 0, 1])], AMBIENT)
 
 
 class TestTakenApart:
@@ -575,10 +589,18 @@ class TestRequests:
             ("layers/flat?size=big", 422, "not a whole number"),
             ("export?what=zip", 422, "choose one of pts, ljson"),
             ("export", 422, "choose one of pts"),
-            ("relit?x=nan", 422, "the light is unclear"),
-            ("relit?x=0&y=0&z=0", 422, "the light is unclear"),
-            ("relit?x=a", 422, "the light is unclear"),
-            ("relit?ambient=2", 422, "the light is unclear"),
+            ("relit?light=2", 422, "the light is unclear"),
+            ("relit?light={", 422, "the light is unclear"),
+            ("relit?light=[]", 422, "the light is unclear"),
+            ('relit?light={"lamps":[{}]}', 422, "the light is unclear"),
+            ('relit?light={"lamps":[{"direction":"up"}]}', 422, "light direction"),
+            ('relit?light={"lamps":[{"direction":[0,0,0]}]}', 422, "light direction 0,0,0"),
+            ('relit?light={"lamps":[{"direction":[NaN,0,1]}]}', 422, "light direction nan"),
+            ('relit?light={"lamps":[{"direction":[0,0,1],"colour":"red"}]}', 422, "the light is unclear"),
+            ('relit?light={"lamps":[{"direction":[0,0,1],"colour":[2,0,0]}]}', 422, "lamp colour"),
+            ('relit?light={"lamps":[{"direction":[0,0,1],"strength":"2"}]}', 422, "the light is unclear"),
+            ('relit?light={"lamps":[],"ambient":2}', 422, "ambient light 2"),
+            (f'relit?light={{"lamps":[{",".join(9 * [ONE_LAMP])}]}}', 422, "9 lamps are too many"),
         ],
     )
     def test_views_that_make_no_sense(self, page, path, status, text):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
@@ -30,14 +30,25 @@ from liaam.studio.events import Events
 from liaam.studio.fit_files import attachment
 from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
+from liaam.studio.generated import GALLERY, gallery, model_of_heads
 from liaam.studio.locking import FolderLock
-from liaam.studio.model_store import ModelStore, follow_template, load_given_model, load_studio_model, model_json
+from liaam.studio.model_store import (
+    ModelStore,
+    follow_template,
+    load_dropped_model,
+    load_given_model,
+    load_studio_model,
+    model_json,
+)
 from liaam.studio.pictures import Pictures, Source, checked_size, source_of
 from liaam.studio.project import Project
-from liaam.studio.safety import HEADERS, UPLOADS, Guard, Refusal
+from liaam.studio.safety import GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.training import Trainer
 from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
+
+if TYPE_CHECKING:
+    from liaam.model import AAM
 
 IMAGE_SIZE, CHROMA_SIZE = 2048, 640
 """Default longest sides in pixels."""
@@ -145,6 +156,7 @@ class _Handlers:
         self.studio = studio
         # A separate limit, so that the thumbnails of a large folder do not delay fits or landmarks.
         self._picture_threads = CapacityLimiter(2)
+        self._model_threads = CapacityLimiter(1)
 
     def routes(self) -> list[Route]:
         get, put, post, delete = (["GET"], ["PUT"], ["POST"], ["DELETE"])
@@ -164,6 +176,10 @@ class _Handlers:
             Route(UPLOADS + "/{id}/image", self.upload_image, methods=get),
             Route(UPLOADS + "/{id}/chroma", self.upload_chroma, methods=get),
             Route("/api/model/file", self.model_file, methods=get),
+            Route(GUEST, self.receive_guest, methods=post),
+            Route(GUEST, self.dismiss_guest, methods=delete),
+            Route("/api/heads", self.heads, methods=get),
+            Route("/api/heads/model", self.receive_heads, methods=post),
         ]
 
     async def _json(self, request: Request) -> Any:
@@ -268,6 +284,33 @@ class _Handlers:
         data = await run_sync(current.model.to_bytes)
         headers = {"content-disposition": attachment(f"{plain_name(current.model.name or 'model')}.liaam")}
         return Response(data, media_type="application/octet-stream", headers=headers)
+
+    # A model of someone else ----------------------------------------------------------------------
+
+    async def receive_guest(self, request: Request) -> Response:
+        settings, name = self.studio.settings, plain_name(request.query_params.get("name", ""))
+        data = await read_body(request, settings.upload_bytes)
+        return await self._receive(lambda: load_dropped_model(data, name, settings.points), name.removesuffix(".liaam"))
+
+    async def receive_heads(self, request: Request) -> Response:
+        return await self._receive(model_of_heads, "generated heads")
+
+    async def _receive(self, make: Callable[[], AAM], name: str) -> Response:
+        def receive() -> None:
+            self.studio.models.receive(make(), name)
+
+        await run_sync(receive, limiter=self._model_threads)
+        self.studio.events.publish("project", {})
+        return Response(status_code=204)
+
+    async def dismiss_guest(self, request: Request) -> Response:
+        await run_sync(self.studio.models.dismiss)
+        self.studio.events.publish("project", {})
+        return Response(status_code=204)
+
+    async def heads(self, request: Request) -> Response:
+        self.studio.fits.prepare_soon(model_of_heads)
+        return JSONResponse({"pictures": [f"{GALLERY.name}/{name}" for name in gallery()]})
 
     # Pictures -------------------------------------------------------------------------------------
 

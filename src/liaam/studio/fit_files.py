@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from liaam.io import Contour, Landmarks, fit_text
 from liaam.io.landmarks import FORMATS
+from liaam.relighting import Lamp
 from liaam.studio import layers
 from liaam.studio.pictures import png_bytes, shown
 from liaam.studio.safety import Refusal
@@ -17,11 +19,14 @@ if TYPE_CHECKING:
 
     from liaam.studio.fits import Fit, Fits
 
+Light = tuple[Sequence[Lamp], float]
+"""Lamps, and the fraction of ambient light."""
+
 FILES = ("pts", "ljson", "csv", "json", "overlay", "flat", "shading", "relit")
 """Kinds of exported files."""
 
 
-def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, float], float]) -> tuple[str, str, bytes]:
+def file_of(fits: Fits, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
     """Return the name, media type and content of an exported file.
 
     Parameters
@@ -30,7 +35,7 @@ def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, fl
     fit : Fit
     what : str
         One of :data:`FILES`.
-    light : (direction, ambient)
+    light : (lamps, ambient)
         For ``relit``.
     """
     stem = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name)
@@ -53,11 +58,11 @@ def file_of(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, fl
     )
 
 
-def _picture(fits: Fits, fit: Fit, what: str, light: tuple[tuple[float, float, float], float]) -> np.ndarray:
+def _picture(fits: Fits, fit: Fit, what: str, light: Light) -> np.ndarray:
     """Return the picture to export, in full size."""
     size = fit.source.width, fit.source.height
     if what == "relit":
-        return fits.whole_light(fit).under(*light)
+        return fits.whole_light(fit).under_lamps(*light)
     if what == "flat":
         return fits.whole_light(fit).flat()
     if what == "shading":

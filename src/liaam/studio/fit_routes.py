@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import wraps
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,8 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks
-from liaam.relighting.lamp import AMBIENT
+from liaam.photometry import srgb_to_linear
+from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
 from liaam.studio.fit_files import attachment, file_of
 from liaam.studio.fits import LAYER_SIZE, Fits
 from liaam.studio.pictures import Source, checked_size, jpeg_bytes, source_of
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response as Answer
     from starlette.routing import Route
+
+MOST_LAMPS = 8
+"""Maximum number of lamps of a relit picture."""
 
 
 def routes(fits: Fits) -> list[Route]:
@@ -75,14 +79,14 @@ class _Endpoints:
         return _answer(data, "image/png", {"cache-control": "private, max-age=86400, immutable"})
 
     async def relit(self, request: Request) -> Answer:
-        fit, light = self.fits.get(request.path_params["id"]), _light_of(request.query_params)
+        fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
         data = await self._work(lambda: jpeg_bytes(self.fits.relit(fit, *light, size)))
         return _answer(data, "image/jpeg", {"cache-control": "private, max-age=86400, immutable"})
 
     async def export(self, request: Request) -> Answer:
         fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")
-        light = _light_of(request.query_params)
+        light = light_of(request.query_params)
         name, kind, data = await self._work(file_of, self.fits, fit, what, light)
         return _answer(data, kind, {"content-disposition": attachment(name), "cache-control": "no-store"})
 
@@ -154,18 +158,30 @@ def _is_point(value: Any) -> bool:
     return value is None or (isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)))
 
 
-def _light_of(query: Mapping[str, str]) -> tuple[tuple[float, float, float], float]:
-    """Parse a light: its unit direction (x right, y down, z to the viewer) and the fraction of ambient light."""
+def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
+    """Parse a light: JSON with ``lamps``, the fields of each :class:`Lamp`, and ``ambient``; by default from the front.
+
+    Colours are sRGB values.
+
+    Raises
+    ------
+    Refusal
+        422 if it is something else, or there are more than :data:`MOST_LAMPS`.
+    """
     try:
-        x, y, z, ambient = (
-            float(query.get(key, otherwise)) for key, otherwise in (("x", 0), ("y", 0), ("z", 1), ("ambient", AMBIENT))
-        )
-    except ValueError:
-        x = y = z = ambient = np.nan
-    length = float(np.hypot(np.hypot(x, y), z))
-    if not (np.isfinite(length) and length > 1e-6 and 0.0 <= ambient <= 1.0):
-        raise Refusal(422, "the light is unclear: send its direction as numbers x, y, z, and ambient from 0 to 1")
-    return (x / length, y / length, z / length), ambient
+        light = json.loads(query.get("light", '{"lamps": [{"direction": [0, 0, 1]}]}'))
+        lamps = [Lamp(**{**lamp, "colour": _linear(lamp.get("colour", (1, 1, 1)))}) for lamp in light["lamps"]]
+        ambient = light.get("ambient", AMBIENT)
+        check_ambient(ambient)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as fault:
+        raise Refusal(422, "the light is unclear: send JSON with lamps, each with a direction, and ambient") from fault
+    if len(lamps) > MOST_LAMPS:
+        raise Refusal(422, f"{len(lamps)} lamps are too many: send at most {MOST_LAMPS}")
+    return lamps, ambient
+
+
+def _linear(colour: Sequence[float]) -> tuple[float, ...]:
+    return tuple(srgb_to_linear(np.array(colour, np.float64)).tolist())
 
 
 def truth_of(landmarks: Landmarks | None) -> np.ndarray | None:

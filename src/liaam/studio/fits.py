@@ -9,6 +9,8 @@ import secrets
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +18,15 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.evaluation import finite_or_none, point_error
-from liaam.fitting.fitter import Fitter
+from liaam.fitting.fitter import LEAST_QUALITY, Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
 from liaam.fitting.search import Candidate
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
-from liaam.relighting import Relighter
+from liaam.relighting import Lamp, Relighter
 from liaam.studio import layers
+from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import (
     Kept,
     Pictures,
@@ -37,7 +40,6 @@ from liaam.studio.settings import Settings
 from liaam.studio.uploads import Uploads
 
 if TYPE_CHECKING:
-    from liaam.studio.model_store import ModelInUse, ModelStore
     from liaam.studio.project import Project
 
 LAYER_SIZE = 1280
@@ -64,7 +66,7 @@ SEARCHED_AHEAD = 4_000_000
 WARM_UP = (480, 640)
 """Height and width of the image that is fitted when a new model is published, so that the first real fit is fast."""
 
-_NO_MODEL = "there is no model yet: train one first, or start with --model FILE"
+_NO_MODEL = "there is no model yet: train one first, or drop a model file on the page"
 _GONE = "this fit is no longer kept: fit again"
 
 
@@ -215,14 +217,14 @@ class Fits:
             recent = list(self._recent)
         numbers = {model.number for model in recent}
         models = {id(model.model) for model in recent}
-        self._fitters.keep_only(lambda key, _: key[0] in numbers)
+        self._fitters.keep_only(lambda key, _: key[0] in models)
         self._found.keep_only(lambda key, _: key[2] in numbers)
         self._fits.keep_only(lambda _, fit: id(fit.model) in models)
         self._lights.keep_only(lambda key, _: self._fits.peek(key[0]) is not None)
 
     def warm_up(self, current: ModelInUse | None) -> None:
-        """Fit an example, so that the first real fit does not wait for set-up work."""
-        if current is None:
+        """Fit an example, unless the model has fitted, so that the first real fit does not wait for set-up work."""
+        if current is None or self._fitters.peek((id(current.model), DEFAULT_METHOD, False)) is not None:
             return
         image = example(current.model, WARM_UP)
         searcher, fitter = self._fitter(current, "igo", False), self._fitter(current, DEFAULT_METHOD, False)
@@ -242,6 +244,17 @@ class Fits:
             self.warm_up(current)
         except LiaamError:  # the first fit will report it
             return
+
+    def prepare_soon(self, make: Callable[[], AAM]) -> threading.Thread:
+        """Make a model that may be used soon, and fit an example with it, in a thread."""
+
+        def prepare() -> None:
+            with suppress(LiaamError):  # reported when the model is used
+                self.warm_up(ModelInUse(make(), 0, {}))
+
+        thread = threading.Thread(target=prepare, name="prepare", daemon=True)
+        thread.start()
+        return thread
 
     def search_soon(self, source: Source) -> threading.Thread | None:
         """Search a dropped picture while the upload is being answered, so that the fit has less to do."""
@@ -293,10 +306,11 @@ class Fits:
         fitter = self._fitter(current, method, source.raw)
         with self.pictures.at_work(source) as image:
             began = time.perf_counter()
-            if start is None:
-                start = self._search(current, source, image)
+            begin = self._search(current, source, image) if start is None else start
             searched = time.perf_counter()
-            result = fitter.fit(image, start, source.name)
+            result = fitter.fit(image, begin, source.name)
+            if start is None and result.quality < LEAST_QUALITY:  # try the other places that the search finds
+                result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
             fitted = time.perf_counter()
             fit = Fit(
                 secrets.token_urlsafe(9),
@@ -349,10 +363,10 @@ class Fits:
         light, to = self._light(fit, size)
         return averaged(light.flat(), to) if what == "flat" else layers.shading_layer(light, to)
 
-    def relit(self, fit: Fit, direction: tuple[float, float, float], ambient: float, size: int) -> np.ndarray:
-        """Return the picture with the object under a directional light, (h, w, 3) uint8."""
+    def relit(self, fit: Fit, lamps: Sequence[Lamp], ambient: float, size: int) -> np.ndarray:
+        """Return the picture with the object under lamps, (h, w, 3) uint8."""
         light, to = self._light(fit, size)
-        return averaged(light.under(direction, ambient), to)
+        return averaged(light.under_lamps(lamps, ambient), to)
 
     def _light(self, fit: Fit, size: int) -> tuple[Relighter, tuple[int, int]]:
         """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size."""
@@ -399,7 +413,8 @@ class Fits:
         return self._found.get(key, lambda: searcher.find(image, name=source.name)[0])
 
     def _fitter(self, current: ModelInUse, method: str, raw: bool) -> Fitter:
-        return self._fitters.get((current.number, method, raw), lambda: _make_fitter(current.model, method, raw))
+        # A fitter holds its model, so that the id is not used again. A model may be prepared before it has a number.
+        return self._fitters.get((id(current.model), method, raw), lambda: _make_fitter(current.model, method, raw))
 
 
 def _make_fitter(model: AAM, method: str, raw: bool) -> Fitter:

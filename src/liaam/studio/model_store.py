@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.errors import LiaamError
+from liaam.errors import LiaamError, ModelFileError
 from liaam.studio.project import Project
+from liaam.studio.safety import Refusal
 
 if TYPE_CHECKING:
     from liaam.model import AAM
@@ -29,8 +31,9 @@ class ModelInUse:
     number: int
     """Incremented with every published model."""
     facts: dict[str, Any]
-    """``source`` ("studio" or "file"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A model of
-    the studio also has ``careful`` (whether its confidence is calibrated) and ``order`` (:attr:`Project.order`)."""
+    """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
+    model of the studio also has ``careful`` (whether its confidence is calibrated) and ``order``
+    (:attr:`Project.order`), a guest its ``name``."""
 
     @property
     def is_careful(self) -> bool:
@@ -43,35 +46,58 @@ class ModelInUse:
 
 
 class ModelStore:
-    """Holds the current model; thread-safe."""
+    """Holds the model of the folder, and a guest that is used instead of it until it leaves; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._current: ModelInUse | None = None
+        self._own: ModelInUse | None = None
+        self._guest: ModelInUse | None = None
         self._number = 0
         self.listeners: list[Callable[[ModelInUse | None], object]] = []
         """Called in the publishing thread after the current model has changed."""
 
     @property
     def current(self) -> ModelInUse | None:
-        """The current model, if there is one."""
-        return self._current
+        """The model in use, if there is one."""
+        return self._guest or self._own
+
+    @property
+    def own(self) -> ModelInUse | None:
+        """The model of the folder, if there is one."""
+        return self._own
 
     def publish(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
-        """Set the current model."""
-        with self._lock:
-            self._number += 1
-            self._current = current = ModelInUse(model, self._number, dict(facts))
-        for listener in self.listeners:
-            listener(current)
-        return current
+        """Set the model of the folder."""
+        self._own = made = self._numbered(model, facts)
+        self._tell()
+        return made
 
     def withdraw(self) -> None:
-        """Remove the current model."""
+        """Remove the model of the folder."""
+        self._own = None
+        self._tell()
+
+    def receive(self, model: AAM, name: str) -> ModelInUse:
+        """Use a guest instead of the model of the folder. Nothing is trained or saved with it."""
+        facts = {"source": "guest", "trained": None, "pictures": {}, "name": name}
+        self._guest = made = self._numbered(model, facts)
+        self._tell()
+        return made
+
+    def dismiss(self) -> None:
+        """Use the model of the folder again."""
+        self._guest = None
+        self._tell()
+
+    def _numbered(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
         with self._lock:
-            self._current = None
+            self._number += 1
+            return ModelInUse(model, self._number, dict(facts))
+
+    def _tell(self) -> None:
+        current = self.current
         for listener in self.listeners:
-            listener(None)
+            listener(current)
 
 
 # Loading -------------------------------------------------------------------------------------------
@@ -80,7 +106,7 @@ class ModelStore:
 def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
     for file, facts_file, careful in ((MODEL_FILE, FACTS_FILE, True), (QUICK_FILE, QUICK_FACTS_FILE, False)):
-        if models.current is None:
+        if models.own is None:
             _load_model(project, models, file, facts_file, careful)
 
 
@@ -102,8 +128,8 @@ def _load_model(project: Project, models: ModelStore, file: str, facts_file: str
 
 def forget_studio_model(project: Project, models: ModelStore) -> None:
     """Withdraw the studio's model and remove its files, because the template changed. A given model stays."""
-    current = models.current
-    if current is not None and current.facts["source"] == "studio":
+    own = models.own
+    if own is not None and own.facts["source"] == "studio":
         models.withdraw()
     project.state.remove(MODEL_FILE, FACTS_FILE, QUICK_FILE, QUICK_FACTS_FILE)
 
@@ -111,8 +137,8 @@ def forget_studio_model(project: Project, models: ModelStore) -> None:
 def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:
     """Stop the training and withdraw the model if they are for an earlier set or order of points."""
     trainer.stop_unless(project.order)
-    current = models.current
-    if current is not None and current.facts["source"] == "studio" and current.facts.get("order", "") != project.order:
+    own = models.own
+    if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != project.order:
         forget_studio_model(project, models)
 
 
@@ -129,6 +155,28 @@ def load_given_model(path: Path, models: ModelStore) -> None:
     models.publish(load_model(path), {"source": "file", "trained": None, "pictures": {}})
 
 
+def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
+    """Read a model that was dropped on the page, with at most so many points.
+
+    Raises
+    ------
+    Refusal
+        422 if it is not a valid model, or has more points.
+    """
+    from liaam.model import load_model
+
+    with tempfile.TemporaryDirectory() as folder:  # safetensors reads the metadata of files only
+        path = Path(folder) / "dropped.liaam"
+        path.write_bytes(data)
+        try:
+            model = load_model(path)
+        except ModelFileError as fault:
+            raise Refusal(422, str(fault).replace(str(path), name)) from fault
+    if model.n_points > points:
+        raise Refusal(422, f"{name} has {model.n_points} points, more than the {points} that the studio handles")
+    return model
+
+
 def model_json(current: ModelInUse | None, done: Mapping[str, str]) -> dict[str, Any] | None:
     """Return the current model as JSON for the page; ``done`` holds the revisions of the done pictures by name."""
     if current is None:
@@ -139,6 +187,8 @@ def model_json(current: ModelInUse | None, done: Mapping[str, str]) -> dict[str,
     # A picture that has changed since may be used by the next training.
     same = {name for name, revision in done.items() if facts["pictures"].get(name) == revision}
     return {
+        "number": current.number,
+        "name": facts.get("name", model.name),
         "n_images": model.n_images,
         "n_points": model.n_points,
         "trained": facts["trained"],

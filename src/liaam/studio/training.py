@@ -182,7 +182,7 @@ class Trainer:
         """Publish a model; a quick one only if there is no careful one."""
         from liaam.model import load_model
 
-        current = self.models.current
+        current = self.models.own
         if job.order != self.project.order or not (careful or current is None or not current.is_careful):
             return
         facts = {

@@ -11,7 +11,7 @@ import { betterOf, cleaned, comparison, duration, factsOf, FitStore, significant
 import { FrameMeter, LatestWins } from "./modules/fit-schedule.js";
 import { meanShape } from "./modules/fit-start.js";
 import * as inv from "./modules/invariant.js";
-import { lightQuery } from "./modules/relight.js";
+import { lightQuery, PRESETS } from "./modules/relight.js";
 
 const close = (a, b, tolerance = 1e-6) => assert.ok(Math.abs(a - b) <= tolerance, `${a} is not ${b}`);
 const closePoints = (a, b, tolerance = 1e-6) => a.forEach((p, i) => p.forEach((v, k) => close(v, b[i][k], tolerance)));
@@ -202,24 +202,38 @@ test("frames are counted over one drag", () => {
 
 // Geometry
 
-test("a light's direction and its place over the ball are inverses", () => {
-  const ball = geometry.ballOf([
-    [0, 0],
-    [100, 50],
-  ]);
-  assert.deepEqual(geometry.directionAt([ball.x, ball.y], ball), [0, 0, 1]);
-  for (const place of [
-    [60, 10],
-    [40, 30],
-  ]) {
-    const direction = geometry.directionAt(place, ball);
-    close(Math.hypot(...direction), 1);
-    closePoints([geometry.placeOf(direction, ball)], [place]);
-  }
-  const grazing = geometry.directionAt([1e4, ball.y], ball);
+test("a place over the ball is a direction, never behind the object", () => {
+  assert.deepEqual(geometry.directionAt([0, 0]), [0, 0, 1]);
+  const direction = geometry.directionAt([0.3, -0.4]);
+  close(Math.hypot(...direction), 1);
+  closePoints([direction.slice(0, 2)], [[0.3, -0.4]]);
+  const grazing = geometry.directionAt([100, 0]);
   close(Math.hypot(...grazing), 1);
   assert.ok(grazing[0] > 0.99 && grazing[2] > 0 && grazing[2] < 0.1);
-  assert.equal(geometry.ballOf([null, [NaN, 1]]), null);
+});
+
+test("a soft lamp is smooth where a hard one ends", () => {
+  assert.deepEqual([-0.5, 0, 0.5].map((facing) => geometry.litFrom(facing, 0)), [0, 0, 0.5]);
+  assert.equal(geometry.litFrom(0, 1), 0.25);
+  close(geometry.litFrom(0.2999999, 0.3), 0.3);
+  close(geometry.litFrom(-0.2999999, 0.3), 0);
+});
+
+test("lights are sent with colours as numbers, and presets are valid", () => {
+  const lamp = { direction: [0, -0.5, 0.866025], colour: "#ff8000", strength: 1.5, softness: 0.25 };
+  const { light, size } = lightQuery({ lamps: [lamp], ambient: 0.25 }, 640);
+  assert.equal(size, 640);
+  assert.deepEqual(JSON.parse(light), {
+    lamps: [{ direction: [0, -0.5, 0.866], colour: [1, 0.502, 0], strength: 1.5, softness: 0.25 }], ambient: 0.25,
+  });
+  for (const { lamps, ambient } of Object.values(PRESETS)) {
+    assert.ok(ambient >= 0 && ambient <= 1 && lamps.length);
+    for (const { direction, colour, strength, softness } of lamps) {
+      close(Math.hypot(...direction), 1);
+      assert.match(colour, /^#[0-9a-f]{6}$/);
+      assert.ok(strength > 0 && strength <= 3 && softness >= 0 && softness <= 1);
+    }
+  }
 });
 
 test("a light is told in words, and moved by keys", () => {
@@ -230,13 +244,6 @@ test("a light is told in words, and moved by keys", () => {
   assert.ok(x > 0);
   assert.equal(geometry.directionAfterKey([0, 0, 1], { key: "q" }), null);
   assert.deepEqual(geometry.directionAfterKey([0.5, 0, 0.8], { key: "Home" }), [0, 0, 1]);
-  assert.deepEqual(lightQuery({ direction: [0, -0.5, 0.866], ambient: 0.25 }, 640), {
-    x: "0.0000",
-    y: "-0.5000",
-    z: "0.8660",
-    ambient: "0.250",
-    size: 640,
-  });
 });
 
 test("a box is what was drawn, in whatever direction, within the picture", () => {
@@ -450,7 +457,7 @@ test("points that are not finite become null", () => {
 
 test("a fit is remembered by picture, method and model only", async () => {
   const state = Object.assign(new EventTarget(), {
-    project: { model: { trained: "now" } },
+    project: { model: { number: 1 } },
     send: (request) => request("here"),
   });
   const source = { key: "picture a", ready: Promise.resolve(), reference: { picture: "a" } };
@@ -465,9 +472,9 @@ test("a fit is remembered by picture, method and model only", async () => {
   assert.deepEqual(sent, [["/api/fits", asked]]);
   assert.equal(store.recall(source, "soft-li"), made);
   assert.equal(store.recall(source, "rgb"), null);
-  state.project.model.trained = "later";
+  state.project.model.number = 2;
   assert.equal(store.recall(source, "soft-li"), null);
-  state.project.model.trained = "now";
+  state.project.model.number = 1;
   store.forget(made);
   assert.equal(store.recall(source, "soft-li"), null);
   await store.run(source, "soft-li");

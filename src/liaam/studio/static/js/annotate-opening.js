@@ -1,6 +1,7 @@
 // Opening pictures in the Annotate tab: fetches them with their marks from the server or from an earlier page.
 
 import { FirstMarks } from "./first-marks.js";
+import { invitation } from "./fit-only.js";
 import { History } from "./history.js";
 import { nextMissing, sameMarks } from "./points.js";
 
@@ -62,7 +63,7 @@ export class Opening {
     if (!name || !picture) {
       const folder = this.state.project?.folder ?? "the folder";
       const what = `Put pictures (JPEG, PNG, TIFF …) into ${folder}. They appear here automatically.`;
-      cover.show("folder", "No pictures yet", what);
+      cover.show("folder", "No pictures yet", what, this.invited());
     } else if (picture.state === "broken") {
       cover.show("warning", `${name} cannot be used`, picture.error ?? "It cannot be read: replace the file.");
     } else {
@@ -70,6 +71,13 @@ export class Opening {
     }
     this.showNothing();
     return true;
+  }
+
+  /** Generated heads to try the studio on, in a folder without pictures. */
+  invited() {
+    if (this.state.project?.pictures.length) return null;
+    this.invitation ??= invitation(this.tab.app);
+    return this.invitation;
   }
 
   failed(name, error) {

@@ -11,7 +11,7 @@ export const countDone = (pictures) => pictures.filter((picture) => picture.stat
 export function shouldTrain(project, { auto, failedAt = null }) {
   const { model, training, pictures } = project;
   if (!auto || !project.template || training?.state === "running") return false;
-  if (model?.source === "file") return false; // a model given by the user is replaced only on request
+  if (model && model.source !== "studio") return false; // a model given by the user is replaced only on request
   if (countDone(pictures) < AUTO_FIRST || situation(project) === failedAt) return false;
   return !model || model.stale >= AUTO_AGAIN;
 }

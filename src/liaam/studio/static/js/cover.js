@@ -10,9 +10,10 @@ export class Cover {
     return !this.element.hidden;
   }
 
-  show(icon, title, text) {
+  /** more: an element below the text, or null. */
+  show(icon, title, text, more = null) {
     const { h } = this;
-    const words = [h("h2", {}, title), h("p", {}, text)];
+    const words = [h("h2", {}, title), h("p", {}, text), more].filter(Boolean);
     this.element.hidden = false;
     this.element.replaceChildren(h("div", { class: "empty" }, this.icon(icon, 40), ...words));
   }

@@ -1,4 +1,4 @@
-// Files that are dropped or pasted anywhere on the page: pictures to fit, and unsaved work of another page.
+// Files that are dropped or pasted anywhere on the page: pictures to fit, models, and unsaved work of another page.
 
 import { h, icon, isTyping } from "./ui.js";
 
@@ -7,7 +7,7 @@ const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes(
 /** take(file): a file was dropped or pasted. */
 export function acceptFiles(take) {
   let depth = 0; // number of nested elements under a drag
-  const words = h("p", {}, icon("upload", 28), "Drop a picture to fit it");
+  const words = h("p", {}, icon("upload", 28), "Drop a picture to fit it, or a model (.liaam)");
   const overlay = h("div", { class: "dropping", hidden: true, "aria-hidden": "true" }, words);
   document.body.append(overlay);
   const enter = (now) => {

@@ -41,9 +41,7 @@ export function modelNeeded(app, testid = null) {
     h(
       "p",
       { class: "muted" },
-      "There is no model yet. Place points on a few pictures and train one, or start the studio with ",
-      h("code", { class: "fit-code" }, "--model"),
-      ".",
+      "There is no model yet. Place points on a few pictures and train one, or drop a model file (.liaam) on the page.",
     ),
     button("Annotate pictures", { icon: "edit", kind: "primary", testid, onclick: () => app.openTab("annotate") }),
   ];

@@ -146,27 +146,17 @@ export function meanDistance(first, second) {
 /** Sine of the largest angle of a light: at 90 degrees it would not reach the front. */
 const RIM = Math.sin((85 * Math.PI) / 180);
 
-/** Ball around a fitted shape over which a light is moved: {x, y, radius}. It is larger than the shape, so that the handle of
- *  a light from the side lies beside the shape. */
-export function ballOf(points) {
-  const box = boundsOf(points);
-  if (!box) return null;
-  const [w, h] = [box.x1 - box.x0, box.y1 - box.y0];
-  return { x: (box.x0 + box.x1) / 2, y: (box.y0 + box.y1) / 2, radius: Math.max(4, 0.95 * Math.max(w, h)) };
-}
-
-/** Unit direction to a light (x right, y down, z to the viewer) at a position over the ball: frontal at the centre. */
-export function directionAt([px, py], ball) {
-  let x = (px - ball.x) / ball.radius;
-  let y = (py - ball.y) / ball.radius;
+/** Unit direction to a lamp (x right, y down, z to the viewer) at [x, y] over a ball of radius 1. */
+export function directionAt([x, y]) {
   const r = Math.hypot(x, y);
   if (r > RIM) [x, y] = [(x * RIM) / r, (y * RIM) / r];
   return [x, y, Math.sqrt(Math.max(0, 1 - x * x - y * y))];
 }
 
-/** Position of a direction over the ball: the inverse of directionAt. */
-export function placeOf([x, y], ball) {
-  return [ball.x + x * ball.radius, ball.y + y * ball.radius];
+/** Light of a white lamp from the cosine between normal and lamp, as lit() in relighting/lamp.py. */
+export function litFrom(facing, softness) {
+  if (softness > 0 && Math.abs(facing) < softness) return (facing + softness) ** 2 / (4 * softness);
+  return Math.max(0, facing);
 }
 
 /** Direction after an arrow key; null for other keys. */
@@ -175,7 +165,7 @@ export function directionAfterKey(direction, { key, shiftKey = false }) {
   const move = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[key];
   if (key === "Home") return [0, 0, 1];
   if (!move) return null;
-  return directionAt([direction[0] + step * move[0], direction[1] + step * move[1]], { x: 0, y: 0, radius: 1 });
+  return directionAt([direction[0] + step * move[0], direction[1] + step * move[1]]);
 }
 
 /** Direction in words: "from the upper left, 42° off the view". */

@@ -10,12 +10,13 @@ export function hooksOf(tab) {
     view: () => view.name,
     hasLayer: () => view._image() !== null, // whether the view's own image has come
     theta: () => view.invariant.theta,
-    light: () => ({ direction: view.light.direction, ambient: view.light.ambient }),
+    light: () => ({ lamps: view.light.lamps, ambient: view.light.ambient, selected: view.light.selected }),
     relightBusy: () => view.relighter.busy,
     start: () => tab._startTool()?.start ?? null,
     shownShape: () => view.iteration?.shape ?? tab.fit?.shape ?? null,
   };
-  const hooks = { viewer: view.viewer, invariantFps: () => view.invariant.meter.rate() };
+  const [theta, relit] = [view.invariant.meter, view.relighter.meter];
+  const hooks = { viewer: view.viewer, invariantFps: () => theta.rate(), relightFps: () => relit.rate() };
   for (const [name, get] of Object.entries(values)) Object.defineProperty(hooks, name, { get, enumerable: true });
   return hooks;
 }

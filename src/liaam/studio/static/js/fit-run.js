@@ -43,7 +43,7 @@ export class FitStore {
   }
 
   #key(source, method) {
-    return `${source.key}|${method}|${this.state.project?.model?.trained ?? ""}`;
+    return `${source.key}|${method}|${this.state.project?.model?.number ?? ""}`;
   }
 }
 

@@ -1,6 +1,7 @@
 // The Fit tab's panel for the picture, the start and the method.
 
 import { modelNeeded } from "./fit-draw.js";
+import { invitation } from "./fit-only.js";
 import { button, h, icon, segmented } from "./ui.js";
 
 const STARTS = [
@@ -22,6 +23,7 @@ export class SetupPanel {
   /** onback(): show the folder's picture; onopen(): open a file; onstart(value), onmethod(name): chosen; onclick(): a
    *  start was clicked, not chosen by keys; onrun(). */
   constructor({ app, onback, onopen, onstart, onclick, onmethod, onrun }) {
+    this._app = app;
     this._methods = [];
     this._label = h("span", { class: "fit-source-name grow" });
     this._back = button("Back to the folder", {
@@ -100,6 +102,7 @@ export class SetupPanel {
     this._label.title = source?.name ?? "";
     this._back.hidden = !canGoBack;
     this._needsModel.hidden = Boolean(model);
+    if (!model && source && !this._invited) this._needsModel.append((this._invited = invitation(this._app)));
     this._withModel.hidden = !model;
     this._mismatch.textContent = mismatch;
     this._mismatch.hidden = !mismatch;

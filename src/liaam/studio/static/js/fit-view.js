@@ -21,7 +21,7 @@ export const VIEWS = [
   },
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model." },
   { name: "invariant", label: "Invariant", after: "Invariant" },
-  { name: "relit", label: "Relight", after: "Relit" },
+  { name: "relit", label: "Relight", after: "Relit", hint: "The object under other lamps: drag them over the ball." },
 ];
 
 /** Layers fetched from the server, once per fit. */
@@ -45,10 +45,10 @@ export class FitView {
     this.tool = null; // tool of a manual start
     this._images = new Map();
     this._faults = new Map(); // view -> error message of the server
-    this._split = false;
+    this._split = new Set(["flat", "relit"]); // views that are shown beside the picture
     this.divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
-    this.light = new Light(this.viewer, ambient);
+    this.light = new Light(ambient);
     this.relighter = new Relighter({
       done: (image, fit) => this._relit(image, fit), failed: (error, { fit }) => this._failed("relit", error, fit),
     });
@@ -79,7 +79,6 @@ export class FitView {
     this._images.clear();
     this._faults.clear();
     this.relighter.cancel();
-    this.light.over(fit?.shape ?? null);
     this.show(this.name);
   }
 
@@ -126,21 +125,23 @@ export class FitView {
   }
 
   get split() {
-    return this._split;
+    return this._split.has(this.name);
   }
 
   set split(now) {
-    this._split = now && Boolean(this.source);
+    if (!this.source) return;
     // The picture has no counterpart: switch to the most useful view.
-    if (this._split && this.name === "picture")
+    if (now && this.name === "picture")
       this.show(["flat", "invariant"].find((name) => !this._why(name)) ?? "picture");
-    else this._dress();
+    if (!now) this._split.delete(this.name);
+    else if (this.name !== "picture") this._split.add(this.name);
+    this._dress();
     this.viewer.redraw();
   }
 
   key(event) {
     if (this.name === "invariant" && event.key.startsWith("Arrow")) return this.invariant.key(event);
-    if (this.name === "relit" && this.light.visible && event.key.startsWith("Arrow")) return this.light.key(event);
+    if (!this.light.element.hidden && event.key.startsWith("Arrow")) return this.light.key(event);
     return this.viewer.key(event);
   }
 
@@ -237,7 +238,7 @@ export class FitView {
       (name) => `layer-${name}`,
     );
     this._hint = h("p", { class: "small muted fit-hint" });
-    this._bars = { invariant: this.invariant.controls, relit: this.light.controls };
+    this._bars = { invariant: this.invariant.controls };
     this._legend = h("div", { class: "fit-legend small muted" });
     this.bar = h("div", { class: "fit-bar" }, this._hint, this._legend, Object.values(this._bars));
   }
@@ -267,10 +268,10 @@ export class FitView {
     this._hint.classList.toggle("error-text", this._faults.has(this.name));
     this._hint.hidden = !why && this.name in this._bars;
     this._explain(why ? null : this.fit?.scale?.[this.name]);
-    this.light.visible = this.name === "relit" && !why;
-    const beside = this._split && this.name !== "picture" && !why;
+    this.light.element.hidden = this.name !== "relit" || Boolean(why);
+    const beside = this.split && this.name !== "picture" && !why;
     this.divider.visible = beside;
-    this._splitter.setAttribute("aria-pressed", String(this._split));
+    this._splitter.setAttribute("aria-pressed", String(this.split));
     if (beside) this.divider.label("Picture", view.after);
   }
 
@@ -303,24 +304,18 @@ export class FitView {
     if (image) drawOver(ctx, viewer, image, this.divider.visible ? this.divider.x : null, covered);
     if (this.fit && !this.tool?.hidesFit) drawFit(ctx, viewer, this.fit, this.shown, this.iteration ?? {});
     this.tool?.draw(ctx, viewer);
-    this.light.draw(ctx, viewer);
   }
 
-  /** Pointers go to the start's tool first, then to the light; otherwise they pan. */
+  /** Pointers go to the start's tool; otherwise they pan. */
   _tools() {
     let holder = null;
-    const active = () => [this.tool, this.light.visible ? this.light.tool : null].filter(Boolean);
     return {
       down: (event, xy) => {
-        holder = active().find((tool) => tool.down(event, xy)) ?? null;
+        holder = this.tool?.down(event, xy) ? this.tool : null;
         return Boolean(holder);
       },
       move: (event, xy) => holder?.move(event, xy), up: (event, xy) => holder?.up(event, xy),
-      cancel: (event, xy) => holder?.cancel(event, xy),
-      cursor: (event, xy) =>
-        active()
-          .map((tool) => tool.cursor(event, xy))
-          .find(Boolean) ?? "",
+      cancel: (event, xy) => holder?.cancel(event, xy), cursor: (event, xy) => this.tool?.cursor(event, xy) ?? "",
     };
   }
 }

@@ -6,12 +6,13 @@ import { hooksOf } from "./fit-hooks.js";
 import { ExportMenu, useAsAnnotation } from "./fit-export.js";
 import { Iterations } from "./fit-iterations.js";
 import { ResultPanel } from "./fit-result.js";
+import { EmptyStage, GuestPanel, isGuest } from "./fit-only.js";
 import { fitsOf } from "./fit-run.js";
 import { afterPaint } from "./fit-schedule.js";
 import { SetupPanel } from "./fit-setup.js";
 import { sourcesOf } from "./fit-source.js";
 import { BoxTool, meanShape, MeanTool } from "./fit-start.js";
-import { button, h, icon } from "./ui.js";
+import { h } from "./ui.js";
 
 const SHORTCUTS = [
   { keys: "Enter F", what: "Fit" },
@@ -49,6 +50,7 @@ class FitTab {
     this.exports = new ExportMenu({
       light: () => this.view.light, annotate: (fit) => this._annotate(fit), complain: (error) => this._complain(error),
     });
+    this.guest = new GuestPanel(app);
     this.result = new ResultPanel({ onstart: (value) => this._setStart(value, true) });
     this.setup = new SetupPanel({
       app, onback: () => this.sources.backToFolder(), onopen: () => this._file.click(),
@@ -64,8 +66,9 @@ class FitTab {
 
   // Opening and leaving.
 
-  open({ name } = {}) {
+  open({ name, view } = {}) {
     if (name) this.state.select(name);
+    if (view) this.view.show(view);
     this._watch(true);
     this._source();
   }
@@ -171,7 +174,7 @@ class FitTab {
     this.view.setFit(fit);
     this.view.setAngles({ model: this.state.project.model?.theta_deg, fit: fit?.theta_deg });
     this.iterations.show(fit?.iterations ?? []);
-    this.exports.show(fit, ofFolder && !mismatch(this.state.project));
+    this.exports.show(fit, ofFolder && this._mayAnnotate);
     this._result();
     if (this.start === "mean") this._useMean();
     this.mean.fitted = Boolean(fit);
@@ -248,9 +251,9 @@ class FitTab {
       this.method ??= first ?? methods[0]?.name ?? "soft-li";
       this.setup.offer(methods, first, this.method);
     }
-    const trained = model?.trained ?? null;
-    const another = this._trained !== undefined && this._trained !== trained;
-    this._trained = trained;
+    const number = model?.number ?? null;
+    const another = this._number !== undefined && this._number !== number;
+    this._number = number;
     this.view.hasContours = Boolean(model?.contours?.length);
     this._emptiness();
     if (!another) return;
@@ -265,12 +268,12 @@ class FitTab {
 
   _build(root) {
     this._file = h("input", {
-      type: "file", accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp", class: "visually-hidden", tabindex: "-1",
+      type: "file", accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp,.liaam", class: "visually-hidden", tabindex: "-1",
       "aria-label": "Open a picture to fit", dataset: { testid: "fit-file" },
       onchange: () => {
         const [file] = this._file.files;
         this._file.value = "";
-        if (file) this.sources.take(file);
+        if (file) this.app.take(file);
       },
     });
     const toolbar = h(
@@ -280,10 +283,11 @@ class FitTab {
       h("span", { class: "grow" }),
       this.exports.element,
     );
-    this._empty = h("div", { class: "empty big fit-empty" });
-    const stage = h("div", { class: "fit-stage" }, this.view.container, this._empty);
+    this._empty = new EmptyStage(this.app, () => this._file.click());
+    const stage = h("div", { class: "fit-stage" }, this.view.container, this._empty.element);
     this._ofFits = [this._panelDraw(), this._panelIterations()];
-    this._side = h("div", { class: "side fit-side" }, this.setup.element, this.result.element, this._ofFits);
+    const panels = [this.view.light, this.guest, this.setup, this.result].map(({ element }) => element);
+    this._side = h("div", { class: "side fit-side" }, panels, this._ofFits);
     this._area = h(
       "div",
       { class: "fit-tab", dataset: { testid: "fit-drop" } },
@@ -371,23 +375,21 @@ class FitTab {
     this.app.toast(error, "bad");
   }
 
+  get _mayAnnotate() {
+    const { project } = this.state;
+    return !isGuest(project) && !mismatch(project);
+  }
+
   _emptiness() {
     const source = this.sources.current;
-    const { model, pictures = [] } = this.state.project ?? {};
-    const wrong = mismatch(this.state.project ?? {});
+    const { model } = this.state.project ?? {};
+    this.guest.show(this.state.project);
+    const wrong = isGuest(this.state.project) ? "" : mismatch(this.state.project ?? {});
     const canGoBack = source?.kind === "upload" && Boolean(this.state.current);
     this.setup.show({ source, model, canGoBack, mismatch: wrong });
-    this.exports.show(this.fit, Boolean(source?.ofFolder) && !wrong);
+    this.exports.show(this.fit, Boolean(source?.ofFolder) && this._mayAnnotate);
     for (const panel of this._ofFits) panel.hidden = !model;
-    this._empty.hidden = Boolean(source);
     this.view.container.classList.toggle("without", !source);
-    if (source) return;
-    const where = pictures.length ? "select one on the left, drop one here, or open one" : "drop one here, or open one";
-    this._empty.replaceChildren(
-      icon("image", 56),
-      h("h2", {}, "A picture to fit"),
-      h("p", {}, `Use any picture of the model's object: ${where}. It stays on this machine.`),
-      button("Open a picture…", { icon: "upload", kind: "primary", onclick: () => this._file.click() }),
-    );
+    this._empty.show(!source, this.visible && !model);
   }
 }

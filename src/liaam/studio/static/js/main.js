@@ -3,6 +3,7 @@
 import { nameIn, opened, remember, tabIn } from "./address.js";
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles } from "./drops.js";
+import { isGuest, openModel } from "./fit-only.js";
 import { sourcesOf } from "./fit-source.js";
 import { takeWork, unsavedWork } from "./handover.js";
 import { State } from "./state.js";
@@ -30,7 +31,7 @@ const tabs = new Map(); // name -> {root, tab, button}
 let open = null;
 let wanted = null; // tab requested while the page was loading
 
-const app = { state, api, ui, toast, confirm: ui.confirm, openTab };
+const app = { state, api, ui, toast, confirm: ui.confirm, openTab, take };
 
 /** Hooks for browser tests; the tabs add theirs. */
 window.liaamStudio = { app, state };
@@ -53,6 +54,8 @@ async function start() {
   connection();
   actions();
   await mountTabs();
+  followGuest();
+  state.addEventListener("project", followGuest);
   acceptFiles(take);
   if (!open) openTab(wanted ?? tabIn(location.search) ?? "annotate");
   opened();
@@ -89,6 +92,13 @@ async function mountTabs() {
   });
 }
 
+/** A guest only fits, so the tab Annotate is hidden. */
+function followGuest() {
+  const guest = isGuest(state.project);
+  tabs.get("annotate").button.hidden = guest;
+  if (guest && open === "annotate") openTab("fit");
+}
+
 async function load(name, root) {
   try {
     return (await import(`./${name}.js`)).mount(root, app);
@@ -105,6 +115,7 @@ function openTab(name, options = {}) {
     return;
   }
   if (!tabs.has(name)) name = "annotate";
+  if (name === "annotate" && isGuest(state.project)) name = "fit";
   if (open === name) {
     tabs.get(name).tab.show?.(options);
     return;
@@ -167,9 +178,10 @@ function actions() {
   );
 }
 
-/** A file was dropped or pasted: fit the picture, or take over unsaved work. */
+/** A file was dropped or pasted: fit the picture, use the model, or take over unsaved work. */
 function take(file) {
   if (/\.json$/i.test(file.name)) return restore(file);
+  if (/\.liaam$/i.test(file.name)) return openModel(app, file).catch((error) => toast(error, "bad"));
   if (open === "annotate") openTab("fit");
   return sourcesOf(app).take(file);
 }
@@ -228,7 +240,8 @@ function status() {
       const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
       training.textContent = `${now.phase === "proposals" ? "Placing points" : "Training"}${percent}`;
     }
-    model.textContent = has ? `Model: ${has.n_images} pictures` : "No model yet";
+    const guest = isGuest(state.project);
+    model.textContent = guest ? `Fit only: ${has.name}` : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";
   };
   let before = null;

@@ -1,174 +1,230 @@
-// A light that is moved over the fitted object, and the relit picture.
+// Lamps that are moved over a ball beside the picture, and the relit picture.
 
 import { api } from "./api.js";
-import { ballOf, directionAfterKey, directionAt, directionInWords, placeOf } from "./fit-geometry.js";
-import { LatestWins } from "./fit-schedule.js";
-import { button, h, icon } from "./ui.js";
+import { directionAfterKey, directionAt, directionInWords, litFrom } from "./fit-geometry.js";
+import { FrameMeter, LatestWins } from "./fit-schedule.js";
+import { button, h } from "./ui.js";
 
-/** Initial direction of the light: from the upper left. */
-const FIRST = directionAt([-0.55, -0.5], { x: 0, y: 0, radius: 1 });
+/** @typedef {{direction: number[], colour: string, strength: number, softness: number}} Lamp colour: "#rrggbb" */
+/** @typedef {{lamps: Lamp[], ambient: number}} Lights ambient: fraction of white ambient light */
 
 const SIZE_WHILE_MOVING = 800;
 const SIZE_AT_REST = 1600;
 
-export function lightQuery({ direction: [x, y, z], ambient }, size) {
-  return { x: x.toFixed(4), y: y.toFixed(4), z: z.toFixed(4), ambient: ambient.toFixed(3), ...(size ? { size } : {}) };
+/** Most lamps that the server takes. */
+const MOST = 8;
+
+/** Sliders of a lamp. */
+const SLIDERS = [
+  { key: "strength", label: "Strength", max: "3", what: "Strength of the lamp" },
+  { key: "softness", label: "Softness", max: "1", what: "Softness of the lamp: a large lamp wraps around the object" },
+];
+
+/** A lamp at [x, y] over the ball, from -1 to 1. */
+function lampAt([x, y], colour = "#ffffff", strength = 1, softness = 0) {
+  return { direction: directionAt([x, y]), colour, strength, softness };
 }
 
-/** The handle over the picture, and the ball and ambient slider in the bar. Events: "change" and "rest". */
+export const PRESETS = {
+  Side: { lamps: [lampAt([-0.9, -0.25])], ambient: 0.1 },
+  Portrait: { lamps: [lampAt([-0.55, -0.5], "#fff1dc", 1.1, 0.4), lampAt([0.7, 0], "#dfe9ff", 0.35, 0.8)], ambient: 0.15 },
+  Window: { lamps: [lampAt([-0.8, -0.2], "#e6f0ff", 1.2, 1)], ambient: 0.15 },
+  "Two colours": { lamps: [lampAt([-0.9, 0], "#ffb070", 1.1, 0.4), lampAt([0.9, 0], "#86a9ff", 1.2, 0.4)], ambient: 0.2 },
+  Candle: { lamps: [lampAt([-0.15, 0.75], "#ffbe80", 1.2, 0.3)], ambient: 0.15 },
+  Overcast: { lamps: [lampAt([0, -0.6], "#f2f6ff", 1, 1)], ambient: 0.5 },
+};
+
+/** Red, green and blue of "#rrggbb", 0 to 1. */
+export const channelsOf = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
+
+/** Query of a picture under lights. @param {Lights} lights @param {number} [size] */
+export function lightQuery({ lamps, ambient }, size) {
+  const round = (value) => Number(value.toFixed(4));
+  const sent = lamps.map(({ direction, colour, strength, softness }) => ({
+    direction: direction.map(round), colour: channelsOf(colour).map(round), strength, softness,
+  }));
+  return { light: JSON.stringify({ lamps: sent, ambient }), ...(size ? { size } : {}) };
+}
+
+/** The panel with the ball, its lamps and their values. Events: "change" and "rest". */
 export class Light extends EventTarget {
   /** ambient: initial fraction of ambient light. */
-  constructor(viewer, ambient) {
+  constructor(ambient) {
     super();
-    this.viewer = viewer;
-    this.ball = null;
-    this.first = { direction: FIRST, ambient };
-    Object.assign(this, this.first);
-    this.handle = h(
-      "div",
-      {
-        class: "fit-light", role: "slider", tabindex: "0", hidden: true, "aria-label": "Light over the object",
-        "aria-roledescription": "movable light", "aria-valuemin": "0", "aria-valuemax": "90",
-        title: "Drag the light; arrow keys move it", dataset: { testid: "light-handle" },
-      },
-      icon("sun", 18),
-    );
-    viewer.container.append(this.handle);
-    this.controls = this._controls();
-    this.tool = {
-      down: (event, xy) => this._near(xy) && (this._set(directionAt(xy, this.ball)), true),
-      move: (event, xy) => this._set(directionAt(xy, this.ball)), up: () => this._say("rest"),
-      cancel: () => this._say("rest"), cursor: (event, xy) => (this._near(xy) ? "crosshair" : ""),
-    };
-    this._listen();
+    this.first = { lamps: [lampAt([-0.55, -0.5])], ambient };
+    this.element = this._build();
+    this.set(this.first);
+  }
+
+  get lamp() {
+    return this.lamps[this.selected];
+  }
+
+  /** Replace all lights. @param {Lights} lights */
+  set({ lamps, ambient }) {
+    Object.assign(this, { lamps: lamps.map((lamp) => ({ ...lamp })), ambient, selected: 0 });
     this._show();
   }
 
-  get visible() {
-    return !this.handle.hidden;
-  }
-
-  set visible(now) {
-    this.handle.hidden = !now || !this.ball;
-    this._place();
-  }
-
-  /** Set the shape over which the light is moved. */
-  over(shape) {
-    this.ball = shape ? ballOf(shape) : null;
-    if (!this.ball) this.handle.hidden = true;
-    this._place();
-  }
-
-  /** Draw the rim of the ball and a line from its centre to the light. */
-  draw(ctx, viewer) {
-    if (!this.visible) return;
-    const [cx, cy] = viewer.toScreen([this.ball.x, this.ball.y]);
-    const [lx, ly] = viewer.toScreen(placeOf(this.direction, this.ball));
-    for (const [colour, width] of [
-      ["rgb(0 0 0 / 35%)", 3], ["rgb(255 236 170 / 75%)", 1.2],
-    ]) {
-      ctx.strokeStyle = colour;
-      ctx.lineWidth = width;
-      ctx.setLineDash([5, 5]);
-      ctx.beginPath();
-      ctx.arc(cx, cy, this.ball.radius * viewer.scale, 0, 2 * Math.PI);
-      ctx.stroke();
-      ctx.setLineDash([]);
-      ctx.beginPath();
-      ctx.moveTo(cx, cy);
-      ctx.lineTo(lx, ly);
-      ctx.stroke();
-    }
-  }
-
+  /** Move the selected lamp by an arrow key. */
   key(event) {
-    const next = directionAfterKey(this.direction, event);
+    const next = directionAfterKey(this.lamp.direction, event);
     if (!next) return false;
-    this._set(next);
-    this._say("rest");
+    this.lamp.direction = next;
+    this._changed(true);
     return true;
   }
 
-  _near([x, y]) {
-    return this.ball && Math.hypot(x - this.ball.x, y - this.ball.y) <= 1.1 * this.ball.radius;
-  }
-
-  _set(direction) {
-    this.direction = direction;
-    this._show();
-    this._say("change");
-  }
-
-  _controls() {
-    this._sphere = h("canvas", { class: "fit-sphere", width: 88, height: 88, role: "img" });
-    this._words = h("span", { class: "fit-light-words small", "aria-live": "polite" });
-    this._ambient = h("input", {
-      type: "range", class: "slider", min: "0", max: "1", step: "0.01", "aria-label": "Ambient light",
-      dataset: { testid: "light-ambient" },
-    });
-    this._ambientText = h("span", { class: "number" });
-    const reset = button("Reset", {
-      small: true, testid: "light-reset", title: "Reset the light",
-      onclick: () => {
-        Object.assign(this, this.first);
-        this._show();
-        this._say("change");
-        this._say("rest");
-      },
-    });
-    return h(
+  _build() {
+    this._canvas = h("canvas", { class: "light-ball", width: 120, height: 120, "aria-hidden": "true" });
+    this._dots = h("div", { class: "light-dots", role: "group", "aria-label": "Lamps over a ball" });
+    this._sphere = h(
       "div",
-      { class: "fit-controls" },
-      this._sphere, this._words,
-      h("label", { class: "fit-slider-label small muted" }, "Ambient", this._ambient, this._ambientText),
-      reset,
+      { class: "light-sphere", title: "Drag a lamp; arrow keys move it", dataset: { testid: "light-ball" } },
+      this._canvas, this._dots,
+    );
+    this._words = h("p", { class: "small", "aria-live": "polite", dataset: { testid: "light-words" } });
+    this._add = button("Add", {
+      icon: "plus", small: true, testid: "lamp-add", title: "Add a lamp",
+      onclick: () => this._put([...this.lamps, lampAt([-this.lamp.direction[0] || 0.5, -0.2])], this.lamps.length),
+    });
+    this._remove = button("Remove", {
+      icon: "trash", small: true, testid: "lamp-remove", title: "Remove the selected lamp",
+      onclick: () => this._put(this.lamps.filter((lamp) => lamp !== this.lamp), 0),
+    });
+    this._colour = h("input", {
+      type: "color", class: "light-colour", "aria-label": "Colour of the lamp", dataset: { testid: "lamp-colour" },
+      oninput: () => this._edit("colour", this._colour.value), onchange: () => this._say("rest"),
+    });
+    const lights = { "One lamp": this.first, ...PRESETS };
+    const presets = h(
+      "select",
+      {
+        class: "text", "aria-label": "Preset lights", dataset: { testid: "light-presets" },
+        onchange: () => {
+          this.set(lights[presets.value]);
+          presets.value = "";
+          this._changed(true);
+        },
+      },
+      h("option", { value: "" }, "Presets…"),
+      Object.keys(lights).map((name) => h("option", {}, name)),
+    );
+    this._sliders = SLIDERS.map((of) => this._slider(of, () => this.lamp[of.key], (to) => this._edit(of.key, to)));
+    const ambient = { label: "Ambient", max: "1", what: "Ambient light: from all directions", key: "ambient" };
+    this._sliders.push(this._slider(ambient, () => this.ambient, (value) => {
+      this.ambient = value;
+      this._changed();
+    }));
+    this._drag();
+    return h(
+      "section",
+      { class: "panel light", "aria-label": "Light", hidden: true, dataset: { testid: "light" } },
+      presets,
+      h(
+        "div",
+        { class: "light-top" },
+        this._sphere,
+        h(
+          "div",
+          { class: "column tight grow" },
+          this._words, h("div", { class: "row tight" }, this._colour, this._add, this._remove),
+        ),
+      ),
+      this._sliders.map(({ element }) => element),
     );
   }
 
-  _listen() {
-    this._ambient.addEventListener("input", () => {
-      this.ambient = Number(this._ambient.value);
-      this._show();
-      this._say("change");
+  _slider({ key, label, max, what }, get, set) {
+    const input = h("input", {
+      type: "range", class: "slider", min: "0", max, step: "0.01", "aria-label": what,
+      dataset: { testid: `light-${key}` },
+      oninput: () => set(Number(input.value)), onchange: () => this._say("rest"),
     });
-    this._ambient.addEventListener("change", () => this._say("rest"));
-    const handle = this.handle;
-    handle.addEventListener("pointerdown", (event) => {
+    const text = h("span", { class: "number" });
+    const show = () => {
+      input.value = String(get());
+      text.textContent = `${Math.round(100 * get())} %`;
+    };
+    const element = h("label", { class: "light-slider small", title: what }, h("span", {}, label), input, text);
+    return { element, show };
+  }
+
+  /** Drag over the ball: the lamp under the pointer, or else the selected one. */
+  _drag() {
+    const sphere = this._sphere;
+    const move = (event) => {
+      const { left, top, width } = this._canvas.getBoundingClientRect();
+      const half = width / 2;
+      this._edit("direction", directionAt([(event.clientX - left - half) / half, (event.clientY - top - half) / half]));
+    };
+    sphere.addEventListener("pointerdown", (event) => {
       if (event.button !== 0) return;
-      handle.setPointerCapture(event.pointerId);
-      handle.focus({ preventScroll: true });
+      const dot = event.target.closest("[role=slider]");
+      if (dot) this.selected = [...this._dots.children].indexOf(dot);
+      else move(event);
+      sphere.setPointerCapture(event.pointerId);
+      this._show();
+      this._dots.children[this.selected].focus({ preventScroll: true });
       event.preventDefault();
     });
-    handle.addEventListener("pointermove", (event) => {
-      if (handle.hasPointerCapture(event.pointerId)) this._set(directionAt(this.viewer.toImage(event), this.ball));
+    sphere.addEventListener("pointermove", (event) => sphere.hasPointerCapture(event.pointerId) && move(event));
+    sphere.addEventListener("lostpointercapture", () => this._say("rest"));
+  }
+
+  _dot() {
+    const select = () => {
+      this.selected = [...this._dots.children].indexOf(dot);
+      this._show();
+    };
+    const dot = h("div", {
+      class: "light-lamp", role: "slider", tabindex: "0", "aria-roledescription": "movable lamp", "aria-valuemin": "0",
+      "aria-valuemax": "90", dataset: { testid: "lamp" }, onfocus: select,
+      onkeydown: (event) => {
+        if (!this.key(event)) return;
+        event.preventDefault();
+        event.stopPropagation();
+      },
     });
-    handle.addEventListener("lostpointercapture", () => this._say("rest"));
-    handle.addEventListener("keydown", (event) => {
-      if (!this.key(event)) return;
-      event.preventDefault();
-      event.stopPropagation();
-    });
-    this.viewer.addEventListener("view", () => this._place());
+    return dot;
+  }
+
+  _put(lamps, selected) {
+    Object.assign(this, { lamps, selected });
+    this._changed(true);
+    this._dots.children[selected].focus({ preventScroll: true });
+  }
+
+  _edit(key, value) {
+    this.lamp[key] = value;
+    this._changed();
+  }
+
+  _changed(rested = false) {
+    this._show();
+    this._say("change");
+    if (rested) this._say("rest");
   }
 
   _show() {
-    const words = directionInWords(this.direction);
-    this._words.textContent = `Light ${words}`;
-    this.handle.setAttribute("aria-valuetext", words);
-    this.handle.setAttribute("aria-valuenow", String(Math.round((Math.acos(this.direction[2]) * 180) / Math.PI)));
-    this._sphere.setAttribute("aria-label", `A ball lit ${words}`);
-    this._ambient.value = String(this.ambient);
-    this._ambientText.textContent = `${Math.round(100 * this.ambient)} %`;
-    drawBall(this._sphere, this.direction, this.ambient);
-    this._place();
-  }
-
-  _place() {
-    if (!this.ball) return;
-    const [x, y] = this.viewer.toScreen(placeOf(this.direction, this.ball));
-    this.handle.style.transform = `translate(${x}px, ${y}px) translate(-50%, -50%)`;
-    this.viewer.redraw();
+    const { lamps, lamp, selected, _dots: dots } = this;
+    while (dots.children.length < lamps.length) dots.append(this._dot());
+    while (dots.children.length > lamps.length) dots.lastChild.remove();
+    lamps.forEach(({ direction: [x, y, z], colour }, i) => {
+      const dot = dots.children[i];
+      Object.assign(dot.style, { left: `${50 + 50 * x}%`, top: `${50 + 50 * y}%`, backgroundColor: colour });
+      dot.classList.toggle("selected", i === selected);
+      dot.setAttribute("aria-label", `Lamp ${i + 1}`);
+      dot.setAttribute("aria-valuetext", directionInWords([x, y, z]));
+      dot.setAttribute("aria-valuenow", String(Math.round((Math.acos(z) * 180) / Math.PI)));
+    });
+    const which = lamps.length > 1 ? `Lamp ${selected + 1} of ${lamps.length}` : "Lamp";
+    this._words.textContent = `${which} ${directionInWords(lamp.direction)}`;
+    this._colour.value = lamp.colour;
+    this._add.disabled = lamps.length >= MOST;
+    this._remove.disabled = lamps.length < 2;
+    for (const { show } of this._sliders) show();
+    drawBall(this._canvas, this);
   }
 
   _say(type) {
@@ -176,22 +232,25 @@ export class Light extends EventTarget {
   }
 }
 
-/** Draw a matt ball under the light, to show its direction. */
-export function drawBall(canvas, [lx, ly, lz], ambient) {
+/** Draw a matt ball under the lights. */
+function drawBall(canvas, { lamps, ambient }) {
   const size = canvas.width;
   const ctx = canvas.getContext("2d");
   const image = ctx.createImageData(size, size);
   const half = size / 2;
+  const all = lamps.map((lamp) => ({ ...lamp, channels: channelsOf(lamp.colour).map((value) => value ** 2.2) }));
   for (let py = 0; py < size; py += 1) {
     for (let px = 0; px < size; px += 1) {
-      const x = (px + 0.5 - half) / (half - 1);
-      const y = (py + 0.5 - half) / (half - 1);
+      const [x, y] = [(px + 0.5 - half) / (half - 1), (py + 0.5 - half) / (half - 1)];
       const r = x * x + y * y;
       if (r > 1) continue;
-      const lit = ambient + (1 - ambient) * Math.max(0, x * lx + y * ly + Math.sqrt(1 - r) * lz);
-      const shade = 255 * Math.min(1, lit) ** (1 / 2.2);
-      const at = 4 * (py * size + px);
-      image.data.set([shade, 0.94 * shade, 0.82 * shade, 255 * Math.min(1, (1 - r) * 0.25 * size)], at);
+      const light = [ambient, ambient, ambient];
+      for (const { direction: [lx, ly, lz], strength, softness, channels } of all) {
+        const lit = (1 - ambient) * strength * litFrom(x * lx + y * ly + Math.sqrt(1 - r) * lz, softness);
+        for (let c = 0; c < 3; c += 1) light[c] += lit * channels[c];
+      }
+      const shades = light.map((value) => 235 * Math.min(1, value) ** (1 / 2.2));
+      image.data.set([...shades, 255 * Math.min(1, (1 - r) * 0.25 * size)], 4 * (py * size + px));
     }
   }
   ctx.putImageData(image, 0, 0);
@@ -200,12 +259,16 @@ export function drawBall(canvas, [lx, ly, lz], ambient) {
 /** Fetches the relit picture, with at most one request at a time for the newest light. */
 export class Relighter {
   constructor({ done, failed }) {
+    this.meter = new FrameMeter();
     this._asks = new LatestWins(
-      async ({ fit, light, size }) => {
-        const blob = await api.blob(api.url("fits", fit.id, "relit", lightQuery(light, size)));
-        return createImageBitmap(blob);
+      async ({ fit, query }) => createImageBitmap(await api.blob(api.url("fits", fit.id, "relit", query))),
+      {
+        done: (image, { fit }) => {
+          this.meter.tick();
+          done(image, fit);
+        },
+        failed,
       },
-      { done: (image, { fit }) => done(image, fit), failed },
     );
   }
 
@@ -214,11 +277,8 @@ export class Relighter {
   }
 
   ask(fit, light, resting) {
-    const { direction, ambient } = light;
-    const longest = Math.max(fit.width, fit.height);
-    this._asks.ask({
-      fit, light: { direction, ambient }, size: Math.min(longest, resting ? SIZE_AT_REST : SIZE_WHILE_MOVING),
-    });
+    const size = Math.min(Math.max(fit.width, fit.height), resting ? SIZE_AT_REST : SIZE_WHILE_MOVING);
+    this._asks.ask({ fit, query: lightQuery(light, size) });
   }
 
   cancel() {

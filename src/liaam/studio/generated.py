@@ -1,0 +1,55 @@
+"""Generated heads for beginners: pictures under hard light, and the model that fits them.
+
+``docs/figures/make_generated_heads.py`` makes the files. The model is trained when it is first needed, which takes
+about a second. A file of the model would be fifty times as large as its pictures.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from liaam.studio.pictures import Kept
+from liaam.studio.settings import STATIC
+
+if TYPE_CHECKING:
+    from liaam.model import AAM
+
+GALLERY = STATIC / "heads"
+"""Folder of the pictures under hard light; the page fetches them."""
+
+TRAINING = Path(__file__).with_name("heads")
+"""Folder of the pictures with landmarks under soft light."""
+
+CALIBRATION = TRAINING / "calibration.json"
+"""The calibration that training with ``leave_out`` measures, which takes most of its time."""
+
+_MODEL: Kept[str, AAM] = Kept(1)
+
+
+def gallery() -> list[str]:
+    """Return the names of the pictures under hard light."""
+    return sorted(path.name for path in GALLERY.glob("*.jpg"))
+
+
+def model_of_heads() -> AAM:
+    """Return the model; the first call trains it, and other threads wait for it."""
+    return _MODEL.get("model", trained)
+
+
+def trained(calibrate: bool = False) -> AAM:
+    """Train the model; measure its calibration, or read it from :data:`CALIBRATION`."""
+    from liaam.datasets import load_folder
+    from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+    from liaam.model.views import Reliability
+    from liaam.training import train
+
+    model = train(load_folder(TRAINING), leave_out=calibrate, name="generated heads")
+    if calibrate:
+        return model
+    known = json.loads(CALIBRATION.read_bytes())
+    arrays = {key: np.array(known.pop(key)) for key in ("landmarks", "weights")}
+    return model.with_view(METHODS[DEFAULT_METHOD].view, reliability=Reliability(**arrays, **known))

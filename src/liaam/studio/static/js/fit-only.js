@@ -1,0 +1,144 @@
+// Models from elsewhere: dropped on the page, or of the generated heads. With such a guest, the page only fits.
+
+import { api } from "./api.js";
+import { sourcesOf } from "./fit-source.js";
+import { button, h, icon } from "./ui.js";
+
+/** Name of the model of the generated heads. */
+const HEADS = "generated heads";
+
+export const isGuest = (project) => project?.model?.source === "guest";
+
+/** Use a model file that was dropped on the page. */
+export async function openModel(app, file) {
+  const limit = app.state.project.limits.upload_bytes;
+  if (file.size > limit) {
+    const how = `start the studio with --model ${file.name}`;
+    throw new Error(`${file.name} is larger than ${Math.round(limit / 1e6)} MB, the limit for dropped models: ${how}`);
+  }
+  await api.upload(api.url("model", "guest", { name: file.name }), file);
+  await app.state.refresh();
+  app.openTab("fit");
+}
+
+/** Fit a generated head and show it without its shading. */
+async function openHead(app, address) {
+  const name = address.split("/").at(-1);
+  const [blob] = await Promise.all([api.blob(address), useHeads(app)]);
+  app.openTab("fit", { view: "flat" });
+  await sourcesOf(app).take(new File([blob], name, { type: "image/jpeg" }));
+}
+
+async function useHeads(app) {
+  const { model } = app.state.project;
+  if (isGuest(app.state.project) && model.name === HEADS) return;
+  await api.post(api.url("heads", "model"));
+  await app.state.refresh();
+}
+
+let heads = null;
+
+/** The generated heads to choose from. The server makes their model when they are first shown. */
+export function gallery(app) {
+  heads ??= api.get(api.url("heads"), { quiet: true });
+  const list = h("div", { class: "gallery", role: "group", "aria-label": "Generated heads" });
+  const item = (address, i) => h(
+    "button",
+    {
+      type: "button", class: "gallery-item", title: "Fit this head and take off the light",
+      dataset: { testid: `head-${i + 1}` }, onclick: ({ currentTarget }) => choose(currentTarget, address),
+    },
+    h("img", { src: address, alt: `Generated head ${i + 1} under hard light`, draggable: false }),
+  );
+  const choose = async (chosen, address) => {
+    if (list.getAttribute("aria-busy") === "true") return;
+    list.setAttribute("aria-busy", "true");
+    chosen.classList.add("chosen");
+    try {
+      await openHead(app, address);
+    } catch (error) {
+      app.toast(error, "bad");
+    } finally {
+      list.removeAttribute("aria-busy");
+      chosen.classList.remove("chosen");
+    }
+  };
+  heads.then(({ pictures }) => list.append(...pictures.map(item)), () => (heads = null));
+  return list;
+}
+
+/** An invitation for a page on which nothing can be fitted yet. */
+export function invitation(app) {
+  return h(
+    "div",
+    { class: "invitation" },
+    h("p", {}, "Or take the light off a generated head:"),
+    gallery(app),
+    h("p", { class: "small" }, "Or drop a model (.liaam) on the page, and then pictures to fit."),
+  );
+}
+
+/** What the Fit tab shows in place of a picture. */
+export class EmptyStage {
+  constructor(app, onopen) {
+    this._app = app;
+    this._words = h("p", {});
+    this.element = h(
+      "div",
+      { class: "empty big fit-empty" },
+      icon("image", 56), h("h2", {}, "A picture to fit"), this._words,
+      button("Open a picture…", { icon: "upload", kind: "primary", onclick: onopen }),
+    );
+  }
+
+  /** invite: whether to offer the generated heads. */
+  show(now, invite) {
+    this.element.hidden = !now;
+    if (!now) return;
+    const listed = this._app.state.project?.pictures.length ? "select one on the left, " : "";
+    const where = `${listed}drop one here, or open one`;
+    this._words.textContent = `Use any picture of the model's object: ${where}. It stays on this machine.`;
+    if (invite) this.element.append((this._invitation ??= invitation(this._app)));
+    else this._invitation?.remove();
+  }
+}
+
+/** The panel that says that the page only fits, and ends it. */
+export class GuestPanel {
+  constructor(app) {
+    this._app = app;
+    this._words = h("p", { class: "small guest-words" });
+    this._gallery = h("div", { hidden: true });
+    const leave = button("Leave", {
+      small: true, testid: "leave-guest", title: "Use the model of the folder again", onclick: () => this._leave(),
+    });
+    this.element = h(
+      "section",
+      { class: "panel", "aria-label": "Fit only", hidden: true, dataset: { testid: "guest" } },
+      h("div", { class: "panel-title" }, h("h2", { class: "grow" }, "Fit only"), leave),
+      this._words,
+      this._gallery,
+    );
+  }
+
+  show(project) {
+    const guest = isGuest(project) ? project.model : null;
+    this.element.hidden = !guest;
+    if (!guest) return;
+    const what = guest.name === HEADS ? "the model of the generated heads" : `the model ${guest.name}`;
+    this._words.textContent = `Pictures are fitted with ${what} (${guest.n_points} points). `
+      + "Nothing is trained, and no landmarks are saved.";
+    this._gallery.hidden = guest.name !== HEADS;
+    if (guest.name === HEADS && !this._gallery.firstChild) this._gallery.append(gallery(this._app));
+  }
+
+  async _leave() {
+    try {
+      await api.delete(api.url("model", "guest"));
+      await this._app.state.refresh();
+      this._app.openTab("annotate");
+    } catch (error) {
+      this._app.toast(error, "bad");
+    }
+  }
+}

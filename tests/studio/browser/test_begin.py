@@ -1,0 +1,214 @@
+"""Begin without annotating: generated heads, a dropped model, and lamps, in a real browser."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+from people import shoot, wait_for
+from test_fit_tab import PIXEL, dropped, hook, wait_for_layer
+from test_layout import CLIPPED, SIZES
+
+from liaam.io import write_image
+from liaam.training import train
+
+pytestmark = pytest.mark.slow
+
+DROP_ANYWHERE = """([data, name]) => {
+  const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+  const transfer = new DataTransfer();
+  transfer.items.add(new File([bytes], name));
+  document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
+}"""
+
+RELIT = """() => window.liaamStudio.fit.view === "relit" && window.liaamStudio.fit.hasLayer
+  && !window.liaamStudio.fit.relightBusy"""
+
+
+@pytest.fixture
+def empty(tmp_path):
+    """Give an empty folder."""
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture(scope="session")
+def model_bytes(portraits):
+    """Give the content of a file of a model of the portraits."""
+    return train([(scene.image, scene.landmarks) for scene in portraits[:8]], leave_out=False).to_bytes()
+
+
+def drop_anywhere(page, name: str, data: bytes) -> None:
+    page.evaluate(DROP_ANYWHERE, [base64.b64encode(data).decode(), name])
+
+
+def model_of(page) -> dict | None:
+    return page.evaluate("() => window.liaamStudio.state.project.model")
+
+
+def fit_a_head(page, number: int) -> None:
+    """Click a generated head, and wait until it is shown without its shading."""
+    page.locator(f"[data-testid=head-{number}]:visible").click()
+    wait_for(page, "name => window.liaamStudio.fit.fit && document.body.innerText.includes(name)", f"head-{number}.jpg")
+    wait_for_layer(page, "flat")
+
+
+def test_a_newcomer_sees_the_light_come_off_with_one_click(serve, page, empty):
+    page.goto(serve(empty).address)
+    fit_a_head(page, 2)
+    fit = hook(page, "fit")
+    assert fit["ok"]
+    assert fit["quality"] > 0.8
+    assert hook(page, "view") == "flat"
+    # The picture is on the left of the divider, and its flat appearance on the right.
+    assert page.locator("[data-testid=divider]").is_visible()
+    assert page.locator("[data-testid=fit-split]").get_attribute("aria-pressed") == "true"
+    page.locator("[data-testid=tab-annotate]").wait_for(state="hidden")
+    assert "Nothing is trained" in page.locator("[data-testid=guest]").inner_text()
+    fit_a_head(page, 6)  # another, in the panel
+    assert list(empty.glob("[!.]*")) == []
+    page.locator("[data-testid=leave-guest]").click()
+    page.locator("[data-testid=tab-annotate][aria-selected=true]").wait_for()
+    assert model_of(page) is None
+    assert page.locator("[data-testid=head-1]:visible").count() == 1
+
+
+def test_a_dropped_model_fits_pictures_without_a_template(serve, page, folder, model_bytes, artefacts):
+    before = sorted(path.name for path in folder.iterdir())
+    page.goto(serve(folder).address)
+    page.wait_for_selector("[role=tab][aria-selected=true]")
+    drop_anywhere(page, "kate.liaam", model_bytes)  # on the tab Annotate
+    wait_for(page, "() => window.liaamStudio.fit.fit?.picture === 'portrait-01.png'")
+    assert page.locator("[data-testid=top-model]").inner_text() == "Fit only: kate"
+    assert "the model kate (58 points)" in page.locator("[data-testid=guest]").inner_text()
+    page.locator("[data-testid=export-menu]").click()
+    assert page.locator("[data-testid=export-annotation]").is_hidden()
+    shoot(page, artefacts, "30-guest")
+    page.goto(page.url.partition("?")[0] + "?tab=annotate")  # the mode stays after a reload
+    wait_for(page, "() => window.liaamStudio.fit?.fit?.picture === 'portrait-01.png'")
+    page.locator("[data-testid=tab-annotate]").wait_for(state="hidden")
+    page.locator("[data-testid=leave-guest]").click()
+    page.locator("[data-testid=tab-annotate][aria-selected=true]").wait_for()
+    assert model_of(page) is None
+    assert sorted(path.name for path in folder.iterdir() if not path.name.startswith(".")) == before
+
+
+def test_a_broken_model_is_refused_and_the_page_stays(serve, page, empty, model_bytes):
+    page.goto(serve(empty).address)
+    page.wait_for_selector("[role=tab][aria-selected=true]")
+    for name, data in (("half.liaam", model_bytes[:-1000]), ("text.liaam", b"no model")):
+        drop_anywhere(page, name, data)
+        page.locator(".toast.bad", has_text=name).wait_for()
+    assert "not a complete liaam model" in page.locator(".toast.bad").first.inner_text()
+    assert model_of(page) is None
+    assert page.locator("[data-testid=tab-annotate]").get_attribute("aria-selected") == "true"
+
+
+@pytest.fixture
+def relight(serve, page, empty, model_bytes, lit_portrait, tmp_path):
+    """Give the page with a dropped picture in the view Relight."""
+    write_image(tmp_path / "lit.png", lit_portrait.image)
+    page.goto(serve(empty).address)
+    page.wait_for_selector("[role=tab][aria-selected=true]")
+    drop_anywhere(page, "kate.liaam", model_bytes)
+    wait_for(page, "() => window.liaamStudio.state.project.model")
+    dropped(page, tmp_path / "lit.png")
+    page.locator("[data-testid=layer-relit]").click()
+    wait_for(page, RELIT)
+    return page
+
+
+def lamps(page) -> list[dict]:
+    return hook(page, "light.lamps")
+
+
+def test_lamps_are_moved_by_the_mouse_and_change_the_right_half(relight):
+    assert relight.locator("[data-testid=divider]").is_visible()
+    shape = np.array(hook(relight, "fit.shape"))
+    x, y = shape.mean(axis=0)
+    left, right = (hook(relight, f"viewer.toScreen([{x + 0.1 * side * np.ptp(shape)}, {y}])") for side in (-1, 1))
+    divider = relight.locator("[data-testid=divider]").bounding_box()
+    viewer = relight.locator("[data-testid=fit-viewer]").bounding_box()
+    assert left[0] + viewer["x"] < divider["x"] + divider["width"] / 2 < right[0] + viewer["x"]
+    before = [relight.evaluate(PIXEL, place) for place in (left, right)]
+    ball = relight.locator("[data-testid=light-ball]").bounding_box()
+    middle = ball["x"] + ball["width"] / 2, ball["y"] + ball["height"] / 2
+    relight.mouse.move(*middle)
+    relight.mouse.down()
+    assert lamps(relight)[0]["direction"] == pytest.approx([0, 0, 1], abs=0.02)
+    relight.mouse.move(middle[0] - 0.45 * ball["width"], middle[1], steps=4)
+    relight.mouse.up()
+    direction = lamps(relight)[0]["direction"]
+    assert direction[0] < -0.85
+    assert "from the left" in relight.locator("[data-testid=light-words]").inner_text()
+    wait_for(relight, f"before => String(({PIXEL})([{right[0]}, {right[1]}])) !== String(before)", before[1])
+    assert relight.evaluate(PIXEL, left) == before[0]
+
+
+def test_lamps_are_moved_added_and_removed_by_keys(relight):
+    lamp = relight.locator("[data-testid=lamp]")
+    lamp.focus()
+    relight.keyboard.press("Home")
+    relight.keyboard.press("Shift+ArrowRight")
+    assert lamps(relight)[0]["direction"][:2] == pytest.approx([0.15, 0])
+    relight.locator("[data-testid=lamp-add]").press("Enter")
+    assert len(lamps(relight)) == 2
+    relight.keyboard.press("ArrowDown")  # the new lamp has the focus
+    assert hook(relight, "light.selected") == 1
+    assert lamps(relight)[0]["direction"][:2] == pytest.approx([0.15, 0])
+    relight.locator("[data-testid=lamp-colour]").fill("#ff0000")
+    with relight.expect_request(lambda request: "/relit" in request.url and "%5B1%2C0%2C0%5D" in request.url):
+        relight.locator("[data-testid=light-strength]").press("End")
+    assert (lamps(relight)[1]["colour"], lamps(relight)[1]["strength"]) == ("#ff0000", 3)
+    relight.locator("[data-testid=light-softness]").press("End")
+    assert lamps(relight)[1]["softness"] == 1
+    relight.locator("[data-testid=lamp-remove]").press("Enter")
+    assert len(lamps(relight)) == 1
+    relight.locator("[data-testid=light-presets]").select_option("Two colours")
+    assert relight.locator("[data-testid=lamp]").count() == 2
+    wait_for(relight, RELIT)
+    relight.locator("[data-testid=light-presets]").select_option("One lamp")
+    assert relight.locator("[data-testid=lamp]").count() == 1
+
+
+def test_a_light_is_exported_as_it_is_shown(relight):
+    relight.locator("[data-testid=light-presets]").select_option("Candle")
+    relight.locator("[data-testid=export-menu]").click()
+    with relight.expect_download() as download:
+        relight.locator("[data-testid=export-relit]").click()
+    assert download.value.suggested_filename == "lit_relit.png"
+    assert "%22softness%22%3A0.3" in relight.locator("[data-testid=export-relit]").get_attribute("href")
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+def test_the_first_screen_and_the_lamps_fit_every_screen(browser, serve, empty, size, theme, artefacts):
+    from axe_playwright_python.sync_playwright import Axe
+
+    options = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]}}
+    context = browser.new_context(
+        viewport={"width": size[0], "height": size[1]},
+        has_touch=size[0] < 900,
+        color_scheme=theme,
+        reduced_motion="reduce",
+    )
+    page = context.new_page()
+    page.set_default_timeout(20_000)
+    page.goto(serve(empty).address)
+    page.locator("[data-testid=head-6]:visible").wait_for()
+
+    def check(name: str) -> None:
+        shoot(page, artefacts, f"{size[0]}-{theme}-{name}")
+        assert page.evaluate(CLIPPED) == [], name
+        found = Axe().run(page, options=options).response["violations"]
+        assert not found, json.dumps({each["id"]: [node["html"] for node in each["nodes"]] for each in found})
+
+    check("first")
+    fit_a_head(page, 4)
+    check("head")
+    page.locator("[data-testid=layer-relit]").click()
+    page.locator("[data-testid=light-presets]").select_option("Two colours")
+    wait_for(page, RELIT)
+    check("lamps")
+    context.close()
