@@ -559,9 +559,9 @@ test("a file that was deleted is said to be", async () => {
   run();
   const gone = { points: [null, null], invisible: [], revision: null, source: "none" };
   await answer("fail", { status: 409, body: { current: gone } });
-  assert.equal(saver.wasDeleted("a"), true);
+  assert.equal(saver.entry("a").deleted, true);
   saver.resolveConflict("a", "mine");
-  assert.equal(saver.wasDeleted("a"), false);
+  assert.equal(saver.entry("a").deleted, false);
   assert.equal(log.sent[1].body.revision, null);
   await answer("ok");
   assert.equal(state(), "saved");
@@ -604,7 +604,7 @@ test("clicks make points and go on with the path", () => {
     [1, 1],
   ]);
   assert.deepEqual(draft.names, ["point 1", "point 2", "point 3"]);
-  const closed = template.closePath(draft);
+  const closed = template.newPath(draft, true);
   assert.deepEqual(closed.contours, [{ indices: [0, 1, 2], closed: true }]);
   const next = template.addPoint(closed, [5, 5]);
   assert.deepEqual(next.contours[1], { indices: [3], closed: false });
@@ -639,7 +639,7 @@ test("mirrored clicks make twins, and one path where both sides meet on the axis
     ],
     options,
   );
-  assert.deepEqual(template.closePath(lips).contours, [{ indices: [0, 1, 3, 2], closed: true }]);
+  assert.deepEqual(template.newPath(lips, true).contours, [{ indices: [0, 1, 3, 2], closed: true }]);
   const eyes = clicks(
     [
       [2, 0],
@@ -648,7 +648,7 @@ test("mirrored clicks make twins, and one path where both sides meet on the axis
     ],
     options,
   );
-  assert.deepEqual(template.closePath(eyes).contours, [
+  assert.deepEqual(template.newPath(eyes, true).contours, [
     { indices: [0, 2, 4], closed: true },
     { indices: [1, 3, 5], closed: true },
   ]);
@@ -722,12 +722,13 @@ test("reordering carries everything along", () => {
 });
 
 test("a path is gone on with, and goes through a point once", () => {
-  const draft = template.closePath(
+  const draft = template.newPath(
     clicks([
       [0, 0],
       [1, 0],
       [1, 1],
     ]),
+    true,
   );
   const open = template.continuePath(draft, 0);
   assert.equal(open.contours[open.path].closed, false);

@@ -21,7 +21,8 @@ export function opened() {
   isOpen = true;
 }
 
-/** Put the tab or the picture into the address. */
+/** Put the tab or the picture into the address.
+ *  @param {{tab?: string, name?: string}} what */
 export function remember({ tab, name }) {
   const address = new URL(location.href);
   if (tab !== undefined) address.searchParams.set("tab", tab);

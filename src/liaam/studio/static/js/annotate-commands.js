@@ -1,213 +1,176 @@
 // Commands of the Annotate tab's buttons and keys.
 
-import { nextToTeach, several, unfinished } from "./assist.js";
-import { called, missingText, UNTOUCHED } from "./annotate-words.js";
+import { called, missingText, several, UNTOUCHED } from "./annotate-words.js";
+import { nextToTeach, unfinished } from "./assist.js";
 import { placed } from "./points.js";
 
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
 
-export class Commands {
-  constructor(tab) {
-    Object.assign(this, { tab, marking: tab.marking });
-    this.warned = null; // picture with a warning about missing points
-    this.escaped = false; // whether Tab leaves the picture
-  }
+/** @param {import("./annotate.js").AnnotateTab} tab */
+export function createCommands(tab) {
+  const { app, state, marking, viewer, say } = tab;
+  let warned = null; // picture with a warning about missing points
 
-  /** Whether a picture's points can be edited now. */
-  get marks() {
-    return !this.tab.editing && this.marking.book !== null;
-  }
-
-  say(text) {
-    this.tab.speaker.say(text);
-  }
-
-  // Display ---------------------------------------------------------------------------------------------------------
-
-  flick(what) {
-    const { show, toolbar, viewer } = this.tab;
-    show[what] = !show[what];
-    toolbar.press(what, show[what]);
-    viewer.redraw();
-  }
-
-  hideMarks(on) {
-    if (this.marking.hidden === on) return;
-    this.marking.hidden = on;
-    this.tab.viewer.redraw();
-  }
-
-  toggleBox() {
-    const { tab } = this;
-    tab.boxing = !tab.boxing;
-    tab.toolbar.press("box", tab.boxing);
-  }
-
-  toggleMirrored() {
-    const { tab, marking } = this;
-    if (!tab.template?.mirror) {
-      tab.app.toast(
-        "The template has no mirrored points. Edit it with Mirror on, or load one with left and right in its names.",
-      );
-      return;
-    }
-    marking.mirrored = !marking.mirrored;
-    tab.toolbar.press("mirror", marking.mirrored);
-    this.say(marking.mirrored ? "Mirrored points move together" : "Points move separately");
-  }
-
-  // Selecting -------------------------------------------------------------------------------------------------------
-
-  chooseFromList(index, adds) {
-    const { marking } = this;
-    const { chosen } = marking;
-    if (!adds) marking.select([index]);
-    else marking.select(marking.selection.has(index) ? chosen.filter((i) => i !== index) : [...chosen, index]);
-    this.reveal(index);
-    this.tab.sayPlace(index);
-  }
-
-  chooseAll() {
-    const { doc } = this.tab;
-    doc.select(placed(doc.points), -1);
-    this.say(`${several(doc.selection.size, "point")} selected`);
-  }
-
-  escape() {
-    this.tab.tool.cancel();
-    this.marking.select([]);
-    this.escaped = true;
-  }
-
-  /** Select the next or previous point; false if there is none, so that the focus leaves the picture. */
-  stepPoint(by) {
-    const index = this.marking.step(by);
-    if (index < 0) return false;
-    this.reveal(index);
-    this.tab.sayPlace(index);
-    return true;
-  }
-
-  /** Scroll a point into view. */
-  reveal(index) {
-    const { viewer } = this.tab;
-    const point = this.marking.points[index];
+  /** Scroll a point into view, and announce it. */
+  function reveal(index) {
+    tab.sayPlace(index);
+    const point = marking.points[index];
     if (!point) return;
     const [x, y] = viewer.toScreen(point);
     const { clientWidth: w, clientHeight: h } = viewer.canvas;
     if (x < EDGE || y < EDGE || x > w - EDGE || y > h - EDGE) viewer.panBy(w / 2 - x, h / 2 - y);
   }
 
-  // Editing ---------------------------------------------------------------------------------------------------------
-
-  undo() {
-    this.travel("undo");
-  }
-
-  redo() {
-    this.travel("redo");
-  }
-
-  travel(way) {
-    const { tab, marking } = this;
-    tab.tool.cancel();
-    if (tab.editing) {
-      tab.doc.travel(way);
-      return;
-    }
-    const what = marking.travel(way);
-    if (what !== null) this.say(`${way === "undo" ? "Undone" : "Redone"}: ${what}`);
-  }
-
-  flip() {
-    if (!this.marks) return;
-    this.marking.flip();
-    this.say("Flipped left and right");
-  }
-
-  toggleInvisible() {
-    const { marking } = this;
-    const chosen = marking.chosenPlaced;
-    if (!this.marks || !chosen.length) return;
-    const hidden = marking.toggleInvisible();
-    this.say(`${called(marking.names, chosen)} ${hidden ? "invisible" : "visible"}`);
-  }
-
-  removeChosen() {
-    const { marking } = this;
-    const chosen = marking.chosenPlaced;
-    if (!this.marks || !chosen.length) return;
-    marking.removeChosen();
-    this.say(`${called(marking.names, chosen)} cleared`);
-  }
-
-  placeChosen() {
-    const index = this.marking.placeChosen(this.tab.viewer);
-    if (index >= 0) this.tab.sayPlace(index);
-  }
-
-  // Next picture ----------------------------------------------------------------------------------------------------
-
-  accept() {
-    const { tab, marking } = this;
-    if (!this.marks) return;
-    if (marking.state.source === "layout") {
-      this.leaveUnchecked();
-      return;
-    }
-    marking.accept();
-    const left = marking.missing;
-    if (left.length && this.warned !== tab.name) {
-      this.warned = tab.name; // warn once, since points may be left out on purpose
-      marking.select([left[0]]);
-      tab.app.toast(missingText(marking.names, left));
-      return;
-    }
-    this.goNext();
-  }
-
   /** Leave the mean shape as it is: warn once, then mark the picture as not checked. */
-  async leaveUnchecked() {
-    const { tab } = this;
+  async function leaveUnchecked() {
     const { name } = tab;
-    if (this.warned !== name) {
-      this.warned = name;
-      tab.app.toast(UNTOUCHED);
+    if (warned !== name) {
+      warned = name;
+      app.toast(UNTOUCHED);
       return;
     }
     await tab.saving.markUnchecked(name);
-    if (tab.name === name) this.goNext();
+    if (tab.name === name) goNext();
   }
 
-  /** Save the mean shape as it is, after asking. */
-  async confirmLayout() {
-    const { tab, marking } = this;
-    const text = `No point of ${tab.name} was moved from the mean shape. The model will be trained on these points.`;
-    if (!(await tab.app.confirm("Are the points right?", text, "Save the points", "primary"))) return;
-    marking.accept();
-    this.goNext();
-  }
-
-  skip() {
-    if (this.marks) this.goNext();
-  }
-
-  async goNext() {
-    const { tab } = this;
-    const { name, state } = tab;
-    const { saver } = tab.saving;
-    this.warned = null;
+  async function goNext() {
+    const { name, saver } = tab;
+    warned = null;
     // The states of the pictures that are being saved are out of date.
     const known = state.project.pictures.filter((picture) => picture.name === name || !saver.isDirty(picture.name));
     const next = nextToTeach(known, name);
     if (next) {
       state.select(next.name);
-      tab.viewer.canvas.focus({ preventScroll: true });
+      tab.focus();
       return;
     }
     tab.leavePicture(name);
     await saver.flush(); // updates the states of the pictures
     const left = unfinished(state.project);
-    tab.app.toast(left || "All pictures are done. Open Fit to try the model.", left ? "info" : "good");
+    app.toast(left || "All pictures are done. Open Fit to try the model.", left ? "info" : "good");
   }
+
+  const commands = {
+    escaped: false, // whether Tab leaves the picture
+
+    /** Whether a picture's points can be edited now. */
+    get marks() { return !tab.editing && marking.book !== null; },
+
+    flick(what) {
+      tab.show[what] = !tab.show[what];
+      tab.toolbar.press(what, tab.show[what]);
+      viewer.redraw();
+    },
+
+    hideMarks(on) {
+      if (marking.hidden === on) return;
+      marking.hidden = on;
+      viewer.redraw();
+    },
+
+    toggleBox() {
+      tab.boxing = !tab.boxing;
+      tab.toolbar.press("box", tab.boxing);
+    },
+
+    toggleMirrored() {
+      if (!tab.template?.mirror) {
+        const remedy = "Edit it with Mirror on, or load one with left and right in its names.";
+        app.toast(`The template has no mirrored points. ${remedy}`);
+        return;
+      }
+      marking.mirrored = !marking.mirrored;
+      tab.toolbar.press("mirror", marking.mirrored);
+      say(marking.mirrored ? "Mirrored points move together" : "Points move separately");
+    },
+
+    chooseFromList(index, adds) {
+      const { chosen } = marking;
+      if (!adds) marking.select([index]);
+      else marking.select(chosen.includes(index) ? chosen.filter((i) => i !== index) : [...chosen, index]);
+      reveal(index);
+    },
+
+    chooseAll() {
+      tab.doc.select(placed(tab.doc.points), -1);
+      say(`${several(tab.doc.selection.size, "point")} selected`);
+    },
+
+    escape() {
+      tab.tool.cancel();
+      marking.select([]);
+      commands.escaped = true;
+    },
+
+    /** Select the next or previous point; false if there is none, so that the focus leaves the picture. */
+    stepPoint(by) {
+      const index = marking.step(by);
+      if (index >= 0) reveal(index);
+      return index >= 0;
+    },
+
+    travel(way) {
+      tab.tool.cancel();
+      if (tab.editing) {
+        tab.doc.travel(way);
+        return;
+      }
+      const what = marking.travel(way);
+      if (what !== null) say(`${way === "undo" ? "Undone" : "Redone"}: ${what}`);
+    },
+
+    flip() {
+      if (!commands.marks) return;
+      marking.flip();
+      say("Flipped left and right");
+    },
+
+    toggleInvisible() {
+      const chosen = marking.chosenPlaced;
+      if (!commands.marks || !chosen.length) return;
+      say(`${called(marking.names, chosen)} ${marking.toggleInvisible() ? "invisible" : "visible"}`);
+    },
+
+    removeChosen() {
+      const chosen = marking.chosenPlaced;
+      if (!commands.marks || !chosen.length) return;
+      marking.removeChosen();
+      say(`${called(marking.names, chosen)} cleared`);
+    },
+
+    placeChosen() {
+      const index = marking.placeChosen(viewer);
+      if (index >= 0) tab.sayPlace(index);
+    },
+
+    accept() {
+      if (!commands.marks) return;
+      if (marking.state.source === "layout") {
+        leaveUnchecked();
+        return;
+      }
+      marking.accept();
+      const left = marking.missing;
+      if (left.length && warned !== tab.name) {
+        warned = tab.name; // warn once, since points may be left out on purpose
+        marking.select([left[0]]);
+        app.toast(missingText(marking.names, left));
+        return;
+      }
+      goNext();
+    },
+
+    /** Save the mean shape as it is, after asking. */
+    async confirmLayout() {
+      const text = `No point of ${tab.name} was moved from the mean shape. The model will be trained on these points.`;
+      if (!(await app.confirm("Are the points right?", text, "Save the points", "primary"))) return;
+      marking.accept();
+      goNext();
+    },
+
+    skip() {
+      if (commands.marks) goNext();
+    },
+  };
+  return commands;
 }

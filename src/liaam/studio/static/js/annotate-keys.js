@@ -28,68 +28,59 @@ const WITH_ARROWS = "input, [role=listbox], [role=radiogroup], [role=tab]";
 
 const isIn = (event, selector) => event.target instanceof Element && Boolean(event.target.closest(selector));
 
-export class Keys {
-  constructor(tab) {
-    const { commands } = tab;
-    this.tab = tab;
-    this.always = {
-      l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
-      b: () => commands.toggleBox(), h: () => commands.hideMarks(true), escape: () => commands.escape(),
-    };
-    this.marking = {
-      v: () => commands.toggleInvisible(), x: () => commands.toggleMirrored(), m: () => commands.flip(),
-      n: () => commands.skip(), p: () => commands.placeChosen(), delete: () => commands.removeChosen(),
-      backspace: () => commands.removeChosen(),
-    };
-  }
-
-  /** Handle a key; return whether it was handled. */
-  down(event) {
-    const { tab } = this;
-    const { commands } = tab;
-    const letter = event.key.toLowerCase();
-    const command = event.ctrlKey || event.metaKey;
-    if (command && letter === "z") commands[event.shiftKey ? "redo" : "undo"]();
-    else if (command && letter === "y") commands.redo();
-    else if (command && letter === "a") commands.chooseAll();
-    else if (event.key === "Tab") return this.tabKey(event);
-    else if (event.key.startsWith("Arrow")) return this.arrow(event);
-    else if (event.key === "Enter" && !command) {
-      if (isIn(event, CONTROLS)) return false;
-      commands.accept();
-    } else if (command || event.altKey) return false;
-    else if (tab.editing && tab.editor.key(event)) return true;
-    else return this.plain(letter) || tab.viewer.key(event);
-    return true;
-  }
-
-  plain(letter) {
-    const work = this.always[letter] ?? (this.tab.commands.marks ? this.marking[letter] : null);
-    if (!work) return false;
-    work();
-    return true;
-  }
+/** Handles a key of the tab; returns whether it was handled.
+ *  @param {import("./annotate.js").AnnotateTab} tab */
+export function createKeys(tab) {
+  const { commands, viewer, marking } = tab;
+  const always = {
+    l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
+    b: () => commands.toggleBox(), h: () => commands.hideMarks(true), escape: () => commands.escape(),
+  };
+  const marks = {
+    v: () => commands.toggleInvisible(), x: () => commands.toggleMirrored(), m: () => commands.flip(),
+    n: () => commands.skip(), p: () => commands.placeChosen(), delete: () => commands.removeChosen(),
+    backspace: () => commands.removeChosen(),
+  };
 
   /** Tab selects the next point while the picture has the focus. Past the last, or after Escape, the focus moves on. */
-  tabKey(event) {
-    const { commands, viewer } = this.tab;
+  function tabKey(event) {
     if (event.target !== viewer.canvas || !commands.marks || commands.escaped) return false;
     return commands.stepPoint(event.shiftKey ? -1 : 1);
   }
 
-  arrow(event) {
-    const { tab } = this;
-    const { doc, editing, marking } = tab;
-    if (isIn(event, WITH_ARROWS) && event.target !== tab.panel.list.element) return false;
+  function arrow(event) {
+    const { doc, editing } = tab;
+    if (isIn(event, WITH_ARROWS) && event.target !== tab.panel.list) return false;
     if (!doc.editable || tab.tool.gesture) return true;
-    if (!editing && marking.placing) tab.commands.placeChosen();
+    if (!editing && marking.placing) commands.placeChosen();
     const chosen = [...doc.selection].filter((i) => doc.points[i]);
     const before = doc.points;
-    if (editing && !chosen.length && doc.shiftAxis(event)) return true;
+    if (editing && !chosen.length && tab.templates.doc.shiftAxis(event)) return true;
     const edit = keyEdit(event, before, chosen.length ? chosen : placed(before), chosen);
     if (!edit) return false;
     doc.commit(doc.follow(before, edit.points, chosen), edit.what, edit.key);
     tab.saySoon(chosen);
     return true;
   }
+
+  return (event) => {
+    const letter = event.key.toLowerCase();
+    const command = event.ctrlKey || event.metaKey;
+    if (command && letter === "z") commands.travel(event.shiftKey ? "redo" : "undo");
+    else if (command && letter === "y") commands.travel("redo");
+    else if (command && letter === "a") commands.chooseAll();
+    else if (event.key === "Tab") return tabKey(event);
+    else if (event.key.startsWith("Arrow")) return arrow(event);
+    else if (event.key === "Enter" && !command) {
+      if (isIn(event, CONTROLS)) return false;
+      commands.accept();
+    } else if (command || event.altKey) return false;
+    else if (tab.editing && tab.templates.key(letter)) return true;
+    else {
+      const work = always[letter] ?? (commands.marks ? marks[letter] : null);
+      if (!work) return viewer.key(event);
+      work();
+    }
+    return true;
+  };
 }

@@ -5,31 +5,19 @@ import { invitation } from "./fit-only.js";
 import { History } from "./history.js";
 import { nextMissing, sameMarks } from "./points.js";
 
-export class Opening {
-  /** tab: the Annotate tab; begins() -> the start of pictures without points, "layout" or "click". */
-  constructor(tab, begins) {
-    Object.assign(this, { tab, state: tab.state, marking: tab.marking, begins });
-    this.first = new FirstMarks({ state: tab.state, fetchMarks: (name) => tab.saving.fetchMarks(name), begins });
-    this.books = new Map(); // name -> book of a picture that was opened on this page
-    this.turn = 0; // incremented with each picture, to drop late answers
-  }
+/** begins() -> the start of pictures without points, "layout" or "click".
+ *  @param {import("./annotate.js").AnnotateTab} tab */
+export function createOpening(tab, begins) {
+  const { state, marking, viewer, cover } = tab;
+  const fetchMarks = (name) => tab.saving.fetchMarks(name);
+  const first = new FirstMarks({ state, fetchMarks, begins });
+  const books = new Map(); // name -> book of a picture that was opened on this page
+  let heads = null; // the invitation to try the studio
+  let turn = 0; // incremented with each picture, to drop late answers
 
-  /** The landmarks of a picture have changed. */
-  forget(name) {
-    this.books.delete(name);
-    this.first.forget(name);
-  }
-
-  clear() {
-    this.books.clear();
-    this.first.clear();
-  }
-
-  async open(name) {
-    const { tab, marking } = this;
-    const { viewer } = tab;
-    const turn = ++this.turn;
-    const before = tab.name;
+  async function open(name) {
+    const own = ++turn;
+    const { name: before } = tab;
     const { width: wasWide, height: wasHigh } = viewer;
     tab.tool.cancel();
     tab.tool.leave();
@@ -38,137 +26,131 @@ export class Opening {
     if (before && before !== name) tab.leavePicture(before);
     tab.name = name;
     marking.open(null);
-    if (this.cannotOpen(name)) return;
-    tab.cover.hide();
+    const fault = whyNot(name);
+    if (fault) {
+      const [icon, title, text, more] = fault;
+      showInstead(icon, title, text, more);
+      return;
+    }
+    cover.hide();
     tab.refresh();
     try {
-      const [picture, marks] = await Promise.all([
-        tab.pictures.fetch(name),
-        tab.template ? tab.saving.fetchMarks(name) : null,
-      ]);
-      if (turn !== this.turn) return;
+      const [picture, marks] = await Promise.all([tab.pictures.fetch(name), tab.template ? fetchMarks(name) : null]);
+      if (own !== turn) return;
       const { width, height } = marks ?? picture;
       viewer.setPicture(picture.bitmap, width, height);
       if (before !== name || width !== wasWide || height !== wasHigh) viewer.fit();
       if (!tab.template) tab.templates.begin();
-      else await this.take(name, marks, turn);
+      else await take(name, marks, own);
     } catch (error) {
-      if (turn === this.turn) this.failed(name, error);
+      if (own !== turn) return;
+      const isGone = error.status === 0;
+      const again = "Start 'liaam studio' again, and the picture opens. Your changes are kept.";
+      const title = isGone ? "The server is not reachable" : `${name} cannot be opened`;
+      showInstead("warning", title, isGone ? again : error.message);
     }
   }
 
-  cannotOpen(name) {
-    const { cover } = this.tab;
-    const picture = this.state.picture(name);
+  /** Why a picture cannot be opened: [icon, title, text, what follows]; null if it may be. */
+  function whyNot(name) {
+    const picture = state.picture(name);
     if (!name || !picture) {
-      const folder = this.state.project?.folder ?? "the folder";
-      const what = `Put pictures (JPEG, PNG, TIFF …) into ${folder}. They appear here automatically.`;
-      cover.show("folder", "No pictures yet", what, this.invited());
-    } else if (picture.state === "broken") {
-      cover.show("warning", `${name} cannot be used`, picture.error ?? "It cannot be read: replace the file.");
-    } else {
-      return false;
+      const what = `Put pictures (JPEG, PNG, TIFF …) into ${state.project?.folder ?? "the folder"}.`;
+      return ["folder", "No pictures yet", `${what} They appear here automatically.`, invited()];
     }
-    this.showNothing();
-    return true;
+    if (picture.state !== "broken") return null;
+    return ["warning", `${name} cannot be used`, picture.error ?? "It cannot be read: replace the file."];
   }
 
   /** Generated heads to try the studio on, in a folder without pictures. */
-  invited() {
-    if (this.state.project?.pictures.length) return null;
-    this.invitation ??= invitation(this.tab.app);
-    return this.invitation;
-  }
+  const invited = () => (state.project?.pictures.length ? null : (heads ??= invitation(tab.app)));
 
-  failed(name, error) {
-    const { cover } = this.tab;
-    if (error.status === 0) {
-      const what = "Start 'liaam studio' again, and the picture opens. Your changes are kept.";
-      cover.show("warning", "The server is not reachable", what);
-    } else {
-      cover.show("warning", `${name} cannot be opened`, error.message);
-    }
-    this.showNothing();
-  }
-
-  showNothing() {
-    this.tab.viewer.setPicture(null, 0, 0);
-    this.tab.refresh();
+  function showInstead(icon, title, text, more = null) {
+    cover.show(icon, title, text, more);
+    viewer.setPicture(null, 0, 0);
+    tab.refresh();
   }
 
   /** Show a picture's marks from the server, or those that an earlier page could not save. */
-  async take(name, marks, turn = this.turn) {
-    const { tab, marking } = this;
-    const { saver } = tab.saving;
+  async function take(name, marks, own = turn) {
+    const { saver } = tab;
     const kept = (await tab.saving.inherited(name, marks)) ?? saver.pending(name);
-    const state = kept ? { ...kept, source: "file" } : await this.first.of(name, marks);
-    if (turn !== this.turn) return;
-    const old = this.books.get(name);
+    const shown = kept ? { ...kept, source: "file" } : await first.of(name, marks);
+    if (own !== turn) return;
+    const old = books.get(name);
     const before = old?.history.state;
-    const same = old && (saver.isDirty(name) || (before.source === state.source && sameMarks(before, state)));
+    const same = old && (saver.isDirty(name) || (before.source === shown.source && sameMarks(before, shown)));
     const book = {
-      history: same ? old.history : new History(state), covariances: marks.covariances ?? null,
-      doubtful: marks.doubtful, key: this.keyOf(name), tag: this.state.picture(name)?.tag,
+      history: same ? old.history : new History(shown), covariances: marks.covariances ?? null,
+      doubtful: marks.doubtful, key: keyOf(name), tag: state.picture(name)?.tag,
     };
-    this.books.set(name, book);
+    books.set(name, book);
     marking.open(book);
     // If points are placed one after another, continue with the first missing one.
     const { source } = marking.state;
-    const places = source === "none" || (source === "file" && this.begins() === "click");
-    const first = places ? nextMissing(marking.points) : -1;
-    marking.select(first < 0 ? [] : [first]);
-    tab.cover.hide();
+    const places = source === "none" || (source === "file" && begins() === "click");
+    const missing = places ? nextMissing(marking.points) : -1;
+    marking.select(missing < 0 ? [] : [missing]);
+    cover.hide();
     tab.refresh();
   }
 
   /** Show the server's current marks of the open picture. */
-  async reload() {
-    const { tab, marking, turn } = this;
-    const { name } = tab;
+  async function reload() {
+    const { name, saver } = tab;
+    const own = turn;
     if (!name || !tab.template || tab.editing) return;
     const marks = await tab.saving.tryToFetch(name); // if the server is unreachable, `online` calls this again
-    if (!marks || turn !== this.turn || tab.saving.saver.isDirty(name) || tab.tool.gesture) return;
-    const chosen = [...marking.selection];
-    const { active } = marking;
-    await this.take(name, marks, turn);
-    if (marking.book && chosen.length && Math.max(...chosen) < marking.points.length) marking.select(chosen, active);
+    if (!marks || own !== turn || saver.isDirty(name) || tab.tool.gesture) return;
+    const { chosen, active } = marking;
+    await take(name, marks, own);
+    if (marking.book && chosen.length && chosen.at(-1) < marking.points.length) marking.select(chosen, active);
   }
 
   /** Fetch the picture at a higher resolution if the zoom needs it. */
-  async sharpen() {
-    const { viewer, pictures, name } = this.tab;
-    const bitmap = await pictures.sharper(name, viewer.scale * devicePixelRatio);
-    if (bitmap && this.tab.name === name) viewer.setSource(bitmap);
-  }
-
-  /** Whether the user has not changed anything, so that newer marks may replace the shown ones. */
-  get pristine() {
-    return this.marking.book !== null && !this.marking.history.canUndo && this.idle;
+  async function sharpen() {
+    const { name } = tab;
+    const bitmap = await tab.pictures.sharper(name, viewer.scale * devicePixelRatio);
+    if (bitmap && tab.name === name) viewer.setSource(bitmap);
   }
 
   /** Whether neither a gesture nor a save is in progress. */
-  get idle() {
-    return !this.tab.saving.saver.isDirty(this.tab.name) && !this.tab.tool.gesture;
-  }
+  const isIdle = () => !tab.saver.isDirty(tab.name) && !tab.tool.gesture;
+
+  /** Whether the user has not changed anything, so that newer marks may replace the shown ones. */
+  const isPristine = () => marking.book !== null && !marking.history.canUndo && isIdle();
 
   /** Key that changes when the marks of an unchanged picture may have to be reloaded. */
-  keyOf(name) {
-    const picture = this.state.picture(name);
-    return `${picture?.state}|${picture?.uncertainty}|${this.state.project?.model?.trained}`;
+  function keyOf(name) {
+    const picture = state.picture(name);
+    return `${picture?.state}|${picture?.uncertainty}|${state.project?.model?.trained}`;
   }
 
   /** The project was reloaded: the open picture may have been replaced, or the model may have a new proposal. */
-  refresh() {
-    const { tab, state } = this;
-    const { book } = this.marking;
+  function refresh() {
+    const { book } = marking;
     if (!book) {
       const isBroken = state.picture(tab.name)?.state === "broken";
-      if (tab.visible && !tab.editing && !isBroken && tab.cover.isShown) this.open(state.current);
-    } else if (!tab.editing && this.idle && book.tag !== state.picture(tab.name)?.tag) {
-      this.open(tab.name); // the file was replaced
-    } else if (this.pristine && book.key !== this.keyOf(tab.name)) {
-      book.key = this.keyOf(tab.name);
-      this.reload();
+      if (tab.visible && !tab.editing && !isBroken && cover.isShown) open(state.current);
+    } else if (!tab.editing && isIdle() && book.tag !== state.picture(tab.name)?.tag) {
+      open(tab.name); // the file was replaced
+    } else if (isPristine() && book.key !== keyOf(tab.name)) {
+      book.key = keyOf(tab.name);
+      reload();
     }
   }
+
+  /** A picture's landmarks were changed elsewhere, or the changes of this page were discarded. */
+  function foreign(name, discarded = false) {
+    first.forget(name);
+    if (discarded || name !== tab.name) books.delete(name);
+    if (name === tab.name) reload();
+  }
+
+  function clear() {
+    books.clear();
+    first.forget();
+  }
+
+  return { first, open, take, reload, sharpen, refresh, foreign, clear, isPristine };
 }

@@ -1,145 +1,227 @@
 // The template in the Annotate tab: creating, editing and saving it, and following changes made elsewhere.
 
-import { expected, indicesOf, layoutIn, placed } from "./points.js";
-import { TemplateEditor } from "./template-editor.js";
+import { drawDrafting } from "./annotate-drawing.js";
+import { several } from "./annotate-words.js";
+import { Drafting } from "./drafting.js";
+import { bounds, expected, fitInto, indicesOf, layoutIn, placed, rounded } from "./points.js";
+import { createTemplatePanel } from "./template-panel.js";
+import * as drafts from "./template.js";
+import { keptDraft } from "./unsaved.js";
 
+const KEPT = "Your changes are still here: check them, then press Done";
 const sentence = (text) => (/[.!?]$/.test(text) ? text : `${text}.`);
 
-export class TemplateSession {
-  constructor(tab) {
-    Object.assign(this, { tab, state: tab.state, marking: tab.marking });
-    this.editing = false;
-    this.saving = false;
-    this.key = JSON.stringify(tab.template);
-    this.editor = new TemplateEditor({
-      app: tab.app, viewer: tab.viewer, onchange: () => tab.refresh(), say: (text) => tab.speaker.say(text),
-      onsave: (work) => this.save(work), oncancel: () => this.cancel(),
-    });
+/** @param {import("./annotate.js").AnnotateTab} tab */
+export function createTemplates(tab) {
+  const { app, state, marking, viewer } = tab;
+  const { api, toast, confirm } = app;
+  const kept = keptDraft(state.project.id ?? state.project.folder);
+  const doc = new Drafting({ viewer, onchange: changed, onselect: () => panel.mark(), say: tab.say });
+  const panel = createTemplatePanel({ drafting: doc, onload: load, ondone: done, onleave: stop });
+  let editing = false;
+  let saving = false; // whether this page is changing the template
+  let known = JSON.stringify(tab.template); // the template that is shown
+
+  function changed() {
+    if (doc.saved === null) kept.set(doc.draft);
+    panel.render();
+    tab.refresh();
   }
 
-  // Starting and ending ---------------------------------------------------------------------------------------------
-
-  /** There is no template yet: create one on the open picture. */
-  begin() {
-    const running = this.editing && this.editor.started;
-    this.editing = true;
-    if (!running) this.editor.start(null, null); // a draft is kept when the picture changes
-    this.tab.refresh();
+  /** Edit `template` with its points at `points` on the picture, or, if it is null, a new or stored draft. */
+  function start(template, points) {
+    editing = true;
+    if (template) kept.set(null); // a saved template invalidates the draft of a new one
+    panel.showMirror(false);
+    doc.start(template, points, template ? null : (kept.get() ?? drafts.EMPTY));
+    changed();
   }
 
-  edit() {
-    const { tab, marking } = this;
+  /** There is no template yet: create one on the open picture. A draft is kept when the picture changes. */
+  function begin() {
+    if (!editing || !doc.started) start(null, null);
+    else tab.refresh();
+  }
+
+  function edit() {
     if (!marking.book) return;
     const { points, template } = marking;
-    const { width, height } = tab.viewer;
     const layout = template.points ?? points;
-    const known = placed(points).length ? expected(layout, points) : layoutIn(template.points, width, height);
-    tab.saving.saver.flush();
+    const guess = placed(points).length
+      ? expected(layout, points)
+      : layoutIn(template.points, viewer.width, viewer.height);
+    tab.saver.flush();
     tab.tool.cancel();
-    this.editing = true;
-    this.editor.start(
-      template,
-      points.map((point, i) => point ?? known?.[i] ?? null),
-    );
+    start(template, points.map((point, i) => point ?? guess?.[i] ?? null));
+  }
+
+  function leave() {
+    editing = false;
+    marking.select([]);
     tab.refresh();
+    tab.focus();
   }
 
-  leave() {
-    const { tab } = this;
-    this.editing = false;
-    this.marking.select([]);
-    tab.refresh();
-    tab.viewer.canvas.focus({ preventScroll: true });
+  /** Leave without saving, or delete the draft of a new template. */
+  async function stop() {
+    if (doc.saved) {
+      leave();
+      if (!marking.book && tab.visible) tab.opening.open(tab.name);
+      return;
+    }
+    const text = "All points of the new template will be deleted.";
+    if (doc.started && !(await confirm("Start over?", text, "Start over"))) return;
+    kept.set(null);
+    start(null, null);
   }
 
-  cancel() {
-    this.leave();
-    if (!this.marking.book && this.tab.visible) this.tab.opening.open(this.tab.name);
+  async function load(file) {
+    const { width, height } = viewer;
+    try {
+      const template = await api.upload(api.url("template/file", { name: file.name }), file);
+      const box = bounds(template.points ?? []);
+      if (box === null) throw new Error(`${file.name} has no points: choose another file.`);
+      const lies = box[0] >= -1 && box[1] >= -1 && box[2] <= width && box[3] <= height;
+      const large = Math.max((box[2] - box[0]) / width, (box[3] - box[1]) / height) > 0.2;
+      // The file often belongs to this picture, so points that fit are left unchanged.
+      const points = lies && large ? template.points : fitInto(template.points, width, height);
+      doc.load(file.name, template, points.map((p) => p && rounded(p)));
+    } catch (error) {
+      toast(error, "bad");
+    }
   }
 
-  // Saving ----------------------------------------------------------------------------------------------------------
+  async function done() {
+    const { draft, saved, isFresh } = doc;
+    const wrong = drafts.fault(draft);
+    if (wrong) {
+      panel.message.textContent = wrong;
+      return;
+    }
+    const mapping = saved && drafts.rearranges(draft, saved.names.length) ? draft.origins : null;
+    // Taken now, because the template may be changed elsewhere while the dialog is open.
+    const template = { ...drafts.templateOf(draft), revision: saved?.revision ?? null };
+    if (mapping && !(await mayRewrite())) return;
+    panel.setBusy(true);
+    try {
+      await save(template, mapping, draft.points, isFresh);
+      kept.set(null);
+    } catch (error) {
+      panel.message.textContent = error.message;
+      toast(error, "bad");
+    } finally {
+      panel.setBusy(false);
+    }
+  }
 
-  async save({ template, mapping, points, isFresh }) {
-    const { tab, state, marking } = this;
-    const { api } = tab.app;
+  /** Ask whether landmark files may be rewritten. */
+  async function mayRewrite() {
+    const files = state.project.pictures.filter(({ placed: n, state: now }) => n > 0 && now !== "proposed").length;
+    if (files === 0) return true;
+    const what = drafts.changes(doc.draft, doc.saved.names.length).join("; ");
+    const text = `The landmark files of ${several(files, "picture")} will be rewritten: ${what}.`;
+    return confirm("Change the template?", `${text} This cannot be undone.`, `Rewrite ${several(files, "file")}`);
+  }
+
+  async function save(template, mapping, points, isFresh) {
     const isNew = !tab.template;
     // Editing the template places new points on this picture, but not those that were missing.
-    await tab.saving.saver.flush();
+    await tab.saver.flush();
     const before = marking.state ?? (isNew ? null : await tab.saving.fetchMarks(tab.name));
-    const hadFile = before?.source === "file";
-    this.saving = true;
+    saving = true;
     try {
       const change = mapping ? { ...template, mapping } : template;
       const saved = await state.send((folder) => api.put(api.url("template"), { ...change, folder }));
       await tab.saving.keepUnsaved(saved, mapping);
-      this.key = JSON.stringify(saved);
+      known = JSON.stringify(saved);
       tab.opening.clear();
       await state.refresh();
-      this.key = JSON.stringify(tab.template);
+      known = JSON.stringify(tab.template);
       const marks = await tab.saving.fetchMarks(tab.name);
-      this.leave();
+      leave();
       await tab.opening.take(tab.name, marks);
       if (isFresh && marks.source !== "file") marking.change({ points }, "template", null, true);
-      else if (hadFile) this.commitEdited(points, mapping ?? indicesOf(points), before);
-      await tab.saving.saver.flush(tab.name);
+      else if (before?.source === "file") {
+        const origins = mapping ?? indicesOf(points);
+        const isMissing = (i) => origins[i] !== null && !before.points[origins[i]];
+        marking.commit(points.map((point, i) => (isMissing(i) ? null : point)), "edit the template");
+      }
+      await tab.saver.flush(tab.name);
     } catch (error) {
       if (error.status !== 409 || !error.body?.template) throw error;
       // Keep the changes in the editor, on top of the current template.
-      this.saving = false;
-      this.key = ""; // follow the template of the server in any case
+      saving = false;
+      known = ""; // follow the template of the server in any case
       await state.refresh();
-      throw new Error(`${sentence(error.message)} Your changes are still here: check them, then press Done again.`);
+      throw new Error(`${sentence(error.message)} ${KEPT} again.`);
     } finally {
-      this.saving = false;
+      saving = false;
     }
-    tab.app.toast(isNew ? "Template and points of this picture saved." : "Template saved.", "good");
+    toast(isNew ? "Template and points of this picture saved." : "Template saved.", "good");
   }
-
-  commitEdited(points, mapping, before) {
-    const next = points.map((point, i) => (mapping[i] !== null && !before.points[mapping[i]] ? null : point));
-    this.marking.commit(next, "edit the template");
-  }
-
-  // Changes made elsewhere ------------------------------------------------------------------------------------------
 
   /** Follow a template that was changed elsewhere; return whether it was. */
-  noticed() {
-    const { tab } = this;
-    const key = JSON.stringify(tab.template);
-    if (key === this.key) return false;
-    const before = this.key !== "null";
-    this.key = key;
+  function noticed() {
+    const now = JSON.stringify(tab.template);
+    if (now === known) return false;
+    const isFirst = known === "null";
+    known = now;
     tab.opening.clear();
-    if (!tab.template || this.saving) return false;
-    this.changed(before);
+    if (!tab.template || saving) return false;
+    follow(isFirst);
     return true;
   }
 
-  async changed(before) {
-    const { tab } = this;
-    const drafting = this.editing && this.editor.hasChanges;
-    this.marking.open(null);
+  async function follow(isFirst) {
+    const drafting = editing && (doc.saved === null ? doc.started : doc.history.canUndo);
+    marking.open(null);
     if (drafting) {
-      this.editor.rebase(tab.template);
-      tab.app.toast("The template was changed elsewhere. Your changes are still here: check them, then press Done.");
-    } else if (before) {
-      tab.app.toast("The template was changed elsewhere. The new version is shown.");
+      kept.set(null);
+      doc.rebase(tab.template);
+      toast(`The template was changed elsewhere. ${KEPT}.`);
+    } else if (!isFirst) {
+      toast("The template was changed elsewhere. The new version is shown.");
     }
     await tab.saving.rebase();
     if (drafting) return;
-    this.leave();
+    leave();
     if (tab.visible) await tab.opening.open(tab.name);
   }
 
   /** Whether another picture may be opened. A change of the template must be finished first, on its own picture. */
-  mayLeave(before) {
-    if (!this.editing) return true;
-    if (this.editor.isChanging && this.state.picture(before)) {
-      this.tab.app.toast("Finish the template first: press Done or Cancel on the right.");
-      this.state.select(before);
+  function mayLeave(before) {
+    if (!editing) return true;
+    if (doc.saved !== null && doc.history.canUndo && state.picture(before)) {
+      toast("Finish the template first: press Done or Cancel on the right.");
+      state.select(before);
       return false;
     }
-    if (this.tab.template) this.leave();
+    if (tab.template) leave();
     return true;
   }
+
+  const keys = {
+    n: () => doc.startPath(), c: () => doc.close(), x: () => panel.toggleMirror(), p: () => doc.addInTheMiddle(),
+    delete: () => doc.deleteChosen(), backspace: () => doc.deleteChosen(),
+    escape: () => (doc.selection.size ? doc.select([]) : doc.startPath()),
+  };
+
+  return {
+    doc, panel: panel.element, begin, edit, noticed, mayLeave,
+    draw: (ctx, tool) => drawDrafting(ctx, viewer, tool, doc),
+    /** Whether the template is edited instead of a picture's points. */
+    get editing() { return editing; },
+    get prompt() {
+      if (doc.layingOut) return "Move the points into place: drag the frame's handles, then single points";
+      if (!doc.started) return "Click the first point of your template on this picture";
+      return doc.draft.path < 0
+        ? "Click the first point of the next path"
+        : "Click the next point of this path – C closes it, N starts another";
+    },
+    /** Handle a key without modifiers; return whether it was handled. */
+    key(letter) {
+      keys[letter]?.();
+      return letter in keys;
+    },
+  };
 }

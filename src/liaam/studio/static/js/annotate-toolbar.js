@@ -1,51 +1,36 @@
-// The Annotate tab's toolbar.
+// The Annotate tab's toolbar, with the status of saving.
+
+import { button, h, iconButton } from "./ui.js";
 
 /** act(event, work): runs the action of a button. Returns {element, refresh(), press(name, on)}. */
-export function createToolbar({ ui, state, commands, status, act }) {
-  const { h, button } = ui;
+export function createToolbar({ state, commands, status, act }) {
   const tool = (label, icon, shortcut, work, more = {}) =>
-    button(label, { icon, iconOnly: true, kind: "ghost", shortcut, onclick: (event) => act(event, work), ...more });
-  const toggle = (label, title, face, shortcut, work, pressed = false) =>
+    iconButton(label, icon, (event) => act(event, work), { shortcut, ...more });
+  const toggle = (label, title, face, shortcut, work, pressed) =>
     button(face.text ?? label, {
       icon: face.icon, iconOnly: !face.text, "aria-label": label, kind: "ghost", shortcut, pressed, title,
       onclick: (event) => act(event, work),
     });
-  const rule = () => h("span", { class: "rule", "aria-hidden": "true" });
-  const undo = tool("Undo", "undo", "Ctrl+Z", () => commands.undo(), { testid: "undo" });
-  const redo = tool("Redo", "redo", "Ctrl+Y", () => commands.redo(), { testid: "redo" });
-  const names = toggle("Names", "Show the names of all points", { text: "Aa" }, "L", () => commands.flick("names"));
-  const contours = toggle(
-    "Contours", "Show the contours",
-    { icon: "path" },
-    "K",
-    () => commands.flick("contours"),
-    true,
-  );
-  const ellipses = toggle(
-    "Ellipses", "Show ellipses that contain each point with 95 % probability",
-    { icon: "target" },
-    "E",
-    () => commands.flick("ellipses"),
-    true,
-  );
+  const show = (name, title, face, shortcut, on) =>
+    toggle(name, title, face, shortcut, () => commands.flick(name.toLowerCase()), on);
+  const rule = () => h("span.rule", { "aria-hidden": "true" });
+  const undo = tool("Undo", "undo", "Ctrl+Z", () => commands.travel("undo"), { testid: "undo" });
+  const redo = tool("Redo", "redo", "Ctrl+Y", () => commands.travel("redo"), { testid: "redo" });
+  const names = show("Names", "Show the names of all points", { text: "Aa" }, "L", false);
+  const contours = show("Contours", "Show the contours", { icon: "path" }, "K", true);
+  const around = "Show ellipses that contain each point with 95 % probability";
+  const ellipses = show("Ellipses", around, { icon: "target" }, "E", true);
   const box = tool("Select with a box", "box", "B", () => commands.toggleBox(), { pressed: false });
-  const mirror = tool("Move mirrored points together", "mirror", "X", () => commands.toggleMirrored(), { pressed: false });
+  const together = () => commands.toggleMirrored();
+  const mirror = tool("Move mirrored points together", "mirror", "X", together, { pressed: false });
   const flip = tool("Flip left and right", "swap", "M", () => commands.flip());
   const switches = { names, contours, ellipses, box, mirror };
-  const element = h(
-    "div",
-    { class: "toolbar annotate-toolbar", role: "group", "aria-label": "Annotate" },
+  const element = h("div.toolbar.annotate-toolbar", { role: "group", "aria-label": "Annotate" },
     tool("Previous picture", "left", "[", () => state.step(-1)),
     tool("Next picture", "right", "]", () => state.step(1)),
-    rule(),
-    undo, redo,
-    rule(),
-    box, mirror, flip,
-    rule(),
-    h("div", { class: "row tight", role: "group", "aria-label": "Show" }, names, contours, ellipses),
-    h("span", { class: "grow" }),
-    status.button, status.element,
-  );
+    rule(), undo, redo, rule(), box, mirror, flip, rule(),
+    h("div.row.tight", { role: "group", "aria-label": "Show" }, names, contours, ellipses),
+    h("span.grow"), status.button, status.element);
 
   return {
     element,
@@ -59,5 +44,43 @@ export function createToolbar({ ui, state, commands, status, act }) {
       mirror.disabled = editing;
     },
     press: (name, on) => switches[name].setAttribute("aria-pressed", String(on)),
+  };
+}
+
+const TEXTS = {
+  saved: "Saved", saving: "Saving…", offline: "Not saved – server not reachable, retrying",
+  failing: "Not saved – retrying", refused: "Not saved", conflict: "Not saved – changed elsewhere",
+  draft: "Press Done to save the template",
+};
+const WRONG = ["offline", "failing", "refused", "conflict"];
+
+/** The status line of saving. say(text): announce to screen readers; ondecide(): resolve a conflict. */
+export function createStatus({ toast, say, ondecide }) {
+  const element = h("span.save-status", { dataset: { testid: "save-status", state: "saved" } }, TEXTS.saved);
+  const decide = button("Decide…", { small: true, hidden: true, onclick: ondecide });
+  let complaint = { text: "", close() {} };
+
+  /** Show an error message until it is resolved. */
+  function complain(text) {
+    if (text === complaint.text) return;
+    complaint.close();
+    complaint = { text, close: text ? toast(text, "bad") : () => {} };
+  }
+
+  return {
+    element,
+    button: decide,
+    get state() { return element.dataset.state; },
+    show(state, message) {
+      const before = element.dataset.state;
+      element.dataset.state = state;
+      element.textContent = state === "offline" && message ? "Not saved, but kept in the browser" : TEXTS[state];
+      element.title = message || element.textContent;
+      complain(state === "refused" || state === "failing" ? `Not saved: ${message}` : "");
+      decide.hidden = state !== "conflict";
+      // Announce problems and their end, not every save.
+      if (WRONG.includes(state) && before !== state) say(element.title);
+      if (WRONG.includes(before) && state === "saved") say(TEXTS.saved);
+    },
   };
 }

@@ -1,6 +1,6 @@
 // Texts of the Annotate tab: prompts, descriptions, and announcements for screen readers.
 
-const SAY_AFTER = 350; // milliseconds after the last arrow key until a position is announced
+export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
 /** What to do next with the open picture; "" if nothing. */
 export function promptOf({ state, book, placing, names, active, missing }) {
@@ -29,7 +29,8 @@ const SOURCES = {
 
 export function descriptionOf(name, { points, missing, state }) {
   const placed = `${points.length - missing.length} of ${points.length} points, ${SOURCES[state.source]}`;
-  return `${name}: ${placed}. Tab selects the next point, arrow keys move it. Press Escape, then Tab, to leave the picture.`;
+  const keys = "Tab selects the next point, arrow keys move it. Press Escape, then Tab, to leave the picture.";
+  return `${name}: ${placed}. ${keys}`;
 }
 
 /** Position of a point; `next`: the point to place next, or -1. */
@@ -53,25 +54,5 @@ export function missingText(names, left) {
 }
 
 export const UNTOUCHED =
-  "This is the mean shape, and no point of it was moved. Move it into place, or press Enter again to leave the picture as not checked.";
-
-/** Announcements for screen readers. */
-export class Speaker {
-  constructor(element) {
-    this.element = element;
-    this.timer = null;
-  }
-
-  say(text) {
-    this.element.textContent = text;
-  }
-
-  /** Announce text() after a pause, so that a burst of keys does not flood a screen reader; null: nothing. */
-  soon(text) {
-    clearTimeout(this.timer);
-    this.timer = setTimeout(() => {
-      const now = text();
-      if (now !== null) this.say(now);
-    }, SAY_AFTER);
-  }
-}
+  "This is the mean shape, and no point of it was moved. Move it into place, or press Enter again to leave the " +
+  "picture as not checked.";

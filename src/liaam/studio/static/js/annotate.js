@@ -1,146 +1,129 @@
 // The Annotate tab: place the points of one picture after another with the help of the model. This module connects its
 // parts.
 
-import { createAssist, several } from "./assist.js";
-import { Commands } from "./annotate-commands.js";
+import { createCommands } from "./annotate-commands.js";
 import { drawGesture, drawMarking } from "./annotate-drawing.js";
-import { Keys, SHORTCUTS } from "./annotate-keys.js";
-import { Opening } from "./annotate-opening.js";
-import { MarksSaving } from "./annotate-saving.js";
-import { TemplateSession } from "./annotate-template.js";
-import { createToolbar } from "./annotate-toolbar.js";
-import { descriptionOf, placeOf, promptOf, Speaker, tallyOf } from "./annotate-words.js";
+import { createKeys, SHORTCUTS } from "./annotate-keys.js";
+import { createOpening } from "./annotate-opening.js";
+import { createSaving } from "./annotate-saving.js";
+import { createTemplates } from "./annotate-template.js";
+import { createStatus, createToolbar } from "./annotate-toolbar.js";
+import { descriptionOf, placeOf, promptOf, several, tallyOf } from "./annotate-words.js";
+import { createAssist } from "./assist.js";
 import { Cover } from "./cover.js";
 import { drawHint } from "./drawing.js";
 import { PointTool } from "./gestures.js";
 import { Marking } from "./marking.js";
 import { PictureStore } from "./picture-store.js";
 import { nextMissing } from "./points.js";
-import { PointsPanel } from "./points-panel.js";
-import { SaveStatus } from "./save-status.js";
+import { createPointsPanel } from "./points-panel.js";
+import { h } from "./ui.js";
 import { Viewer } from "./viewer.js";
+
+const SAY_AFTER = 350; // milliseconds after the last arrow key until a position is announced
 
 export function mount(root, app) {
   const tab = new AnnotateTab(root, app);
   return {
-    show: () => tab.appear(), hide: () => tab.disappear(), shortcuts: SHORTCUTS, key: (event) => tab.keys.down(event),
+    show: () => tab.appear(), hide: () => tab.disappear(), shortcuts: SHORTCUTS, key: (event) => tab.key(event),
   };
 }
 
-class AnnotateTab {
+export class AnnotateTab {
+  name = null; // name of the open picture
+  visible = false;
+  show = { names: false, contours: true, ellipses: true };
+  boxing = false; // whether dragging selects with a box
+  waiting = null; // timer of an announcement
+
+  /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
     this.app = app;
     this.state = app.state;
-    this.name = null; // name of the open picture
-    this.visible = false;
-    this.show = { names: false, contours: true, ellipses: true };
-    this.boxing = false; // whether dragging selects with a box
     this.makePage();
     this.makeParts();
-    this.put(root);
+    root.classList.add("annotate");
+    root.append(h("div.workspace", this.toolbar.element, this.container), this.side);
     this.listen();
     this.expose();
   }
 
-  // Parts -----------------------------------------------------------------------------------------------------------
-
   makePage() {
-    const { h } = this.app.ui;
-    this.container = h("div", { dataset: { testid: "annotate-viewer" } });
-    this.prompt = h("div", { class: "annotate-prompt", hidden: true });
-    this.hint = h("canvas", { class: "annotate-hint", hidden: true, "aria-hidden": "true" });
-    this.cover = new Cover(this.app.ui);
-    this.speaker = new Speaker(h("p", { class: "visually-hidden", role: "status", "aria-live": "polite" }));
+    this.container = h("div", { testid: "annotate-viewer" });
+    this.prompt = h("div.annotate-prompt", { hidden: true });
+    this.hint = h("canvas.annotate-hint", { hidden: true, "aria-hidden": "true" });
+    this.cover = new Cover();
+    this.spoken = h("p.visually-hidden", { role: "status", "aria-live": "polite" });
     this.viewer = new Viewer(this.container, { label: "Picture with landmarks" });
     this.viewer.canvas.setAttribute("aria-describedby", "annotate-text");
-    this.alternative = h("p", { class: "visually-hidden", id: "annotate-text" });
-    this.container.append(this.prompt, this.hint, this.cover.element, this.alternative, this.speaker.element);
-    this.side = h("aside", { class: "side annotate-side", "aria-label": "Points" });
+    this.alternative = h("p.visually-hidden", { id: "annotate-text" });
+    this.container.append(this.prompt, this.hint, this.cover.element, this.alternative, this.spoken);
+    this.side = h("aside.side.annotate-side", { "aria-label": "Points" });
   }
 
   makeParts() {
     const { app, state, viewer } = this;
-    const { ui } = app;
+    this.say = (text) => {
+      this.spoken.textContent = text;
+    };
     this.pictures = new PictureStore(app);
     this.marking = new Marking({
       template: () => this.template, onchange: () => this.changed(), onselect: () => this.chosen(),
       onpreview: () => viewer.redraw(), onplaced: (index) => this.goOn(index),
     });
-    this.commands = new Commands(this);
-    this.status = new SaveStatus({
-      app, say: (text) => this.speaker.say(text), ondecide: () => this.saving.decide(this.saving.saver.conflicted),
+    const commands = createCommands(this);
+    this.commands = commands;
+    const ondecide = () => this.saving.decide(this.saver.conflicted);
+    this.status = createStatus({ toast: app.toast, say: this.say, ondecide });
+    this.toolbar = createToolbar({ state, commands, status: this.status, act: (event, work) => this.act(event, work) });
+    this.panel = createPointsPanel({
+      commands, onstart: () => this.startChanged(), onedit: () => this.templates.edit(),
     });
-    this.toolbar = createToolbar({
-      ui, state, commands: this.commands, status: this.status, act: (event, work) => this.act(event, work),
-    });
-    this.panel = new PointsPanel({
-      ui, commands: this.commands, onstart: () => this.startChanged(), onedit: () => this.templates.edit(),
-    });
-    this.opening = new Opening(this, () => this.panel.start);
-    this.saving = new MarksSaving({
+    this.opening = createOpening(this, () => this.panel.start);
+    this.saving = createSaving({
       app, onstatus: (what, message) => this.status.show(what, message),
-      onsaved: (name) => this.opening.first.forget(name), onforeign: (name) => this.foreign(name),
-      ontheirs: (name) => this.foreign(name, true),
+      onsaved: (name) => this.opening.first.forget(name), onforeign: (name) => this.opening.foreign(name),
+      ontheirs: (name) => this.opening.foreign(name, true),
     });
-    this.templates = new TemplateSession(this);
-    this.keys = new Keys(this);
+    this.saver = this.saving.saver;
+    this.templates = createTemplates(this);
+    this.key = createKeys(this);
     this.assist = createAssist({
-      app, accept: () => this.commands.accept(), skip: () => this.commands.skip(),
-      confirm: () => this.commands.confirmLayout(),
+      app, accept: () => commands.accept(), skip: () => commands.skip(), confirm: () => commands.confirmLayout(),
     });
-    this.tool = new PointTool(viewer, () => this.doc, { boxes: () => this.boxing, onend: () => this.refresh() });
+    const boxes = () => this.boxing;
+    this.tool = new PointTool(viewer, () => this.doc, { boxes, onend: () => this.refresh() });
     viewer.tool = this.tool;
     viewer.addLayer((ctx) => this.draw(ctx));
   }
 
-  put(root) {
-    const { h } = this.app.ui;
-    root.classList.add("annotate");
-    root.append(h("div", { class: "workspace" }, this.toolbar.element, this.container), this.side);
-  }
-
-  get template() {
-    return this.state.project?.template ?? null;
-  }
-
-  /** Whether the template is edited instead of a picture's points. */
-  get editing() {
-    return this.templates.editing;
-  }
-
-  get editor() {
-    return this.templates.editor;
-  }
-
+  get template() { return this.state.project?.template ?? null; }
+  get editing() { return this.templates.editing; }
   /** The document that gestures edit: the template, or the marks of the picture. */
-  get doc() {
-    return this.editing ? this.editor.doc : this.marking;
+  get doc() { return this.editing ? this.templates.doc : this.marking; }
+
+  focus() {
+    this.viewer.canvas.focus({ preventScroll: true });
   }
 
   /** Run the action of a button. After a click, return the focus to the picture, so that Enter works there. */
   act(event, work) {
     work();
-    if (event.detail > 0) this.viewer.canvas.focus({ preventScroll: true });
+    if (event.detail > 0) this.focus();
   }
 
-  // Events ----------------------------------------------------------------------------------------------------------
-
   listen() {
-    const { state } = this;
-    state.addEventListener("select", ({ detail }) => this.selected(detail));
-    state.addEventListener("project", () => this.templates.noticed() || this.opening.refresh());
-    state.addEventListener("landmarks", ({ detail }) => this.saving.saver.heard(detail.name, detail.revision));
-    state.addEventListener("online", ({ detail }) => detail && this.online());
-    this.viewer.addEventListener("view", () => this.opening.sharpen());
-    document.addEventListener("visibilitychange", () => {
-      if (document.visibilityState === "hidden") this.saving.saver.flush();
-    });
-    addEventListener("pagehide", () => this.saving.saver.flush());
+    const { state, saver, opening, commands } = this;
+    state.addEventListener("select", (/** @type {any} */ { detail }) => this.selected(detail));
+    state.addEventListener("project", () => this.templates.noticed() || opening.refresh());
+    state.addEventListener("landmarks", (/** @type {any} */ { detail }) => saver.heard(detail.name, detail.revision));
+    state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.online());
+    this.viewer.addEventListener("view", () => opening.sharpen());
     // A gesture in progress is not saved when the page is closed.
-    document.addEventListener("keyup", (event) => {
-      if (event.key.toLowerCase() === "h") this.commands.hideMarks(false);
-    });
-    addEventListener("blur", () => this.commands.hideMarks(false));
+    document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && saver.flush());
+    addEventListener("pagehide", () => saver.flush());
+    document.addEventListener("keyup", (event) => event.key.toLowerCase() === "h" && commands.hideMarks(false));
+    addEventListener("blur", () => commands.hideMarks(false));
     setTimeout(() => this.saving.sendKept((name) => this.reopen(name)), 500);
   }
 
@@ -148,17 +131,17 @@ class AnnotateTab {
     this.visible = true;
     if (this.name !== this.state.current || !this.marking.book) this.opening.open(this.state.current);
     this.refresh();
-    this.viewer.canvas.focus({ preventScroll: true });
+    this.focus();
   }
 
   disappear() {
     this.visible = false;
     this.tool.cancel();
-    this.saving.saver.flush();
+    this.saver.flush();
   }
 
   online() {
-    this.saving.saver.retry();
+    this.saver.retry();
     if (!this.marking.book && this.visible && !this.editing) this.opening.open(this.state.current);
   }
 
@@ -166,11 +149,11 @@ class AnnotateTab {
     if (name === this.name && this.editing) return; // the selection was reverted by mayLeave below
     if (!this.templates.mayLeave(before)) return;
     if (this.visible) this.opening.open(name);
-    else this.saving.saver.flush();
+    else this.saver.flush();
   }
 
   leavePicture(name) {
-    this.saving.saver.flush(name).then(() => this.assist.left());
+    this.saver.flush(name).then(() => this.assist.left());
   }
 
   /** The marks have changed: save and show them. */
@@ -194,118 +177,101 @@ class AnnotateTab {
     this.sayPlace(index, next);
   }
 
-  /** A picture's landmarks were changed elsewhere, or the changes of this page were discarded. */
-  foreign(name, discarded = false) {
-    this.opening.first.forget(name);
-    if (discarded || name !== this.name) this.opening.books.delete(name);
-    if (name === this.name) this.opening.reload();
-  }
-
   /** Whether a picture is open; if so, reload it, which restores its unsaved marks. */
   async reopen(name) {
     if (name !== this.name) return false;
-    if (this.opening.pristine) await this.opening.reload();
+    if (this.opening.isPristine()) await this.opening.reload();
     return true;
   }
 
   startChanged() {
     const { state } = this.marking;
-    if (this.opening.pristine && state.source !== "file" && state.source !== "proposal") this.opening.reload();
+    if (this.opening.isPristine() && state.source !== "file" && state.source !== "proposal") this.opening.reload();
   }
 
-  // Display ---------------------------------------------------------------------------------------------------------
-
   refresh() {
-    if (!this.assist) return; // the parts are not complete yet
-    const { editing, editor, marking, toolbar } = this;
-    const panel = editing ? [editor.panel] : [this.assist.element, ...this.panel.elements];
-    if (this.side.firstChild !== panel[0]) this.side.replaceChildren(...panel);
+    if (!this.tool) return; // the parts are not complete yet
+    const { assist, editing, marking, panel, templates } = this;
+    const shown = editing ? [templates.panel] : [assist.element, ...panel.elements];
+    if (this.side.firstChild !== shown[0]) {
+      this.side.replaceChildren(...shown);
+      this.side.scrollTop = 0;
+    }
     const isMarking = !editing && marking.book !== null;
-    toolbar.refresh({ history: editing ? editor.history : marking.history, editing, marking: isMarking });
-    this.panel.editButton.disabled = !isMarking;
-    if (!editing) this.panel.render(marking);
-    this.assist.sure.hidden = marking.state?.source !== "layout";
-    this.panel.tally.textContent = marking.book ? tallyOf(marking) : "";
-    this.showDraft();
-    this.showPrompt();
+    this.toolbar.refresh({ history: this.doc.history, editing, marking: isMarking });
+    panel.edit.disabled = !isMarking;
+    if (!editing) panel.render(marking);
+    assist.sure.hidden = marking.state?.source !== "layout";
+    panel.tally.textContent = marking.book ? tallyOf(marking) : "";
+    // A template is saved only with Done, so the status must not say "Saved" before.
+    if (editing && templates.doc.started) this.status.show("draft", "");
+    else if (this.status.state === "draft") this.saver.report();
     this.showHint();
     this.describe();
     this.viewer.redraw();
   }
 
-  /** A template is saved only with Done, so the status must not say "Saved" before. */
-  showDraft() {
-    if (this.editing && this.editor.started) this.status.show("draft", "");
-    else if (this.status.state === "draft") this.saving.saver.report();
-  }
-
-  showPrompt() {
-    const { editing, marking } = this;
-    const own = () => (marking.book ? promptOf(marking) : "");
-    const text = this.cover.isShown ? "" : editing ? this.editor.prompt : own();
-    this.prompt.hidden = !text;
-    this.prompt.dataset.kind = marking.suggested && !editing ? "suggested" : "";
-    if (this.prompt.textContent !== text) this.prompt.textContent = text;
-  }
-
+  /** Show the point to place in the template, and what to do next. */
   showHint() {
-    const { editing, marking, template } = this;
-    const on = !editing && marking.placing && Boolean(template?.points) && !this.cover.isShown;
-    this.hint.hidden = !on;
-    if (on) drawHint(this.hint, template.points, template.contours, marking.active, getComputedStyle(this.hint));
-    if (!editing && marking.book) this.showPrompt();
+    const { cover, editing, hint, marking, prompt, template } = this;
+    hint.hidden = editing || !marking.placing || !template?.points || cover.isShown;
+    if (!hint.hidden) drawHint(hint, template.points, template.contours, marking.active, getComputedStyle(hint));
+    const own = () => (marking.book ? promptOf(marking) : "");
+    const text = cover.isShown ? "" : editing ? this.templates.prompt : own();
+    prompt.hidden = !text;
+    prompt.dataset.kind = marking.suggested && !editing ? "suggested" : "";
+    if (prompt.textContent !== text) prompt.textContent = text;
   }
 
   /** Describe the picture for screen readers. */
   describe() {
-    const { marking, name } = this;
+    const { editing, marking, name, templates } = this;
     const own = marking.book ? descriptionOf(name, marking) : "No picture is open.";
-    this.alternative.textContent = this.editing
-      ? `Editing the template: ${several(this.editor.draft.names.length, "point")}.`
-      : own;
+    const text = editing ? `Editing the template: ${several(templates.doc.names.length, "point")}.` : own;
+    this.alternative.textContent = text;
     this.viewer.canvas.setAttribute("aria-label", name ? `${name} with landmarks` : "Picture with landmarks");
   }
 
   sayPlace(index, next = -1) {
-    this.speaker.say(placeOf(this.marking, index, next));
+    this.say(placeOf(this.marking, index, next));
   }
 
+  /** Announce moved points after a pause, so that a burst of keys does not flood a screen reader. */
   saySoon(indices) {
-    this.speaker.soon(() => {
-      if (this.editing) return null;
-      return indices.length === 1 ? placeOf(this.marking, indices[0]) : `${indices.length || "All"} points moved`;
-    });
+    clearTimeout(this.waiting);
+    this.waiting = setTimeout(() => {
+      if (this.editing) return;
+      if (indices.length === 1) this.sayPlace(indices[0]);
+      else this.say(`${indices.length || "All"} points moved`);
+    }, SAY_AFTER);
   }
 
   draw(ctx) {
     const { viewer, tool, marking } = this;
     if (!viewer.width || marking.hidden) return;
-    if (this.editing) this.editor.draw(ctx, tool);
+    if (this.editing) this.templates.draw(ctx, tool);
     else if (marking.book) drawMarking(ctx, viewer, tool, marking, this.show);
     drawGesture(ctx, viewer, tool, marking.suggested);
   }
 
   /** Hooks for browser tests: positions of points in the picture and on the page. */
   expose() {
-    const tab = this;
-    window.liaamStudio = Object.assign(window.liaamStudio ?? {}, {
-      annotate: {
-        viewer: this.viewer,
-        /** Points as shown: of the picture, or of the template that is being edited. */
-        points: () => tab.doc.points.map((point) => point && point.slice()),
-        /** Position of a point, or of any [x, y] of the picture, on the page: [clientX, clientY] or null. */
-        toClient: (what) => {
-          const point = Array.isArray(what) ? what : tab.doc.points[what];
-          return point ? tab.viewer.toClient(point) : null;
-        },
-        /** "file", "proposal", "layout", "none", or "template" while it is edited; null while a picture opens. */
-        source: () => (tab.editing ? "template" : (tab.marking.state?.source ?? null)), name: () => tab.name,
-        selection: () => [...tab.doc.selection], invisible: () => [...tab.marking.invisible],
-        undoSteps: () => (tab.editing ? tab.editor.history : tab.marking.history)?.past.length ?? 0,
-        isDirty: () => tab.saving.saver.anyDirty,
-        /** The position under the loupe of a gesture, or null. */
-        loupe: () => tab.tool.gesture?.loupe ?? null,
+    const annotate = {
+      viewer: this.viewer,
+      /** Points as shown: of the picture, or of the template that is being edited. */
+      points: () => this.doc.points.map((point) => point && point.slice()),
+      /** Position of a point, or of any [x, y] of the picture, on the page: [clientX, clientY] or null. */
+      toClient: (what) => {
+        const point = Array.isArray(what) ? what : this.doc.points[what];
+        return point ? this.viewer.toClient(point) : null;
       },
-    });
+      /** "file", "proposal", "layout", "none", or "template" while it is edited; null while a picture opens. */
+      source: () => (this.editing ? "template" : (this.marking.state?.source ?? null)), name: () => this.name,
+      selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible],
+      undoSteps: () => this.doc.history?.past.length ?? 0, isDirty: () => this.saver.anyDirty,
+      /** The position under the loupe of a gesture, or null. */
+      loupe: () => this.tool.gesture?.loupe ?? null,
+    };
+    Object.assign(window.liaamStudio, { annotate });
   }
 }

@@ -9,9 +9,7 @@ export class ApiError extends Error {
     this.body = body;
   }
 
-  get unreachable() {
-    return this.status === 0;
-  }
+  get unreachable() { return this.status === 0; }
 }
 
 const UNREACHABLE = "The server is not reachable. Is 'liaam studio' still running?";
@@ -65,10 +63,12 @@ async function request(address, options) {
   }
   if (response.ok) return response;
   const body = await response.json().catch(() => null);
-  throw new ApiError(body?.error ?? `The server answered ${response.status} ${response.statusText}.`, response.status, body);
+  const message = body?.error ?? `The server answered ${response.status} ${response.statusText}.`;
+  throw new ApiError(message, response.status, body);
 }
 
-/** Wait; rejects at once when the signal is aborted. */
+/** Wait; rejects at once when the signal is aborted.
+ *  @returns {Promise<void>} */
 function later(milliseconds, signal) {
   return new Promise((resolve, reject) => {
     signal?.throwIfAborted();

@@ -1,5 +1,8 @@
 // The model's help: training in the background, and the choice of the next picture.
 
+import { several } from "./annotate-words.js";
+import { button, h, icon } from "./ui.js";
+
 export const LEAST = 3; // pictures needed for training
 export const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
 export const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
@@ -19,8 +22,6 @@ export function shouldTrain(project, { auto, failedAt = null }) {
 /** Key of the training data: training on the same data would fail again. */
 export const situation = ({ model, pictures }) => `${countDone(pictures)}|${model?.stale ?? "none"}`;
 
-export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
-
 /** What is not done yet, as a sentence; "" if all pictures are done and the model was trained on all of them. */
 export function unfinished({ pictures, model }) {
   const open = pictures.filter((picture) => picture.state !== "done").length;
@@ -33,7 +34,8 @@ export function unfinished({ pictures, model }) {
   return text && `${text[0].toUpperCase()}${text.slice(1)}.`;
 }
 
-/** The picture that helps the model most: by rank, then by position in the folder after `current`; null if all are done. */
+/** The picture that helps the model most: by rank, then by position in the folder after `current`; null if all are
+ *  done. */
 export function nextToTeach(pictures, current) {
   const at = pictures.findIndex((picture) => picture.name === current);
   const round = [...pictures.slice(at + 1), ...pictures.slice(0, Math.max(at, 0))];
@@ -91,49 +93,36 @@ export function mismatch({ model, template }) {
 }
 
 /**
- * Create the panel. accept(): accept the points and open the next picture; skip(): open it without accepting; confirm():
- * the mean shape is right. Returns {element, sure: the button for confirm, left(): the user has left a picture}.
+ * Create the panel. accept(): accept the points and open the next picture; skip(): open it without accepting;
+ * confirm(): the mean shape is right. Returns {element, sure: the button for confirm, left(): a picture was left}.
+ * @param {{app: App, [handler: string]: any}} options
  */
 export function createAssist({ app, accept, skip, confirm }) {
-  const { h, button, icon } = app.ui;
-  const { state, api } = app;
+  const { api, state, toast } = app;
   let failedAt = null;
   let asking = false;
+  let noted = "";
 
-  const count = h("p", { class: "assist-count" });
+  const count = h("p.assist-count");
   const bar = h("span");
-  const progress = h(
-    "div",
-    { class: "progress", role: "progressbar", "aria-label": "Training", "aria-valuemin": "0", "aria-valuemax": "100" },
-    bar,
-  );
-  const what = h("p", { class: "small muted", role: "status" });
+  const range = { "aria-valuemin": 0, "aria-valuemax": 100 };
+  const progress = h("div.progress", { role: "progressbar", "aria-label": "Training", ...range }, bar);
+  const what = h("p.small.muted", { role: "status" });
   const cancel = button("Cancel", { small: true, kind: "ghost", testid: "training-cancel", onclick: stop });
-  const running = h(
-    "div",
-    { class: "column assist-running", dataset: { testid: "training-progress" }, hidden: true },
-    progress,
-    h("div", { class: "row" }, h("div", { class: "grow" }, what), cancel),
-  );
-  const failure = h("p", { class: "small error-text", role: "alert", hidden: true });
+  const running = h("div.column.assist-running", { testid: "training-progress", hidden: true },
+    progress, h("div.row", h("div.grow", what), cancel));
+  const failure = h("p.small.error-text", { role: "alert", hidden: true });
   const train = button("Train", { icon: "brain", small: true, testid: "train", onclick: start });
   const auto = h("input", {
-    type: "checkbox", checked: localStorage.getItem(AUTO_KEY) !== "off", dataset: { testid: "auto-train" },
+    type: "checkbox", checked: localStorage.getItem(AUTO_KEY) !== "off", testid: "auto-train",
     onchange: () => localStorage.setItem(AUTO_KEY, auto.checked ? "on" : "off"),
   });
-  const autoLabel = h(
-    "label",
-    {
-      class: "check small",
-      title: `Train when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`,
-    },
-    auto, "Train automatically",
-  );
+  const often = `Train when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
   const next = button("Accept and continue", {
     icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: accept,
     title: "Accept these points and open the picture that helps the model most",
   });
-  next.append(h("kbd", { class: "kbd", "aria-hidden": "true" }, "⏎"));
+  next.append(h("kbd.kbd", { "aria-hidden": "true" }, "⏎"));
   const pass = button("Skip", {
     small: true, kind: "ghost", shortcut: "N", testid: "skip-next", onclick: skip,
     title: "Open the next picture and leave this one unchanged",
@@ -142,33 +131,21 @@ export function createAssist({ app, accept, skip, confirm }) {
     small: true, hidden: true, testid: "confirm-layout", onclick: confirm,
     title: "Save the mean shape although no point was moved",
   });
-  const why = h("p", { class: "small muted", dataset: { testid: "why-next" } });
-
-  const notes = h("div", { class: "column assist-notes", hidden: true, dataset: { testid: "notices" } });
-  let noted = "";
-
-  const element = h(
-    "section",
-    { class: "panel assist", "aria-label": "The model's help" },
-    h("div", { class: "row assist-head" }, icon("spark"), count, h("span", { class: "grow" }), train),
-    running, failure,
-    h("div", { class: "row assist-go" }, next, pass),
-    sure, why, notes, autoLabel,
-  );
+  const why = h("p.small.muted", { testid: "why-next" });
+  const notes = h("div.column.assist-notes", { hidden: true, testid: "notices" });
+  const element = h("section.panel.assist", { "aria-label": "The model's help" },
+    h("div.row.assist-head", icon("spark"), count, h("span.grow"), train),
+    running, failure, h("div.row.assist-go", next, pass), sure, why, notes,
+    h("label.check.small", { title: often }, auto, "Train automatically"));
 
   async function start() {
     if (asking) return;
     asking = true;
-    failure.hidden = true;
+    fail("");
     try {
-      const training = await state.send((folder) => api.post(api.url("training"), { folder }));
-      state.project.training = training;
+      state.project.training = await state.send((folder) => api.post(api.url("training"), { folder }));
     } catch (error) {
-      // 409: another tab has started the training already.
-      if (error.status !== 409) {
-        failedAt = situation(state.project);
-        showFailure(error.message);
-      }
+      if (error.status !== 409) fail(error.message); // 409: another tab has started the training already
     } finally {
       asking = false;
       refresh();
@@ -181,10 +158,17 @@ export function createAssist({ app, accept, skip, confirm }) {
     try {
       await state.send((folder) => api.delete(api.url("training"), { folder }));
     } catch (error) {
-      app.toast(error, "bad");
+      toast(error, "bad");
     } finally {
       cancel.disabled = false;
     }
+  }
+
+  /** Show why training failed, and do not retry automatically; "": it did not fail. */
+  function fail(text) {
+    if (text) failedAt = situation(state.project);
+    failure.textContent = text;
+    failure.hidden = !text;
   }
 
   /** Show notices; lists of several are collapsed. */
@@ -194,23 +178,10 @@ export function createAssist({ app, accept, skip, confirm }) {
     if (key === noted) return; // keep an opened list open
     noted = key;
     notes.hidden = !groups.length;
+    const list = (title, lines) => h("details.small", h("summary", `${title}: ${lines.length} notices`),
+      h("ul.assist-lines", lines.map((line) => h("li", line))));
     notes.replaceChildren(
-      ...groups.map(({ title, lines }) =>
-        lines.length === 1
-          ? h("p", { class: "small" }, lines[0])
-          : h(
-              "details",
-              { class: "small" },
-              h("summary", {}, `${title}: ${lines.length} notices`),
-              h("ul", { class: "assist-lines" }, lines.map((line) => h("li", {}, line))),
-            ),
-      ),
-    );
-  }
-
-  function showFailure(text) {
-    failure.textContent = text;
-    failure.hidden = !text;
+      ...groups.map(({ title, lines }) => (lines.length === 1 ? h("p.small", lines[0]) : list(title, lines))));
   }
 
   function refresh() {
@@ -226,14 +197,12 @@ export function createAssist({ app, accept, skip, confirm }) {
     running.hidden = !runs;
     if (runs) showProgress(training);
     train.disabled = runs || asking || done < LEAST;
-    train.title =
-      done < LEAST
-        ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
-        : model?.stale
-          ? `${model.stale} ${model.stale === 1 ? "picture" : "pictures"} completed or changed since the last training`
-          : "Train the model on all done pictures";
+    const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
+    train.title = done < LEAST
+      ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
+      : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
-    explain(pictures, model, done);
+    explain(project, done);
     note(project);
   }
 
@@ -243,30 +212,25 @@ export function createAssist({ app, accept, skip, confirm }) {
     bar.style.width = value === null ? "" : `${value}%`;
     if (value === null) progress.removeAttribute("aria-valuenow");
     else progress.setAttribute("aria-valuenow", String(value));
-    const doingText = doing || (phase === "proposals" ? "Placing points on the other pictures" : "Training");
-    what.textContent = total ? `${doingText} (${done} of ${total})` : `${doingText}…`;
+    const text = doing || (phase === "proposals" ? "Placing points on the other pictures" : "Training");
+    what.textContent = total ? `${text} (${done} of ${total})` : `${text}…`;
   }
 
-  function explain(pictures, model, done) {
+  function explain({ pictures, model, training }, done) {
     const here = state.picture();
     const then = nextToTeach(pictures, state.current);
-    if (here && here.state !== "done" && here.uncertainty != null && model)
-      why.textContent = reason(here, pictures, model);
-    else if (then)
-      why.textContent = model ? `Next: ${then.name}. ${reason(then, pictures, model)}` : progressText(done);
-    else why.textContent = unfinished(state.project) || (done ? "All pictures are done." : "");
     const without = model?.left_out?.[here?.name];
-    if (without) why.textContent = `The model leaves this picture out, because ${without}.`;
-    why.classList.toggle("warn-text", Boolean(without));
     pass.disabled = !then;
-  }
-
-  function progressText(done) {
-    const left = AUTO_FIRST - done;
-    if (left > 0)
-      return `After ${left} more ${left === 1 ? "picture" : "pictures"} the model can place points for you.`;
-    if (state.project.training?.state === "running") return "After training, the model places points for you.";
-    return "Train the model to let it place points for you.";
+    why.classList.toggle("warn-text", Boolean(without));
+    if (without) why.textContent = `The model leaves this picture out, because ${without}.`;
+    else if (here && here.state !== "done" && here.uncertainty != null && model)
+      why.textContent = reason(here, pictures, model);
+    else if (!then) why.textContent = unfinished(state.project) || (done ? "All pictures are done." : "");
+    else if (model) why.textContent = `Next: ${then.name}. ${reason(then, pictures, model)}`;
+    else if (done < AUTO_FIRST)
+      why.textContent = `After ${several(AUTO_FIRST - done, "more picture")} the model can place points for you.`;
+    else if (training?.state === "running") why.textContent = "After training, the model places points for you.";
+    else why.textContent = "Train the model to let it place points for you.";
   }
 
   /** Train between two pictures, when no point is being moved. */
@@ -275,16 +239,6 @@ export function createAssist({ app, accept, skip, confirm }) {
     if (shouldTrain(state.project, { auto: auto.checked, failedAt })) await start();
   }
 
-  state.addEventListener("training", ({ detail }) => {
-    if (detail.state === "failed") {
-      failedAt = situation(state.project);
-      showFailure(detail.error ?? "Training failed.");
-    } else if (detail.state === "done") {
-      failedAt = null;
-    }
-    if (detail.state === "running" || detail.state === "done") showFailure("");
-    refresh();
-  });
   /** Train on opening, once the states of all pictures are known. */
   function opened() {
     if (state.project.pictures.some((picture) => picture.state === "reading")) return;
@@ -292,6 +246,12 @@ export function createAssist({ app, accept, skip, confirm }) {
     if (shouldTrain(state.project, { auto: auto.checked })) start();
   }
 
+  state.addEventListener("training", (/** @type {any} */ { detail }) => {
+    if (detail.state === "failed") fail(detail.error ?? "Training failed.");
+    else if (detail.state !== "idle") fail("");
+    if (detail.state === "done") failedAt = null;
+    refresh();
+  });
   state.addEventListener("project", refresh);
   state.addEventListener("project", opened);
   state.addEventListener("select", refresh);

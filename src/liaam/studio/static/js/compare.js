@@ -28,33 +28,25 @@ class Side {
     this.name = name;
     this.fit = null;
     this._run = 0;
-    this.select = h("select", {
-      class: "text", "aria-label": `Method on the ${label}`, dataset: { testid: `compare-method-${name}` },
-      onchange: () => onmethod(this),
+    this.select = h("select.text", {
+      "aria-label": `Method on the ${label}`, testid: `compare-method-${name}`, onchange: () => onmethod(this),
     });
-    this.badge = h("span", { class: "badge", hidden: true });
-    this.facts = h("dl", { class: "fit-facts compare-facts" });
-    this.message = h("p", { class: "small muted compare-message" });
-    this.container = h("div", { class: "fit-viewer" });
+    this.badge = h("span.badge", { hidden: true });
+    this.facts = h("dl.fit-facts.compare-facts");
+    this.message = h("p.small.muted.compare-message");
+    this.container = h("div.fit-viewer");
     this.viewer = new Viewer(this.container, { label: `Picture, fitted with the method on the ${label}` });
     this.viewer.addLayer((ctx, viewer) => draw(ctx, viewer, this));
-    this.element = h(
-      "section",
-      { class: "compare-side", "aria-label": `Method on the ${label}`, dataset: { testid: `compare-${name}` } },
-      h("div", { class: "compare-head" }, this.select, this.badge),
-      this.container,
-      h("div", { class: "compare-result", role: "status", "aria-live": "polite" }, this.facts, this.message),
-    );
+    this.element = h("section.compare-side", { "aria-label": `Method on the ${label}`, testid: `compare-${name}` },
+      h("div.compare-head", this.select, this.badge), this.container,
+      h("div.compare-result", { role: "status", "aria-live": "polite" }, this.facts, this.message));
   }
 
-  get method() {
-    return this.select.value;
-  }
+  get method() { return this.select.value; }
 
   methods(methods, chosen) {
     this.select.replaceChildren(
-      ...methods.map(({ name, summary }) => h("option", { value: name, title: summary }, name)),
-    );
+      ...methods.map(({ name, summary }) => h("option", { value: name, title: summary }, name)));
     this.select.value = chosen;
   }
 
@@ -66,39 +58,30 @@ class Side {
     this.fit = fit;
     this.badge.hidden = !fit;
     this.viewer.redraw();
-    if (!fit) {
-      this.say("");
-      return;
-    }
+    this.say(fit?.message ?? "");
+    if (!fit) return;
     const { kind, title } = verdictOf(fit);
     this.badge.className = `badge ${kind}`;
     this.badge.textContent = title;
     this.facts.replaceChildren(...entries(factsOf(fit)));
-    this.message.className = "small muted compare-message";
-    this.message.textContent = fit.message;
-    this.message.title = fit.message;
   }
 
   say(text, bad = false) {
     this.facts.replaceChildren();
-    this.message.className = bad ? "small error-text compare-message" : "small muted compare-message";
-    this.message.textContent = text;
-    this.message.title = text;
+    this.message.className = `small compare-message ${bad ? "error-text" : "muted"}`;
+    this.message.textContent = this.message.title = text;
   }
 
   /** Fit; return whether this is still the newest run of the side. */
   async run(store, source) {
     const run = (this._run += 1);
-    const { method } = this;
-    const known = store.recall(source, method);
     try {
-      const fit = known ?? (await store.run(source, method));
+      const fit = store.recall(source, this.method) ?? (await store.run(source, this.method));
       if (run === this._run) this.take(fit);
     } catch (error) {
-      if (run === this._run) {
-        this.take(null);
-        this.say(error.message, true);
-      }
+      if (run !== this._run) return false;
+      this.take(null);
+      this.say(error.message, true);
     }
     return run === this._run;
   }
@@ -111,6 +94,7 @@ class Side {
 }
 
 class CompareTab {
+  /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
     this.app = app;
     this.state = app.state;
@@ -134,7 +118,7 @@ class CompareTab {
       if (this.visible) this._say(detail.error.message, true);
     });
     this.state.addEventListener("project", () => this._project());
-    this.state.addEventListener("landmarks", ({ detail }) => {
+    this.state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
       if (this.sources.current?.name !== detail.name) return;
       this._truth();
       if (this.visible) this.run();
@@ -231,10 +215,8 @@ class CompareTab {
     if (this._names !== names.join()) {
       this._names = names.join();
       this.left.methods(methods, first ?? names[0]);
-      this.right.methods(
-        methods,
-        FAMILIAR.find((name) => names.includes(name) && name !== first) ?? names[1] ?? names[0],
-      );
+      const other = FAMILIAR.find((name) => names.includes(name) && name !== first);
+      this.right.methods(methods, other ?? names[1] ?? names[0]);
     }
     const trained = model?.trained ?? null;
     const another = this._trained !== undefined && this._trained !== trained;
@@ -274,23 +256,14 @@ class CompareTab {
     const swap = button("Swap", {
       icon: "swap", small: true, shortcut: "X", testid: "compare-swap", onclick: () => this.swap(),
     });
-    this._verdictText = h("p", {
-      class: "compare-verdict grow", role: "status", "aria-live": "polite", dataset: { testid: "compare-verdict" },
-    });
-    this._name = h("span", { class: "fit-source-name" });
-    const toolbar = h(
-      "div",
-      { class: "toolbar", role: "toolbar", "aria-label": "Compare" },
-      this._runButton, swap,
-      h("span", { class: "rule" }),
-      [...this._overlays.values()], this._truthButton,
-      h("span", { class: "grow" }),
-      this._name,
-    );
-    this._pair = h("div", { class: "compare-pair" }, this.left.element, this.right.element);
-    this._empty = h("div", { class: "empty big" });
-    const foot = h("div", { class: "compare-foot" }, this._verdictText);
-    root.append(h("div", { class: "workspace compare-tab" }, toolbar, this._pair, this._empty, foot));
+    this._verdictText = h("p.compare-verdict.grow", { role: "status", "aria-live": "polite", testid: "compare-verdict" });
+    this._name = h("span.fit-source-name");
+    const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "Compare" },
+      this._runButton, swap, h("span.rule"), [...this._overlays.values()], this._truthButton, h("span.grow"), this._name);
+    this._pair = h("div.compare-pair", this.left.element, this.right.element);
+    this._empty = h("div.empty.big");
+    const foot = h("div.compare-foot", this._verdictText);
+    root.append(h("div.workspace.compare-tab", toolbar, this._pair, this._empty, foot));
   }
 
   /** Keep zoom and pan of both sides equal. */
@@ -327,21 +300,9 @@ class CompareTab {
     this._pair.hidden = !works;
     this._empty.hidden = works;
     this._runButton.disabled = !works;
-    this._name.textContent = source?.name ?? "";
-    this._name.title = source?.name ?? "";
+    this._name.textContent = this._name.title = source?.name ?? "";
     if (works) return;
-    if (!model) {
-      this._empty.replaceChildren(
-        icon("compare", 56),
-        h("h2", {}, "Two methods, side by side"),
-        ...modelNeeded(this.app),
-      );
-      return;
-    }
-    this._empty.replaceChildren(
-      icon("compare", 56),
-      h("h2", {}, "Two methods, side by side"),
-      h("p", {}, "Select a picture on the left, or drop one here."),
-    );
+    const remedy = model ? [h("p", "Select a picture on the left, or drop one here.")] : modelNeeded(this.app);
+    this._empty.replaceChildren(icon("compare", 56), h("h2", "Two methods, side by side"), ...remedy);
   }
 }

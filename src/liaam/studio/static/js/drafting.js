@@ -1,7 +1,7 @@
 // A template while it is edited over a picture: its draft, selection, undo history, and the effect of clicks. It is a
 // document that gestures edit (see gestures.js).
 
-import { several } from "./assist.js";
+import { called, several } from "./annotate-words.js";
 import { AxisGrip } from "./axis-grip.js";
 import { History } from "./history.js";
 import { flip, indicesOf, place, withTwins } from "./points.js";
@@ -10,17 +10,21 @@ import * as drafts from "./template.js";
 const AXIS_REACH = 8; // css pixels; a new point closer to the axis is placed on it
 
 export class Drafting {
+  editable = true;
+  invisible = new Set();
+
   /** onchange(): the draft or its display has changed; onselect(): the selection has changed; say(text): announce to
    *  screen readers. */
-  constructor({ viewer, onchange = () => {}, onselect = () => {}, say = () => {} }) {
-    Object.assign(this, { viewer, onchange, onselect, say });
-    this.editable = true;
-    this.invisible = new Set();
+  constructor({ viewer, onchange = () => {}, onselect = () => {}, say = (_text) => {} }) {
+    this.viewer = viewer;
+    this.onchange = onchange;
+    this.onselect = onselect;
+    this.say = say;
     this.start(null, null, drafts.EMPTY);
   }
 
   /** Edit `template` with its points at `points` on the picture, or `draft` of a new template if it is null. */
-  start(template, points, draft) {
+  start(template, points, draft = null) {
     this.saved = template; // the edited template, or null for a new one
     this.isFresh = template === null; // whether there was no template at the start
     this.loaded = ""; // the file from which a new template was loaded
@@ -34,35 +38,26 @@ export class Drafting {
 
   /** The saved template has changed: turn the draft into a change of the new one. */
   rebase(template) {
-    const before = this.saved;
+    this.draft = drafts.rebased(this.draft, this.saved, template);
     this.saved = template;
-    this.draft = drafts.rebased(this.draft, before, template);
     this.history = new History(drafts.draftOf(template));
     this.history.push(this.draft, "earlier changes");
     this.shown = null;
     this.changed();
   }
 
-  get names() {
-    return this.draft.names;
-  }
-  get points() {
-    return this.shown ?? this.draft.points;
-  }
+  get names() { return this.draft.names; }
+  get points() { return this.shown ?? this.draft.points; }
   /** Whether clicks add points. */
-  get placing() {
-    return !this.layingOut;
-  }
-  get followsPointer() {
-    return this.axis !== null;
-  }
+  get placing() { return !this.layingOut; }
+  get followsPointer() { return this.axis !== null; }
+  /** Whether there are points. */
+  get started() { return this.names.length > 0; }
 
   framed() {
     if (this.selection.size > 1) return [...this.selection];
     return this.layingOut ? indicesOf(this.draft.points) : [];
   }
-
-  // Steps -----------------------------------------------------------------------------------------------------------
 
   apply(next, what, key = null) {
     this.history.push(next, what, key);
@@ -81,7 +76,7 @@ export class Drafting {
     if (!state) return;
     this.draft = state;
     this.shown = null;
-    if (!state.names.length) this.layingOut = false;
+    if (!this.started) this.layingOut = false;
     this.changed();
   }
 
@@ -90,7 +85,7 @@ export class Drafting {
     this.active = active;
   }
 
-  select(indices, active) {
+  select(indices, active = undefined) {
     this.choose(indices, active);
     this.onselect();
     this.viewer.redraw();
@@ -110,15 +105,12 @@ export class Drafting {
     this.apply({ ...this.draft, points }, what, key);
   }
 
-  // Gestures --------------------------------------------------------------------------------------------------------
-
   follow(before, after, indices) {
     return this.axis === null ? after : withTwins(before, after, indices, this.draft.mirror);
   }
 
   adding(xy) {
-    const grip = this.axis === null ? null : new AxisGrip(this.viewer, this.axis);
-    if (grip?.isAt(xy)) return this.draggingAxis();
+    if (this.axis !== null && new AxisGrip(this.viewer, this.axis).isAt(xy)) return this.draggingAxis();
     if (this.layingOut) return null;
     const drafting = this;
     const unplaced = this.draft.points.findIndex((point) => !point);
@@ -164,30 +156,25 @@ export class Drafting {
   /** Handle a press on a point: with Shift, connect the path to it; on the path's first point, close the path. */
   press(index, event) {
     if (this.layingOut) return false;
-    if (event.shiftKey) {
-      this.apply(drafts.connect(this.draft, index), "connect");
-      return true;
-    }
     const path = this.draft.contours[this.draft.path]?.indices;
-    if (path && path.length > 2 && path[0] === index) {
-      this.close();
-      return true;
-    }
-    return false;
+    if (event.shiftKey) this.apply(drafts.connect(this.draft, index), "connect");
+    else if (path?.length > 2 && path[0] === index) this.close();
+    else return false;
+    return true;
   }
 
-  // Edits -----------------------------------------------------------------------------------------------------------
-
   close() {
-    if (this.draft.path < 0) return;
-    this.apply(drafts.closePath(this.draft), "close path");
-    this.say("Path closed");
+    this.endPath(true, "close path", "Path closed");
   }
 
   startPath() {
+    this.endPath(false, "new path", "The next point starts a new path");
+  }
+
+  endPath(closed, what, said) {
     if (this.draft.path < 0) return;
-    this.apply(drafts.newPath(this.draft), "new path");
-    this.say("The next point starts a new path");
+    this.apply(drafts.newPath(this.draft, closed), what);
+    this.say(said);
   }
 
   flip() {
@@ -206,14 +193,10 @@ export class Drafting {
 
   deleteChosen(indices = [...this.selection]) {
     if (indices.length === 0) return;
-    const names = indices.map((i) => this.names[i]);
+    const what = called(this.names, indices);
     this.choose([]);
     this.apply(drafts.deletePoints(this.draft, indices), "delete");
-    this.say(`${names.length === 1 ? names[0] : `${names.length} points`} deleted`);
-  }
-
-  rename(index, name) {
-    this.apply(drafts.rename(this.draft, index, name), "rename", `rename ${index}`);
+    this.say(`${what} deleted`);
   }
 
   /** Move a point to another position in the order. */
@@ -223,20 +206,6 @@ export class Drafting {
     this.select([to], to);
     this.say(`${this.names[to]} is now number ${to + 1}`);
   }
-
-  setClosed(path, closed) {
-    this.apply(drafts.setClosed(this.draft, path, closed), "close path");
-  }
-
-  continuePath(path) {
-    this.apply(drafts.continuePath(this.draft, path), "continue path");
-  }
-
-  removePath(path) {
-    this.apply(drafts.removePath(this.draft, path), "delete path");
-  }
-
-  // The axis of symmetry --------------------------------------------------------------------------------------------
 
   /** Start or end mirroring; return whether it is on. */
   toggleMirror() {
@@ -255,8 +224,6 @@ export class Drafting {
     this.viewer.redraw();
     return true;
   }
-
-  // A layout from a file --------------------------------------------------------------------------------------------
 
   /** Start with the points of a file, at `points` on the picture. */
   load(file, template, points) {

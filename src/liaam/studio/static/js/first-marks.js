@@ -7,44 +7,36 @@ const LAYOUT_OF = 8; // number of done pictures in the mean layout
 export class FirstMarks {
   /** fetchMarks(name) -> Promise of the server's marks; begins() -> "layout" or "click". */
   constructor({ state, fetchMarks, begins }) {
-    Object.assign(this, { state, fetchMarks, begins });
+    this.state = state;
+    this.fetchMarks = fetchMarks;
+    this.begins = begins;
     this.shapes = new Map(); // name -> {points, width, height} of done pictures
   }
 
-  get template() {
-    return this.state.project.template;
-  }
-
-  /** The landmarks of a picture have changed. */
-  forget(name) {
-    this.shapes.delete(name);
-  }
-
-  clear() {
-    this.shapes.clear();
+  /** The landmarks of a picture, or of all, have changed. */
+  forget(name = null) {
+    if (name === null) this.shapes.clear();
+    else this.shapes.delete(name);
   }
 
   /** {points, invisible, source} for a picture, from the server's marks. */
-  async of(name, marks) {
-    const fits = marks.points.length === this.template.names.length; // a file may belong to another template
-    if (fits && (marks.source === "file" || marks.source === "proposal")) {
-      return { points: marks.points, invisible: marks.invisible ?? [], source: marks.source };
-    }
-    const nothing = { points: this.template.names.map(() => null), invisible: [], source: "none" };
-    if (this.begins() === "click") return nothing;
-    const points = await this.layout(name, marks.width, marks.height);
-    return points ? { points, invisible: [], source: "layout" } : nothing;
+  async of(name, { points, invisible, source, width, height }) {
+    const { names } = this.state.project.template;
+    const fits = points.length === names.length; // a file may belong to another template
+    if (fits && (source === "file" || source === "proposal")) return { points, invisible: invisible ?? [], source };
+    const layout = this.begins() === "click" ? null : await this.layout(name, width, height);
+    if (layout) return { points: layout, invisible: [], source: "layout" };
+    return { points: names.map(() => null), invisible: [], source: "none" };
   }
 
   /** Mean of the done pictures, or else the template's layout; null if there is neither. */
   async layout(name, width, height) {
-    const done = this.state.project.pictures
-      .filter((picture) => picture.state === "done" && picture.name !== name)
-      .slice(0, LAYOUT_OF);
+    const { template, pictures } = this.state.project;
+    const done = pictures.filter((picture) => picture.state === "done" && picture.name !== name).slice(0, LAYOUT_OF);
     await Promise.all(done.map((picture) => this.learn(picture.name)));
-    const shapes = done.map((picture) => this.shapes.get(picture.name)).filter(Boolean);
-    const whole = shapes.filter((shape) => shape.points.length === this.template.names.length);
-    return meanLayout(whole, width, height) ?? layoutIn(this.template.points, width, height);
+    const shapes = done.map((picture) => this.shapes.get(picture.name));
+    const whole = shapes.filter((shape) => shape?.points.length === template.names.length);
+    return meanLayout(whole, width, height) ?? layoutIn(template.points, width, height);
   }
 
   async learn(name) {

@@ -8,11 +8,11 @@ export const OVERLAYS = [
   { name: "contours", label: "Contours", key: "C", title: "Show the contours" },
   { name: "landmarks", label: "Points", key: "L", title: "Show the fitted points" },
   { name: "mesh", label: "Mesh", key: "M", title: "Show the model's triangles" },
-  { name: "ellipses", label: "Ellipses", key: "E", title: "Show ellipses that contain each point with 95 % probability" },
+  { name: "ellipses", label: "Ellipses", key: "E", title: "Show ellipses that contain a point with 95 % probability" },
 ];
 
 /** A button for each overlay, by name; `shown`: names of the drawn overlays. */
-export function overlayButtons(shown, onclick, testid = () => null) {
+export function overlayButtons(shown, onclick, testid = (_name) => null) {
   return new Map(
     OVERLAYS.map(({ name, label, key, title }) => [
       name,
@@ -48,9 +48,8 @@ export function modelNeeded(app, testid = null) {
 }
 
 /** Terms and values as the entries of a <dl>. */
-export function entries(rows) {
-  return rows.map(([term, value]) => h("div", {}, h("dt", {}, term), h("dd", { class: "number" }, value)));
-}
+export const entries = (rows) =>
+  rows.map(([term, value]) => h("div", {}, h("dt", {}, term), h("dd", { class: "number" }, value)));
 
 /** Fits are yellow like all landmarks; failed ones and those of low quality are orange and dashed. */
 const GOOD = { colour: "#ffd166", dash: [] };

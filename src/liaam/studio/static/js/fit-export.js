@@ -5,26 +5,20 @@ import { roomy } from "./fit-draw.js";
 import { lightQuery } from "./relight.js";
 import { button, h, saveFile } from "./ui.js";
 
-const EXPORTS = [
-  {
-    title: "Landmarks",
-    items: [
-      { what: "pts", label: "Landmarks .pts" },
-      { what: "ljson", label: "Landmarks .ljson" },
-      { what: "csv", label: "Table .csv" },
-      { what: "json", label: "Fit .json" },
-    ],
-  },
-  {
-    title: "Pictures",
-    items: [
-      { what: "overlay", label: "Picture with the fit" },
-      { what: "flat", label: "Without shading", layer: "flat" },
-      { what: "shading", label: "Shading", layer: "shading" },
-      { what: "relit", label: "Under the new light", layer: "flat" },
-    ],
-  },
-];
+const EXPORTS = {
+  Landmarks: [
+    { what: "pts", label: "Landmarks .pts" },
+    { what: "ljson", label: "Landmarks .ljson" },
+    { what: "csv", label: "Table .csv" },
+    { what: "json", label: "Fit .json" },
+  ],
+  Pictures: [
+    { what: "overlay", label: "Picture with the fit" },
+    { what: "flat", label: "Without shading", layer: "flat" },
+    { what: "shading", label: "Shading", layer: "shading" },
+    { what: "relit", label: "Under the new light", layer: "flat" },
+  ],
+};
 
 export class ExportMenu {
   /** `light()` returns the current light; `annotate(fit)` saves the landmarks in the folder; `complain(error)`. */
@@ -32,11 +26,9 @@ export class ExportMenu {
     this._light = light;
     this._complain = complain;
     this._fit = null;
+    const onclick = () => this._toggle();
     this.button = roomy(
-      button("Export", {
-        icon: "download", small: true, disabled: true, testid: "export-menu", onclick: () => this._toggle(),
-      }),
-    );
+      button("Export", { icon: "download", small: true, disabled: true, testid: "export-menu", onclick }));
     this.button.setAttribute("aria-expanded", "false");
     this._links = new Map();
     this._annotate = button("Use as annotation", {
@@ -47,32 +39,20 @@ export class ExportMenu {
         annotate(this._fit);
       },
     });
-    this.panel = h(
-      "div",
-      { class: "fit-menu", hidden: true, role: "group", "aria-label": "Export" },
-      EXPORTS.map(({ title, items }) =>
-        h(
-          "div",
-          { class: "fit-menu-group" },
-          h("h3", { class: "small muted" }, title),
-          items.map((item) => this._item(item)),
-        ),
-      ),
-      h("div", { class: "fit-menu-group" }, this._annotate),
-    );
-    this.element = h("div", { class: "fit-export" }, this.button, this.panel);
-    this.element.addEventListener("keydown", (event) => {
+    const groups = Object.entries(EXPORTS).map(([title, items]) =>
+      h("div.fit-menu-group", h("h3.small.muted", title), items.map((item) => this._item(item))));
+    this.panel = h("div.fit-menu", { hidden: true, role: "group", "aria-label": "Export" },
+      groups, h("div.fit-menu-group", this._annotate));
+    const onkeydown = (event) => {
       if (event.key !== "Escape" || this.panel.hidden) return;
       event.stopPropagation();
       this.close();
       this.button.focus();
-    });
-    this.element.addEventListener("focusout", (event) => {
-      if (event.relatedTarget && !this.element.contains(event.relatedTarget)) this.close();
-    });
-    document.addEventListener("pointerdown", (event) => {
-      if (!this.element.contains(event.target)) this.close();
-    });
+    };
+    const closeOutside = (target) => target && !this.element.contains(target) && this.close();
+    const onfocusout = (event) => closeOutside(event.relatedTarget);
+    this.element = h("div.fit-export", { onkeydown, onfocusout }, this.button, this.panel);
+    document.addEventListener("pointerdown", (event) => closeOutside(event.target));
   }
 
   /** Offer the files of a fit, or null. canAnnotate: whether its landmarks can be saved for a picture of the folder. */
@@ -88,18 +68,15 @@ export class ExportMenu {
     this.button.setAttribute("aria-expanded", "false");
   }
 
+  /** @param {{what: string, label: string, layer?: string}} item */
   _item({ what, label, layer }) {
-    const link = h(
-      "a",
-      {
-        class: "button ghost small", download: "", dataset: { testid: `export-${what}` },
-        onclick: (event) => {
-          event.preventDefault(); // a plain link would show neither progress nor errors
-          this._save(link, what);
-        },
+    const link = h("a.button.ghost.small", {
+      download: "", testid: `export-${what}`,
+      onclick: (event) => {
+        event.preventDefault(); // a plain link would show neither progress nor errors
+        this._save(link, what);
       },
-      label,
-    );
+    }, label);
     this._links.set(what, { link, layer });
     return link;
   }
@@ -158,14 +135,10 @@ export async function useAsAnnotation(app, fit) {
   const { template } = app.state.project;
   const known = await api.get(address);
   const placed = known.source === "file" && known.points.some(Boolean);
-  if (placed) {
-    const agreed = await app.confirm(
-      "Replace the landmarks?",
-      `${fit.picture} already has landmarks (${known.file ?? "in its file"}). They will be replaced by those of the fit.`,
-      "Replace",
-    );
-    if (!agreed) return false;
-  }
+  const text = `${fit.picture} already has landmarks (${known.file ?? "in its file"}).`;
+  const replace = () =>
+    app.confirm("Replace the landmarks?", `${text} They will be replaced by those of the fit.`, "Replace");
+  if (placed && !(await replace())) return false;
   const marks = {
     points: fit.shape, invisible: placed ? known.invisible : [], revision: known.revision,
     ...(template?.revision === undefined ? {} : { template: template.revision }),

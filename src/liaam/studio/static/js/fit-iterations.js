@@ -22,38 +22,25 @@ export class Iterations {
     this._timer = null;
     this.iterations = [];
     this.index = 0;
-    this.slider = h("input", {
-      type: "range", class: "slider", min: "0", max: "0", value: "0", "aria-label": "Iteration",
-      dataset: { testid: "fit-iterations" },
-      oninput: () => {
-        this.pause();
-        this.go(Number(this.slider.value));
-      },
+    this.slider = h("input.slider", {
+      type: "range", min: "0", max: "0", value: "0", "aria-label": "Iteration", testid: "fit-iterations",
+      oninput: () => this.step(Number(this.slider.value) - this.index),
     });
     this.player = button("Play the iterations", {
       icon: "play", iconOnly: true, small: true, shortcut: "P", testid: "fit-play", onclick: () => this.toggle(),
     });
-    this.text = h("p", { class: "small muted fit-iteration-text" });
+    this.text = h("p.small.muted.fit-iteration-text");
     this.plot = svg("svg", {
       viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "fit-plot", role: "img", "aria-label": "Cost by iteration",
     });
     this.plot.addEventListener("pointerdown", (event) => this._pick(event));
-    this.plot.addEventListener("pointermove", (event) => {
-      if (event.buttons & 1) this._pick(event);
-    });
-    this.element = h(
-      "div",
-      { class: "column fit-iterations" },
-      this.plot,
-      h("div", { class: "row fit-play-row" }, this.player, this.slider),
-      this.text,
-    );
+    this.plot.addEventListener("pointermove", (event) => event.buttons & 1 && this._pick(event));
+    this.element = h("div.column.fit-iterations",
+      this.plot, h("div.row.fit-play-row", this.player, this.slider), this.text);
     this.show([]);
   }
 
-  get last() {
-    return this.iterations.length - 1;
-  }
+  get last() { return this.iterations.length - 1; }
 
   /** Show a fit's iterations, starting with the last. */
   show(iterations) {
@@ -110,28 +97,20 @@ export class Iterations {
     const levels = this._runs.length;
     this._cursor = svg("line", { class: "cursor", y1: 0, y2: HEIGHT });
     this._dot = svg("circle", { class: "dot-now", r: 3.5 });
-    this.plot.replaceChildren(
-      ...this._runs.map(({ level, points }, run) => {
-        const line = points.map(({ x, y }) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ");
-        const left = run ? (points[0].x + this._runs[run - 1].points.at(-1).x) / 2 : 0;
-        const next = this._runs[run + 1];
-        const right = next ? (points.at(-1).x + next.points[0].x) / 2 : WIDTH;
-        return svg(
-          "g",
-          {},
-          ...(run ? [svg("line", { class: "between", x1: left, x2: left, y1: 0, y2: HEIGHT })] : []),
-          svg("polyline", { points: line, class: "cost" }),
-          ...points.map(({ x, y }) => svg("circle", { cx: x, cy: y, r: 1.6, class: "cost-point" })),
-          // Costs decrease, so the top right of each level is free.
-          svg(
-            "text",
-            { x: right - 5, y: 12, class: "level", "text-anchor": "end" },
-            levels > 1 && right - left > 36 ? `level ${level}` : "",
-          ),
-        );
-      }),
-      ...(this.iterations.length ? [this._cursor, this._dot] : []),
-    );
+    const drawn = this._runs.map(({ level, points }, run) => {
+      const line = points.map(({ x, y }) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ");
+      const left = run ? (points[0].x + this._runs[run - 1].points.at(-1).x) / 2 : 0;
+      const next = this._runs[run + 1];
+      const right = next ? (points.at(-1).x + next.points[0].x) / 2 : WIDTH;
+      const label = levels > 1 && right - left > 36 ? `level ${level}` : "";
+      return svg("g", {},
+        ...(run ? [svg("line", { class: "between", x1: left, x2: left, y1: 0, y2: HEIGHT })] : []),
+        svg("polyline", { points: line, class: "cost" }),
+        ...points.map(({ x, y }) => svg("circle", { cx: x, cy: y, r: 1.6, class: "cost-point" })),
+        // Costs decrease, so the top right of each level is free.
+        svg("text", { x: right - 5, y: 12, class: "level", "text-anchor": "end" }, label));
+    });
+    this.plot.replaceChildren(...drawn, ...(this.iterations.length ? [this._cursor, this._dot] : []));
   }
 
   _mark() {
@@ -159,7 +138,6 @@ export class Iterations {
     const x = ((event.clientX - box.left) / box.width) * WIDTH;
     const points = this._runs.flatMap((run) => run.points);
     const nearest = points.reduce((best, point) => (Math.abs(point.x - x) < Math.abs(best.x - x) ? point : best));
-    this.pause();
-    this.go(nearest.index);
+    this.step(nearest.index - this.index);
   }
 }

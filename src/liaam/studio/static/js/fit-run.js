@@ -104,9 +104,7 @@ export function significant(value, digits = 3) {
 }
 
 /** An error in pixels or percent, to two decimals. */
-function short(value) {
-  return value < 0.01 ? "< 0.01" : String(Number(value.toFixed(2)));
-}
+const short = (value) => value < 0.01 ? "< 0.01" : String(Number(value.toFixed(2)));
 
 const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
 

@@ -2,7 +2,7 @@
 
 import { modelNeeded } from "./fit-draw.js";
 import { invitation } from "./fit-only.js";
-import { button, h, icon, segmented } from "./ui.js";
+import { button, h, iconButton, segmented } from "./ui.js";
 
 const STARTS = [
   {
@@ -15,7 +15,8 @@ const STARTS = [
   },
   {
     value: "mean", label: "Mean shape", title: "Drag the model's mean shape onto the object",
-    hint: "Drag the shape onto the object. Its corners resize it, the knob rotates it. Keys: arrows move, comma and full stop resize, brackets rotate, Enter fits.",
+    hint: "Drag the shape onto the object. Its corners resize it, the knob rotates it. Keys: arrows move, " +
+      "comma and full stop resize, brackets rotate, Enter fits.",
   },
 ];
 
@@ -25,56 +26,36 @@ export class SetupPanel {
   constructor({ app, onback, onopen, onstart, onclick, onmethod, onrun }) {
     this._app = app;
     this._methods = [];
-    this._label = h("span", { class: "fit-source-name grow" });
-    this._back = button("Back to the folder", {
-      icon: "left", iconOnly: true, small: true, kind: "ghost", hidden: true, onclick: onback,
-    });
+    this._label = h("span.fit-source-name.grow");
+    this._back = iconButton("Back to the folder", "left", onback, { small: true, hidden: true });
     const open = button("Open…", {
       icon: "image", small: true, title: "Open another picture without adding it to the folder", onclick: onopen,
     });
     this._starts = segmented("Start", STARTS, "auto", onstart);
     for (const each of this._starts.element.children) each.dataset.testid = `start-${each.dataset.value}`;
     this._starts.element.addEventListener("click", onclick);
-    this._hint = h("p", { class: "small muted", hidden: true });
-    this._method = h("select", {
-      class: "text", "aria-describedby": "fit-method-summary", dataset: { testid: "fit-method" },
+    this._hint = h("p.small.muted", { hidden: true });
+    this._method = h("select.text", {
+      "aria-describedby": "fit-method-summary", testid: "fit-method",
       onchange: () => {
         this._summarise();
         onmethod(this.method);
       },
     });
-    this._summary = h("p", { class: "small muted fit-method-summary", id: "fit-method-summary" });
-    this._run = h(
-      "button",
-      {
-        type: "button", class: "button primary", "aria-keyshortcuts": "Enter", dataset: { testid: "fit-run" },
-        onclick: onrun,
-      },
-      icon("target"),
-      "Fit",
-      h("kbd", { class: "kbd" }, "Enter"),
-    );
-    this._mismatch = h("p", { class: "small error-text", hidden: true, dataset: { testid: "fit-mismatch" } });
-    this._needsModel = h("div", { class: "column" }, modelNeeded(app, "fit-to-annotate"));
-    const method = h("label", { class: "field grow" }, "Method", this._method);
-    this._withModel = h(
-      "div",
-      { class: "column" },
-      h("div", { class: "column tight" }, this._starts.element, this._hint),
-      h("div", { class: "row fit-method" }, method, this._run),
-      this._summary,
-    );
-    this.element = h(
-      "section",
-      { class: "panel", "aria-label": "Fit" },
-      h("div", { class: "row fit-source" }, this._back, this._label, open),
-      this._needsModel, this._mismatch, this._withModel,
-    );
+    this._summary = h("p.small.muted.fit-method-summary", { id: "fit-method-summary" });
+    this._run = button("Fit", { icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run", onclick: onrun });
+    this._run.append(h("kbd.kbd", "Enter"));
+    this._mismatch = h("p.small.error-text", { hidden: true, testid: "fit-mismatch" });
+    this._needsModel = h("div.column", modelNeeded(app, "fit-to-annotate"));
+    this._withModel = h("div.column",
+      h("div.column.tight", this._starts.element, this._hint),
+      h("div.row.fit-method", h("label.field.grow", "Method", this._method), this._run),
+      this._summary);
+    this.element = h("section.panel", { "aria-label": "Fit" },
+      h("div.row.fit-source", this._back, this._label, open), this._needsModel, this._mismatch, this._withModel);
   }
 
-  get method() {
-    return this._method.value;
-  }
+  get method() { return this._method.value; }
 
   /** Set the methods, with `first` at the top. */
   offer(methods, first, chosen) {
@@ -91,9 +72,7 @@ export class SetupPanel {
     this._hint.hidden = value === "auto";
   }
 
-  set canRun(can) {
-    this._run.disabled = !can;
-  }
+  set canRun(can) { this._run.disabled = !can; }
 
   /** source: the picture, or null; canGoBack: whether it hides a picture of the folder; mismatch: why the model does not
    *  match the template, or "". */

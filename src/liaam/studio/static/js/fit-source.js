@@ -16,17 +16,13 @@ export class Source {
     this.image = null;
     this.width = this.height = 0;
     this.ready = null;
+    this.opening = false;
     this.started = performance.now();
     this.key = kind === "picture" ? `picture ${name} ${tag}` : `upload ${(uploads += 1)}`;
   }
 
-  get ofFolder() {
-    return this.kind === "picture";
-  }
-
-  get reference() {
-    return this.ofFolder ? { picture: this.name } : { upload: this.id };
-  }
+  get ofFolder() { return this.kind === "picture"; }
+  get reference() { return this.ofFolder ? { picture: this.name } : { upload: this.id }; }
 
   address(what, query = {}) {
     if (!this.ofFolder) return api.url("uploads", this.id, what, query);
@@ -60,11 +56,7 @@ export class Sources extends EventTarget {
       this._chosen = true;
       this._follow();
     });
-    state.addEventListener("project", () => {
-      if (!this.current?.ofFolder) {
-        if (!this.current) this._follow();
-      } else if (this._watchers) this._follow();
-    });
+    state.addEventListener("project", () => this.current?.kind !== "upload" && this._follow());
   }
 
   /** A tab that shows the source is opened (true) or left (false). Pictures are loaded only while one is open. */
@@ -128,25 +120,19 @@ export class Sources extends EventTarget {
     const source = new Source("upload", file.name || "pasted picture.png");
     const limit = this.state.project?.limits?.upload_bytes;
     if (limit && file.size > limit) {
-      const error = new Error(
-        `${source.name} has ${megabytes(file.size)}, more than the limit of ${megabytes(limit)}: ` +
-          "put it into the folder, or make it smaller.",
-      );
-      this._say("failed", { error, source });
+      const what = `${source.name} has ${megabytes(file.size)}, more than the limit of ${megabytes(limit)}`;
+      this._say("failed", { error: new Error(`${what}: put it into the folder, or make it smaller.`), source });
       return null;
     }
     this._wanted = source;
     this._chosen = false;
     source.ready = this._send(source, file);
     this._say("taken", { source });
-    const seen = createImageBitmap(file).then(
-      (image) => {
-        if (this._wanted !== source || source.image) return;
-        Object.assign(source, { image, width: image.width, height: image.height });
-        this._show(source);
-      },
-      () => null,
-    ); // formats that the browser cannot decode are shown after the upload
+    const seen = createImageBitmap(file).then((image) => {
+      if (this._wanted !== source || source.image) return;
+      Object.assign(source, { image, width: image.width, height: image.height });
+      this._show(source);
+    }, () => null); // formats that the browser cannot decode are shown after the upload
     try {
       await source.ready;
       await seen;

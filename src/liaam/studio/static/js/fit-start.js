@@ -19,9 +19,11 @@ function isNear(viewer, point, xy, event) {
   return Math.hypot(ax - bx, ay - by) <= reachOf(event);
 }
 
-function square(ctx, [x, y], size = 5) {
+/** Draw a handle: a square, or a knob if it is round. */
+function handle(ctx, [x, y], isRound = false) {
   ctx.beginPath();
-  ctx.rect(x - size, y - size, 2 * size, 2 * size);
+  if (isRound) ctx.arc(x, y, 7, 0, 2 * Math.PI);
+  else ctx.rect(x - 5, y - 5, 10, 10);
   ctx.fillStyle = "#ffffff";
   ctx.fill();
   ctx.strokeStyle = "#0b4a66";
@@ -33,9 +35,7 @@ function outline(ctx, corners) {
   ctx.beginPath();
   corners.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
   ctx.closePath();
-  for (const [colour, width] of [
-    ["rgb(0 0 0 / 50%)", 3.5], [COLOUR, 1.6],
-  ]) {
+  for (const [colour, width] of [["rgb(0 0 0 / 50%)", 3.5], [COLOUR, 1.6]]) {
     ctx.strokeStyle = colour;
     ctx.lineWidth = width;
     ctx.stroke();
@@ -51,9 +51,7 @@ export class BoxTool {
     this._drag = null;
   }
 
-  get start() {
-    return this.box && isDrawn(this.box) ? { box: this.box } : null;
-  }
+  get start() { return this.box && isDrawn(this.box) ? { box: this.box } : null; }
 
   clear() {
     this.box = null;
@@ -78,10 +76,8 @@ export class BoxTool {
     if (!this._drag) return;
     const { kind, from, before } = this._drag;
     const { width, height } = this.viewer;
-    this.box =
-      kind === "move"
-        ? boxMoved(before, [xy[0] - from[0], xy[1] - from[1]], width, height)
-        : boxBetween(from, xy, width, height);
+    const [dx, dy] = [xy[0] - from[0], xy[1] - from[1]];
+    this.box = kind === "move" ? boxMoved(before, [dx, dy], width, height) : boxBetween(from, xy, width, height);
     this.viewer.redraw();
   }
 
@@ -117,7 +113,7 @@ export class BoxTool {
     const [x0, y0, x1, y1] = this.box;
     const corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].map((corner) => viewer.toScreen(corner));
     outline(ctx, corners);
-    corners.forEach((corner) => square(ctx, corner));
+    corners.forEach((corner) => handle(ctx, corner));
   }
 }
 
@@ -131,14 +127,10 @@ export class MeanTool {
     this._drag = null;
   }
 
-  get start() {
-    return this.placement && this.unit ? { shape: placed(this.unit, this.placement) } : null;
-  }
+  get start() { return this.placement && this.unit ? { shape: placed(this.unit, this.placement) } : null; }
 
   /** Whether the last fit is hidden while the shape is placed. */
-  get hidesFit() {
-    return !this.fitted && this.start !== null;
-  }
+  get hidesFit() { return !this.fitted && this.start !== null; }
 
   /** Set the model's mean shape, in any units. */
   use(shape, { contours, triangles }) {
@@ -177,10 +169,8 @@ export class MeanTool {
     if (!this._drag) return;
     this.fitted = false;
     const { what, from, before } = this._drag;
-    this.placement =
-      what === "move"
-        ? { ...before, x: before.x + xy[0] - from[0], y: before.y + xy[1] - from[1] }
-        : pulled(before, from, xy, what);
+    const moved = () => ({ ...before, x: before.x + xy[0] - from[0], y: before.y + xy[1] - from[1] });
+    this.placement = what === "move" ? moved() : pulled(before, from, xy, what);
     this.viewer.redraw();
   }
 
@@ -220,14 +210,8 @@ export class MeanTool {
     ctx.lineTo(...to);
     ctx.strokeStyle = COLOUR;
     ctx.stroke();
-    at.forEach((corner) => square(ctx, corner));
-    ctx.beginPath();
-    ctx.arc(...to, 7, 0, 2 * Math.PI);
-    ctx.fillStyle = "#ffffff";
-    ctx.fill();
-    ctx.strokeStyle = "#0b4a66";
-    ctx.lineWidth = 1.5;
-    ctx.stroke();
+    at.forEach((corner) => handle(ctx, corner));
+    handle(ctx, to, true);
   }
 
   _drawShape(ctx, viewer, shape) {

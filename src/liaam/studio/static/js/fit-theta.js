@@ -42,9 +42,7 @@ export class InvariantView extends EventTarget {
   }
 
   /** Part of the picture that the image covers, in its pixels; null: all. */
-  get covered() {
-    return this._chroma?.covered ?? null;
-  }
+  get covered() { return this._chroma?.covered ?? null; }
 
   /** Drop the picture; its chroma is fetched when the view is opened. */
   clear() {
@@ -59,16 +57,14 @@ export class InvariantView extends EventTarget {
     if (this._asked === source) return;
     this._asked = source;
     await source.ready;
-    let chroma;
     try {
-      chroma = parseChroma(await api.buffer(source.address("chroma", { size: SIZE })));
+      const chroma = parseChroma(await api.buffer(source.address("chroma", { size: SIZE })));
+      if (this._asked === source) this._take(chroma);
     } catch (error) {
       if (this._asked !== source) return;
       this._asked = null;
       throw error;
     }
-    if (this._asked !== source) return;
-    this._take(chroma);
   }
 
   _take(chroma) {
@@ -92,9 +88,7 @@ export class InvariantView extends EventTarget {
     this._adaptContrast();
   }
 
-  get _default() {
-    return Math.round(10 * (this.marks.fit ?? this.marks.model ?? USUAL)) / 10;
-  }
+  get _default() { return Math.round(10 * (this.marks.fit ?? this.marks.model ?? USUAL)) / 10; }
 
   key(event) {
     const next = thetaAfterKey(this.theta, event);
@@ -123,9 +117,7 @@ export class InvariantView extends EventTarget {
     this.viewer.redraw();
   }
 
-  get _radians() {
-    return (this.theta * Math.PI) / 180;
-  }
+  get _radians() { return (this.theta * Math.PI) / 180; }
 
   _paint() {
     const range = this._held ? steadyRange(this._sample, this._radians, this._held) : this._range;
@@ -136,9 +128,9 @@ export class InvariantView extends EventTarget {
   }
 
   _controls() {
-    this._slider = h("input", {
-      type: "range", class: "slider", min: "0", max: "180", step: "0.1",
-      "aria-label": "Angle θ of the invariant image in degrees", dataset: { testid: "theta-slider" },
+    this._slider = h("input.slider", {
+      type: "range", min: "0", max: "180", step: "0.1", testid: "theta-slider",
+      "aria-label": "Angle θ of the invariant image in degrees",
       oninput: () => this._move(Number(this._slider.value)), onchange: () => this._adaptContrast(),
       onkeydown: (event) => {
         if (!this.key(event)) return;
@@ -146,10 +138,10 @@ export class InvariantView extends EventTarget {
         event.stopPropagation();
       },
     });
-    this._text = h("output", { class: "number fit-theta-text", dataset: { testid: "theta-value" } });
-    this._marks = h("div", { class: "fit-theta-marks", "aria-hidden": "true" });
-    this._note = h("span", { class: "small muted" });
-    this._reset = button("Reset", {
+    this._text = h("output.number.fit-theta-text", { testid: "theta-value" });
+    this._marks = h("div.fit-theta-marks", { "aria-hidden": "true" });
+    this._note = h("span.small.muted");
+    const reset = button("Reset", {
       small: true, testid: "theta-reset", title: "Reset to the angle of the fit or the model",
       onclick: () => {
         this.theta = this._default;
@@ -158,26 +150,15 @@ export class InvariantView extends EventTarget {
         this._adaptContrast();
       },
     });
-    const colours = segmented(
-      "Colours",
-      [
-        { value: "grey", label: "Grey" },
-        { value: "viridis", label: "Viridis" },
-      ],
-      this.colours,
-      (value) => {
-        this.colours = value;
-        this._dirty = true;
-        this.viewer.redraw();
-      },
-    );
-    return h(
-      "div",
-      { class: "fit-controls" },
-      h("span", { class: "fit-theta-name" }, "θ"),
-      h("div", { class: "fit-theta" }, this._slider, this._marks),
-      this._text, this._reset, colours.element, this._note,
-    );
+    const choices = [{ value: "grey", label: "Grey" }, { value: "viridis", label: "Viridis" }];
+    const colours = segmented("Colours", choices, this.colours, (value) => {
+      this.colours = value;
+      this._dirty = true;
+      this.viewer.redraw();
+    });
+    return h("div.fit-controls",
+      h("span.fit-theta-name", "θ"), h("div.fit-theta", this._slider, this._marks),
+      this._text, reset, colours.element, this._note);
   }
 
   _show() {
@@ -185,24 +166,18 @@ export class InvariantView extends EventTarget {
     this._text.textContent = `${this.theta.toFixed(1)}°`;
     this._slider.setAttribute("aria-valuetext", `${this.theta.toFixed(1)} degrees`);
     const { model, fit } = this.marks;
-    const place = (degrees) => ({ "--at": String(degrees / 180) });
-    const mark = (degrees, name, title) => {
-      const element = h("span", { class: `mark ${name}`, title }, title);
-      for (const [key, value] of Object.entries(place(degrees))) element.style.setProperty(key, value);
-      return element;
-    };
-    const range = h("span", { class: "range", title: "Angles of real cameras are between 90° and 135°" });
-    range.style.setProperty("--from", String(PHYSICAL[0] / 180));
-    range.style.setProperty("--to", String(PHYSICAL[1] / 180));
     const key = `${model}|${fit}`;
     if (this._marked === key) return;
     this._marked = key;
-    this._marks.replaceChildren(
-      range,
-      ...[
-        model != null && mark(model, "model", "model"),
-        fit != null && (model == null || Math.abs(fit - model) > 0.05) && mark(fit, "fit", "fit"),
-      ].filter(Boolean),
-    );
+    const placed = (element, places) => {
+      for (const [name, degrees] of Object.entries(places)) element.style.setProperty(name, String(degrees / 180));
+      return element;
+    };
+    const mark = (name, at) => placed(h("span.mark", { class: name, title: name }, name), { "--at": at });
+    const range = h("span.range", { title: "Angles of real cameras are between 90° and 135°" });
+    const marks = [placed(range, { "--from": PHYSICAL[0], "--to": PHYSICAL[1] })];
+    if (model != null) marks.push(mark("model", model));
+    if (fit != null && (model == null || Math.abs(fit - model) > 0.05)) marks.push(mark("fit", fit));
+    this._marks.replaceChildren(...marks);
   }
 }

@@ -66,6 +66,7 @@ class FitTab {
 
   // Opening and leaving.
 
+  /** @param {{name?: string, view?: string}} options */
   open({ name, view } = {}) {
     if (name) this.state.select(name);
     if (view) this.view.show(view);

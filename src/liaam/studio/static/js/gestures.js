@@ -52,7 +52,7 @@ function dragging(doc, index, indices, start, what) {
   const after = () => doc.follow(before, move(before, indices, dx, dy), indices);
   return {
     loupe: index < 0 ? null : before[index],
-    move(xy) {
+    move(xy, _event) {
       [dx, dy] = [xy[0] - start[0], xy[1] - start[1]];
       const points = after();
       this.loupe = index < 0 ? null : points[index];
@@ -102,8 +102,13 @@ function boxing(doc, start, adds) {
 /** The viewer's tool that edits the document `current()`.
  *  options.boxes() -> whether a drag on an empty place selects with a box; options.onend(): after every gesture. */
 export class PointTool {
+  /** @param {any} viewer; @param {() => any} current
+   *  @param {{boxes?: () => boolean, onend?: () => void}} options */
   constructor(viewer, current, { boxes = () => false, onend = () => {} } = {}) {
-    Object.assign(this, { viewer, current, boxes, onend });
+    this.viewer = viewer;
+    this.current = current;
+    this.boxes = boxes;
+    this.onend = onend;
     this.gesture = null;
     this.hovered = -1;
     this.pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered

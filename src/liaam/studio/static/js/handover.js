@@ -1,4 +1,4 @@
-// Unsaved work of a folder, handed as a file to the page of a studio at another address, which has other browser storage.
+// Unsaved work of a folder, handed as a file to the page of a studio at another address with other browser storage.
 
 const KIND = "liaam-studio-unsaved";
 const isOf = (folder, key) =>
@@ -11,8 +11,8 @@ export function unsavedWork(storage, folder) {
   return keys.length ? JSON.stringify({ kind: KIND, folder, items }) : "";
 }
 
-/** Keep unsaved work of another page in the storage of this one, which a reload restores. Returns the number of items that
- *  were left out, because this page has unsaved work of its own on them. */
+/** Keep unsaved work of another page in the storage of this one, which a reload restores. Returns the number of items
+ *  that were left out, because this page has unsaved work of its own on them. */
 export function takeWork(storage, folder, text, file) {
   let work = null;
   try {
@@ -20,7 +20,8 @@ export function takeWork(storage, folder, text, file) {
   } catch {
     // not JSON: refused below
   }
-  if (work?.kind !== KIND) throw new Error(`${file} is not unsaved work of the studio: drop a picture, or the file that the studio saved.`);
+  if (work?.kind !== KIND)
+    throw new Error(`${file} is not unsaved work of the studio: drop a picture, or the file that the studio saved.`);
   if (work.folder !== folder) throw new Error(`${file} belongs to another folder: open the studio on that folder.`);
   const items = Object.entries(work.items).filter(([key, value]) => isOf(folder, key) && typeof value === "string");
   const fresh = items.filter(([key]) => storage.getItem(key) === null);

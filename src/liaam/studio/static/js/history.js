@@ -4,7 +4,7 @@ const LIMIT = 500; // maximum number of steps
 const BURST = 800; // milliseconds within which steps with the same key are merged
 
 export class History {
-  /** @param {object} state the first state
+  /** @param {any} state the first state
    *  @param {{limit?: number, burst?: number, now?: () => number}} options */
   constructor(state, { limit = LIMIT, burst = BURST, now = () => performance.now() } = {}) {
     this.state = state;
@@ -13,7 +13,7 @@ export class History {
     this.now = now;
     this.past = [];
     this.future = [];
-    this.last = { key: null, time: -Infinity };
+    this.last = { key: null, time: 0 };
   }
 
   /** Add a state. Steps with the same `key` in quick succession (held arrow keys) are merged. */
@@ -28,50 +28,27 @@ export class History {
     this.last = { key, time };
   }
 
-  /** Start again from a state that came from elsewhere (another tab, another file). */
-  reset(state) {
-    this.state = state;
-    this.past = [];
-    this.future = [];
-    this.endBurst();
-  }
-
-  endBurst() {
-    this.last = { key: null, time: -Infinity };
-  }
-
-  get canUndo() {
-    return this.past.length > 0;
-  }
-
-  get canRedo() {
-    return this.future.length > 0;
-  }
+  get canUndo() { return this.past.length > 0; }
+  get canRedo() { return this.future.length > 0; }
 
   /** Description of the step to undo, for the tooltip. */
-  get undoes() {
-    return this.past.at(-1)?.what ?? "";
-  }
-
-  get redoes() {
-    return this.future.at(-1)?.what ?? "";
-  }
+  get undoes() { return this.past.at(-1)?.what ?? ""; }
+  get redoes() { return this.future.at(-1)?.what ?? ""; }
 
   undo() {
-    if (!this.canUndo) return null;
-    const { state, what } = this.past.pop();
-    this.future.push({ state: this.state, what });
-    this.state = state;
-    this.endBurst();
-    return state;
+    return this.travel(this.past, this.future);
+  }
+  redo() {
+    return this.travel(this.future, this.past);
   }
 
-  redo() {
-    if (!this.canRedo) return null;
-    const { state, what } = this.future.pop();
-    this.past.push({ state: this.state, what });
+  /** Take a step from one list to the other; returns its state, or null if there is none. */
+  travel(from, to) {
+    if (!from.length) return null;
+    const { state, what } = from.pop();
+    to.push({ state: this.state, what });
     this.state = state;
-    this.endBurst();
+    this.last = { key: null, time: 0 };
     return state;
   }
 }

@@ -78,9 +78,7 @@ export function robustRange({ red, green }, theta) {
  * Range while theta is dragged: the contrast stays as at the start of the drag, and only the centre follows. So nothing
  * flickers, and an edge fades because the light cancels, not because the contrast changes.
  */
-export function steadyRange(sample, theta, held) {
-  return { centre: robustRange(sample, theta).centre, half: held.half };
-}
+export const steadyRange = (sample, theta, held) => ({ centre: robustRange(sample, theta).centre, half: held.half });
 
 /**
  * Write the colours of the invariant image into the 32-bit pixels of an ImageData. Unusable pixels are hatched, to
@@ -146,6 +144,4 @@ export function thetaAfterKey(theta, { key, shiftKey = false }) {
 }
 
 /** Angle in degrees, folded into 0..180, which covers every invariant up to its sign. */
-export function foldedTheta(degrees) {
-  return ((degrees % 180) + 180) % 180;
-}
+export const foldedTheta = (degrees) => ((degrees % 180) + 180) % 180;

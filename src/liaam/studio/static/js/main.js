@@ -245,7 +245,7 @@ function status() {
     model.className = has ? "badge good" : "badge";
   };
   let before = null;
-  state.addEventListener("training", ({ detail }) => {
+  state.addEventListener("training", (/** @type {any} */ { detail }) => {
     show();
     if (detail.state === "failed" && before !== "failed") toast(`Training failed: ${detail.error}`, "bad");
     before = detail.state;

@@ -12,8 +12,12 @@ import {
 export class Marking {
   /** template() -> template of the project, or null; onchange(): the state has changed; onselect(): the selection has
    *  changed; onpreview(): a gesture moves points; onplaced(index): a click placed a missing point. */
-  constructor({ template, onchange = () => {}, onselect = () => {}, onpreview = () => {}, onplaced = () => {} }) {
-    Object.assign(this, { templateOf: template, onchange, onselect, onpreview, onplaced });
+  constructor({ template, onchange = () => {}, onselect = () => {}, onpreview = () => {}, onplaced = (_index) => {} }) {
+    this.templateOf = template;
+    this.onchange = onchange;
+    this.onselect = onselect;
+    this.onpreview = onpreview;
+    this.onplaced = onplaced;
     this.book = null;
     this.selection = new Set();
     this.active = -1;
@@ -24,26 +28,12 @@ export class Marking {
     this.followsPointer = false;
   }
 
-  // State -----------------------------------------------------------------------------------------------------------
-
-  get template() {
-    return this.templateOf();
-  }
-  get names() {
-    return this.template?.names ?? [];
-  }
-  get history() {
-    return this.book?.history ?? null;
-  }
-  get state() {
-    return this.history?.state ?? null;
-  }
-  get points() {
-    return this.shown ?? this.state?.points ?? [];
-  }
-  get editable() {
-    return this.book !== null && !this.hidden;
-  }
+  get template() { return this.templateOf(); }
+  get names() { return this.template?.names ?? []; }
+  get history() { return this.book?.history ?? null; }
+  get state() { return this.history?.state ?? null; }
+  get points() { return this.shown ?? this.state?.points ?? []; }
+  get editable() { return this.book !== null && !this.hidden; }
   /** Whether the points are from the model or from other pictures, and not accepted yet. */
   get suggested() {
     return this.state !== null && (this.state.source === "proposal" || this.state.source === "layout");
@@ -52,15 +42,9 @@ export class Marking {
   get placing() {
     return this.book !== null && this.active >= 0 && this.active < this.points.length && !this.points[this.active];
   }
-  get chosen() {
-    return [...this.selection].sort((a, b) => a - b);
-  }
-  get chosenPlaced() {
-    return this.chosen.filter((i) => this.points[i]);
-  }
-  get missing() {
-    return missing(this.points);
-  }
+  get chosen() { return [...this.selection].sort((a, b) => a - b); }
+  get chosenPlaced() { return this.chosen.filter((i) => this.points[i]); }
+  get missing() { return missing(this.points); }
 
   /** The points with a frame and handles. */
   framed() {
@@ -74,8 +58,6 @@ export class Marking {
     if (this.invisible.has(index)) return "invisible";
     return this.suggested ? "proposed" : "placed";
   }
-
-  // Changes ---------------------------------------------------------------------------------------------------------
 
   open(book) {
     this.book = book;
@@ -130,8 +112,6 @@ export class Marking {
     this.onchange();
   }
 
-  // Gestures --------------------------------------------------------------------------------------------------------
-
   follow(before, after, indices) {
     return this.mirrored ? withTwins(before, after, indices, this.template.mirror) : after;
   }
@@ -160,8 +140,6 @@ export class Marking {
       cancel: () => marking.revert(),
     };
   }
-
-  // Edits -----------------------------------------------------------------------------------------------------------
 
   accept() {
     if (this.suggested) this.change({}, "accept", null, true);

@@ -1,62 +1,99 @@
-// The panel beside the picture: its points, actions on the selected ones, and the start of new pictures.
+// The panel beside the picture: its points with their states, actions on the selected ones, and the start of pictures.
 
-import { PointList } from "./point-list.js";
+import { button, h, iconButton, segmented } from "./ui.js";
 
 const START_KEY = "liaam-studio:start";
+const STARTS = [
+  { value: "layout", label: "Mean shape", title: "Start with the mean shape of the done pictures" },
+  { value: "click", label: "Click each", title: "Click the points one after another" },
+];
 
-export class PointsPanel {
-  /** onstart(): the start of new pictures has changed; onedit(): edit the template. */
-  constructor({ ui, commands, onstart, onedit }) {
-    const { h, button, segmented } = ui;
-    this.list = new PointList(ui, (index, adds) => commands.chooseFromList(index, adds));
-    this.tally = h("span", { class: "muted small grow" });
-    const small = (label, icon, shortcut, onclick) =>
-      button(label, { icon, iconOnly: true, small: true, kind: "ghost", shortcut, onclick });
-    this.hideButton = small("Visible or invisible", "eye-off", "V", () => commands.toggleInvisible());
-    this.removeButton = small("Clear position", "trash", "Delete", () => commands.removeChosen());
-    this.startChoice = segmented(
-      "Start of pictures without points",
-      [
-        { value: "layout", label: "Mean shape", title: "Start with the mean shape of the done pictures" },
-        { value: "click", label: "Click each", title: "Click the points one after another" },
-      ],
-      localStorage.getItem(START_KEY) ?? "layout",
-      (value) => {
-        localStorage.setItem(START_KEY, value);
-        onstart();
-      },
-    );
-    this.editButton = button("Edit template…", { icon: "edit", small: true, testid: "template-edit", onclick: onedit });
-    const title = h("h2", { class: "panel-title" }, "Points");
-    const begin = h("span", { class: "small muted grow" }, "Start with");
-    this.elements = [
-      h(
-        "section",
-        { class: "panel grow point-panel" },
-        h("div", { class: "row" }, title, this.tally, this.hideButton, this.removeButton),
-        this.list.element,
-      ),
-      h(
-        "section",
-        { class: "panel side-foot" },
-        h("div", { class: "row begin-with" }, begin, this.startChoice.element),
-        h("div", { class: "row" }, this.editButton),
-      ),
-    ];
+/** onstart(): the start of new pictures has changed; onedit(): edit the template. */
+export function createPointsPanel({ commands, onstart, onedit }) {
+  const list = pointList((index, adds) => commands.chooseFromList(index, adds));
+  const tally = h("span.muted.small.grow");
+  const act = (label, icon, shortcut, work) => iconButton(label, icon, work, { small: true, shortcut });
+  const hide = act("Visible or invisible", "eye-off", "V", () => commands.toggleInvisible());
+  const remove = act("Clear position", "trash", "Delete", () => commands.removeChosen());
+  const kept = localStorage.getItem(START_KEY) ?? "layout";
+  const start = segmented("Start of pictures without points", STARTS, kept, (value) => {
+    localStorage.setItem(START_KEY, value);
+    onstart();
+  });
+  const edit = button("Edit template…", { icon: "edit", small: true, testid: "template-edit", onclick: onedit });
+  const mark = ({ selection, active }) => {
+    list.mark(selection, active);
+    hide.disabled = remove.disabled = selection.size === 0;
+  };
+  return {
+    list: list.element, tally, edit, mark,
+    elements: [
+      h("section.panel.grow.point-panel",
+        h("div.row", h("h2.panel-title", "Points"), tally, hide, remove), list.element),
+      h("section.panel.side-foot",
+        h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), h("div.row", edit)),
+    ],
+    /** Start of pictures without points: "layout" or "click". */
+    get start() { return start.value; },
+    render(marking) {
+      list.render(marking.book ? marking.names : [], (i) => marking.stateOf(i));
+      mark(marking);
+    },
+  };
+}
+
+/** The list of the points, selected by mouse or keyboard. onchoose(index, adds): in addition to others if `adds`. */
+function pointList(onchoose) {
+  const items = [];
+  let current = -1;
+  const element = h("ul.point-list", {
+    role: "listbox", tabindex: "0", "aria-label": "Points", "aria-multiselectable": "true", testid: "point-list",
+    onclick: (event) => {
+      const item = event.target.closest("[role=option]");
+      if (item) onchoose(Number(item.dataset.index), event.ctrlKey || event.metaKey || event.shiftKey);
+    },
+    onkeydown: (event) => {
+      const last = items.length - 1;
+      const goes = { ArrowDown: current + 1, ArrowUp: current - 1, Home: 0, End: last };
+      if (!(event.key in goes) || event.ctrlKey || event.metaKey || event.altKey || last < 0) return;
+      event.preventDefault();
+      event.stopPropagation();
+      onchoose(Math.min(Math.max(goes[event.key], 0), last), false);
+    },
+  });
+
+  function add(i) {
+    const [name, state] = [h("span.point-name.grow"), h("span.point-state.small.muted")];
+    const item = h("li.point", { role: "option", id: `point-${i}`, dataset: { index: i }, "aria-selected": "false" },
+      h("span.point-dot", { "aria-hidden": "true" }), h("span.number.muted", String(i + 1)), name, state);
+    items.push({ element: item, name, state, key: "" });
+    element.append(item);
   }
 
-  /** Start of pictures without points: "layout" or "click". */
-  get start() {
-    return this.startChoice.value;
-  }
-
-  render(marking) {
-    this.list.render(marking.book ? marking.names : [], (i) => marking.stateOf(i));
-    this.mark(marking);
-  }
-
-  mark({ selection, active }) {
-    this.list.mark(selection, active);
-    this.hideButton.disabled = this.removeButton.disabled = selection.size === 0;
-  }
+  return {
+    element,
+    /** Update the items whose state has changed. */
+    render(names, stateOf) {
+      while (items.length > names.length) items.pop().element.remove();
+      names.forEach((name, i) => {
+        if (!items[i]) add(i);
+        const item = items[i];
+        const state = stateOf(i);
+        if (item.key === `${state}|${name}`) return;
+        item.key = `${state}|${name}`;
+        item.element.dataset.state = state;
+        item.name.textContent = name;
+        item.state.textContent = state === "placed" || state === "proposed" ? "" : state;
+        item.element.setAttribute("aria-label", `${name}, ${state}`);
+      });
+    },
+    mark(selection, active) {
+      current = active;
+      items.forEach((item, i) => item.element.setAttribute("aria-selected", String(selection.has(i))));
+      const item = items[active]?.element;
+      if (!item) return element.removeAttribute("aria-activedescendant");
+      element.setAttribute("aria-activedescendant", item.id);
+      item.scrollIntoView({ block: "nearest" });
+    },
+  };
 }

@@ -1,20 +1,17 @@
 // Points of a picture as immutable values: every function returns new arrays. A point is [x, y] in pixels of the
 // picture, or null if it is not placed. This module is independent of the page.
 
-export const NONE = Object.freeze([]);
-
 const isPlaced = (point) => point !== null && point !== undefined;
 
 export const indicesOf = (points) => points.map((_, index) => index);
 export const placed = (points) => indicesOf(points).filter((index) => isPlaced(points[index]));
 export const missing = (points) => indicesOf(points).filter((index) => !isPlaced(points[index]));
 
-/** Round to a hundredth of a pixel, finer than a person can place a point. */
+/** Round to a hundredth of a pixel, finer than a person can place a point.
+ *  @param {number[]} point */
 export const rounded = ([x, y]) => [Math.round(x * 100) / 100, Math.round(y * 100) / 100];
 
-export function place(points, index, xy) {
-  return points.map((point, i) => (i === index ? rounded(xy) : point));
-}
+export const place = (points, index, xy) => points.map((point, i) => (i === index ? rounded(xy) : point));
 
 export function remove(points, indices) {
   const gone = new Set(indices);
@@ -53,6 +50,9 @@ export function centroid(points, indices = placed(points)) {
   return [sum[0] / own.length, sum[1] / own.length];
 }
 
+/** The placed points in a box of two opposite corners.
+ *  @param {number[][]} points
+ *  @param {number[]} corners */
 export function inBox(points, [x0, y0, x1, y1]) {
   const [left, right, top, bottom] = [Math.min(x0, x1), Math.max(x0, x1), Math.min(y0, y1), Math.max(y0, y1)];
   return placed(points).filter((i) => {
@@ -61,8 +61,8 @@ export function inBox(points, [x0, y0, x1, y1]) {
   });
 }
 
-/** The placed point nearest to xy within `radius`, or -1. Points in `preferred` count as closer, so that a selected point
- *  can be dragged off another one. */
+/** The placed point nearest to xy within `radius`, or -1. Points in `preferred` count as closer, so that a selected
+ *  point can be dragged off another one. */
 export function nearest(points, xy, radius, preferred = new Set()) {
   let best = -1;
   let least = radius;
@@ -171,8 +171,8 @@ export function axisNormal(points, mirror) {
   return length < 1e-9 ? [1, 0] : [x / length, y / length];
 }
 
-/** Move the twins of `indices` by the mirrored move from `before` to `after`. Twins that are in `indices` keep their own
- *  move, and points on the axis move freely. */
+/** Move the twins of `indices` by the mirrored move from `before` to `after`. Twins that are in `indices` keep their
+ *  own move, and points on the axis move freely. */
 export function withTwins(before, after, indices, mirror) {
   if (!mirror) return after;
   const [nx, ny] = axisNormal(before, mirror);

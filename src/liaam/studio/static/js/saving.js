@@ -8,11 +8,8 @@ export const DELAY = 250; // milliseconds between a change and its request
 const RETRY = [1000, 2000, 4000, 8000];
 
 /** Body of a request: the content with the revisions of the file and, if known, of the template. */
-function body({ sent, revision, template }) {
-  return template?.revision === undefined
-    ? { ...sent, revision }
-    : { ...sent, revision, template: template.revision };
-}
+const body = ({ sent, revision, template }) =>
+  template?.revision === undefined ? { ...sent, revision } : { ...sent, revision, template: template.revision };
 
 const sizeOf = ({ width = null, height = null }) => ({ width, height });
 
@@ -20,9 +17,8 @@ const sizeOf = ({ width = null, height = null }) => ({ width, height });
 const mayBeOne = (a, b) => !a?.width || !b?.width || (a.width === b.width && a.height === b.height);
 
 /** The contents of a picture's landmark file, from the server's answer; proposals are not in a file. */
-export function contentOf({ points, invisible, source }) {
-  return source === "file" ? { points, invisible } : { points: points.map(() => null), invisible: [] };
-}
+export const contentOf = ({ points, invisible, source }) =>
+  source === "file" ? { points, invisible } : { points: points.map(() => null), invisible: [] };
 
 /** States of an entry, worst first: the status line shows the worst of all pictures. */
 export const STATES = ["conflict", "refused", "failing", "offline", "saving", "saved"];
@@ -31,29 +27,24 @@ export const STATES = ["conflict", "refused", "failing", "offline", "saving", "s
 const isOffline = ({ status }) => !status || [401, 403, 421].includes(status);
 const isFinal = (error) => error.status >= 400 && error.status < 500 && !isOffline(error);
 
+const DEFAULTS = {
+  onSaved() {}, onForeign() {}, onTemplate() {}, onLost() {}, template: () => null, delay: DELAY,
+  setTimer: (f, ms) => setTimeout(f, ms), clearTimer: (id) => clearTimeout(id),
+};
+
 export class Saver {
-  /** @param {object} options
-   *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. The request should outlive the page
-   *  (keepalive), so that a flush is enough when the page is closed;
+  /** @param {any} options
+   *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. The request should outlive the
+   *  page (keepalive), so that a flush is enough when the page is closed;
    *  unsaved: Unsaved; template() -> {names, revision} of the current template;
    *  onStatus(state, message); onSaved(name, answer); onConflict(name, current);
    *  onForeign(name): the landmarks were changed elsewhere;
    *  onTemplate(name): the server has another template: update `template`, then call `rebase`;
    *  onLost(name, sentence): unsaved marks cannot be saved */
-  constructor({
-    put, unsaved, onStatus,
-    onSaved = () => {},
-    onConflict,
-    onForeign = () => {},
-    onTemplate = () => {},
-    onLost = () => {},
-    template = () => null,
-    delay = DELAY,
-    setTimer = (f, ms) => setTimeout(f, ms),
-    clearTimer = (id) => clearTimeout(id),
-  }) {
-    Object.assign(this, { put, unsaved, onStatus, onSaved, onConflict, onForeign, onTemplate, onLost });
-    Object.assign(this, { template, delay, setTimer, clearTimer });
+  constructor(options) {
+    this.options = { ...DEFAULTS, ...options };
+    this.unsaved = options.unsaved;
+    this.template = this.options.template;
     this.entries = new Map();
   }
 
@@ -81,30 +72,17 @@ export class Saver {
     return entry?.wanted ?? entry?.sent ?? null;
   }
 
-  /** Whether a conflict is about a deleted file. */
-  wasDeleted(name) {
-    return this.entry(name).deleted;
-  }
-
   /** Whether a picture has unsaved content. */
   isDirty(name) {
-    const entry = this.entries.get(name);
-    return Boolean(entry && (entry.wanted || entry.sent));
+    return this.pending(name) !== null;
   }
 
   /** Names of all pictures with unsaved content. */
-  get dirty() {
-    return [...this.entries.keys()].filter((name) => this.isDirty(name));
-  }
-
-  get anyDirty() {
-    return this.dirty.length > 0;
-  }
+  get dirty() { return [...this.entries.keys()].filter((name) => this.isDirty(name)); }
+  get anyDirty() { return this.dirty.length > 0; }
 
   /** A picture with an unresolved conflict, or null. */
-  get conflicted() {
-    return [...this.entries].find(([, entry]) => entry.state === "conflict")?.[0] ?? null;
-  }
+  get conflicted() { return [...this.entries].find(([, entry]) => entry.state === "conflict")?.[0] ?? null; }
 
   change(name, content) {
     const entry = this.entry(name);
@@ -115,15 +93,20 @@ export class Saver {
     if (entry.state === "conflict") return; // the user has to decide first
     this.mark(entry, "saving");
     if (entry.sent) return; // sent after the answer to the running request
-    this.schedule(name, entry, this.delay);
+    this.schedule(name, entry, this.options.delay);
   }
 
   schedule(name, entry, delay) {
     if (entry.timer !== null) return; // at most `delay` after the first change, not after the last
-    entry.timer = this.setTimer(() => {
+    entry.timer = this.options.setTimer(() => {
       entry.timer = null;
       this.send(name);
     }, delay);
+  }
+
+  unschedule(entry) {
+    this.options.clearTimer(entry.timer);
+    entry.timer = null;
   }
 
   keep(name, entry) {
@@ -137,10 +120,21 @@ export class Saver {
     this.report();
   }
 
+  conflict(name, entry, current) {
+    this.mark(entry, "conflict");
+    this.options.onConflict(name, current);
+  }
+
+  /** There is nothing to save any more. */
+  settle(name, entry) {
+    this.unsaved.delete(name);
+    this.mark(entry, "saved");
+  }
+
   report() {
     const all = [...this.entries.values()];
     const worst = STATES.find((state) => all.some((entry) => entry.state === state)) ?? "saved";
-    this.onStatus(worst, all.find((entry) => entry.state === worst)?.message ?? "");
+    this.options.onStatus(worst, all.find((entry) => entry.state === worst)?.message ?? "");
   }
 
   flush(name = null) {
@@ -156,13 +150,12 @@ export class Saver {
   }
 
   async sendNow(name, entry) {
-    this.clearTimer(entry.timer);
-    entry.timer = null;
+    this.unschedule(entry);
     entry.sent = entry.wanted;
     entry.wanted = null;
     this.keep(name, entry);
     try {
-      await this.landed(name, entry, await this.put(name, body(entry)));
+      await this.landed(name, entry, await this.options.put(name, body(entry)));
     } catch (error) {
       await this.failed(name, entry, error);
     }
@@ -173,14 +166,13 @@ export class Saver {
     entry.saved = entry.sent;
     entry.sent = null;
     entry.retries = 0;
-    this.onSaved(name, answer);
+    this.options.onSaved(name, answer);
     if (entry.wanted) {
       this.keep(name, entry);
       return this.sendNow(name, entry);
     }
-    this.unsaved.delete(name);
-    this.mark(entry, "saved");
-    this.handleHeard(name, entry);
+    this.settle(name, entry);
+    return this.handleHeard(name, entry);
   }
 
   failed(name, entry, error) {
@@ -188,13 +180,13 @@ export class Saver {
     entry.wanted ??= sent;
     entry.sent = null;
     this.keep(name, entry);
-    const { current, template } = error.body ?? {};
-    if (error.status === 409 && template && !current) {
+    const { current, template } = (error.status === 409 && error.body) || {};
+    if (template && !current) {
       this.mark(entry, "failing", error.message);
-      this.onTemplate(name);
-      return;
+      this.options.onTemplate(name);
+      return undefined;
     }
-    if (error.status === 409 && current) {
+    if (current) {
       entry.deleted = current.revision === null && entry.revision !== null;
       entry.revision = current.revision;
       entry.saved = contentOf(current);
@@ -204,35 +196,29 @@ export class Saver {
         entry.sent = sent;
         return this.landed(name, entry, { revision: current.revision });
       }
-      this.mark(entry, "conflict");
-      this.onConflict(name, current);
-      return;
+      return this.conflict(name, entry, current);
     }
-    if (isFinal(error)) {
-      this.mark(entry, "refused", error.message); // a retry would be refused, too
-      return;
-    }
+    if (isFinal(error)) return this.mark(entry, "refused", error.message); // a retry would be refused, too
     const wait = RETRY[Math.min(entry.retries, RETRY.length - 1)];
     entry.retries += 1;
     if (isOffline(error)) this.mark(entry, "offline", error.status === 401 ? error.message : "");
     else this.mark(entry, "failing", error.message);
-    this.schedule(name, entry, wait);
+    return this.schedule(name, entry, wait);
   }
 
   /** The server is reachable again: retry all. */
   retry() {
     for (const [name, entry] of this.entries) {
       if (entry.state !== "offline" && entry.state !== "failing") continue;
-      this.clearTimer(entry.timer);
-      entry.timer = null;
+      this.unschedule(entry);
       this.send(name);
     }
   }
 
   /** Resolve a conflict: "mine" overwrites the server's version, "theirs" discards the version of this page. */
-  resolveConflict(name, which) {
+  async resolveConflict(name, which) {
     const entry = this.entry(name);
-    if (entry.state !== "conflict") return Promise.resolve();
+    if (entry.state !== "conflict") return undefined;
     entry.state = "saving";
     entry.deleted = false;
     if (which === "mine") {
@@ -240,9 +226,7 @@ export class Saver {
       return this.send(name);
     }
     entry.wanted = null;
-    this.unsaved.delete(name);
-    this.mark(entry, "saved");
-    return Promise.resolve();
+    return this.settle(name, entry);
   }
 
   /** The server reports a new revision of a picture's landmarks. */
@@ -255,7 +239,7 @@ export class Saver {
   handleHeard(name, entry) {
     const { heard } = entry;
     entry.heard = null;
-    if (heard !== null && heard !== entry.revision) this.onForeign(name);
+    if (heard !== null && heard !== entry.revision) this.options.onForeign(name);
   }
 
   /** Convert the unsaved marks of a picture to the current template.
@@ -269,12 +253,12 @@ export class Saver {
     entry.template = this.template();
     entry.state = "saving";
     entry.retries = 0;
-    this.clearTimer(entry.timer);
-    entry.timer = null;
+    this.unschedule(entry);
     this.resume(name, entry, moved, current);
   }
 
-  /** Convert marks of another template to the current one: {wanted, ours}; wanted is null if no point can be converted. */
+  /** Convert marks of another template to the current one: {wanted, ours}; wanted is null if no point can be
+   *  converted. */
   carry(name, { wanted, saved, template }, current, mapping = null) {
     const now = contentOf(current);
     const names = this.template()?.names ?? [];
@@ -282,7 +266,7 @@ export class Saver {
     const { content, lost } = move(wanted);
     if (lost.length) {
       const what = lost.length > 3 ? `${lost.length} points` : lost.map((point) => `'${point}'`).join(", ");
-      this.onLost(name, `The template no longer has ${what}, which you had placed in ${name}.`);
+      this.options.onLost(name, `The template no longer has ${what}, which you had placed in ${name}.`);
     }
     return { wanted: content, ours: content && saved ? sameMarks(move(saved).content ?? now, now) : false };
   }
@@ -291,8 +275,7 @@ export class Saver {
   resume(name, entry, { wanted, ours }, current) {
     if (!wanted || sameMarks(wanted, contentOf(current))) {
       entry.wanted = null;
-      this.unsaved.delete(name);
-      this.mark(entry, "saved");
+      this.settle(name, entry);
       return null;
     }
     entry.wanted = wanted;
@@ -301,8 +284,7 @@ export class Saver {
       this.mark(entry, "saving");
       this.schedule(name, entry, 0);
     } else {
-      this.mark(entry, "conflict");
-      this.onConflict(name, current);
+      this.conflict(name, entry, current);
     }
     return wanted;
   }
@@ -313,25 +295,21 @@ export class Saver {
     const kept = this.unsaved.get(name);
     const content = contentOf(current);
     this.known(name, current.revision, content, sizeOf(current));
-    if (!kept?.wanted) {
+    const drop = (why) => {
+      if (why) this.options.onLost(name, why);
       this.unsaved.delete(name);
       return null;
-    }
+    };
+    if (!kept?.wanted) return drop("");
+    if (!mayBeOne(kept.size, current))
+      return drop(`${name} was replaced by another picture: the unsaved points of the earlier one were dropped.`);
     const entry = this.entry(name);
-    if (!mayBeOne(kept.size, current)) {
-      this.onLost(name, `${name} was replaced by another picture: the unsaved points of the earlier one were dropped.`);
-      this.unsaved.delete(name);
-      return null;
-    }
     const now = this.template();
     const another = Boolean(kept.template?.names) && kept.template.revision !== now?.revision;
     entry.template = now;
     if (another) return this.resume(name, entry, this.carry(name, kept, current), current);
-    if (kept.wanted.points?.length !== content.points.length) {
-      this.onLost(name, `The unsaved points of ${name} belong to another template and were dropped.`);
-      this.unsaved.delete(name);
-      return null;
-    }
+    if (kept.wanted.points?.length !== content.points.length)
+      return drop(`The unsaved points of ${name} belong to another template and were dropped.`);
     entry.deleted = current.revision === null && (kept.revision ?? null) !== null;
     const ours = kept.revision === current.revision || Boolean(kept.sent && sameMarks(kept.sent, content));
     return this.resume(name, entry, { wanted: kept.wanted, ours }, current);

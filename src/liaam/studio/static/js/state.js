@@ -8,6 +8,7 @@ const LOOK_EVERY = 4000; // milliseconds between checks of the folder
 export class State extends EventTarget {
   constructor() {
     super();
+    /** @type {Project | null} */
     this.project = null;
     this.current = null;
     this.order = []; // names of the pictures as the list shows them

@@ -1,127 +1,205 @@
 // The panel beside the picture while the template is edited: instructions, points, paths, and Done.
 
-import { TemplatePaths } from "./template-paths.js";
-import { TemplatePoints } from "./template-points.js";
+import { several } from "./annotate-words.js";
+import * as drafts from "./template.js";
+import { button, h, icon, iconButton } from "./ui.js";
 
-export class TemplatePanel {
-  /** onload(file): start with a landmark file; ondone(); onleave(). */
-  constructor({ ui, drafting, onload, ondone, onleave }) {
-    const { h, button, icon } = ui;
-    Object.assign(this, { h, drafting });
-    this.busy = false;
-    this.heading = h("h2", { class: "panel-title" });
-    this.intro = h("div", { class: "column template-intro" });
-    this.file = h("input", {
-      type: "file", class: "visually-hidden", id: "template-file", dataset: { testid: "template-load" },
-      onchange: () => this.file.files[0] && onload(this.file.files[0]),
-    });
-    const from = "Load a landmark file";
-    this.loadLabel = h("label", { class: "button", for: "template-file" }, icon("upload"), from);
-    this.pathButton = button("New path", {
-      icon: "path", small: true, shortcut: "N", testid: "template-new-path", onclick: () => drafting.startPath(),
-    });
-    this.closeButton = button("Close path", {
-      icon: "check", small: true, shortcut: "C", testid: "template-close-path", onclick: () => drafting.close(),
-    });
-    this.mirrorButton = button("Mirror", {
-      icon: "mirror", small: true, shortcut: "X", pressed: false, onclick: () => this.toggleMirror(),
-      title: "Add a mirrored point on the other side of the line with each point",
-    });
-    this.flipButton = button("Flip", {
-      icon: "swap", small: true, onclick: () => drafting.flip(), title: "Swap left and right",
-    });
-    this.doneButton = button("Done", { icon: "check", kind: "primary", testid: "template-done", onclick: ondone });
-    this.cancelButton = button("Cancel", { kind: "ghost", onclick: onleave });
-    this.message = h("p", { class: "small error-text", role: "status" });
-    this.points = new TemplatePoints(ui, drafting);
-    this.paths = new TemplatePaths(ui, drafting);
-    this.placedButton = button("The points are in place", {
-      kind: "primary", small: true, onclick: () => drafting.endLayout(),
-    });
-    const tools = h("div", { class: "row" }, this.pathButton, this.closeButton, this.mirrorButton, this.flipButton);
-    const lists = h(
-      "section",
-      { class: "panel grow template-lists" },
-      h("h2", { class: "panel-title" }, "Points"),
-      this.points.element,
-      h("h2", { class: "panel-title" }, "Paths"),
-      this.paths.element,
-    );
-    const foot = h("div", { class: "row" }, this.doneButton, this.cancelButton);
-    this.element = h(
-      "div",
-      { class: "template-panel" },
-      h("section", { class: "panel" }, this.heading, this.intro, tools),
-      lists,
-      h("section", { class: "panel side-foot" }, this.message, foot),
-    );
-  }
+const START =
+  "Which points will be placed on every picture? Click them on this picture, one contour after another. Each click " +
+  "continues the path.";
+const CONTINUE =
+  "Click to continue the path, or click its first point to close it. Shift-click a point to connect the path to it. " +
+  "You can change names below, now or later.";
+const EDIT =
+  "Click the picture to add points. Shift-click a point to connect the path to it. Other pictures change when you " +
+  "press Done.";
+const LAY_OUT = "Drag the frame's handles until the points lie on this picture, then move single points.";
 
-  render() {
-    this.points.render();
-    this.paths.render();
-    this.refresh();
+/** onload(file): start with a landmark file; ondone(); onleave(). */
+export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
+  let busy = false;
+  const heading = h("h2.panel-title");
+  const intro = h("div.column.template-intro");
+  const file = h("input.visually-hidden", {
+    type: "file", id: "template-file", testid: "template-load",
+    onchange: async () => {
+      if (file.files[0]) await onload(file.files[0]);
+      file.value = ""; // so that the same file can be chosen again
+    },
+  });
+  const tool = (label, icon, onclick, more = {}) => button(label, { icon, small: true, onclick, ...more });
+  const path = tool("New path", "path", () => drafting.startPath(), { shortcut: "N", testid: "template-new-path" });
+  const close = tool("Close path", "check", () => drafting.close(), { shortcut: "C", testid: "template-close-path" });
+  const mirror = tool("Mirror", "mirror", () => toggleMirror(), {
+    shortcut: "X", pressed: false, title: "Add a mirrored point on the other side of the line with each point",
+  });
+  const flip = tool("Flip", "swap", () => drafting.flip(), { title: "Swap left and right" });
+  const done = button("Done", { icon: "check", kind: "primary", testid: "template-done", onclick: ondone });
+  const cancel = button("Cancel", { kind: "ghost", onclick: onleave });
+  const endLayout = () => drafting.endLayout();
+  const settled = button("The points are in place", { kind: "primary", small: true, onclick: endLayout });
+  const message = h("p.small.error-text", { role: "status" });
+  const points = pointRows(drafting);
+  const paths = h("ul.template-paths", { "aria-label": "Paths of the template" });
+  const element = h("div.template-panel",
+    h("section.panel", heading, intro, h("div.row", path, close, mirror, flip)),
+    h("section.panel.grow.template-lists",
+      h("h2.panel-title", "Points"), points.element, h("h2.panel-title", "Paths"), paths),
+    h("section.panel.side-foot", message, h("div.row", done, cancel)));
+
+  const showMirror = (on) => mirror.setAttribute("aria-pressed", String(on));
+  const toggleMirror = () => showMirror(drafting.toggleMirror());
+
+  /** What to do, above the buttons. */
+  function steps() {
+    const { draft, saved, layingOut, loaded } = drafting;
+    const hint = (text) => [h("p.muted.small", text)];
+    if (layingOut) return [h("p", loaded ? `Points of ${loaded}. ` : "", LAY_OUT), settled];
+    if (saved) return hint(EDIT);
+    if (draft.names.length) return hint(CONTINUE);
+    const label = h("label.button", { for: "template-file" }, icon("upload"), "Load a landmark file");
+    return [h("p", START), ...hint("Or load them from a landmark file (.pts, .ljson, .asf …):"), h("div", file, label)];
   }
 
   /** Update the buttons and the instructions. */
-  refresh() {
-    const { draft, saved, layingOut } = this.drafting;
-    this.heading.textContent = saved ? "Edit the template" : "Start with a template";
-    this.intro.replaceChildren(...this.steps());
+  function refresh() {
+    const { draft, saved, layingOut } = drafting;
     const open = draft.path >= 0;
-    this.pathButton.disabled = !open;
-    this.closeButton.disabled = !open || draft.contours[draft.path].indices.length < (draft.twinPath < 0 ? 3 : 2);
-    this.mirrorButton.disabled = layingOut;
-    this.flipButton.hidden = !layingOut && !saved;
-    this.doneButton.disabled = this.busy || draft.names.length === 0;
-    this.cancelButton.hidden = saved === null && !draft.names.length;
-    this.cancelButton.lastChild.textContent = saved ? "Cancel" : "Start over";
-    this.message.textContent = "";
+    heading.textContent = saved ? "Edit the template" : "Start with a template";
+    intro.replaceChildren(...steps());
+    path.disabled = !open;
+    close.disabled = !open || draft.contours[draft.path].indices.length < (draft.twinPath < 0 ? 3 : 2);
+    mirror.disabled = layingOut;
+    flip.hidden = !layingOut && !saved;
+    done.disabled = busy || draft.names.length === 0;
+    cancel.hidden = saved === null && !draft.names.length;
+    cancel.lastChild.textContent = saved ? "Cancel" : "Start over";
+    message.textContent = "";
   }
 
-  steps() {
-    const { h } = this;
-    const { draft, saved, layingOut, loaded } = this.drafting;
-    const muted = (text) => h("p", { class: "muted small" }, text);
-    if (layingOut) {
-      const how = "Drag the frame's handles until the points lie on this picture, then move single points.";
-      return [h("p", {}, loaded ? `Points of ${loaded}. ` : "", how), this.placedButton];
-    }
-    if (saved) {
-      return [
-        muted(
-          "Click the picture to add points. Shift-click a point to connect the path to it. Other pictures change when you press Done.",
-        ),
-      ];
-    }
-    if (draft.names.length) {
-      return [
-        muted(
-          "Click to continue the path, or click its first point to close it. Shift-click a point to connect the path to it. You can change names below, now or later.",
-        ),
-      ];
-    }
-    const what =
-      "Which points will be placed on every picture? Click them on this picture, one contour after another. Each click continues the path.";
-    return [
-      h("p", {}, what),
-      muted("Or load them from a landmark file (.pts, .ljson, .asf …):"),
-      h("div", {}, this.file, this.loadLabel),
-    ];
+  return {
+    element, message, mark: points.mark, showMirror, toggleMirror,
+    render() {
+      const { contours } = drafting.draft;
+      points.render();
+      paths.dataset.empty = contours.length ? "" : "No paths yet";
+      paths.replaceChildren(...contours.map((contour, k) => pathRow(drafting, contour, k)));
+      refresh();
+    },
+    /** Disable Done while the template is being saved. */
+    setBusy(now) {
+      busy = now;
+      if (busy) refresh();
+      else done.disabled = false;
+    },
+  };
+}
+
+function pathRow(drafting, { indices, closed }, k) {
+  const current = k === drafting.draft.path;
+  const label = `Path ${k + 1}`;
+  const length = ` ${several(indices.length, "point")}${current ? ", being drawn" : ""}`;
+  const edit = (what, change, ...more) => () => drafting.apply(change(drafting.draft, k, ...more), what);
+  const small = (text, icon, onclick, more = {}) =>
+    iconButton(`${text} path ${k + 1}`, icon, onclick, { small: true, ...more });
+  const state = { small: true, kind: "ghost", pressed: closed, "aria-label": `${label}: closed` };
+  return h("li.template-path", { class: current && "chosen" },
+    h("span.grow", label, h("span.muted.small", length)),
+    !current && indices.length > 2 &&
+      button(closed ? "closed" : "open", { ...state, onclick: edit("close path", drafts.setClosed, !closed) }),
+    !current && small("Continue", "edit", edit("continue path", drafts.continuePath)),
+    small("Delete", "trash", edit("delete path", drafts.removePath), { title: "Delete this path; its points stay" }));
+}
+
+/** The list of the points, to rename, reorder or delete them. */
+function pointRows(drafting) {
+  const rows = [];
+  let dragged = -1;
+  const element = h("ol.template-points", { "aria-label": "Points of the template", testid: "point-list" });
+
+  function mark() {
+    const { selection, active } = drafting;
+    rows.forEach((row, i) => row.element.classList.toggle("chosen", selection.has(i)));
+    if (active >= 0) rows[active]?.element.scrollIntoView({ block: "nearest" });
   }
 
-  toggleMirror() {
-    this.showMirror(this.drafting.toggleMirror());
+  function render() {
+    const { names, draft } = drafting;
+    while (rows.length > names.length) rows.pop().element.remove();
+    while (rows.length < names.length) add();
+    rows.forEach((row, i) => {
+      row.number.textContent = String(i + 1);
+      if (row.name.value !== names[i]) row.name.value = names[i];
+      row.name.setAttribute("aria-label", `Name of point ${i + 1}`);
+      row.gone.setAttribute("aria-label", `Delete ${names[i]}`);
+      const twin = draft.mirror[i];
+      row.twin.textContent = twin === i ? "" : `⇄ ${twin + 1}`;
+      row.twin.title = twin === i ? "" : `Mirrored point: ${names[twin]}`;
+    });
+    element.dataset.empty = names.length ? "" : "No points yet";
+    mark();
   }
 
-  showMirror(on) {
-    this.mirrorButton.setAttribute("aria-pressed", String(on));
+  function add() {
+    const at = () => rows.indexOf(row);
+    const name = h("input.text", {
+      type: "text", spellcheck: "false", autocomplete: "off", onkeydown: (event) => key(event, at()),
+      onfocus: () => {
+        if (!drafting.selection.has(at()) || drafting.selection.size > 1) drafting.select([at()], at());
+      },
+      oninput: () => drafting.apply(drafts.rename(drafting.draft, at(), name.value), "rename", `rename ${at()}`),
+    });
+    const grip = h("span.grip", {
+      title: "Drag to reorder (Alt + ↑ ↓ in the name)", "aria-hidden": "true", onpointermove: drag, onpointerup: drop,
+      onpointercancel: drop,
+      onpointerdown: (event) => {
+        dragged = at();
+        grip.setPointerCapture(event.pointerId);
+        row.element.classList.add("dragged");
+        event.preventDefault();
+      },
+    }, "⠿");
+    const [number, twin] = [h("span.number.muted"), h("span.twin.muted.small")];
+    const gone = iconButton("Delete", "trash", () => drafting.deleteChosen([at()]), { small: true });
+    const row = { element: h("li.template-point", grip, number, name, twin, gone), number, name, twin, gone };
+    rows.push(row);
+    element.append(row.element);
   }
 
-  /** Disable Done while the template is being saved. */
-  setBusy(busy) {
-    this.busy = busy;
-    if (busy) this.refresh();
-    else this.doneButton.disabled = false;
+  /** Index of the row under the pointer, -1 if none. */
+  const under = ({ clientY }) => {
+    const boxes = rows.map((row) => row.element.getBoundingClientRect());
+    return boxes.findIndex((box) => clientY >= box.top && clientY < box.bottom);
+  };
+
+  function drag(event) {
+    if (dragged < 0) return;
+    const over = under(event);
+    rows.forEach((row, i) => {
+      row.element.classList.toggle("drop-above", i === over && over < dragged);
+      row.element.classList.toggle("drop-below", i === over && over > dragged);
+    });
   }
+
+  function drop(event) {
+    const [from, over] = [dragged, under(event)];
+    dragged = -1;
+    for (const row of rows) row.element.classList.remove("drop-above", "drop-below", "dragged");
+    if (event.type === "pointerup" && from >= 0 && over >= 0) drafting.shift(from, over);
+  }
+
+  /** In a name, up, down and Enter go to another one; with Alt they move the point. */
+  function key(event, i) {
+    const step = { ArrowUp: -1, ArrowDown: 1 }[event.key];
+    const go = event.key === "Enter" ? 1 : step;
+    if (!go) return;
+    event.preventDefault();
+    event.stopPropagation();
+    if (event.altKey && step) drafting.shift(i, i + step);
+    const next = rows[Math.min(Math.max(i + go, 0), rows.length - 1)].name;
+    next.focus();
+    next.select();
+  }
+
+  return { element, render, mark };
 }

@@ -1,9 +1,9 @@
-// The landmark template as an immutable value: points, names, paths and symmetry. Every function returns a new draft. The
-// twin of a point is its mirrored point.
+// The landmark template as an immutable value: points, names, paths and symmetry. Every function returns a new draft.
+// The twin of a point is its mirrored point.
 //
-// A draft is {names, points, contours: [{indices, closed}], mirror: twin of each point (itself if none), origins: index
-//  of each point in the saved template or null, path: the contour that clicks continue or -1, twinPath: its mirror image
-//  or -1}
+// A draft is {names, points, contours: [{indices, closed}], mirror: twin of each point (itself if none), origins:
+//  index of each point in the saved template or null, path: the contour that clicks continue or -1, twinPath: its
+//  mirror image or -1}
 
 import { axisNormal, bounds, indicesOf, rounded } from "./points.js";
 
@@ -34,9 +34,8 @@ function appended(draft, xy) {
   };
 }
 
-function extend(contours, path, index) {
-  return contours.map((contour, k) => (k === path ? { ...contour, indices: [...contour.indices, index] } : contour));
-}
+const extend = (contours, path, index) =>
+  contours.map((contour, k) => (k === path ? { ...contour, indices: [...contour.indices, index] } : contour));
 
 const twinsOf = (indices, mirror) => indices.map((i) => mirror[i]);
 
@@ -95,8 +94,6 @@ export function newPath(draft, closed = false) {
   return { ...draft, contours: contours.filter((contour) => contour.indices.length > 1), path: -1, twinPath: -1 };
 }
 
-export const closePath = (draft) => newPath(draft, true);
-
 export function continuePath(draft, path) {
   const ended = newPath(draft);
   const contour = draft.contours[path];
@@ -115,18 +112,16 @@ export function connect(draft, index) {
   return { ...draft, contours: extend(draft.contours, draft.path, index) };
 }
 
-export function setClosed(draft, path, closed) {
-  return { ...draft, contours: draft.contours.map((c, k) => (k === path ? { ...c, closed } : c)) };
-}
+export const setClosed = (draft, path, closed) =>
+  ({ ...draft, contours: draft.contours.map((c, k) => (k === path ? { ...c, closed } : c)) });
 
 export function removePath(draft, path) {
   const ended = { ...draft, path: -1, twinPath: -1 };
   return { ...ended, contours: draft.contours.filter((_, k) => k !== path) };
 }
 
-export function rename(draft, index, name) {
-  return { ...draft, names: draft.names.map((old, i) => (i === index ? name : old)) };
-}
+export const rename = (draft, index, name) =>
+  ({ ...draft, names: draft.names.map((old, i) => (i === index ? name : old)) });
 
 /** The draft with reordered points: order[new index] = old index; other points are deleted. */
 export function arranged(draft, order) {
@@ -184,8 +179,8 @@ export function templateOf(draft) {
   };
 }
 
-/** Old index of each point of the current template, null for a new one, by names. If names only changed in place, points
- *  are matched by position. */
+/** Old index of each point of the current template, null for a new one, by names. If names only changed in place,
+ *  points are matched by position. */
 export function mappingByNames(before, now) {
   const was = now.map((name) => before.indexOf(name));
   const stays = (old, i) => old === i || (old < 0 && !now.includes(before[i]));
@@ -224,9 +219,8 @@ export function rebased(draft, before, now) {
 }
 
 /** Whether landmark files must be rewritten. */
-export function rearranges(draft, count) {
-  return draft.origins.length !== count || draft.origins.some((origin, i) => origin !== i);
-}
+export const rearranges = (draft, count) =>
+  draft.origins.length !== count || draft.origins.some((origin, i) => origin !== i);
 
 /** Description of the effect of saving on the landmark files. */
 export function changes(draft, count) {

@@ -1,7 +1,15 @@
-// Unsaved marks in the browser's storage, and the pages that save them.
+// Unsaved work in the browser's storage, which survives a reload, and the pages that save it.
 
-/** Unsaved marks of a folder in the browser's storage, which survive a reload. Tabs share the storage, so each entry
- *  contains the name of its `page`. */
+/** Use the storage; `otherwise` if it is full or forbidden. Then unsaved work is lost with the page. */
+function attempt(work, otherwise = null) {
+  try {
+    return work();
+  } catch {
+    return otherwise;
+  }
+}
+
+/** Unsaved marks of a folder. Tabs share the storage, so each entry contains the name of its `page`. */
 export class Unsaved {
   /** `folder`: the project's id, since names of folders are not unique. */
   constructor(storage, folder, page = "") {
@@ -11,38 +19,38 @@ export class Unsaved {
   }
 
   set(name, entry) {
-    try {
-      this.storage.setItem(this.prefix + name, JSON.stringify({ ...entry, page: this.page }));
-    } catch {
-      // Ignore a full or forbidden storage; the request is sent in any case.
-    }
+    attempt(() => this.storage.setItem(this.prefix + name, JSON.stringify({ ...entry, page: this.page })));
   }
 
   get(name) {
-    try {
-      return JSON.parse(this.storage.getItem(this.prefix + name));
-    } catch {
-      return null;
-    }
+    return attempt(() => JSON.parse(this.storage.getItem(this.prefix + name)));
   }
 
   delete(name) {
-    try {
-      this.storage.removeItem(this.prefix + name);
-    } catch {
-      // As above.
-    }
+    attempt(() => this.storage.removeItem(this.prefix + name));
   }
 
   names() {
-    try {
-      return Object.keys(this.storage)
-        .filter((key) => key.startsWith(this.prefix))
-        .map((key) => key.slice(this.prefix.length));
-    } catch {
-      return [];
-    }
+    const keys = attempt(() => Object.keys(this.storage), []);
+    return keys.filter((key) => key.startsWith(this.prefix)).map((key) => key.slice(this.prefix.length));
   }
+}
+
+/** The draft of a new template, stored until it is saved: {get(), set(draft or null)}. */
+export function keptDraft(folder) {
+  const key = `liaam-studio:template:${folder}`;
+  return {
+    get() {
+      const kept = attempt(() => JSON.parse(localStorage.getItem(key)));
+      return kept?.names?.length === kept?.points?.length ? kept : null;
+    },
+    set(draft) {
+      attempt(() => {
+        if (draft?.names.length) localStorage.setItem(key, JSON.stringify(draft));
+        else localStorage.removeItem(key);
+      });
+    },
+  };
 }
 
 const LOCK = "liaam-studio:page:";
@@ -51,15 +59,12 @@ const LAST = "liaam-studio:last-page";
 /** The name of this page, and which other pages are open. Each page holds a lock while it is open, so that its unsaved
  *  marks are not taken for those of a closed page. */
 export class Page {
+  /** @param {{locks?: any, session?: Storage}} options */
   constructor({ locks = globalThis.navigator?.locks, session = sessionStorage } = {}) {
     this.locks = locks;
     this.name = `${Date.now().toString(36)}-${Math.random().toString(36).slice(2)}`;
-    try {
-      this.before = session.getItem(LAST); // name of the page in this tab before a reload
-      session.setItem(LAST, this.name);
-    } catch {
-      this.before = null;
-    }
+    this.before = attempt(() => session.getItem(LAST)); // name of the page in this tab before a reload
+    attempt(() => session.setItem(LAST, this.name));
     locks?.request(LOCK + this.name, () => new Promise(() => {})).catch(() => {});
   }
 

@@ -1,0 +1,105 @@
+// Types of the page's data, for JSDoc. The server's Python writes the JSON.
+
+/** A position in pixels of the picture; null: not placed. */
+type Point = number[] | null;
+
+interface Contour {
+  indices: number[];
+  closed: boolean;
+}
+
+/** A picture of the folder, as the list shows it. */
+interface Picture {
+  name: string;
+  tag: string;
+  state: string;
+  placed: number;
+  width: number | null;
+  height: number | null;
+  uncertainty: number | null;
+  doubtful: boolean;
+  rank: number | null;
+  error: string | null;
+}
+
+interface Template {
+  names: string[];
+  contours: Contour[];
+  mirror: number[] | null;
+  points: Point[] | null;
+  revision: string;
+}
+
+interface Model {
+  n_images: number;
+  n_points: number;
+  trained: string | null;
+  stale: number;
+  careful: boolean;
+  colour: boolean;
+  triangles: number[][];
+  theta_deg: number;
+  contours: Contour[];
+  source: "file" | "studio";
+  left_out: Record<string, string>;
+  mean: number[][];
+}
+
+interface Training {
+  state: "idle" | "running" | "done" | "failed";
+  phase: string | null;
+  done: number;
+  total: number;
+  what: string;
+  error: string | null;
+}
+
+interface Method {
+  name: string;
+  summary: string;
+  needs_colour: boolean;
+}
+
+interface Project {
+  id: string;
+  stamp?: string;
+  folder: string;
+  version: string;
+  pictures: Picture[];
+  template: Template | null;
+  model: Model | null;
+  training: Training;
+  methods: Method[];
+  default_method: string;
+  default_ambient: number;
+  limits: { upload_bytes: number; pixels: number };
+  problems: string[];
+}
+
+/** Marks of a picture as the server sends them. */
+interface Marks {
+  points: Point[];
+  invisible: number[];
+  source: "file" | "proposal" | "none";
+  revision: string | null;
+  width: number;
+  height: number;
+  covariances?: number[][][] | null;
+  doubtful?: boolean;
+}
+
+/** What the tabs get from main.js. */
+interface App {
+  state: import("../../../src/liaam/studio/static/js/state.js").State;
+  api: typeof import("../../../src/liaam/studio/static/js/api.js").api;
+  ui: typeof import("../../../src/liaam/studio/static/js/ui.js");
+  toast: typeof import("../../../src/liaam/studio/static/js/ui.js").toast;
+  confirm: typeof import("../../../src/liaam/studio/static/js/ui.js").confirm;
+  openTab(name: string, options?: object): void;
+}
+
+/** Hooks for browser tests, and the theme. */
+interface Window {
+  liaamStudio: any;
+  liaamTheme: any;
+}
