@@ -53,6 +53,16 @@ def wait_for_state(page, name: str, state: str) -> None:
     wait_for(page, "([name, state]) => window.liaamStudio.state.picture(name)?.state === state", [name, state])
 
 
+def wait_for_point(page, index: int, where: Sequence[float]) -> None:
+    """Wait until a point is at a position of the picture."""
+    point = "(window.liaamStudio.annotate.points()[index] ?? [NaN, NaN])"
+    wait_for(
+        page,
+        f"([index, x, y]) => {{ const [u, v] = {point}; return Math.hypot(u - x, v - y) < 0.02; }}",
+        [index, *where],
+    )
+
+
 def wait_for_tab(page, label: str) -> None:
     """Wait until a tab is open."""
     chosen = "document.querySelector('[role=tab][aria-selected=true]')?.textContent"

@@ -16,8 +16,10 @@ from people import (
     points_of,
     saved,
     wait_for,
+    wait_for_point,
     wait_for_state,
     wait_for_tab,
+    wait_until,
 )
 
 from liaam.io import read_image, read_landmarks, write_image
@@ -140,7 +142,9 @@ def test_a_deleted_landmark_file_is_said_to_be_and_can_be_written_again(serve, p
     assert np.abs(stored - mine).max() > 1
 
 
-def test_a_template_changed_elsewhere_takes_unsaved_points_along(serve, page, marked):
+@pytest.mark.parametrize("is_slow", [False, True])
+def test_a_template_changed_elsewhere_takes_unsaved_points_along(serve, page, marked, is_slow):
+    """The request with the points fails before the template is changed, or arrives after that."""
     page.goto(serve(marked).address)
     open_picture(page, NAMES[1])
     # As another program would: the page hears of it when it looks again, or when its save is refused.
@@ -154,13 +158,27 @@ def test_a_template_changed_elsewhere_takes_unsaved_points_along(serve, page, ma
         }"""
     )
     before = points_of(page)
-    page.route("**/landmarks", lambda route: route.abort() if route.request.method == "PUT" else route.continue_())
+    saves, is_up = [], False
+
+    def answer(route):
+        if is_up or route.request.method != "PUT":
+            route.continue_()
+            return
+        saves.append(route)
+        if not is_slow:
+            route.abort()
+
+    page.route("**/landmarks", answer)
     drag(page, client(page, 0), [v + 30 for v in client(page, 0)])
-    page.wait_for_selector("[data-testid=save-status][data-state=offline]")
+    wait_until(page, lambda: saves)
     mine = points_of(page)
     page.evaluate("""() => window.liaamStudio.app.api.put("/api/template", window.liaamStudio.elsewhere)""")
-    page.unroute("**/landmarks")
-    wait_for(page, "n => window.liaamStudio.annotate.points()[4]?.[0] === n", mine[0, 0])
+    before_change = page.evaluate("() => window.liaamStudio.elsewhere.revision")
+    wait_for(page, "before => window.liaamStudio.state.project.template.revision !== before", before_change)
+    is_up = True
+    if is_slow:
+        saves[0].continue_()
+    wait_for_point(page, 4, mine[0].tolist())
     saved(page)
     assert np.abs(points_of(page) - mine[::-1]).max() < 0.02
     assert np.abs(read_landmarks(marked / "portrait-02.ljson").points - mine[::-1]).max() < 0.02

@@ -19,6 +19,7 @@ from people import (
     saved,
     shoot,
     wait_for,
+    wait_for_point,
     wait_for_state,
 )
 
@@ -167,11 +168,7 @@ def test_two_tabs_do_not_overwrite_one_another(serve, page, annotated):
     saved(page)
     mine = points_of(page)
     # The other tab follows, as it has nothing unsaved.
-    wait_for(
-        other,
-        "([x, y]) => { const [u, v] = window.liaamStudio.annotate.points()[2]; return Math.hypot(u-x, v-y) < 0.02; }",
-        mine[2].tolist(),
-    )
+    wait_for_point(other, 2, mine[2].tolist())
     other.close()
 
 
@@ -185,6 +182,7 @@ def test_a_tab_that_has_missed_a_change_is_asked(serve, page, annotated):
     with dragging(page, start, [v + 25 for v in start]):  # otherwise the page may find the change first, and follows
         write_landmarks(annotated / "portrait-04.ljson", Landmarks(stored.points + 2.0, stored.contours))
     page.locator("[data-testid=conflict-theirs]").click()
+    wait_for_point(page, 1, (stored.points[1] + 2.0).tolist())
     saved(page)
     assert np.abs(points_of(page) - stored.points - 2.0).max() < 0.02
     assert np.abs(read_landmarks(annotated / "portrait-04.ljson").points - stored.points - 2.0).max() < 0.02

@@ -144,7 +144,9 @@ export function createOpening(tab, begins) {
   function foreign(name, discarded = false) {
     first.forget(name);
     if (discarded || name !== tab.name) books.delete(name);
-    if (name === tab.name) reload();
+    if (name !== tab.name) return;
+    if (discarded && !tab.editing) open(name); // the discarded points must not be edited until then
+    else reload();
   }
 
   function clear() {

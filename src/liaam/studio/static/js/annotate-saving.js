@@ -82,6 +82,7 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
   /** Convert unsaved marks to the current template. */
   async function rebase(names = saver.dirty, mapping = null) {
     for (const name of names) {
+      await saver.entry(name).request; // it has marks of the earlier template, too
       const marks = await tryToFetch(name);
       if (marks) saver.rebase(name, marks, mapping);
     }
@@ -95,6 +96,10 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
 
   /** Marks that an earlier page could not save; this page saves them from now on. Null if there are none. */
   async function inherited(name, marks) {
+    if (saver.isStale(name)) {
+      await saver.entry(name).request;
+      saver.rebase(name, marks);
+    }
     if (saver.isDirty(name)) return null;
     const kept = saver.unsaved.get(name);
     const ours = kept === null || (await page.inherits(kept.page));

@@ -77,6 +77,11 @@ export class Saver {
     return this.pending(name) !== null;
   }
 
+  /** Whether the unsaved content of a picture belongs to an earlier template. */
+  isStale(name) {
+    return this.isDirty(name) && this.entry(name).template?.revision !== this.template()?.revision;
+  }
+
   /** Names of all pictures with unsaved content. */
   get dirty() { return [...this.entries.keys()].filter((name) => this.isDirty(name)); }
   get anyDirty() { return this.dirty.length > 0; }
@@ -248,7 +253,8 @@ export class Saver {
     const entry = this.entry(name);
     const content = this.pending(name);
     if (!content || entry.sent) return; // a running request calls this again through its answer
-    const moved = this.carry(name, { wanted: content, saved: entry.saved, template: entry.template }, current, mapping);
+    const origins = this.isStale(name) ? mapping : null; // it may have been converted already
+    const moved = this.carry(name, { wanted: content, saved: entry.saved, template: entry.template }, current, origins);
     this.known(name, current.revision, contentOf(current), sizeOf(current));
     entry.template = this.template();
     entry.state = "saving";
