@@ -31,6 +31,7 @@ interface Template {
 }
 
 interface Model {
+  name: string;
   n_images: number;
   n_points: number;
   trained: string | null;
@@ -40,7 +41,7 @@ interface Model {
   triangles: number[][];
   theta_deg: number;
   contours: Contour[];
-  source: "file" | "studio";
+  source: "file" | "studio" | "guest";
   left_out: Record<string, string>;
   mean: number[][];
 }

@@ -168,7 +168,8 @@ export function directionAfterKey(direction, { key, shiftKey = false }) {
   return directionAt([direction[0] + step * move[0], direction[1] + step * move[1]]);
 }
 
-/** Direction in words: "from the upper left, 42° off the view". */
+/** Direction in words: "from the upper left, 42° off the view".
+ *  @param {number[]} direction */
 export function directionInWords([x, y, z]) {
   const angle = Math.round((Math.acos(Math.min(1, Math.max(-1, z))) * 180) / Math.PI);
   if (angle < 5) return "from the front";

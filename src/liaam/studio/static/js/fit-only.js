@@ -82,7 +82,8 @@ export function invitation(app) {
 export class EmptyStage {
   constructor(app, onopen) {
     this._app = app;
-    this._words = h("p", {});
+    this._words = h("p");
+    this._invitation = null;
     this.element = h(
       "div",
       { class: "empty big fit-empty" },

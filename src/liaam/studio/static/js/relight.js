@@ -62,7 +62,9 @@ export class Light extends EventTarget {
 
   /** Replace all lights. @param {Lights} lights */
   set({ lamps, ambient }) {
-    Object.assign(this, { lamps: lamps.map((lamp) => ({ ...lamp })), ambient, selected: 0 });
+    this.lamps = lamps.map((lamp) => ({ ...lamp }));
+    this.ambient = ambient;
+    this.selected = 0;
     this._show();
   }
 
