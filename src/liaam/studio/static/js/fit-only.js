@@ -41,15 +41,11 @@ let heads = null;
 /** The generated heads to choose from. The server makes their model when they are first shown. */
 export function gallery(app) {
   heads ??= api.get(api.url("heads"), { quiet: true });
-  const list = h("div", { class: "gallery", role: "group", "aria-label": "Generated heads" });
-  const item = (address, i) => h(
-    "button",
-    {
-      type: "button", class: "gallery-item", title: "Fit this head and take off the light",
-      dataset: { testid: `head-${i + 1}` }, onclick: ({ currentTarget }) => choose(currentTarget, address),
-    },
-    h("img", { src: address, alt: `Generated head ${i + 1} under hard light`, draggable: false }),
-  );
+  const list = h("div.gallery", { role: "group", "aria-label": "Generated heads" });
+  const item = (address, i) => h("button.gallery-item", {
+    type: "button", title: "Fit this head and take off the light", testid: `head-${i + 1}`,
+    onclick: ({ currentTarget }) => choose(currentTarget, address),
+  }, h("img", { src: address, alt: `Generated head ${i + 1} under hard light`, draggable: false }));
   const choose = async (chosen, address) => {
     if (list.getAttribute("aria-busy") === "true") return;
     list.setAttribute("aria-busy", "true");
@@ -69,13 +65,9 @@ export function gallery(app) {
 
 /** An invitation for a page on which nothing can be fitted yet. */
 export function invitation(app) {
-  return h(
-    "div",
-    { class: "invitation" },
-    h("p", {}, "Or take the light off a generated head:"),
-    gallery(app),
-    h("p", { class: "small" }, "Or drop a model (.liaam) on the page, and then pictures to fit."),
-  );
+  return h("div.invitation",
+    h("p", "Or take the light off a generated head:"), gallery(app),
+    h("p.small", "Or drop a model (.liaam) on the page, and then pictures to fit."));
 }
 
 /** What the Fit tab shows in place of a picture. */
@@ -84,12 +76,8 @@ export class EmptyStage {
     this._app = app;
     this._words = h("p");
     this._invitation = null;
-    this.element = h(
-      "div",
-      { class: "empty big fit-empty" },
-      icon("image", 56), h("h2", {}, "A picture to fit"), this._words,
-      button("Open a picture…", { icon: "upload", kind: "primary", onclick: onopen }),
-    );
+    const open = button("Open a picture…", { icon: "upload", kind: "primary", onclick: onopen });
+    this.element = h("div.empty.big.fit-empty", icon("image", 56), h("h2", "A picture to fit"), this._words, open);
   }
 
   /** invite: whether to offer the generated heads. */
@@ -108,18 +96,13 @@ export class EmptyStage {
 export class GuestPanel {
   constructor(app) {
     this._app = app;
-    this._words = h("p", { class: "small guest-words" });
+    this._words = h("p.small.guest-words");
     this._gallery = h("div", { hidden: true });
     const leave = button("Leave", {
       small: true, testid: "leave-guest", title: "Use the model of the folder again", onclick: () => this._leave(),
     });
-    this.element = h(
-      "section",
-      { class: "panel", "aria-label": "Fit only", hidden: true, dataset: { testid: "guest" } },
-      h("div", { class: "panel-title" }, h("h2", { class: "grow" }, "Fit only"), leave),
-      this._words,
-      this._gallery,
-    );
+    this.element = h("section.panel", { "aria-label": "Fit only", hidden: true, testid: "guest" },
+      h("div.panel-title", h("h2.grow", "Fit only"), leave), this._words, this._gallery);
   }
 
   show(project) {

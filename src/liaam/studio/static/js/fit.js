@@ -268,46 +268,29 @@ class FitTab {
   // The page.
 
   _build(root) {
-    this._file = h("input", {
-      type: "file", accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp,.liaam", class: "visually-hidden", tabindex: "-1",
-      "aria-label": "Open a picture to fit", dataset: { testid: "fit-file" },
+    this._file = h("input.visually-hidden", {
+      type: "file", accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp,.liaam", tabindex: "-1", testid: "fit-file",
+      "aria-label": "Open a picture to fit",
       onchange: () => {
         const [file] = this._file.files;
         this._file.value = "";
         if (file) this.app.take(file);
       },
     });
-    const toolbar = h(
-      "div",
-      { class: "toolbar", role: "toolbar", "aria-label": "View" },
-      this.view.chooser, this.view.splitter,
-      h("span", { class: "grow" }),
-      this.exports.element,
-    );
+    const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "View" },
+      this.view.chooser, this.view.splitter, h("span.grow"), this.exports.element);
     this._empty = new EmptyStage(this.app, () => this._file.click());
-    const stage = h("div", { class: "fit-stage" }, this.view.container, this._empty.element);
-    this._ofFits = [this._panelDraw(), this._panelIterations()];
+    const stage = h("div.fit-stage", this.view.container, this._empty.element);
+    const overlays = h("div.row.tight.fit-overlays", this.view.overlayButtons);
+    this._ofFits = [
+      h("section.panel", { "aria-label": "Drawn over the picture" }, overlays),
+      h("section.panel", { "aria-label": "Iterations" }, this.iterations.element),
+    ];
     const panels = [this.view.light, this.guest, this.setup, this.result].map(({ element }) => element);
-    this._side = h("div", { class: "side fit-side" }, panels, this._ofFits);
-    this._area = h(
-      "div",
-      { class: "fit-tab", dataset: { testid: "fit-drop" } },
-      h("div", { class: "workspace" }, toolbar, stage, this.view.bar),
-      this._side, this._file,
-    );
+    this._side = h("div.side.fit-side", panels, this._ofFits);
+    this._area = h("div.fit-tab", { testid: "fit-drop" },
+      h("div.workspace", toolbar, stage, this.view.bar), this._side, this._file);
     root.append(this._area);
-  }
-
-  _panelDraw() {
-    return h(
-      "section",
-      { class: "panel", "aria-label": "Drawn over the picture" },
-      h("div", { class: "row tight fit-overlays" }, this.view.overlayButtons),
-    );
-  }
-
-  _panelIterations() {
-    return h("section", { class: "panel", "aria-label": "Iterations" }, this.iterations.element);
   }
 
   _setMethod(name) {

@@ -56,9 +56,7 @@ export class Light extends EventTarget {
     this.set(this.first);
   }
 
-  get lamp() {
-    return this.lamps[this.selected];
-  }
+  get lamp() { return this.lamps[this.selected]; }
 
   /** Replace all lights. @param {Lights} lights */
   set({ lamps, ambient }) {
@@ -78,14 +76,11 @@ export class Light extends EventTarget {
   }
 
   _build() {
-    this._canvas = h("canvas", { class: "light-ball", width: 120, height: 120, "aria-hidden": "true" });
-    this._dots = h("div", { class: "light-dots", role: "group", "aria-label": "Lamps over a ball" });
-    this._sphere = h(
-      "div",
-      { class: "light-sphere", title: "Drag a lamp; arrow keys move it", dataset: { testid: "light-ball" } },
-      this._canvas, this._dots,
-    );
-    this._words = h("p", { class: "small", "aria-live": "polite", dataset: { testid: "light-words" } });
+    this._canvas = h("canvas.light-ball", { width: 120, height: 120, "aria-hidden": "true" });
+    this._dots = h("div.light-dots", { role: "group", "aria-label": "Lamps over a ball" });
+    const how = "Drag a lamp; arrow keys move it";
+    this._sphere = h("div.light-sphere", { title: how, testid: "light-ball" }, this._canvas, this._dots);
+    this._words = h("p.small", { "aria-live": "polite", testid: "light-words" });
     this._add = button("Add", {
       icon: "plus", small: true, testid: "lamp-add", title: "Add a lamp",
       onclick: () => this._put([...this.lamps, lampAt([-this.lamp.direction[0] || 0.5, -0.2])], this.lamps.length),
@@ -94,24 +89,19 @@ export class Light extends EventTarget {
       icon: "trash", small: true, testid: "lamp-remove", title: "Remove the selected lamp",
       onclick: () => this._put(this.lamps.filter((lamp) => lamp !== this.lamp), 0),
     });
-    this._colour = h("input", {
-      type: "color", class: "light-colour", "aria-label": "Colour of the lamp", dataset: { testid: "lamp-colour" },
+    this._colour = h("input.light-colour", {
+      type: "color", "aria-label": "Colour of the lamp", testid: "lamp-colour",
       oninput: () => this._edit("colour", this._colour.value), onchange: () => this._say("rest"),
     });
     const lights = { "One lamp": this.first, ...PRESETS };
-    const presets = h(
-      "select",
-      {
-        class: "text", "aria-label": "Preset lights", dataset: { testid: "light-presets" },
-        onchange: () => {
-          this.set(lights[presets.value]);
-          presets.value = "";
-          this._changed(true);
-        },
+    const presets = h("select.text", {
+      "aria-label": "Preset lights", testid: "light-presets",
+      onchange: () => {
+        this.set(lights[presets.value]);
+        presets.value = "";
+        this._changed(true);
       },
-      h("option", { value: "" }, "Presets…"),
-      Object.keys(lights).map((name) => h("option", {}, name)),
-    );
+    }, h("option", { value: "" }, "Presets…"), Object.keys(lights).map((name) => h("option", name)));
     this._sliders = SLIDERS.map((of) => this._slider(of, () => this.lamp[of.key], (to) => this._edit(of.key, to)));
     const ambient = { label: "Ambient", max: "1", what: "Ambient light: from all directions", key: "ambient" };
     this._sliders.push(this._slider(ambient, () => this.ambient, (value) => {
@@ -119,37 +109,22 @@ export class Light extends EventTarget {
       this._changed();
     }));
     this._drag();
-    return h(
-      "section",
-      { class: "panel light", "aria-label": "Light", hidden: true, dataset: { testid: "light" } },
-      presets,
-      h(
-        "div",
-        { class: "light-top" },
-        this._sphere,
-        h(
-          "div",
-          { class: "column tight grow" },
-          this._words, h("div", { class: "row tight" }, this._colour, this._add, this._remove),
-        ),
-      ),
-      this._sliders.map(({ element }) => element),
-    );
+    const values = h("div.column.tight.grow", this._words, h("div.row.tight", this._colour, this._add, this._remove));
+    return h("section.panel.light", { "aria-label": "Light", hidden: true, testid: "light" },
+      presets, h("div.light-top", this._sphere, values), this._sliders.map(({ element }) => element));
   }
 
   _slider({ key, label, max, what }, get, set) {
-    const input = h("input", {
-      type: "range", class: "slider", min: "0", max, step: "0.01", "aria-label": what,
-      dataset: { testid: `light-${key}` },
+    const input = h("input.slider", {
+      type: "range", min: "0", max, step: "0.01", "aria-label": what, testid: `light-${key}`,
       oninput: () => set(Number(input.value)), onchange: () => this._say("rest"),
     });
-    const text = h("span", { class: "number" });
+    const text = h("span.number");
     const show = () => {
       input.value = String(get());
       text.textContent = `${Math.round(100 * get())} %`;
     };
-    const element = h("label", { class: "light-slider small", title: what }, h("span", {}, label), input, text);
-    return { element, show };
+    return { element: h("label.light-slider.small", { title: what }, h("span", label), input, text), show };
   }
 
   /** Drag over the ball: the lamp under the pointer, or else the selected one. */
@@ -179,9 +154,9 @@ export class Light extends EventTarget {
       this.selected = [...this._dots.children].indexOf(dot);
       this._show();
     };
-    const dot = h("div", {
-      class: "light-lamp", role: "slider", tabindex: "0", "aria-roledescription": "movable lamp", "aria-valuemin": "0",
-      "aria-valuemax": "90", dataset: { testid: "lamp" }, onfocus: select,
+    const dot = h("div.light-lamp", {
+      role: "slider", tabindex: "0", "aria-roledescription": "movable lamp", "aria-valuemin": "0",
+      "aria-valuemax": "90", testid: "lamp", onfocus: select,
       onkeydown: (event) => {
         if (!this.key(event)) return;
         event.preventDefault();
@@ -262,21 +237,15 @@ function drawBall(canvas, { lamps, ambient }) {
 export class Relighter {
   constructor({ done, failed }) {
     this.meter = new FrameMeter();
-    this._asks = new LatestWins(
-      async ({ fit, query }) => createImageBitmap(await api.blob(api.url("fits", fit.id, "relit", query))),
-      {
-        done: (image, { fit }) => {
-          this.meter.tick();
-          done(image, fit);
-        },
-        failed,
-      },
-    );
+    const task = async ({ fit, query }) => createImageBitmap(await api.blob(api.url("fits", fit.id, "relit", query)));
+    const shown = (image, { fit }) => {
+      this.meter.tick();
+      done(image, fit);
+    };
+    this._asks = new LatestWins(task, { done: shown, failed });
   }
 
-  get busy() {
-    return this._asks.busy;
-  }
+  get busy() { return this._asks.busy; }
 
   ask(fit, light, resting) {
     const size = Math.min(Math.max(fit.width, fit.height), resting ? SIZE_AT_REST : SIZE_WHILE_MOVING);
