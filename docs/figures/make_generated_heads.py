@@ -84,7 +84,7 @@ def main() -> None:
             written.write_text(json.dumps(json.loads(written.read_text()), separators=(",", ":")) + "\n")
     calibration = trained(calibrate=True).views[METHODS[DEFAULT_METHOD].view].reliability
     assert calibration is not None
-    fields = {name: np.round(value, 4).tolist() for name, value in asdict(calibration).items()}
+    fields = {name: np.round(value, 6).tolist() for name, value in asdict(calibration).items()}
     write_bytes_atomically(CALIBRATION, json.dumps(fields, separators=(",", ":")).encode() + b"\n")
     fitter = Fitter(trained())
     for i, (head, (pose, expression, lights)) in enumerate(zip(HEADS, SHOWN, strict=True)):

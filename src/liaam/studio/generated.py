@@ -51,5 +51,5 @@ def trained(calibrate: bool = False) -> AAM:
     if calibrate:
         return model
     known = json.loads(CALIBRATION.read_bytes())
-    arrays = {key: np.array(known.pop(key)) for key in ("landmarks", "weights")}
-    return model.with_view(METHODS[DEFAULT_METHOD].view, reliability=Reliability(**arrays, **known))
+    fields = {name: np.array(value) if isinstance(value, list) else value for name, value in known.items()}
+    return model.with_view(METHODS[DEFAULT_METHOD].view, reliability=Reliability(**fields))
