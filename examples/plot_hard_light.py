@@ -54,7 +54,7 @@ for person in (3, 4, 5, 6, 7, 8):
     ]
 
 models = {
-    "one light": liaam.train(pairs, diagonal=80, leave_out=False),
+    "one light": liaam.train(pairs, diagonal=80, leave_out=False, lamps=None),
     "with lamps": liaam.train(pairs, diagonal=80, leave_out=False, lamps=lamps),
 }
 

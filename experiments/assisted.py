@@ -156,7 +156,7 @@ def turns(
     while waiting:
         offered = 0
         if by_uncertainty or len(annotated) in after:
-            fitter = Fitter(train(annotated, leave_out=False, **RECIPES[recipe]))
+            fitter = Fitter(train(annotated, leave_out=False, lamps=None, **RECIPES[recipe]))
             placed = [place(fitter, sample) for sample in waiting]
             offered = int(np.argmax([row["deviation"] for row in placed])) if by_uncertainty else 0
             yield len(annotated), fitter, placed, offered

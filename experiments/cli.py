@@ -331,7 +331,10 @@ def generic(
         int | None, typer.Option(help="Train on this many images of --data, and fit the others.", min=2)
     ] = None,
     lamps: Annotated[
-        Path | None, typer.Option(help="Folder or file that the model learns other light from, as 'liaam train' does.")
+        Path | None,
+        typer.Option(
+            help="Folder or file that the model learns other light from, or auto, as for 'liaam train'. Default: none."
+        ),
     ] = None,
     training_lamp: Annotated[
         str | None, typer.Option(help="Name of the lamp there that is the light of training.")

@@ -43,6 +43,7 @@ from liaam.evaluation import inter_ocular_distance, or_dash
 from liaam.fitting import FitStatus
 from liaam.photometry import is_grey
 from liaam.plotting import figure_of_pictures
+from liaam.training.train import AUTO
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -245,7 +246,9 @@ def get_trained(request: GenericRequest, fold: int) -> Trained:
 
     training = get_folds(request)[0][fold].training
     source, light = request.lamps, None
-    if source is not None:
+    if source is not None and str(source) == AUTO:
+        light = AUTO
+    elif source is not None:
         light = learn_lamps(load_folder(source), request.training_lamp) if source.is_dir() else load_lamps(source)
     return request.train(training, f"fold {fold}", leave_out=True, lamps=light, diagonal=request.diagonal)
 

@@ -61,7 +61,9 @@ def training_camera() -> Camera:
 def train_on_flat_light(head: Head, n: int = 24, size: tuple[int, int] = (320, 240), **options) -> AAM:
     """Train on images of a person under diffuse light."""
     scenes = make_set(n, head, camera=training_camera(), size=size)
-    return train([(s.image, s.landmarks) for s in scenes], camera=CameraModel(theta=scenes[0].theta), **options)
+    return train(
+        [(s.image, s.landmarks) for s in scenes], camera=CameraModel(theta=scenes[0].theta), lamps=None, **options
+    )
 
 
 def lit_pairs(head: Head, lights: dict[str, Lights] = LIGHTS, size: tuple[int, int] = (320, 240)) -> Iterator[LitPair]:

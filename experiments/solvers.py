@@ -41,8 +41,9 @@ class Solver:
     prior: str | None = None
 
     def train(self, data: Iterable, **options: Any) -> AAM:
-        """Train a model for this solver, with `options` of :func:`liaam.train`."""
-        own = {"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal, "leave_out": False}
+        """Train a model for this solver, with `options` of :func:`liaam.train`; without lamps unless they are given."""
+        own = {"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal}
+        own |= {"leave_out": False, "lamps": None}
         options = {**own, **options}
         whole = options["variance"] == 1.0
         return train(data, **{"prior": "sample" if whole else self.prior, **options})

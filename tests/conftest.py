@@ -4,7 +4,7 @@ import fcntl
 import os
 import sys
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -35,7 +35,7 @@ from liaam.datasets.scenes import (
 from liaam.io import Landmarks, video_writer
 from liaam.lamps import Lamps, learn_lamps
 from liaam.model import AAM, SURROUNDINGS, load_model
-from liaam.training import train
+from liaam.training import faces, train
 from setups import MOVING_FRAMES, between, moving_scene, train_on
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -53,6 +53,21 @@ def pytest_xdist_make_scheduler(config, log):
     from xdist.scheduler import LoadFileScheduling
 
     return LoadFileScheduling(config, log)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_lamps_by_default() -> Iterator[Callable]:
+    """Train without lamps for faces, which take three times as long; give the function that finds faces."""
+    with pytest.MonkeyPatch.context() as patch:
+        original = faces.face_lamps
+        patch.setattr(faces, "face_lamps", lambda *_: None)
+        yield original
+
+
+@pytest.fixture
+def lamps_for_faces(no_lamps_by_default: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Train with lamps for faces, as users do."""
+    monkeypatch.setattr(faces, "face_lamps", no_lamps_by_default)
 
 
 @pytest.fixture

@@ -45,7 +45,9 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
         training += make_set(1, head=head, seed=i)
     test = render(head, Pose(yaw=0.06, x=3.0), Expression(smile=0.3, mouth_open=0.15), lights=lateral("left"), seed=99)
     tell(N_TRAINING, total, "training")
-    model = train([(scene.image, scene_landmarks(scene)) for scene in training], name="demo head", leave_out=False)
+    model = train(
+        [(scene.image, scene_landmarks(scene)) for scene in training], name="demo head", lamps=None, leave_out=False
+    )
     start = disturbed(test.landmarks, model.shape_model.mean)
     rows = []
     for i, method in enumerate(METHODS):

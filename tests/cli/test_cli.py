@@ -46,7 +46,7 @@ def test_train_info_show(run, portraits, tmp_path):
     code, out, err = run("train", portraits[0], "-o", model, "--images", "face[0-4]*", "--diagonal", 80, "--name", "me")
     assert (code, err) == (0, "")
     assert "5 samples" in out
-    assert "trained on 5 images; shape modes: " in out
+    assert "trained on 5 images and 5 mirrored copies; shape modes: " in out
     assert "limit of accuracy: fits to new images are off by at least about" in out
     code, out, _ = run("info", model)
     assert code == 0

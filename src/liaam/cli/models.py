@@ -76,7 +76,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     width, height = model.frame.size
     return {
         "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
-        "trained on": f"{model.n_images} {'' if model.is_colour else 'grey '}images{_copies(model)}",
+        "trained on": f"{model.n_images} {'' if model.is_colour else 'grey '}images{count_copies(model)}",
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
@@ -92,10 +92,12 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     }
 
 
-def _copies(model: "AAM") -> str:
+def count_copies(model: "AAM") -> str:
     """Describe the mirrored or relit copies among the training images."""
     more = model.n_textures - model.n_images
-    return f" and {more} copies, mirrored or under other lamps" if more > 0 else ""
+    if more <= 0:
+        return ""
+    return f" and {more} copies under {model.n_lamps} lamps" if model.n_lamps else f" and {more} mirrored copies"
 
 
 def describe_camera(camera: "CameraModel") -> str:

@@ -10,9 +10,13 @@ import typer
 from liaam.cli.check import warn_of_faults
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, camera_for, check_output, read_folder
 from liaam.cli.lamps import TrainingLampOption, read_lamps
-from liaam.cli.models import count_modes
+from liaam.cli.models import count_copies, count_modes
 from liaam.cli.terminal import complain, progress_bar, say, warnings_as_lines
 from liaam.errors import LiaamError
+
+AUTO = "auto"
+LAMP_WORDS = {AUTO: AUTO, "none": None}
+"""Values of --lamps that are neither a file nor a folder."""
 
 
 def train(
@@ -51,18 +55,19 @@ def train(
         str | None, typer.Option(help="Camera response: srgb (default without --camera), linear, or a gamma.")
     ] = None,
     lamps: Annotated[
-        Path | None,
+        Path,
         typer.Option(
             help="Also train on copies of the images under other lamps. Give a file of 'liaam lamps', or a folder of "
-            "a few objects under several lamps, named by object and lamp, such as 037-00."
+            "a few objects under several lamps, named by object and lamp, such as 037-00. 'auto' uses lamps of "
+            "generated heads if the objects are faces; 'none' uses none."
         ),
-    ] = None,
+    ] = Path(AUTO),
     training_lamp: TrainingLampOption = None,
     copies: Annotated[
         int | None,
         typer.Option(
             help="Copies of each image under other lamps; every second copy is mirrored if the object is symmetric. "
-            "Without --lamps one mirrored copy. 0 for none."
+            "Without lamps one mirrored copy. 0 for none."
         ),
     ] = None,
     points: Annotated[
@@ -103,7 +108,10 @@ def train(
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
     if theta is not None:
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
-    light = None if lamps is None else read_lamps(lamps, training_lamp, recursive, camera.response)
+    if str(lamps) in LAMP_WORDS:
+        light = LAMP_WORDS[str(lamps)]
+    else:
+        light = read_lamps(lamps, training_lamp, recursive, camera.response)
     warn_of_faults(data, folder)
     with progress_bar(counted=False) as progress, warnings_as_lines():
         model = train_model(
@@ -120,9 +128,10 @@ def train(
             **options,
         )
     model.save(output)
-    learnt = "" if light is None else f" and {model.n_textures - model.n_images} copies under {len(light)} lamps"
     modes = f"shape modes: {count_modes(model)}; pixels: {model.n_pixels}"
-    say(f"{output}: trained on {model.n_images} images{learnt}; {modes}")
+    say(f"{output}: trained on {model.n_images} images{count_copies(model)}; {modes}")
+    if light == AUTO and model.n_lamps:
+        say("the objects are faces, so the lamps are those of generated heads (--lamps none for none)")
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(

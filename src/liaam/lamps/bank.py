@@ -175,6 +175,35 @@ def places(mean: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> np.nd
     return cv2.remap(found, *np.meshgrid(across, down), cv2.INTER_LINEAR)
 
 
+def carried(mean: np.ndarray, fields: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Carry fields to other landmarks.
+
+    Parameters
+    ----------
+    mean : (n, 2) float64
+        Mean shape of the fields.
+    fields : (k, side, side, 3) float16
+        Fields of any resolution.
+    shape : (n, 2) float64
+        Where its landmarks lie in the coordinates of the other mean shape.
+
+    Returns
+    -------
+    (k, SIDE, SIDE, 3) float16
+        Fields on the square around the other mean shape.
+    """
+    import cv2  # heavy: imported when first needed
+    from scipy.interpolate import LinearNDInterpolator
+
+    rest, there = anchors(mean, shape)
+    at = LinearNDInterpolator(there, rest)(square())
+    outside = align(mean, shape).inverse()(square().reshape(-1, 2)).reshape(at.shape)
+    at = in_field(np.where(np.isfinite(at), at, outside)) * np.float32((fields.shape[1] - 1) / (SIDE - 1))
+    x, y, border = at[..., 0], at[..., 1], cv2.BORDER_REPLICATE
+    moved = [cv2.remap(field.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=border) for field in fields]
+    return np.array(moved, np.float16)
+
+
 def in_field(points: np.ndarray) -> np.ndarray:
     """Convert coordinates of the mean shape (..., 2) to pixels of a field, float32."""
     return ((points + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)

@@ -37,8 +37,10 @@ class AAM:
         Description of the training data, for display.
     n_textures : int
         Number of training images and their copies together; 0 in files that lack it.
+    n_lamps : int
+        Number of lamps under which these copies were relit.
     light : LightBasis, optional
-        What other lights do to the object and its surroundings; only of models trained with lamps.
+        What other lights do to the object and its surroundings; only of models trained with given lamps.
     points : PointMap, optional
         Map from the points of another landmarker to the landmarks, if it was trained.
     features : Features, optional
@@ -53,6 +55,7 @@ class AAM:
     contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
     name: str = ""
     n_textures: int = 0
+    n_lamps: int = 0
     light: LightBasis | None = None
     points: PointMap | None = None
     features: Features | None = None

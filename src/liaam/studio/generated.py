@@ -47,7 +47,7 @@ def trained(calibrate: bool = False) -> AAM:
     from liaam.model.views import Reliability
     from liaam.training import train
 
-    model = train(load_folder(TRAINING), leave_out=calibrate, name="generated heads")
+    model = train(load_folder(TRAINING), leave_out=calibrate, lamps=None, name="generated heads")
     if calibrate:
         return model
     known = json.loads(CALIBRATION.read_bytes())

@@ -135,7 +135,12 @@ class _Worker:
                 with warnings.catch_warnings(record=True) as caught:
                     warnings.simplefilter("always", UserWarning)
                     model = train(
-                        items, leave_out=leave_out, name=self.job.name, progress=self._progress("training"), **OPTIONS
+                        items,
+                        leave_out=leave_out,
+                        lamps=None,  # lamps triple the time, and a person waits for the proposals
+                        name=self.job.name,
+                        progress=self._progress("training"),
+                        **OPTIONS,
                     )
                 self.warned = "".join(f"; {warning.message}" for warning in caught)
                 break

@@ -14,8 +14,9 @@ from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_mo
 from liaam.photometry import CameraModel
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress
+from liaam.training import faces
 from liaam.training.appearances import mesh_appearances, soft_appearance
-from liaam.training.entries import check_flat, check_fold, mesh_of, read_entries
+from liaam.training.entries import Entry, check_flat, check_fold, mesh_of, read_entries
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
 from liaam.training.left_out import fitted_of, folds_of, reliability_of
@@ -24,13 +25,16 @@ from liaam.training.points import Points, map_of_points
 from liaam.training.steps import Steps, learning_cost, total_cost
 from liaam.training.textures import sample_all
 
+AUTO = "auto"
+"""Value of ``lamps``: those of generated heads if the objects are faces."""
+
 
 def train(
     data: Iterable,
     options: TrainingOptions | None = None,
     *,
     camera: CameraModel | None = None,
-    lamps: Lamps | Iterable | None = None,
+    lamps: Lamps | Iterable | None = AUTO,
     training_lamp: str | None = None,
     points: Points | None = None,
     features: FeatureFunction | None = None,
@@ -49,9 +53,10 @@ def train(
         How to train. The defaults suit most data.
     camera : CameraModel, optional
         The training camera. Default: an angle of 122 degrees and sRGB.
-    lamps : Lamps, Dataset or iterable of Sample, optional
+    lamps : "auto", Lamps, Dataset or iterable of Sample, optional
         Lamps under which copies of the images are relit, or images of a few objects under several lamps to learn these
-        from (:func:`liaam.lamps.learn_lamps`).
+        from (:func:`liaam.lamps.learn_lamps`); None for none. ``"auto"``: lamps of generated heads if the objects are
+        faces (:func:`liaam.training.faces.face_lamps`), else none.
     training_lamp : str, optional
         Name of the light of ``data`` in the names of the images of ``lamps``.
     points : path, callable or sequence, optional
@@ -94,7 +99,6 @@ def train(
     check_flat(mean)
     triangles = mesh_of(mean, options.triangles, edges)
 
-    copied = _copies(lamps, training_lamp, options.n_copies, mean, len(entries), camera)
     model = AAM(
         views={view: make_view(view, learnt[priors[view]], triangles) for view in VIEWS},
         triangles=triangles,
@@ -102,16 +106,20 @@ def train(
         n_images=len(entries),
         contours=contours,
         name=name,
-        n_textures=len(copied.owners),
     )
     checked, grey = check_images(entries, model.warp)
     for entry in checked:
         check_fold(entry, model.frame)
 
     encoder = None if features is None else encoder_of(features, checked, mean, camera)
+    symmetric, each = mirror_order(mean), options.n_copies
+    lit = _lamps(lamps, training_lamp, checked, mean, camera) if each else None
+    copied = Copies.of(lit, len(entries), each, symmetric if each else None)
     model = replace(
         model,
-        light=None if copied.lamps is None else copied.lamps.basis(mirror_order(mean) is not None),
+        n_textures=len(copied.owners),
+        n_lamps=len(lit) if lit is not None and copied.are_relit else 0,
+        light=None if lit is None or isinstance(lamps, str) else lit.basis(symmetric is not None),
         points=None if points is None else map_of_points(points, entries, mean),
         features=None if encoder is None else encoder.features,
     )
@@ -140,12 +148,20 @@ def train(
     return model
 
 
-def _copies(
-    lamps: Lamps | Iterable | None, training_lamp: str | None, each: int, mean: np.ndarray, n: int, camera: CameraModel
-) -> Copies:
-    """Plan the copies of n images, under given or learnt lamps."""
-    if lamps is not None and not isinstance(lamps, Lamps):
-        lamps = learn_lamps(lamps, training_lamp, response=camera.response)
-    if lamps is not None:
-        lamps.check_landmarks(len(mean), "the images")
-    return Copies.of(lamps, n, each, mirror_order(mean) if each else None)
+def _lamps(
+    given: Lamps | Iterable | None,
+    training_lamp: str | None,
+    entries: list[Entry],
+    mean: np.ndarray,
+    camera: CameraModel,
+) -> Lamps | None:
+    """Return the lamps for copies of the images: given, learnt, or those of faces."""
+    if isinstance(given, str):
+        if given != AUTO:
+            raise TrainingError(f"lamps {given!r}: give 'auto', lamps, images to learn them from, or None")
+        return faces.face_lamps(entries, mean, camera)
+    if given is not None and not isinstance(given, Lamps):
+        given = learn_lamps(given, training_lamp, response=camera.response)
+    if given is not None:
+        given.check_landmarks(len(mean), "the images")
+    return given

@@ -1,0 +1,60 @@
+"""Lamps for faces: a bank learnt from generated heads, for training images whose objects turn out to be faces.
+
+A model of the generated heads is fitted to some of the training images. If the fits agree on where a face lies among
+the landmarks, whatever these are, the bank is carried there. ``docs/figures/make_face_lamps.py`` makes both files.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from liaam.fitting import Fitter, SolverOptions
+from liaam.lamps import Lamps
+from liaam.lamps.bank import carried
+from liaam.lamps.learning import unit_shape
+from liaam.model import load_model
+from liaam.model.shape import align
+from liaam.photometry import CameraModel
+from liaam.training.entries import Entry
+
+FOLDER = Path(__file__).with_name("faces")
+MODEL, LAMPS = FOLDER / "heads.liaam", FOLDER / "lamps.safetensors"
+
+MOST = 16
+"""Number of images that are fitted."""
+
+AGREEMENT, LEAST_QUALITY = 0.04, 0.1
+"""Largest distance of fits from their median, as a fraction of the object's diagonal, and smallest quality, medians
+over the images. Faces of five sets have 0.007 to 0.025, and 0.35 to 0.6; fly wings have 0.068 and 0.02."""
+
+
+def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) -> Lamps | None:
+    """Return lamps for training images of faces; None if the objects are no faces.
+
+    Parameters
+    ----------
+    entries : sequence of Entry
+        The training images.
+    mean : (n, 2) float64
+        Their mean shape.
+    camera : CameraModel
+        Their camera.
+    """
+    from safetensors.numpy import load_file
+
+    fitter = Fitter(load_model(MODEL), options=SolverOptions(max_iterations=20), camera=camera, restarts=False)
+    mean, shapes, qualities = unit_shape(mean), [], []
+    for i in np.unique(np.linspace(0, len(entries) - 1, MOST).astype(int)):
+        points = entries[i].points
+        box = np.concatenate([points.min(axis=0), points.max(axis=0)])
+        fit = fitter.fit(entries[i].read_image(), box, entries[i].name)
+        shapes.append(align(points, mean)(fit.landmarks))
+        qualities.append(fit.quality)
+    middle = np.median(shapes, axis=0)
+    apart = np.linalg.norm(shapes - middle, axis=2).mean(axis=1)
+    if not (np.median(apart) <= AGREEMENT and np.median(qualities) >= LEAST_QUALITY):
+        return None
+    known = load_file(LAMPS)
+    names = tuple(f"generated lamp {i + 1}" for i in range(len(known["fields"])))
+    return Lamps(mean, carried(known["mean"], known["fields"], middle), names)
