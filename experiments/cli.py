@@ -49,6 +49,11 @@ SpotFolder = Annotated[
 PersonsFolder = Annotated[
     Path, typer.Option("--data", help="Folder of images named after persons, as 01_01, and their landmarks.")
 ]
+OneLight = Annotated[Path, typer.Option("--data", help="Folder to train on, in one light.")]
+Lights = Annotated[Path, typer.Option("--test", help="Folder of other objects, each under several lights.")]
+TrainingLamp = Annotated[str, typer.Option(help="Name of the light of training.")]
+Lamps = Annotated[Path | None, typer.Option(help="As for generic.")]
+Diagonal = Annotated[float, typer.Option(help="Diagonal of the reference frame, pixels.", min=20)]
 Starts = Annotated[int, typer.Option(help="Starts per image.", min=1)]
 
 
@@ -348,7 +353,7 @@ def generic(
     unit: Annotated[
         str, typer.Option(help="Errors are shares of the distance of the eyes' centres, or of their outer corners.")
     ] = "centres",
-    diagonal: Annotated[float, typer.Option(help="Diagonal of the reference frame, pixels.", min=20)] = 150.0,
+    diagonal: Diagonal = 150.0,
     methods: Methods = COMPARED,
     trials: Starts = 1,
     seed: Seed = 0,
@@ -366,18 +371,54 @@ def generic(
 
 @app.command()
 def relight(
-    data: Annotated[Path, typer.Option(help="Folder to train on, in one light.")],
-    test: Annotated[Path, typer.Option(help="Folder of other objects, each under several lights.")],
-    training_lamp: Annotated[str, typer.Option(help="Name of the light of training.")],
+    data: OneLight,
+    test: Lights,
+    training_lamp: TrainingLamp,
     out: Out,
-    lamps: Annotated[Path | None, typer.Option(help="As for generic.")] = None,
-    diagonal: Annotated[float, typer.Option(help="Diagonal of the reference frame, pixels.", min=20)] = 150.0,
+    lamps: Lamps = None,
+    diagonal: Diagonal = 150.0,
     jobs: Jobs = None,
 ) -> None:
     """How alike do images of unseen objects become in the training light, and is there a seam?"""
     from experiments import relight as module
 
     summary = execute(module.relight_experiment(data, test, lamps, training_lamp, diagonal), out, jobs)
+    print_protocol(module.table(summary), summary, out)
+
+
+@app.command()
+def recognise(
+    data: OneLight,
+    test: Lights,
+    training_lamp: TrainingLamp,
+    out: Out,
+    lamps: Lamps = None,
+    far: Annotated[str, typer.Option(help="Lights to report together, separated by commas.")] = "",
+    diagonal: Diagonal = 150.0,
+    jobs: Jobs = None,
+) -> None:
+    """Are persons found again under other lights, from the canonical appearance? (Paper section 1.)"""
+    from experiments import recognise as module
+
+    grouped = names_in(far, "--far") if far else ()
+    summary = execute(module.recognise_experiment(data, test, lamps, training_lamp, diagonal, grouped), out, jobs)
+    print_protocol(module.table(summary), summary, out)
+
+
+@app.command()
+def compress(
+    data: OneLight,
+    test: Lights,
+    training_lamp: TrainingLamp,
+    out: Out,
+    lamps: Lamps = None,
+    diagonal: Diagonal = 150.0,
+    jobs: Jobs = None,
+) -> None:
+    """How good are images kept as appearance and light, beside JPEG and WebP of as many bytes? (Paper section 1.)"""
+    from experiments import compress as module
+
+    summary = execute(module.compress_experiment(data, test, lamps, training_lamp, diagonal), out, jobs)
     print_protocol(module.table(summary), summary, out)
 
 

@@ -239,6 +239,23 @@ def _by_object(samples: Sequence[Sample]) -> dict[str, tuple[Shown, ...]]:
     return {name: tuple(pictures) for name, pictures in groups.items()}
 
 
+def request_of_folders(
+    data: Path, test: Path, lamps: Path | None, training_lamp: str, diagonal: float, **options: Any
+) -> tuple[GenericRequest, dict[str, Any], tuple[str, ...]]:
+    """Return the request of a `soft-li` model of one folder for the objects of another, its settings, and what was
+    left out; the parameters are those of :class:`GenericRequest`.
+    """
+    given = {"test": test, "lamps": lamps, "training_lamp": training_lamp, "diagonal": diagonal, **options}
+    request = GenericRequest(data, ("soft-li",), 1, 0, "liaam", **given)
+    (fold,), left_out = get_folds(request)
+    samples = [*fold.training, *(each.sample for pictures in fold.tested.values() for each in pictures)]
+    return (
+        request,
+        {"digest": data_facts(samples)["digest"], "lamps": lamps and lamps.name, **request.settings()},
+        left_out,
+    )
+
+
 @lru_cache(maxsize=1)
 def get_trained(request: GenericRequest, fold: int) -> Trained:
     """Train a fold's model; once per process, because it is slow."""

@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import figure_of_bars
-from experiments.generic import GenericRequest, HeldOut, get_folds, get_trained
+from experiments.generic import GenericRequest, HeldOut, get_folds, get_trained, request_of_folders
 from experiments.protocol import Header, Table, eight_bit, face_size, tell
 from experiments.relit import GRAIN, mesh_mask
 from experiments.runner import Experiment, Row
-from experiments.subjects import data_facts
 from liaam.errors import LiaamError
 from liaam.evaluation import finite_or_none, or_dash
 from liaam.photometry.response import srgb_to_linear
@@ -151,15 +150,12 @@ def relight_object(request: GenericRequest, task: HeldOut) -> list[Row]:
 
 def relight_experiment(data: Path, test: Path, lamps: Path | None, training_lamp: str, diagonal: float) -> Experiment:
     """Make the experiment; the parameters are those of :class:`GenericRequest`."""
-    options = {"test": test, "lamps": lamps, "training_lamp": training_lamp, "diagonal": diagonal}
-    request = GenericRequest(data, ("soft-li",), 1, 0, "liaam", **options)
-    (fold,), left_out = get_folds(request)
-    samples = [*fold.training, *(each.sample for pictures in fold.tested.values() for each in pictures)]
+    request, settings, left_out = request_of_folders(data, test, lamps, training_lamp, diagonal)
     return Experiment(
         name="relight",
         title="Unseen objects, brought to the training light",
-        settings={"digest": data_facts(samples)["digest"], "lamps": lamps and lamps.name, **request.settings()},
-        tasks=tuple(HeldOut(0, name) for name in fold.tested),
+        settings=settings,
+        tasks=tuple(HeldOut(0, name) for name in get_folds(request)[0][0].tested),
         work=partial(relight_object, request),
         columns={"method": "", "object": "", "light": "", **dict.fromkeys(MEASURES, ".6f"), "status": ""},
         summarise=summarise,

@@ -35,6 +35,15 @@ def small(folder, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def lit(folder, tmp_path_factory):
+    """Give a folder with ``data``, four pictures of each person, and ``test``, the others under ``1m`` and ``5m``."""
+    root = tmp_path_factory.mktemp("lit")
+    copy_files(folder, root / "data", "*-[2346]m*")
+    copy_files(folder, root / "test", "*-[15]m*")
+    return root
+
+
+@pytest.fixture(scope="session")
 def make(folder, small):
     """Give an experiment by its name, with options of its own or tiny ones."""
 

@@ -78,6 +78,8 @@ def test_help(run_experiments):
         "spot",
         "generic",
         "relight",
+        "recognise",
+        "compress",
         "peer",
         "basin",
         "occlusion",
