@@ -47,7 +47,7 @@ DIRECTIONS = ("from training light", "to training light")
 Z = 1.96
 REPLICATES = 2000
 
-FAR, OTHERS = "far", "others"
+FAR, OTHERS = "far", "other"
 """Groups of lights: those named as far, and the rest without the training light."""
 
 
@@ -267,4 +267,4 @@ def draw(summary: dict[str, Any]) -> "Figure":
         f"{name} lights": in_percent({method: cell["rank_1"] for method, cell in group.items()})
         for name, group in shown.items()
     }
-    return figure_of_bars(groups, "rank 1, %")
+    return figure_of_bars(groups, "rank 1, %", lambda _: "0.4")

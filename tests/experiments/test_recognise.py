@@ -41,10 +41,10 @@ def test_rates_are_those_of_rank_1_by_group():
     ]
     summary = summarise("day", ("far",), rows)
     cells = summary["starts"]["none"][DIRECTIONS[0]]
-    assert list(cells) == ["day", "far", "near", "others"]
+    assert list(cells) == ["day", "far", "near", "other"]
     assert cells["far"]["input"]["rank_1"] == pytest.approx(1 / 3)
     assert cells["far"]["liaam"]["times_input"] == pytest.approx(2.0)
-    assert cells["others"]["input"]["rank_1"] == cells["near"]["input"]["rank_1"] == pytest.approx(2 / 3)
+    assert cells["other"]["input"]["rank_1"] == cells["near"]["input"]["rank_1"] == pytest.approx(2 / 3)
     low, high = cells["far"]["liaam"]["times_interval"]
     assert low < 2.0 <= high
     header, body = table(summary)
