@@ -29,11 +29,20 @@ def test_every_way_is_compared(person, tmp_path):
     summary = run_experiment(points.points_experiment(person, theirs), tmp_path / "out")
     assert list(summary["methods"]) == list(points.WAYS)
     cells = summary["methods"]
-    assert [cells[way]["fits"] for way in points.WAYS] == [1] * 5
+    assert [cells[way]["fits"] for way in points.WAYS] == [1] * 7
     assert cells["weighed"]["nme_median"] < cells["mapped"]["nme_median"]
     assert cells["box"]["to_box"] == 1.0
     assert summary["p90_gain"] == cells["weighed"]["nme_p90"] / min(cells[w]["nme_p90"] for w in ("mapped", "box"))
+    assert cells["best"]["nme_median"] <= min(cells[way]["nme_median"] for way in ("mapped", "box", "mean"))
+    assert -1 < summary["correlation"] < 1
     assert "| weighed |" in (tmp_path / "out" / "report.md").read_text()
+
+
+def test_errors_that_are_shared_are_correlated():
+    shared, one, other = np.random.default_rng(0).normal(size=(3, 4000, 2))
+    assert points.correlation(shared + one, shared + other) == pytest.approx(0.5, abs=0.05)
+    assert points.correlation(one, other) == pytest.approx(0.0, abs=0.05)
+    assert points.correlation(one, -2 * one) == pytest.approx(-1.0)
 
 
 def test_simulated_points_are_as_far_off_as_they_say(person):
