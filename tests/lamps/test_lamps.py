@@ -331,12 +331,29 @@ def test_a_basis_of_symmetric_objects_knows_the_mirrored_lamps(lamps):
     assert np.abs(energy - mirrored)[near].mean() < 0.05 * energy[near].mean()
 
 
+@pytest.mark.parametrize("alike", [True, False])
+def test_the_remainder_is_what_the_lamps_of_other_objects_do_not_explain(lamps, alike):
+    """A bank of a few lamps explains itself well, but not an object that it has not seen."""
+    fields = np.zeros((2, SIDE, SIDE, 3), np.float16)
+    fields[0, :, : SIDE // 2] = 1.0
+    fields[1, :, slice(0, SIDE // 2) if alike else slice(SIDE // 2, SIDE)] = 1.0
+    basis = Lamps(lamps.mean, fields, ("a-left", "b-left")).basis(mirrored=False)
+    inside = _away_from(lamps.mean) <= 0
+    expected = 0.0 if alike else GAMMA / np.sqrt(2.0)
+    assert np.median(basis.remainder[inside]) == pytest.approx(expected, abs=0.01)
+
+
+def test_a_single_lamp_leaves_all_of_its_change_unexplained(lamps):
+    basis = Lamps(lamps.mean, np.full((1, SIDE, SIDE, 3), -0.5, np.float16), ("a-left",)).basis(mirrored=False)
+    assert np.median(basis.remainder[_away_from(lamps.mean) <= 0]) == pytest.approx(0.5 * GAMMA, abs=0.01)
+
+
 def test_models_without_lamps_have_no_light(trained, tmp_path):
     plain, lit = trained
     assert plain.light is None
     lit.save(tmp_path / "lit.liaam")
     loaded = load_model(tmp_path / "lit.liaam").light
-    for field in ("mean", "modes", "remainder"):
+    for field in ("mean", "modes", "remainder", "levels"):
         np.testing.assert_array_equal(getattr(loaded, field), getattr(lit.light, field))
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from experiments.relit import train_on_flat_light
 from liaam.datasets.scenes import Head
@@ -11,7 +12,7 @@ from liaam.model import MESH
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.domain_transform import averaged
-from liaam.relighting.joint import appearance_in_light, light_curve
+from liaam.relighting.joint import appearance_in_light, at_a_known_level, light_curve
 from liaam.relighting.shading import Seen
 
 AMBIENT, LAMP = np.array([0.10, 0.12, 0.15]), np.array([1.1, 0.9, 0.6])
@@ -64,6 +65,21 @@ def test_landmarks_that_lie_off_are_put_right(faces, rng):
     moved = truth + 0.5 * faces.frame.gradient(truth)[:, 0]
     _, displaced = appearance_in_light(faces, seen_as(faces, moved + one_lamp(faces)), first_guess(faces))
     assert rms(displaced - moved) < 0.5 * rms(truth - moved)
+
+
+def test_deviations_allow_for_smooth_errors(faces, rng):
+    """An error of neighbouring pixels counts once, so coordinates are as uncertain as they are wrong."""
+    lam, truth = a_face(faces, rng)
+    known = faces.levels[-1].appearances["log"]
+    wrong = []
+    for _ in range(4):
+        smooth = gaussian_filter(rng.normal(size=faces.frame.size[::-1]), 5.0)
+        errors = (smooth / smooth.std() * np.sqrt(np.trace(known.unexplained, axis1=1, axis2=2).mean() / 3))[
+            tuple(faces.frame.pixels.T)
+        ]
+        found, _ = appearance_in_light(faces, seen_as(faces, truth + errors[:, None]), first_guess(faces))
+        wrong.append((found.lam - lam) / found.deviations)
+    assert 0.2 < rms(np.array(wrong)) < 2.0
 
 
 def test_without_a_change_of_light_the_appearance_is_the_picture(faces, rng):
@@ -149,3 +165,18 @@ def test_averages_stay_on_their_side_of_an_edge(rng):
     np.testing.assert_allclose(
         averaged(np.full((9, 12, 2), 3.0), rng.normal(size=(9, 12, 3)), 4.0, 0.8), 3.0, rtol=1e-5
     )
+
+
+@pytest.mark.parametrize(("variance", "moved"), [(1e-6, 0.0), (100.0, 0.6)])
+def test_the_level_of_light_is_drawn_to_that_of_a_lamp_if_it_is_uncertain(variance, moved):
+    found, covariance = np.array([-0.6, 1.0]), variance * np.array([[1.0, -0.5], [-0.5, 1.0]])
+    after = at_a_known_level(found, covariance, np.array([1.0, 0.0]), np.array([0.0]))
+    np.testing.assert_allclose(after, found + moved * np.array([1.0, -0.5]), atol=1e-3)
+
+
+def test_a_weak_lamp_stays_weak():
+    levels, certain = np.array([0.0, -2.0]), 0.02 * np.eye(1)
+    assert at_a_known_level(np.array([-1.8]), certain, np.ones(1), levels) == pytest.approx(-1.87, abs=0.01)
+    assert at_a_known_level(np.array([-0.3]), certain, np.ones(1), levels) == pytest.approx(-0.2, abs=0.01)
+    unknown = at_a_known_level(np.array([-0.3]), np.zeros((1, 1)), np.ones(1), levels)
+    assert unknown == pytest.approx(-0.3)

@@ -17,7 +17,7 @@ from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.files import json_object
 from liaam.io.tensors import Shapes, read_tensors
-from liaam.model.light import SIDE, LightBasis
+from liaam.model.light import BRIGHTEST, SIDE, LightBasis
 from liaam.model.shape import align
 from liaam.photometry import Response, is_grey
 from liaam.photometry.encoding import stored_values
@@ -131,15 +131,17 @@ class Lamps:
         blur = SOFTNESS * SIDE / (2 * HALF)
         fields = np.stack([f * sharp + cv2.GaussianBlur(f, (0, 0), blur) * (1.0 - sharp) for f in fields]) * kept
         fields = np.concatenate([fields, fields[:, :, ::-1]]) if mirrored else fields
-        flat = fields.reshape(len(fields), -1)
-        # No mean is subtracted: the training light is the origin.
-        left = np.linalg.eigh(flat @ flat.T)[1][:, ::-1][:, : min(MODES, (len(flat) + 1) // 2)]
-        along = left.T @ flat
-        rest = (flat - left @ along).reshape(fields.shape)
-        modes = (along / np.sqrt(len(flat))).reshape(-1, *fields.shape[1:])
+        objects = [name.rpartition("-")[0] for name in self.names]
+        groups = objects if len(set(objects)) > 1 else list(self.names)
+        inside = away[..., 0] <= 0
+        rest = _left_out(fields, np.tile(groups, len(fields) // len(groups)), inside)
+        remainder = np.sqrt(np.square(rest.mean(axis=3)).mean(axis=0))
         tints = TINT * CHROMATICITY[:, None, None] * kept
-        unexplained = np.sqrt(np.square(rest.mean(axis=3)).mean(axis=0))
-        return LightBasis(self.mean, np.concatenate([modes, tints]).astype(np.float16), unexplained.astype(np.float16))
+        modes = np.concatenate([_modes(fields), tints])
+        brightness = np.sort(fields[: len(self)].mean(axis=3)[:, inside], axis=1)
+        levels = [0.0, *brightness[:, -max(1, int(BRIGHTEST * inside.sum())) :].mean(axis=1)]
+        halves = (each.astype(np.float16) for each in (modes, remainder, np.array(levels)))
+        return LightBasis(self.mean, *halves)
 
     def save(self, path: str | os.PathLike) -> None:
         """Write the lamps as one safetensors file, atomically.
@@ -153,6 +155,32 @@ class Lamps:
 
         about = {"format": FORMAT, "schema": SCHEMA_VERSION, "names": list(self.names)}
         write_bytes_atomically(path, save({"mean": self.mean, "fields": self.fields}, {"liaam": json.dumps(about)}))
+
+
+def _modes(fields: np.ndarray) -> np.ndarray:
+    """Return the strongest modes (k, side, side, 3) of fields (n, side, side, 3), one standard deviation each.
+
+    No mean is subtracted: the training light is the origin.
+    """
+    flat = fields.reshape(len(fields), -1)
+    left = np.linalg.eigh(flat @ flat.T)[1][:, ::-1][:, : min(MODES, (len(flat) + 1) // 2)]
+    return (left.T @ flat / np.sqrt(max(len(flat), 1))).reshape(-1, *fields.shape[1:])
+
+
+def _left_out(fields: np.ndarray, groups: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Return what the modes of the other groups do not explain of each field.
+
+    The coordinates are those that fit best ``inside``, because relighting estimates them there.
+    """
+    rest = fields.copy()
+    for group in np.unique(groups):
+        own, modes = groups == group, _modes(fields[groups != group])
+        if not len(modes):
+            continue
+        near = modes[:, inside].reshape(len(modes), -1)
+        coordinates = np.linalg.lstsq(near.T, fields[own][:, inside].reshape(own.sum(), -1).T, rcond=None)[0]
+        rest[own] -= np.tensordot(coordinates.T, modes, axes=1)
+    return rest
 
 
 def places(mean: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -49,7 +49,7 @@ MAX_LIGHTS = 100
 """Largest number of modes of a light basis."""
 
 OWN_PARTS = {
-    "light": ("mean", "modes", "remainder"),
+    "light": ("mean", "modes", "remainder", "levels"),
     "points": ("weights", "errors", "noise"),
     "features": ("mean", "projection"),
 }
@@ -190,10 +190,11 @@ def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     if not 1 <= len(modes) <= MAX_LIGHTS:
         raise ValueError(f"light.modes has shape {modes.shape}")
     remainder = _tensor(tensors, "light.remainder", np.float16, (SIDE, SIDE))
+    levels = _optional(tensors, "light.levels", np.float16, (None,))
     # Coordinates of a mean shape with diagonal 1, and standard deviations.
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
         raise ValueError("the light basis has values out of range")
-    return LightBasis(mean, modes, remainder)
+    return LightBasis(mean, modes, remainder, np.zeros(0, np.float16) if levels is None else levels)
 
 
 def _features(header: dict, tensors: dict[str, np.ndarray]) -> Features | None:

@@ -1,6 +1,7 @@
 """Shadow-free appearance: the fitted object under the light of training (paper eq 11)."""
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -68,7 +69,7 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     method = fitter.objectives[-1].method
     if method.appearance == "soft":  # use the invariant alone, as 'li' does
         refuse_grey(as_colour(image), "image", "the appearance without shadows is computed from colours", MethodError)
-        fitter, result = replace(fitter, method="li"), replace(result, theta=np.nan)
+        fitter, result = _by_invariant(fitter), replace(result, theta=np.nan)
     solution, known = fitter.solution_at(image, result)[1], fitter.view.levels[-1].appearances["log"]
     work, n, eigenvalues = solution.work, known.n_modes, known.eigenvalues
     if not work.sums[1] > 0:  # no pixel is usable: return the prior
@@ -86,6 +87,12 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     best = np.linalg.solve(hessian, gram @ work.lam + modes @ (work.root * work.residual))
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
     return ShadowFree(known.texture(best[:n]), best[:n], spread[:n])
+
+
+@lru_cache(maxsize=4)
+def _by_invariant(fitter: Fitter) -> Fitter:
+    """Return a fitter by the invariant alone; its preparation takes as long as the appearance of an image."""
+    return replace(fitter, method="li")
 
 
 def check_method(fitter: Fitter, result: FitResult) -> None:

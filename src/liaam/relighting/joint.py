@@ -24,14 +24,22 @@ import numpy as np
 
 from liaam.model import AAM
 from liaam.model.appearance import AppearanceModel
+from liaam.model.light import BRIGHTEST
 from liaam.model.mesh import ReferenceFrame
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.lamplight import light_on_frame, unexplained_on_frame
 from liaam.relighting.shading import CORNER, COUPLING, UNIT, UNKNOWN, Seen, every_few, factorised
 
-PIXELS = 2500
-"""Approximate number of sampled pixels of the reference frame, for some tens of unknowns."""
+PIXELS = 900
+"""Approximate number of sampled pixels of the reference frame. Their errors are correlated, so more add little."""
+
+CORRELATED = 0.12
+"""Side of the area in which errors of model and light count as one error, as a fraction of the frame's diagonal. If
+they counted as independent from pixel to pixel, they would outweigh the priors."""
+
+COLOURED = 0.37
+"""Standard deviation of the colour of what a light basis does not explain, relative to that of its brightness."""
 
 OFF = 0.5
 """Standard deviation of a fitted landmark, pixels of the reference frame."""
@@ -53,6 +61,9 @@ PASSES = 2
 
 NO_PRIOR = 1e-6
 """Lower bound on the prior's strength, which keeps unobserved coordinates determined."""
+
+LEVEL_SPREAD = 0.2
+"""Standard deviation of an image's level of light around those of the lamps, in logarithms."""
 
 OUTLYING = 3.0
 """Squared distance of a colour from the curve, in medians, at which its weight is halved."""
@@ -136,6 +147,8 @@ class Problem:
         Weight of jumps between neighbours.
     held : (n,) float
         Precision, times :data:`UNIT` squared, with which the shading s is held at 0; it has no colour of its own then.
+    together : float
+        Number of pixels whose errors count as one.
     """
 
     seen: np.ndarray
@@ -145,6 +158,7 @@ class Problem:
     pairs: tuple[np.ndarray, np.ndarray]
     coupling: float
     held: np.ndarray
+    together: float
 
     def first_brightness(self, found: np.ndarray) -> np.ndarray:
         """Estimate the brightness of shading (n,) with uniform smoothness, from initial coordinates."""
@@ -169,9 +183,10 @@ class Problem:
         eliminated = system.solve(np.column_stack([mixed, (weighted * right).sum(axis=1)]))
         of_modes = np.einsum("ncd,mnd->mnc", self.weights, self.modes, optimize=True).reshape(len(mixed.T), -1)
         hessian = of_modes @ self.modes.reshape(len(of_modes), -1).T - mixed.T @ eliminated[:, :-1]
-        covariance = np.linalg.inv(hessian + UNIT**2 * np.diag(self.precision))
+        unit = self.together * UNIT**2
+        covariance = np.linalg.inv(hessian + unit * np.diag(self.precision))
         found = covariance @ (of_modes @ right.ravel() - mixed.T @ eliminated[:, -1])
-        return found, eliminated[:, -1] - eliminated[:, :-1] @ found, UNIT**2 * covariance
+        return found, eliminated[:, -1] - eliminated[:, :-1] @ found, unit * covariance
 
     def _shading(self, found: np.ndarray) -> np.ndarray:
         return self.seen - np.tensordot(found, self.modes, axes=1)
@@ -208,19 +223,29 @@ def appearance_in_light(model: AAM, seen: Seen, start: ShadowFree, prior: float 
     spread = AMOUNT if model.light is None else 1.0
     priors = (max(prior, NO_PRIOR) / np.maximum(known.eigenvalues, 1e-12), np.full(len(fixed) - n, spread**-2.0))
     precision = np.concatenate([*priors, np.full(2 * len(barycentric), OFF**-2.0)])
-    weights = _weights(known, seen.noise, usable)[kept]
+    unexplained = unexplained_on_frame(model)
+    of_light = np.zeros_like(unexplained) if model.light is None else np.square(COLOURED * unexplained)
+    weights = _weights(known, seen.noise, usable, of_light)[kept]
     # Unknowns: lambda, the polynomial's coefficients, and the landmarks' offsets, all x before all y.
     found, covariance = np.concatenate([start.lam, np.zeros(len(precision) - n)]), np.diag(1.0 / precision)
-    held = np.square(UNIT / unexplained_on_frame(model)[kept])
+    held = np.square(UNIT / unexplained[kept])
+    together = max(1.0, np.square(CORRELATED * model.diagonal / step))
     log_rgb, brightness = start.log_rgb, None
     for _ in range(PASSES):
         slopes = frame.gradient(log_rgb)[kept]
         offsets = np.einsum("vn,nac->avnc", barycentric[:, kept], slopes).reshape(-1, *part.mean.shape)
         modes = np.concatenate([fixed, offsets])
         # A sampled pixel represents step ** 2 pixels, and a jump ``step`` pixels of an edge.
-        problem = Problem(seen.log[kept] - part.mean, modes, precision, weights, pairs, COUPLING / step, held)
+        problem = Problem(seen.log[kept] - part.mean, modes, precision, weights, pairs, COUPLING / step, held, together)
         brightness = problem.first_brightness(found) if brightness is None else brightness
         found, brightness, covariance = problem.solved(found, brightness)
+        log_rgb = known.texture(found[:n])
+    if model.light is not None and len(model.light.levels):
+        brightness = lit.mean(axis=2)
+        top = (light := found[n : n + len(lit)] @ brightness) >= np.quantile(light, 1.0 - BRIGHTEST)
+        along = np.zeros_like(found)
+        along[n : n + len(lit)] = brightness[:, top].mean(axis=1)
+        found = at_a_known_level(found, covariance, along, model.light.levels.astype(np.float64))
         log_rgb = known.texture(found[:n])
     offsets = found[-2 * len(barycentric) :].reshape(2, -1) @ barycentric
     displaced = log_rgb + np.einsum("an,nac->nc", offsets, frame.gradient(log_rgb))
@@ -228,12 +253,30 @@ def appearance_in_light(model: AAM, seen: Seen, start: ShadowFree, prior: float 
     return ShadowFree(log_rgb, found[:n], np.sqrt(np.diag(covariance)[:n]), light), displaced.astype(np.float32)
 
 
-def _weights(known: AppearanceModel, noise: np.ndarray, usable: np.ndarray) -> np.ndarray:
+def at_a_known_level(found: np.ndarray, covariance: np.ndarray, along: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Move coordinates (m,) so that the level of light, ``along @ found``, is nearer to the levels (k,) of known lamps.
+
+    An image hardly distinguishes a bright object in weak light from a dark one in strong light. But a lamp that lights
+    any part of the object does so about as brightly as the training light, unless it is as weak as another known lamp.
+    The levels are a mixture of Gaussians, and the result is its posterior mean.
+    """
+    level, cross = along @ found, covariance @ along
+    variance, own = along @ cross, LEVEL_SPREAD**2
+    if not variance > 0.0:
+        return found
+    exponents = -0.5 * np.square(level - levels) / (variance + own)
+    weights = np.exp(exponents - exponents.max())
+    nearer = np.average((level * own + levels * variance) / (variance + own), weights=weights)
+    return found + cross * ((nearer - level) / variance)
+
+
+def _weights(known: AppearanceModel, noise: np.ndarray, usable: np.ndarray, of_light: np.ndarray) -> np.ndarray:
     """Compute the weights of :class:`Problem`, (n_pixels, 3, 3) float64."""
     grey, every = np.ones((3, 3)), np.eye(3)
     unexplained = UNKNOWN**2 * grey if known.unexplained is None else known.unexplained
     fine = FINE_BRIGHTNESS**2 * grey + FINE_COLOUR**2 * every
-    covariance = unexplained + fine + NOISE_FACTOR * noise[:, None] * every
+    colour = of_light[:, None, None] * (every - grey / 3.0)
+    covariance = unexplained + fine + NOISE_FACTOR * noise[:, None] * every + colour
     return np.linalg.inv(covariance) * (UNIT**2 * usable)[:, None, None]
 
 
