@@ -340,7 +340,7 @@ def test_the_remainder_is_what_the_lamps_of_other_objects_do_not_explain(lamps, 
     basis = Lamps(lamps.mean, fields, ("a-left", "b-left")).basis(mirrored=False)
     inside = _away_from(lamps.mean) <= 0
     expected = 0.0 if alike else GAMMA / np.sqrt(2.0)
-    assert np.median(basis.remainder[inside]) == pytest.approx(expected, abs=0.01)
+    assert np.median(basis.remainder[inside]) == pytest.approx(expected, abs=0.05)
 
 
 def test_a_single_lamp_leaves_all_of_its_change_unexplained(lamps):

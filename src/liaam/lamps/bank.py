@@ -164,7 +164,7 @@ def _modes(fields: np.ndarray) -> np.ndarray:
     """
     flat = fields.reshape(len(fields), -1)
     left = np.linalg.eigh(flat @ flat.T)[1][:, ::-1][:, : min(MODES, (len(flat) + 1) // 2)]
-    return (left.T @ flat / np.sqrt(max(len(flat), 1))).reshape(-1, *fields.shape[1:])
+    return (left.T @ flat / np.sqrt(len(flat))).reshape(-1, *fields.shape[1:])
 
 
 def _left_out(fields: np.ndarray, groups: np.ndarray, inside: np.ndarray) -> np.ndarray:
@@ -174,9 +174,10 @@ def _left_out(fields: np.ndarray, groups: np.ndarray, inside: np.ndarray) -> np.
     """
     rest = fields.copy()
     for group in np.unique(groups):
-        own, modes = groups == group, _modes(fields[groups != group])
-        if not len(modes):
-            continue
+        own = groups == group
+        if own.all():
+            break
+        modes = _modes(fields[~own])
         near = modes[:, inside].reshape(len(modes), -1)
         coordinates = np.linalg.lstsq(near.T, fields[own][:, inside].reshape(own.sum(), -1).T, rcond=None)[0]
         rest[own] -= np.tensordot(coordinates.T, modes, axes=1)

@@ -31,12 +31,13 @@ from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.lamplight import light_on_frame, unexplained_on_frame
 from liaam.relighting.shading import CORNER, COUPLING, UNIT, UNKNOWN, Seen, every_few, factorised
 
-PIXELS = 900
-"""Approximate number of sampled pixels of the reference frame. Their errors are correlated, so more add little."""
+PIXELS = 2500
+"""Approximate number of sampled pixels of the reference frame without a light basis, for some tens of unknowns."""
 
-CORRELATED = 0.12
-"""Side of the area in which errors of model and light count as one error, as a fraction of the frame's diagonal. If
-they counted as independent from pixel to pixel, they would outweigh the priors."""
+CORRELATED, ACROSS = 0.12, 5
+"""Side of the area in which errors count as one if there is a light basis, as a fraction of the frame's diagonal, and
+number of samples across it. A basis holds the shading s, so smooth errors remain, and would outweigh the priors if they
+counted as independent from pixel to pixel. Without a basis, s takes them up."""
 
 COLOURED = 0.37
 """Standard deviation of the colour of what a light basis does not explain, relative to that of its brightness."""
@@ -213,7 +214,9 @@ def appearance_in_light(model: AAM, seen: Seen, start: ShadowFree, prior: float 
     """
     known, frame = model.levels[-1].appearances["log"], model.frame
     usable = seen.usable * (known.usable > 0)
-    step = max(1, round(float(np.sqrt(frame.n_pixels / PIXELS))))
+    side = CORRELATED * model.diagonal
+    step = max(1, round(np.sqrt(frame.n_pixels / PIXELS)) if model.light is None else int(side / ACROSS))
+    together = 1.0 if model.light is None else max(1.0, np.square(side / step))
     kept, pairs = every_few(frame, step)
     if not usable[kept].any():
         return start, start.log_rgb
@@ -229,7 +232,6 @@ def appearance_in_light(model: AAM, seen: Seen, start: ShadowFree, prior: float 
     # Unknowns: lambda, the polynomial's coefficients, and the landmarks' offsets, all x before all y.
     found, covariance = np.concatenate([start.lam, np.zeros(len(precision) - n)]), np.diag(1.0 / precision)
     held = np.square(UNIT / unexplained[kept])
-    together = max(1.0, np.square(CORRELATED * model.diagonal / step))
     log_rgb, brightness = start.log_rgb, None
     for _ in range(PASSES):
         slopes = frame.gradient(log_rgb)[kept]
