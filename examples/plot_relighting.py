@@ -118,8 +118,8 @@ def photographed(person, lights):
 
 
 model = liaam.train(
-    [photographed(person, {"day": DIFFUSE})[0] for person in range(20, 44)],
-    diagonal=70,
+    [photographed(person, {"day": DIFFUSE})[0] for person in range(20, 34)],
+    diagonal=60,
     leave_out=False,
     lamps=[sample for person in (20, 21, 22) for sample in photographed(person, lamps)],
     training_lamp="day",
