@@ -667,6 +667,21 @@ def test_a_pixel_belongs_to_the_first_triangle_that_it_lies_in(n, grid, seed):
     assert owner.dtype == np.int32 and weights.shape == (19, 20, 3)
 
 
+@given(n=st.integers(3, 12), seed=seeds)
+def test_values_of_vertices_are_carried_to_pixels(n, seed):
+    rng = np.random.default_rng(seed)
+    points, values = rng.uniform(0, 18, (n, 2)), rng.normal(size=(n, 2))
+    triangles = np.array([rng.permutation(n)[:3] for _ in range(2 * n)], dtype=np.int32)
+    owner, weights = reference.raster(points, triangles, 20, 19)
+    same, carried = fast.carry(points, triangles, values, 20, 19)
+    np.testing.assert_array_equal(same, owner)
+    expected = np.einsum("yxv,yxvc->yxc", weights, values[triangles[np.maximum(owner, 0)]])
+    np.testing.assert_allclose(carried, expected, atol=1e-9)
+    cut, inner = fast.carry(points - (6, 5), triangles, values, 7, 8)  # some vertices are outside
+    np.testing.assert_array_equal(cut, owner[5:13, 6:13])
+    np.testing.assert_allclose(inner, carried[5:13, 6:13], atol=1e-9)
+
+
 @given(size=st.tuples(st.integers(2, 12), st.integers(3, 12)), seed=st.integers(0, 99))
 def test_packed_spectra_are_correlated_as_pictures_are(size, seed):
     left, right = np.random.default_rng(seed).normal(size=(2, 2, *size)).astype(np.float32)

@@ -9,7 +9,8 @@ from liaam.datasets.scenes import lateral
 from liaam.errors import MethodError
 from liaam.fitting import Fitter
 from liaam.model import MESH
-from liaam.relighting.painting import blended, soft_edge
+from liaam.relighting.blending import blended
+from liaam.relighting.painting import soft_edge
 from liaam.tracking import Tracker
 from liaam.tracking.shading import ShadingRemover, filtered
 from setups import MOVING_FRAMES, moving_scene

@@ -1,9 +1,10 @@
-"""Compiled loops over the pixels of images, for the search."""
+"""Compiled loops over the pixels of images, for the search and for painting."""
 
 import numpy as np
 
 from liaam.kernels.jit import F as _F
 from liaam.kernels.jit import jit as _jit
+from liaam.kernels.reference import ON_EDGE as _ON_EDGE
 
 
 @_jit
@@ -95,3 +96,39 @@ def best_peaks(picture: np.ndarray, count: int, least: float, reach: int) -> tup
     places, values = np.empty((count, 2), np.int64), np.empty(count, np.float32)
     found = _best_peaks(picture, np.float32(least), reach, places, values)
     return places[:found], values[:found]
+
+
+@_jit
+def _carry(points, triangles, values, owner, carried):
+    for t in range(len(triangles)):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        a, b, c = points[i], points[j], points[k]
+        x0, y0, x1, y1 = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+        determinant = x0 * y1 - x1 * y0
+        if determinant == 0:
+            continue
+        left, right = min(min(a[0], b[0]), c[0]), max(max(a[0], b[0]), c[0])
+        above, below = min(min(a[1], b[1]), c[1]), max(max(a[1], b[1]), c[1])
+        for y in range(max(int(np.floor(above)), 0), min(int(np.ceil(below)) + 1, owner.shape[0])):
+            for x in range(max(int(np.floor(left)), 0), min(int(np.ceil(right)) + 1, owner.shape[1])):
+                dx, dy = x - a[0], y - a[1]
+                v, w = (y1 * dx - x1 * dy) / determinant, (x0 * dy - y0 * dx) / determinant
+                u = 1.0 - v - w
+                if owner[y, x] >= 0 or u < -_ON_EDGE or v < -_ON_EDGE or w < -_ON_EDGE:
+                    continue
+                owner[y, x] = t
+                for n in range(values.shape[1]):
+                    carried[y, x, n] = u * values[i, n] + v * values[j, n] + w * values[k, n]
+
+
+def carry(
+    points: np.ndarray, triangles: np.ndarray, values: np.ndarray, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolate values of a mesh's vertices, (n, c) float64, at the pixels of an image.
+
+    Return the triangle of each pixel as :func:`liaam.kernels.reference.raster` does, and the values, (height, width, c)
+    float64, 0 outside the mesh. Vertices (n, 2) may lie outside the image.
+    """
+    owner, carried = np.full((height, width), -1, np.int32), np.zeros((height, width, values.shape[1]))
+    _carry(np.ascontiguousarray(points, np.float64), np.ascontiguousarray(triangles, np.int32), values, owner, carried)
+    return owner, carried

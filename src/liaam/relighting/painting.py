@@ -3,11 +3,10 @@
 import numpy as np
 
 from liaam.model import AAM
-from liaam.model.mesh import ReferenceFrame, signed_areas
+from liaam.model.mesh import signed_areas
 from liaam.photometry import Response, from_linear, to_linear
 from liaam.photometry.encoding import as_colour, stored_values
 from liaam.relighting.appearance import ShadowFree
-from liaam.relighting.extrapolation import around
 
 LARGEST = 10
 """Size of a shape, relative to the image, beyond which it is not painted."""
@@ -39,27 +38,27 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     inside : (h, w) bool
         Where ``picture`` has values.
     """
-    from scipy.ndimage import map_coordinates
+    from liaam.kernels.bilinear import sample  # numba: imported when first needed
+    from liaam.kernels.fast import carry
 
     height, width = image.shape[:2]
     picture, inside = np.zeros((height, width, values.shape[1]), np.float32), np.zeros((height, width), bool)
     triangles = seen_triangles(image, shape, model)
     if not len(triangles):
         return picture, inside
-    there = ReferenceFrame(shape, triangles)
-    x, y = (there.pixels[:, ::-1] + there.origin).astype(int).T
-    seen = (x >= 0) & (y >= 0) & (x < width) & (y < height)
-    if not seen.any():
-        return picture, inside
-    own = np.einsum("nv,nva->na", there.weights[seen], model.shape_model.mean[there.vertices[seen]])
-    own = (own - model.frame.origin)[:, ::-1].T
-    known = np.ones((len(values), 1), np.float32)
-    layers = np.moveaxis(model.frame.picture(np.concatenate([values, known], axis=1)), 2, 0)
-    *warped, weight = (map_coordinates(layer, own, order=1, mode="nearest") for layer in layers)
+    left, top = np.clip(np.floor(shape.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
+    right, bottom = np.clip(np.ceil(shape.max(axis=0)) + 1, 1, (width, height)).astype(int)
+    there = model.shape_model.mean - model.frame.origin
+    owner, own = carry(shape - (left, top), triangles, there, right - left, bottom - top)
+    y, x = np.nonzero(owner >= 0)
     # At the mesh's border, pixels outside it have no weight.
-    kept = weight > 1e-3
-    picture[y[seen][kept], x[seen][kept]] = np.stack([layer[kept] / weight[kept] for layer in warped], axis=1)
-    inside[y[seen][kept], x[seen][kept]] = True
+    known = np.ones((len(values), 1), np.float32)
+    layers = model.frame.picture(np.concatenate([values, known, known], axis=1))
+    warped, _ = sample(layers, own[y, x])
+    kept = warped[:, -1] > 1e-3
+    y, x, warped = y[kept] + top, x[kept] + left, warped[kept]
+    picture[y, x] = warped[:, :-1] / warped[:, -1:]
+    inside[y, x] = True
     return picture, inside
 
 
@@ -110,6 +109,12 @@ def without_shading(
 
 def log_light(image: np.ndarray, response: Response) -> np.ndarray:
     """Return the logarithm of linear light, (h, w, 3) float32, of stored values; black counts as half a step."""
+    if image.dtype == np.uint8:  # a table is faster
+        return _log_light(np.arange(256, dtype=np.uint8), response)[image]
+    return _log_light(image, response)
+
+
+def _log_light(image: np.ndarray, response: Response) -> np.ndarray:
     floor = 0.5 * float(to_linear(np.array(1 / 255), response))
     return np.log(np.maximum(to_linear(stored_values(image), response), floor)).astype(np.float32)
 
@@ -127,37 +132,6 @@ def soft_edge(model: AAM) -> np.ndarray:
     depth = np.asarray(distance_transform_edt(np.pad(inside, 1)))[1:-1, 1:-1]
     ramp = np.clip((depth - 1.0) / (SOFT_EDGE * model.diagonal), 0.0, 1.0)
     return (ramp * ramp * (3.0 - 2.0 * ramp))[inside].astype(np.float32)
-
-
-def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: float) -> np.ndarray:
-    """Blend an appearance into an image, and remove the shading next to it.
-
-    Parameters
-    ----------
-    image : (h, w, 3) array
-    painted : (h, w, 4) float32
-        Logarithms of light, and their weights.
-    response : Response
-        Response of the image's camera.
-    reach : float
-        Distance beyond the weights to which shading is removed, pixels.
-
-    Returns
-    -------
-    (h, w, 3) uint8
-    """
-    picture = np.rint(255 * stored_values(image)).astype(np.uint8)
-    rows, columns = box_around(painted[..., 3] > 0, 4 * reach)
-    weights = painted[rows, columns, 3:]
-    if not weights.size:
-        return picture
-    own = log_light(image[rows, columns], response)
-    shading = own - painted[rows, columns, :3]
-    nearby, share = around(shading, weights, own, reach, soft=True)
-    taken = weights * shading + (1.0 - weights) * share * nearby
-    changed = np.abs(taken).max(axis=2) > 0
-    picture[rows, columns][changed] = eight_bits(own - taken, response)[changed]
-    return picture
 
 
 def box_around(inside: np.ndarray, margin: float) -> tuple[slice, slice]:

@@ -13,7 +13,7 @@ from liaam.fitting import FitResult, Fitter
 from liaam.model.shape import diagonal_of
 from liaam.photometry.encoding import as_colour, refuse_grey
 from liaam.relighting import paint, shadow_free
-from liaam.relighting.painting import REACH, blended, soft_edge
+from liaam.relighting.painting import REACH, soft_edge
 
 CHANGE = 0.1
 """Standard deviation of the change of an appearance parameter per frame, in standard deviations of its mode."""
@@ -81,6 +81,8 @@ class ShadingRemover:
             now = filtered(*self._before, *now, CHANGE**2 * appearance.eigenvalues)
         self._before = now
         model, camera = self.fitter.model, self.fitter.camera or self.fitter.model.camera
+        from liaam.relighting.blending import blended  # numba: imported when first needed
+
         log_rgba = np.concatenate([appearance.texture(now[0]), self._weights[:, None]], axis=1)
         painted, _ = paint(image, landmarks, model, log_rgba)
         return blended(image, painted, camera.response, max(1.0, REACH * diagonal_of(landmarks)))
