@@ -25,12 +25,13 @@ from liaam import __version__
 from liaam.errors import LiaamError
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
-from liaam.studio import fit_routes
+from liaam.studio import fit_routes, live
 from liaam.studio.events import Events
 from liaam.studio.fit_files import attachment
 from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
 from liaam.studio.generated import GALLERY, gallery, model_of_heads
+from liaam.studio.live import LiveVideos
 from liaam.studio.locking import FolderLock
 from liaam.studio.model_store import (
     ModelStore,
@@ -69,6 +70,7 @@ class Studio:
     pictures: Pictures
     uploads: Uploads
     fits: Fits
+    live: LiveVideos
     lock: FolderLock
 
     def close(self) -> None:
@@ -117,6 +119,7 @@ def _made(folder: str | Path, model: Path | None, settings: Settings, lock: Fold
         pictures=pictures,
         uploads=uploads,
         fits=Fits(project, models, uploads, pictures, settings),
+        live=LiveVideos(models, settings),
         lock=lock,
     )
     if model is not None:
@@ -133,6 +136,7 @@ def make_app(studio: Studio) -> Starlette:
         routes=[
             *handlers.routes(),
             *fit_routes.routes(studio.fits),
+            *live.routes(studio.live),
             Route("/api/{rest:path}", _nothing),
             Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
         ],

@@ -45,6 +45,8 @@ class Settings:
     """Time limit for a request's body."""
     fits_kept: int = 64
     """Number of fits in memory."""
+    live_kept: int = 4
+    """Number of videos that are tracked live at a time; the one that was used least recently ends."""
     points: int = 1000
     """Maximum number of points of a template."""
     drain_seconds: float = 5.0

@@ -87,28 +87,44 @@ def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.nda
     }
 
 
-class _Table(TrackWriter):
-    """Writer of .csv rows: frame, status and quality, then x, y, fitted x and y, and covariance of each landmark."""
+class TrackRows:
+    """Rows of a .csv: frame, status and quality, then x, y, fitted x and y, and covariance of each landmark.
 
-    def __init__(self, file, n_points: int):
-        self._file, self.n_rows = file, 0
+    Attributes
+    ----------
+    header : str
+        Names of the columns, with the end of the line.
+    """
+
+    def __init__(self, n_points: int) -> None:
         names = ("x{}", "y{}", "raw_x{}", "raw_y{}", "var_x{}", "cov_xy{}", "var_y{}")
         columns = [name.format(i) for i in range(n_points) for name in names]
-        self._numbers = ",".join(["%.3f"] * 4 + ["%.4g"] * 3)
-        self._numbers = ",".join([self._numbers] * n_points)
+        self.header = ",".join(["frame", "time", "status", "fit_status", "quality", "theta_deg", *columns]) + "\n"
+        self._numbers = ",".join([",".join(["%.3f"] * 4 + ["%.4g"] * 3)] * n_points)
         self._nothing = "," * (len(columns) - 1)
-        file.write(",".join(["frame", "time", "status", "fit_status", "quality", "theta_deg", *columns]) + "\n")
 
-    def write(self, frame: TrackedFrame) -> None:
+    def of(self, frame: TrackedFrame) -> str:
+        """Return the row of a frame, with the end of the line."""
         facts = f"{frame.index},{_number(frame.time, 4)},{frame.status},{frame.fit_status or ''}"
         facts += f",{_number(frame.quality, 4)},{_number(np.rad2deg(frame.theta), 3)}"
-        self._file.write(f"{facts},{self._row(frame) if frame.ok else self._nothing}\n")
-        self._file.flush()
-        self.n_rows += 1
+        return f"{facts},{self._points(frame) if frame.ok else self._nothing}\n"
 
-    def _row(self, frame: TrackedFrame) -> str:
+    def _points(self, frame: TrackedFrame) -> str:
         spread = frame.covariances.reshape(-1, 4)[:, [0, 1, 3]]
         return self._numbers % tuple(np.concatenate([frame.landmarks, frame.raw, spread], axis=1).ravel().tolist())
+
+
+class _Table(TrackWriter):
+    """Writer of .csv rows, at once."""
+
+    def __init__(self, file, n_points: int):
+        self._file, self._rows, self.n_rows = file, TrackRows(n_points), 0
+        file.write(self._rows.header)
+
+    def write(self, frame: TrackedFrame) -> None:
+        self._file.write(self._rows.of(frame))
+        self._file.flush()
+        self.n_rows += 1
 
 
 @contextmanager

@@ -150,6 +150,15 @@ def shoot(page, folder: Path, name: str) -> None:
     page.screenshot(path=folder / f"{name}.png")
 
 
+def violations(page) -> dict[str, list[str]]:
+    """Elements that axe finds inaccessible at levels A and AA, by rule."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    options = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]}}
+    found = Axe().run(page, options=options).response["violations"]
+    return {each["id"]: [node["html"] for node in each["nodes"]] for each in found}
+
+
 def kill(server, page):
     """Kill a server, and wait until its page has said so and moved the picture down."""
     server.kill()

@@ -66,7 +66,7 @@ export function fitsOf(app) {
 }
 
 /** Quality from which a fit is shown as good: fewer than one in five such fits is wrong. */
-const SURE = 0.8;
+export const SURE = 0.8;
 
 const percent = (fraction) => `${Math.round(100 * fraction)} %`;
 

@@ -51,20 +51,22 @@ export class LatestWins {
   }
 }
 
-/** Frames per second during one drag. A pause of more than `gap` milliseconds starts another drag. */
+/** Frames per second of the `most` newest frames of one drag. A pause of more than `gap` milliseconds starts another. */
 export class FrameMeter {
   #times = [];
   #gap;
+  #most;
 
-  constructor(gap = 400) {
+  constructor(gap = 400, most = 600) {
     this.#gap = gap;
+    this.#most = most;
   }
 
   tick(now = performance.now()) {
     const last = this.#times.at(-1);
     if (last !== undefined && now - last > this.#gap) this.#times = [];
     this.#times.push(now);
-    if (this.#times.length > 600) this.#times.shift();
+    if (this.#times.length > this.#most) this.#times.shift();
   }
 
   rate() {

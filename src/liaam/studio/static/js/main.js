@@ -15,10 +15,11 @@ const TABS = [
   { name: "annotate", label: "Annotate", what: "Place landmarks with the help of the model" },
   { name: "fit", label: "Fit", what: "Fit the model to a picture and change its light" },
   { name: "compare", label: "Compare", what: "Compare two methods side by side" },
+  { name: "live", label: "Live", what: "Follow the object in the picture of a camera, or in a video" },
 ];
 
 const COMMON_KEYS = [
-  { keys: "1 2 3", what: "Annotate, Fit, Compare" },
+  { keys: "1 2 3 4", what: "Annotate, Fit, Compare, Live" },
   { keys: "[ ]", what: "Previous, next picture" },
   { keys: "+ - 0", what: "Zoom in, out, whole picture" },
   { keys: "Space drag", what: "Pan (or drag an empty area, use the middle button or two fingers)" },
@@ -178,8 +179,9 @@ function actions() {
   );
 }
 
-/** A file was dropped or pasted: fit the picture, use the model, or take over unsaved work. */
+/** A file was dropped or pasted: fit the picture, follow the video, use the model, or take over unsaved work. */
 function take(file) {
+  if (file.type.startsWith("video/")) return openTab("live", { file });
   if (/\.json$/i.test(file.name)) return restore(file);
   if (/\.liaam$/i.test(file.name)) return openModel(app, file).catch((error) => toast(error, "bad"));
   if (open === "annotate") openTab("fit");

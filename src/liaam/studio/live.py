@@ -1,0 +1,238 @@
+"""Videos that are tracked while they play: the page sends frames one by one, and gets the row of the track for each.
+
+A row is a line of the .csv that ``liaam track`` writes. The page keeps the rows, so a video takes little more than its
+tracker here. Frames are bare pixels: nothing has to be decoded.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from asyncio import wrap_future
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from liaam.errors import MethodError
+from liaam.fitting import FitResult
+from liaam.model import AAM
+from liaam.studio.pictures import Kept, jpeg_bytes
+from liaam.studio.safety import Refusal
+from liaam.studio.settings import Settings
+from liaam.studio.uploads import read_body
+from liaam.tracking import TrackedFrame, Tracker, TrackStatus
+from liaam.tracking.files import TrackRows
+from liaam.tracking.motion import rescaled
+from liaam.tracking.shading import ShadingRemover
+from liaam.tracking.tracker import TrackState
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response as Answer
+    from starlette.routing import Route
+
+    from liaam.studio.model_store import ModelStore
+
+AT_ONCE = 3
+"""Frames of a video in progress: one arrives, one is tracked, and the shading of one is removed."""
+
+IDLE_SECONDS = 60.0
+"""Time without a frame after which a video may end."""
+
+SIDE, WHOLE_SIDE = 16, 20_000
+"""Shortest side of a frame, and longest side of the video that it is a reduced copy of, pixels."""
+
+_GONE = "this video is no longer tracked: start it again"
+
+
+class LiveVideo:
+    """A video and its tracker. Each of its methods is called by one thread at a time.
+
+    Parameters
+    ----------
+    model : AAM
+    """
+
+    def __init__(self, model: AAM) -> None:
+        self.id = secrets.token_urlsafe(9)
+        self.used = time.monotonic()
+        self.in_progress = 0
+        self.rows = TrackRows(model.n_points)
+        self._tracker = Tracker(model)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._tracker.resume(TrackState(count=1))  # the first frame of a tracker raises if it is invalid
+
+    @cached_property
+    def _remover(self) -> ShadingRemover | None:
+        """Remover of the shading; None if the model has no colours."""
+        try:
+            return ShadingRemover(self._tracker.fitter)
+        except MethodError:
+            return None
+
+    def track(self, image: np.ndarray, frame: Frame) -> tuple[TrackedFrame, FitResult | None]:
+        """Track the next frame; also return its fit, if the object is not lost."""
+        if frame.fresh:
+            self._begin()
+        tracked = self._tracker.update(image, frame.time, frame.number)
+        return tracked, self._tracker.result
+
+    def without_shading(self, image: np.ndarray, tracked: TrackedFrame, result: FitResult | None) -> bytes:
+        """Return a JPEG of a frame without its shading; empty if the object is lost, or the frame or model is grey."""
+        if self._remover is None:
+            return b""
+        if tracked.status is not TrackStatus.TRACKED:
+            self._remover.reset()
+        try:
+            return b"" if result is None else jpeg_bytes(self._remover.remove(image, result, tracked.landmarks))
+        except MethodError:
+            return b""
+
+
+class Frame:
+    """What a request says about a frame: its size, its place in the video, and what is wanted.
+
+    Raises
+    ------
+    Refusal
+        422 if a value is missing or out of range.
+    """
+
+    def __init__(self, query: Mapping[str, str]) -> None:
+        try:
+            self.width, self.height = int(query["width"]), int(query["height"])
+            self.whole = int(query["of_height"]), int(query["of_width"])
+            self.number, self.time = int(query["number"]), float(query["time"])
+        except (KeyError, ValueError) as fault:
+            raise Refusal(422, "send width, height, of_width, of_height, number and time of the frame") from fault
+        if min(self.width, self.height) < SIDE or max(self.whole) > WHOLE_SIDE or min(self.whole) < SIDE:
+            raise Refusal(422, f"the frame is too small or too large: its sides must be {SIDE} to {WHOLE_SIDE} pixels")
+        if not (0 <= self.number < 2**31 and abs(self.time) < 1e9):
+            raise Refusal(422, "the frame's number or time is out of range")
+        self.fresh, self.flat = query.get("fresh") == "1", query.get("flat") == "1"
+
+    def image(self, pixels: bytes) -> np.ndarray:
+        """Return (height, width, 3) uint8 from the pixels, four bytes each (RGBA)."""
+        expected = 4 * self.width * self.height
+        if len(pixels) != expected:
+            raise Refusal(422, f"the frame has {len(pixels)} bytes instead of {expected}: send RGBA, a byte each")
+        rgba = np.frombuffer(pixels, np.uint8).reshape(self.height, self.width, 4)
+        return np.ascontiguousarray(rgba[..., :3])
+
+
+def in_whole(tracked: TrackedFrame, size: tuple[int, ...], whole: tuple[int, int]) -> TrackedFrame:
+    """Convert a frame tracked on a copy of a size (height, width) to the pixels of the whole video."""
+    if size == whole:
+        return tracked
+    size = (size[0], size[1])
+    factors = np.array(whole[::-1]) / np.array(size[::-1])
+    squares = np.outer(factors, factors)
+    return replace(
+        tracked,
+        landmarks=rescaled(tracked.landmarks, size, whole),
+        raw=rescaled(tracked.raw, size, whole),
+        covariances=tracked.covariances * squares,
+        raw_covariances=tracked.raw_covariances * squares,
+    )
+
+
+class LiveVideos:
+    """The videos that are tracked live; thread-safe.
+
+    Parameters
+    ----------
+    models : ModelStore
+        A new model ends all videos. Their pages start them again.
+    settings : Settings, optional
+    """
+
+    def __init__(self, models: ModelStore, settings: Settings | None = None) -> None:
+        self.models = models
+        self.settings = settings or Settings()
+        self._videos: Kept[str, LiveVideo] = Kept(self.settings.live_kept)
+        models.listeners.append(lambda _: self._videos.keep_only(lambda *_: False))
+
+    def __len__(self) -> int:
+        return len(self._videos)
+
+    def open(self) -> LiveVideo:
+        """Begin a video.
+
+        Raises
+        ------
+        Refusal
+            409 if there is no model.
+        """
+        current = self.models.current
+        if current is None:
+            raise Refusal(409, "there is no model yet: train one first, or start with --model FILE")
+        oldest = time.monotonic() - IDLE_SECONDS
+        self._videos.keep_only(lambda _, video: video.used > oldest)
+        video = LiveVideo(current.model)
+        self._videos.put(video.id, video)
+        return video
+
+    def get(self, number: str) -> LiveVideo:
+        """Return the video with an id.
+
+        Raises
+        ------
+        Refusal
+            404 if it has ended.
+        """
+        video = self._videos.peek(number)
+        if video is None:
+            raise Refusal(404, _GONE)
+        video.used = time.monotonic()
+        return video
+
+    def close(self, number: str) -> None:
+        """End a video, if it has not ended."""
+        self._videos.keep_only(lambda key, _: key != number)
+
+
+def routes(videos: LiveVideos) -> list[Route]:
+    """Return the endpoints of live videos."""
+    from starlette.responses import JSONResponse, Response
+    from starlette.routing import Route
+
+    # A thread for each step keeps the frames in order, and makes one tracker at a time.
+    tracking, painting = ThreadPoolExecutor(1, "live-track"), ThreadPoolExecutor(1, "live-paint")
+
+    async def begin(request: Request) -> Answer:
+        video = await wrap_future(tracking.submit(videos.open))
+        return JSONResponse({"id": video.id, "header": video.rows.header}, 201)
+
+    async def fitted(video: LiveVideo, frame: Frame, image: np.ndarray) -> bytes:
+        tracked, result = await wrap_future(tracking.submit(video.track, image, frame))
+        row = video.rows.of(in_whole(tracked, image.shape[:2], frame.whole)).encode()
+        if not frame.flat:
+            return row
+        return row + await wrap_future(painting.submit(video.without_shading, image, tracked, result))
+
+    async def update(request: Request) -> Answer:
+        video, frame = videos.get(request.path_params["id"]), Frame(request.query_params)
+        image = frame.image(await read_body(request, videos.settings.json_bytes))
+        if video.in_progress >= AT_ONCE:
+            raise Refusal(429, f"{AT_ONCE} frames of this video are in progress: wait for an answer")
+        video.in_progress += 1
+        try:
+            return Response(await fitted(video, frame, image), media_type="application/octet-stream")
+        finally:
+            video.in_progress -= 1
+
+    async def end(request: Request) -> Answer:
+        videos.close(request.path_params["id"])
+        return Response(status_code=204)
+
+    return [
+        Route("/api/live", begin, methods=["POST"]),
+        Route("/api/live/{id}/frames", update, methods=["POST"]),
+        Route("/api/live/{id}", end, methods=["DELETE"]),
+    ]

@@ -1,0 +1,70 @@
+// The track of a video: the row of each frame as the server writes it. This module is independent of the page.
+
+const FACTS = 6; // columns before those of the points
+const PER_POINT = 7; // x, y, fitted x and y, variances and covariance
+
+/** Most pixels of a frame that is sent: at four bytes each, less than the server's limit of 2 MB. */
+const MOST = 480_000;
+
+/** Seconds between two frames from which on the object is searched anew. */
+const JUMP = 0.5;
+
+/** Size at which a video's frames are sent. */
+export function sentSize(width, height) {
+  const factor = Math.min(1, Math.sqrt(MOST / (width * height)));
+  return { width: Math.floor(width * factor), height: Math.floor(height * factor) };
+}
+
+/** Whether a frame does not follow the one before (seconds, or null), so that the motion before does not apply. */
+export const isJump = (before, time) => before === null || time <= before || time - before > JUMP;
+
+const isLost = (row) => row.includes(",lost,");
+
+/** A row as a fit to draw and to judge; a lost frame has no points. */
+export function parseRow(row) {
+  const cells = row.trimEnd().split(",");
+  const points = [];
+  if (!isLost(row))
+    for (let i = FACTS; i < cells.length; i += PER_POINT) points.push(cells.slice(i, i + PER_POINT).map(Number));
+  return {
+    status: cells[2], ok: !isLost(row), quality: cells[4] === "" ? null : Number(cells[4]),
+    shape: points.map(([x, y]) => [x, y]),
+    covariances: points.map(([, , , , xx, xy, yy]) => [[xx, xy], [xy, yy]]),
+  };
+}
+
+const key = (time) => Math.round(1000 * time);
+
+/** Rows of a table with a header, by their time in seconds. */
+export class Track {
+  constructor(header = "") {
+    this.header = header;
+    this.rows = new Map(); // by milliseconds
+  }
+
+  get lost() {
+    return [...this.rows.values()].filter(isLost).length;
+  }
+
+  set(time, row) {
+    this.rows.set(key(time), row);
+  }
+
+  at(time) {
+    return this.rows.get(key(time)) ?? null;
+  }
+
+  /** Time in seconds and kind of each frame: "good", "warn" or "bad", by its quality. */
+  marks(sure) {
+    const kind = (row) => (isLost(row) ? "bad" : Number(row.split(",", 5)[4]) >= sure ? "good" : "warn");
+    return [...this.rows].map(([at, row]) => [at / 1000, kind(row)]);
+  }
+
+  /** The table in the order of time. Frames are counted by the shortest interval, since some may have been skipped. */
+  csv() {
+    const times = [...this.rows.keys()].sort((a, b) => a - b);
+    const shortest = times.slice(1).reduce((least, time, i) => Math.min(least, time - times[i]), Infinity);
+    const number = (time) => Math.round((time - times[0]) / shortest);
+    return this.header + times.map((time) => this.rows.get(time).replace(/^\d+/, number(time))).join("");
+  }
+}

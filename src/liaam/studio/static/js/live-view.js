@@ -1,0 +1,139 @@
+// The picture of the Live tab with its fit, the controls, and the timeline.
+
+import { Divider } from "./divider.js";
+import { drawFit, drawOver, entries, modelNeeded, overlayButtons, OVERLAYS, pressOverlays } from "./fit-draw.js";
+import { SURE } from "./fit-run.js";
+import { FrameMeter } from "./fit-schedule.js";
+import { button, h, icon, perFrame } from "./ui.js";
+import { Viewer } from "./viewer.js";
+
+const LATELY = 50; // frames over which the speed and the delay are averaged
+
+export class LiveView {
+  /** act: functions camera, file (of a File), stop, play, flat, record, save and seek (to seconds). */
+  constructor(root, app, act) {
+    this.shown = null;
+    this.overlays = new Set(["contours", "landmarks", "ellipses"]);
+    this.delays = []; // milliseconds from each frame to its painted fit
+    this.meter = new FrameMeter(400, LATELY);
+    const container = h("div.fit-viewer");
+    this.viewer = new Viewer(container, { label: "Live picture" });
+    this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
+    this.divider = new Divider(this.viewer, () => this.viewer.redraw());
+    this.divider.label("Picture", "Without shading");
+    const file = h("input.visually-hidden", {
+      type: "file", accept: "video/*", tabindex: "-1", "aria-label": "Open a video", testid: "live-file",
+      onclick: () => { file.value = ""; }, onchange: () => act.file(file.files[0]),
+    });
+    const tool = (label, name, more) =>
+      button(label, { small: true, testid: `live-${name}`, onclick: act[name], ...more });
+    this.tools = {
+      flat: tool("Remove shading", "flat", { pressed: false, shortcut: "F" }),
+      record: tool("Record", "record", { icon: "target", pressed: false, shortcut: "R" }),
+      save: tool("Export track", "save", { icon: "download" }), stop: tool("Stop", "stop", { icon: "close" }),
+    };
+    this._play = tool("Play", "play", { shortcut: "P" });
+    this._openers = [
+      button("Use the camera", { icon: "eye", kind: "primary", testid: "live-camera", onclick: act.camera }),
+      button("Open a video…", { icon: "upload", testid: "live-open", onclick: () => file.click() }),
+    ];
+    this._strip = h("canvas.live-strip", { height: 8, "aria-hidden": "true" });
+    this._slider = h("input.slider", {
+      type: "range", min: "0", step: "0.04", "aria-label": "Time in the video", testid: "live-time",
+      oninput: perFrame(() => act.seek(Number(this._slider.value))),
+    });
+    this._time = h("span.number");
+    const line = h("div.live-time", this._strip, this._slider);
+    this._bar = h("div.fit-bar.live-bar", this._play, line, this._time);
+    this._empty = h("div.empty.big.fit-empty", icon("play", 56), h("h2", "Follow the object in a video"),
+      h("p", "Use your camera, or open a video or drop one here. It stays on this machine, and no frame is kept."),
+      h("div.row", this._openers));
+    this._buttons = overlayButtons(this.overlays, (name) => this._toggle(name), (name) => `live-${name}`);
+    this._status = h("p.fit-status", { role: "status", testid: "live-status" });
+    this._facts = h("dl.fit-facts");
+    this._needs = h("section.panel.column", modelNeeded(app));
+    const overlays = h("div.row.tight.fit-overlays", [...this._buttons.values()]);
+    this._panels = [
+      h("section.panel.column", { "aria-label": "Result" }, this._status, this._facts),
+      h("section.panel", { "aria-label": "Drawn over the picture" }, overlays),
+    ];
+    const { flat, record, save, stop } = this.tools;
+    const tools = h("div.toolbar", { role: "toolbar", "aria-label": "Video" },
+      flat, h("span.grow"), record, save, stop);
+    root.append(h("div.fit-tab",
+      h("div.workspace", tools, h("div.fit-stage", container, this._empty), this._bar),
+      h("div.side.fit-side", this._needs, this._panels), file));
+  }
+
+  /** Show a frame with its fit: {time, canvas, flat, fit, grabbed}; or nothing (null). */
+  show(frame) {
+    this.shown?.flat?.close();
+    this.shown = frame && { ...frame, isNew: true };
+    this.divider.visible = Boolean(frame?.flat);
+    this.viewer.redraw();
+  }
+
+  key(event) {
+    const letter = event.key.toUpperCase();
+    const overlay = OVERLAYS.find(({ key }) => key === letter)?.name;
+    const chosen = { P: this._play, F: this.tools.flat, R: this.tools.record }[letter] ?? this._buttons.get(overlay);
+    chosen?.click();
+    return Boolean(chosen) || this.viewer.key(event);
+  }
+
+  _toggle(name) {
+    if (!this.overlays.delete(name)) this.overlays.add(name);
+    pressOverlays(this._buttons, this.overlays);
+    this.viewer.redraw();
+  }
+
+  _draw(ctx, viewer) {
+    if (!this.shown) return;
+    const { canvas, flat, fit, isNew, grabbed } = this.shown;
+    drawOver(ctx, viewer, canvas);
+    if (flat) drawOver(ctx, viewer, flat, this.divider.x);
+    if (fit.ok) drawFit(ctx, viewer, fit, this.overlays);
+    if (!isNew) return;
+    this.shown.isNew = false;
+    this.meter.tick();
+    this.delays = [...this.delays.slice(1 - LATELY), performance.now() - grabbed];
+  }
+
+  /** Update the controls. */
+  dress({ video, isOpen, isFile }, model) {
+    this._needs.hidden = Boolean(model);
+    for (const panel of this._panels) panel.hidden = !model;
+    this._empty.hidden = isOpen;
+    this.viewer.container.classList.toggle("without", !isOpen);
+    for (const each of this._openers) each.disabled = !model;
+    for (const each of Object.values(this.tools)) each.disabled = !isOpen;
+    this._bar.hidden = this._play.disabled = !isFile;
+    this._play.textContent = video.paused ? "Play" : "Pause";
+    this._buttons.get("contours").disabled = !model?.contours?.length;
+    pressOverlays(this._buttons, this.overlays);
+  }
+
+  /** Show figures, and a message: {kind: "bad", "warn", "good" or "", text}. */
+  tell({ kind, text }, track) {
+    this._status.textContent = text;
+    this._status.className = `fit-status ${{ bad: "error-text", warn: "warn-text" }[kind] ?? ""}`;
+    const delay = [...this.delays].sort((a, b) => a - b)[this.delays.length >> 1] ?? 0;
+    const rows = [
+      ["Speed", `${this.meter.rate().toFixed(0)} frames/s`], ["Delay", `${delay.toFixed(0)} ms`],
+      ["Frames", `${track.rows.size}, ${track.lost} lost`],
+    ];
+    this._facts.replaceChildren(...(this.shown ? entries(rows) : []));
+  }
+
+  /** Draw the timeline: green, amber or red where frames are tracked. */
+  drawTime({ currentTime, duration }, track) {
+    Object.assign(this._slider, { max: String(duration), value: String(currentTime) });
+    this._time.textContent = `${currentTime.toFixed(1)} / ${duration.toFixed(1)} s`;
+    const width = (this._strip.width = this._strip.clientWidth || 1);
+    const [ctx, style] = [this._strip.getContext("2d"), getComputedStyle(this._strip)];
+    for (const [time, kind] of track.marks(SURE)) {
+      ctx.fillStyle = style.getPropertyValue(`--${kind}`);
+      ctx.fillRect(Math.floor((time / duration) * width), 0, Math.ceil(width / (25 * duration)), 8);
+    }
+  }
+}

@@ -1,0 +1,200 @@
+// The Live tab: follow the object in the picture of a camera, or in a video.
+
+import { api } from "./api.js";
+import { verdictOf } from "./fit-run.js";
+import { LiveSource } from "./live-source.js";
+import { isJump, parseRow, sentSize, Track } from "./live-track.js";
+import { LiveView } from "./live-view.js";
+import { saveFile } from "./ui.js";
+
+const AT_ONCE = 3; // frames that the server works on
+const SLOW = 15; // frames per second below which the user sees a message
+
+const SHORTCUTS = [
+  { keys: "P", what: "Play, pause" },
+  { keys: "F", what: "Remove the shading" },
+  { keys: "R", what: "Record" },
+  { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
+];
+
+export function mount(root, app) {
+  const tab = new LiveTab(root, app);
+  return {
+    show: (/** @type {any} */ { file } = {}) => tab.open(file), hide: () => tab.leave(), shortcuts: SHORTCUTS,
+    key: (event) => !event.ctrlKey && !event.metaKey && !event.altKey && tab.view.key(event),
+  };
+}
+
+class LiveTab {
+  constructor(root, app) {
+    this.app = app;
+    this.source = new LiveSource((time) => this._frame(time));
+    this.view = new LiveView(root, app, {
+      camera: () => this._start(() => this.source.openCamera()), file: (file) => this.open(file),
+      stop: () => this._stop(), play: () => (video.paused ? video.play().catch(() => {}) : video.pause()),
+      flat: () => this._switchFlat(), record: () => this._record(),
+      save: () => saveFile(new Blob([this.track.csv()], { type: "text/csv" }), `${this.source.name}_track.csv`),
+      seek: (time) => Object.assign(video, { currentTime: time }).pause(),
+    });
+    this.isFlat = false;
+    this._stop();
+    const { source: { video }, view } = this;
+    for (const type of ["play", "pause", "ended"]) video.addEventListener(type, () => this._dress());
+    video.addEventListener("resize", () => view.viewer.setPicture(null, video.videoWidth, video.videoHeight));
+    app.state.addEventListener("project", () => this._dress());
+    addEventListener("pagehide", () => this._end());
+    setInterval(() => this.source.isOpen && this._tell(), 250);
+    window.liaamStudio.live = {
+      viewer: view.viewer, shown: () => view.shown, rate: () => view.meter.rate(), delays: () => view.delays,
+      track: () => this.track, video: () => video, isOpen: () => this.source.isOpen,
+    };
+  }
+
+  open(file) {
+    if (file) this._start(() => this.source.openFile(file));
+  }
+
+  leave() {
+    if (this.source.isFile) this.source.video.pause();
+    else this._stop(); // the camera is on only while the tab is open
+  }
+
+  async _start(open) {
+    this._stop();
+    await open().catch((error) => { this._message = error.message; });
+    this._dress();
+  }
+
+  _stop() {
+    this._recorder?.stop();
+    this._end();
+    this.source.close();
+    this.view.show(null);
+    this.track = new Track();
+    this._message = "";
+    this._dress();
+  }
+
+  /** End the server's work on the video; a next frame begins it again. */
+  _end() {
+    const end = ({ id }) => api.delete(api.url("live", id), {}, { quiet: true, keepalive: true });
+    this._video?.then(end).catch(() => {});
+    /** @type {Promise<{id: string, header: string}>} */
+    this._video = null;
+    this._inFlight = this._number = 0;
+    this._before = this._missed = null;
+  }
+
+  // Frames.
+
+  async _begin() {
+    const video = await api.post(api.url("live"), {}, { quiet: true });
+    if (this.track.header !== video.header) this.track = new Track(video.header); // at first, or with another model
+    return video;
+  }
+
+  /** A frame is shown: show its fit too if it is known, or else send it. */
+  _frame(time) {
+    const { video, isFile } = this.source;
+    if (!this.app.state.project.model || !video.videoWidth) return;
+    const known = isFile && !this.isFlat ? this.track.at(time) : null;
+    const waits = !known && this._inFlight >= AT_ONCE;
+    this._missed = waits ? time : null;
+    if (waits) return;
+    const canvas = this.source.grab(sentSize(video.videoWidth, video.videoHeight));
+    const frame = { time, grabbed: performance.now(), canvas };
+    if (known) this._take(frame, known, null);
+    else this._send(frame);
+  }
+
+  async _send(frame) {
+    const { canvas: { width, height }, time } = frame;
+    const { videoWidth: of_width, videoHeight: of_height } = this.source.video;
+    const { data } = frame.canvas.getContext("2d").getImageData(0, 0, width, height);
+    const flags = { flat: Number(this.isFlat), fresh: Number(isJump(this._before, time)) };
+    const query = { width, height, of_width, of_height, number: this._number, time, ...flags };
+    this._before = time;
+    this._number += 1;
+    this._inFlight += 1;
+    const asked = (this._video ??= this._begin());
+    let answer = null;
+    try {
+      const address = api.url("live", (await asked).id, "frames", query);
+      // A blob is handed over faster than an array.
+      answer = await parts(await api.buffer(address, { method: "POST", body: new Blob([data]), quiet: true }));
+      this._message = "";
+    } catch (error) {
+      if (this._video === asked) this._end();
+      if (error.status !== 404) this._message = error.message; // 404: ended for other videos, or by a new model
+    }
+    if (this._video === asked) this._inFlight -= 1;
+    if (this._video === asked && answer) this._take(frame, ...answer);
+    if (this._missed !== null && this.source.video.paused) this._frame(this._missed);
+  }
+
+  _take(frame, row, flat) {
+    this.track.set(frame.time, row);
+    if (frame.grabbed < this.view.shown?.grabbed) return; // overtaken by a newer one
+    const { triangles, contours } = this.app.state.project.model ?? {};
+    this.view.show({ ...frame, flat, fit: { ...parseRow(row), triangles, contours } });
+    if (this.source.isFile) this.view.drawTime(this.source.video, this.track);
+  }
+
+  // Controls.
+
+  _switchFlat() {
+    this.isFlat = !this.isFlat;
+    this.view.tools.flat.setAttribute("aria-pressed", String(this.isFlat));
+    if (this.source.video.paused && this.view.shown) this._frame(this.view.shown.time);
+  }
+
+  /** Record the picture as it is seen, until the next call. */
+  _record() {
+    if (this._recorder) return this._recorder.stop();
+    const [name, recorded] = [`${this.source.name}_fit.webm`, []];
+    const recorder = new MediaRecorder(this.view.viewer.canvas.captureStream(), { mimeType: "video/webm" });
+    const use = (now) => {
+      this._recorder = now;
+      this.view.tools.record.setAttribute("aria-pressed", String(Boolean(now)));
+    };
+    recorder.ondataavailable = ({ data }) => recorded.push(data);
+    recorder.onstop = () => {
+      use(null);
+      saveFile(new Blob(recorded, { type: "video/webm" }), name);
+    };
+    recorder.start(1000);
+    return use(recorder);
+  }
+
+  _dress() {
+    this.view.dress(this.source, this.app.state.project?.model);
+    this._tell();
+  }
+
+  _tell() {
+    this.view.tell(this._verdict(), this.track);
+  }
+
+  _verdict() {
+    const { view: { shown, meter }, source: { isOpen, video } } = this;
+    const rate = meter.rate();
+    if (this._message) return { kind: "bad", text: this._message };
+    if (!shown) return { kind: "", text: isOpen ? "Searching…" : "No video." };
+    if (!shown.fit.ok)
+      return { kind: "warn", text: "The object is lost. Move it into the picture, facing the camera." };
+    if (this.isFlat && !shown.flat && !video.paused)
+      return { kind: "warn", text: "The shading cannot be removed: the video and the model must have colour." };
+    if (this.track.rows.size > 50 && rate < SLOW && !video.paused)
+      return { kind: "warn", text: `This machine is slow: ${rate.toFixed(0)} frames per second are fitted.` };
+    const { kind, title } = verdictOf(shown.fit);
+    return { kind, text: `The object is ${title}.` };
+  }
+}
+
+/** The row of an answer, and its picture without shading, or null. */
+async function parts(buffer) {
+  const bytes = new Uint8Array(buffer);
+  const end = bytes.indexOf(10) + 1;
+  const row = new TextDecoder().decode(bytes.subarray(0, end));
+  return [row, end < bytes.length ? await createImageBitmap(new Blob([bytes.subarray(end)])) : null];
+}

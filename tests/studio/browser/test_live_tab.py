@@ -1,0 +1,179 @@
+"""The Live tab in a real browser, with a file as the camera: tracking, shading, timeline, recording, export."""
+
+import csv
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from people import shoot, violations, wait_for
+
+from benchmarks.studio import lacking, launched, write_camera
+from liaam.io import video_writer
+from liaam.training import train
+
+pytestmark = pytest.mark.slow
+
+STATUS = "[data-testid=live-status]"
+
+TRACKED = "() => window.liaamStudio.live.shown()?.fit.ok"
+
+WITHOUT_SHADING = "() => window.liaamStudio.live.shown()?.flat"
+
+MORE = "n => window.liaamStudio.live.track().rows.size >= n"
+
+
+@pytest.fixture(scope="module")
+def picture(portraits) -> np.ndarray:
+    """Give a picture that the model was not trained on, 640×480."""
+    return portraits[9].image.repeat(2, axis=0).repeat(2, axis=1)
+
+
+@pytest.fixture(scope="module")
+def browser(picture, tmp_path_factory) -> Iterator:
+    """Give a browser with a camera in which the picture moves to and fro."""
+    reason = lacking()
+    if reason:
+        pytest.skip(reason)
+    with launched(write_camera(tmp_path_factory.mktemp("camera") / "camera.mjpeg", picture)) as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def portrait_model(portraits, tmp_path_factory) -> Path:
+    """Give a model of the portraits."""
+    path = tmp_path_factory.mktemp("model") / "portraits.liaam"
+    train([(scene.image, scene.landmarks) for scene in portraits[:8]], leave_out=False).save(path)
+    return path
+
+
+@pytest.fixture
+def live(serve, page, folder, portrait_model):
+    """Give the page with the Live tab open."""
+    page.goto(serve(folder, "--model", str(portrait_model)).address)
+    open_live(page)
+    return page
+
+
+def open_live(page) -> None:
+    page.locator("[data-testid=tab-live]").click()
+    page.wait_for_selector("[data-testid=tab-live][aria-selected=true]")
+
+
+def use_camera(page) -> None:
+    """Start the camera, and wait until the object is found."""
+    page.locator("[data-testid=live-camera]").click()
+    wait_for(page, TRACKED)
+
+
+def saved(page, button: str, path: Path) -> Path:
+    """Click a button that saves a file, and give the file."""
+    with page.expect_download() as download:
+        page.locator(f"[data-testid={button}]").click()
+    download.value.save_as(path / download.value.suggested_filename)
+    return path / download.value.suggested_filename
+
+
+def test_the_camera_is_tracked_and_exported(live, tmp_path):
+    use_camera(live)
+    wait_for(live, MORE, 10)
+    live.locator(STATUS, has_text=re.compile("quality unknown|machine is slow")).wait_for()
+    rows = list(csv.DictReader(saved(live, "live-save", tmp_path).open()))
+    assert len(rows) >= 10
+    assert {row["status"] for row in rows} <= {"found", "tracked", "corrected", "lost"}
+    times = [float(row["time"]) for row in rows]
+    assert times == sorted(times)
+    assert int(rows[0]["frame"]) == 0 < int(rows[1]["frame"])
+    x = np.array([float(row["x0"]) for row in rows if row["x0"]])
+    assert np.ptp(x) > 1 and x.min() > 0 and x.max() < 640
+
+
+def test_the_shading_is_removed_and_the_picture_recorded(live, tmp_path):
+    use_camera(live)
+    live.locator("[data-testid=live-flat]").click()
+    wait_for(live, WITHOUT_SHADING)
+    assert live.locator("#tab-live [data-testid=divider]").is_visible()
+    live.locator("[data-testid=live-record]").click()
+    live.locator("[data-testid=live-record][aria-pressed=true]").wait_for()
+    wait_for(live, MORE, live.evaluate("() => window.liaamStudio.live.track().rows.size") + 10)
+    video = saved(live, "live-record", tmp_path)
+    assert video.suffix == ".webm" and video.stat().st_size > 1000
+    assert video.read_bytes().startswith(b"\x1a\x45\xdf\xa3"), "not a WebM file"
+
+
+def test_the_camera_is_off_in_other_tabs(live):
+    use_camera(live)
+    live.locator("[data-testid=tab-fit]").click()
+    wait_for(live, "() => !window.liaamStudio.live.isOpen()")
+    open_live(live)
+    live.locator("[data-testid=live-camera]").wait_for()
+    assert live.locator(STATUS).inner_text() == "No video."
+
+
+def test_a_video_is_tracked_and_its_frames_are_kept(live, picture, artefacts, tmp_path):
+    path = tmp_path / "talk.webm"
+    with video_writer(path, 10) as writer:
+        for i in range(20):
+            writer.write(np.roll(picture, i, axis=1), i / 10)
+    live.locator("[data-testid=live-file]").set_input_files(path)
+    wait_for(live, TRACKED)
+    wait_for(live, "() => window.liaamStudio.live.video().ended")
+    live.locator("[data-testid=live-play]", has_text="Play").wait_for()
+    time = live.locator("[data-testid=live-time]")
+    time.evaluate("(slider) => { slider.value = '0.5'; slider.dispatchEvent(new Event('input')); }")
+    wait_for(live, "() => Math.abs(window.liaamStudio.live.shown().time - 0.5) < 0.06")
+    wait_for(live, TRACKED)
+    shoot(live, artefacts, "live-timeline")
+    file = saved(live, "live-save", tmp_path)
+    assert file.name == "talk_track.csv"
+    assert 1 < len(list(csv.DictReader(file.open()))) <= 20
+
+
+def test_without_a_model_the_tab_says_what_to_do(serve, page, folder):
+    page.goto(serve(folder).address)
+    open_live(page)
+    assert page.locator("[data-testid=live-camera]").is_disabled()
+    page.locator("#tab-live").get_by_role("button", name="Annotate pictures").click()
+    page.wait_for_selector("[data-testid=tab-annotate][aria-selected=true]")
+
+
+@pytest.mark.parametrize("fault", ["NotAllowedError", "NotFoundError", "NotReadableError", "OddError"])
+def test_a_camera_that_cannot_be_used_is_explained(live, fault):
+    live.evaluate(
+        "(name) => { navigator.mediaDevices.getUserMedia = async () => { throw new DOMException('odd', name); }; }",
+        fault,
+    )
+    live.locator("[data-testid=live-camera]").click()
+    said = {"NotAllowedError": "Allow it", "NotFoundError": "no camera", "NotReadableError": "another program"}
+    live.locator(STATUS, has_text=said.get(fault, "cannot be used (odd)")).wait_for()
+
+
+def test_a_file_that_is_no_video_is_explained(live, tmp_path):
+    path = tmp_path / "notes.mp4"
+    path.write_text("no video")
+    live.locator("[data-testid=live-file]").set_input_files(path)
+    live.locator(STATUS, has_text="cannot play notes.mp4").wait_for()
+
+
+def test_a_video_that_the_server_has_ended_goes_on(live):
+    use_camera(live)
+    live.evaluate("""async () => { for (let i = 0; i < 5; i += 1) await fetch("/api/live", {method: "POST"}); }""")
+    count = live.evaluate("() => window.liaamStudio.live.track().rows.size")
+    wait_for(live, MORE, count + 5)
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (820, 1180), (390, 844)], ids=str)
+def test_the_tab_fits_every_screen(live, artefacts, size):
+    live.set_viewport_size({"width": size[0], "height": size[1]})
+    shoot(live, artefacts, f"{size[0]}-live-empty")
+    use_camera(live)
+    live.locator("[data-testid=live-flat]").click()
+    wait_for(live, WITHOUT_SHADING)
+    for scheme in ("light", "dark"):
+        live.emulate_media(color_scheme=scheme)
+        assert violations(live) == {}
+        shoot(live, artefacts, f"{size[0]}-live-{scheme}")
+    canvas = live.locator("#tab-live .viewer canvas").first.bounding_box()
+    assert canvas["height"] > 0.25 * size[1] and canvas["width"] > 0.5 * size[0]
+    assert live.evaluate("() => document.documentElement.scrollWidth <= innerWidth")

@@ -1,0 +1,63 @@
+// The Live tab's pure parts. Run by test_live_module.py, by Node.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import test from "node:test";
+
+import { isJump, parseRow, sentSize, Track } from "./modules/live-track.js";
+
+const [header, found, lost] = readFileSync(process.env.LIAAM_ROWS, "utf8").split(/(?<=\n)/);
+
+test("large frames are sent smaller, at most 480,000 pixels", () => {
+  assert.deepEqual(sentSize(640, 480), { width: 640, height: 480 });
+  const { width, height } = sentSize(1920, 1080);
+  assert.ok(width * height <= 480_000 && width * height > 470_000);
+  assert.ok(Math.abs(width / height - 16 / 9) < 0.01);
+});
+
+test("the object is searched anew at first, after a pause, and after a step back", () => {
+  assert.deepEqual([[null, 0], [1, 0.9], [1, 1], [1, 2]].map(([before, time]) => isJump(before, time)), [true, true, true, true]);
+  assert.ok(!isJump(1, 1.04));
+});
+
+test("a row of the server is a fit", () => {
+  const fit = parseRow(found);
+  assert.equal(fit.status, "found");
+  assert.ok(fit.ok);
+  assert.equal(fit.quality, 0.875);
+  assert.deepEqual(fit.shape, [[1.5, 2], [3, 4.25]]);
+  assert.deepEqual(fit.covariances, [[[0.5, 0.1], [0.1, 0.25]], [[2, 0], [0, 1]]]);
+});
+
+test("a lost frame has no points", () => {
+  const fit = parseRow(lost);
+  assert.deepEqual([fit.ok, fit.quality, fit.shape], [false, null, []]);
+});
+
+test("the table is in the order of time, and frames are counted by the shortest interval", () => {
+  const track = new Track(header);
+  for (const time of [0.2, 0.04, 0.08]) track.set(time, found);
+  track.set(0.08, lost); // seen once more
+  assert.deepEqual([track.rows.size, track.lost], [3, 1]);
+  const lines = track.csv().split("\n");
+  assert.equal(`${lines[0]}\n`, header);
+  assert.deepEqual(lines.slice(1, 4).map((line) => line.split(",")[0]), ["0", "1", "4"]);
+  assert.equal(lines[2].split(",")[2], "lost");
+  assert.equal(track.at(0.0404), found);
+  assert.equal(track.at(0.3), null);
+});
+
+test("a table of one frame, and of none", () => {
+  const track = new Track(header);
+  assert.equal(track.csv(), header);
+  track.set(0, found);
+  assert.equal(track.csv().split("\n")[1].split(",")[0], "0");
+});
+
+test("the timeline has a mark for each frame", () => {
+  const track = new Track(header);
+  track.set(0, found);
+  track.set(0.5, lost);
+  assert.deepEqual(track.marks(0.8), [[0, "good"], [0.5, "bad"]]);
+  assert.deepEqual(track.marks(0.9)[0], [0, "warn"]);
+});
