@@ -1,4 +1,4 @@
-"""Response times of the studio in a real browser: a dropped image, the theta slider, a moving light.
+"""Response times of the studio in a real browser: a dropped image, the theta slider, live video.
 
 Needs Playwright (the ``test`` extra) and Chromium. The studio's tests and the figures of its documentation use the
 server and the browser of this module.
@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks.metrics import report
 from benchmarks.search import half_sets, pictures_of
 from liaam.datasets.scenes import DIFFUSE, Head, lateral, make_set, random_expression, random_pose, render
-from liaam.io import write_image, write_landmarks
+from liaam.io import read_image, write_image, write_landmarks
 from liaam.training import train
 
 SIZE = (480, 640)
@@ -129,6 +129,48 @@ def newcomer() -> None:
                 "() => window.liaamStudio.fit.view === 'flat' && window.liaamStudio.fit.hasLayer", timeout=120_000
             )
             report("studio_newcomer_s", time.perf_counter() - began, f"1 click, after {seen:.2f} s", form=".2f")
+
+
+# Live video ----------------------------------------------------------------------------------------
+
+N_CAMERA = 90
+"""Frames after which the video of the camera begins again: three seconds."""
+
+LIVE_SECONDS = 5
+"""How long the camera runs before its rate is read, in which the rate is that of the last 50 frames."""
+
+
+def write_camera(path: Path, image: np.ndarray) -> list[str]:
+    """Write a video of a moving image, as Motion JPEG. Return the flags with which Chromium takes it for a camera."""
+    import cv2
+
+    height, width = image.shape[:2]
+    with path.open("wb") as file:
+        for turn in 2 * np.pi * np.arange(N_CAMERA) / N_CAMERA:
+            matrix = cv2.getRotationMatrix2D((width / 2, height / 2), 4 * np.sin(turn), 1 + 0.04 * np.cos(turn))
+            matrix[:, 2] += 0.02 * width * np.sin(turn), 0.02 * height * np.sin(2 * turn)
+            moved = cv2.warpAffine(image, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE)
+            file.write(cv2.imencode(".jpg", moved[..., ::-1])[1].tobytes())
+    fake = (
+        "use-fake-device-for-media-stream",
+        "use-fake-ui-for-media-stream",
+        f"use-file-for-fake-video-capture={path}",
+    )
+    return [f"--{flag}" for flag in fake]
+
+
+def live(page) -> None:
+    """Print the rate and the delay of live video from the camera, with and without its shading."""
+    page.locator("[data-testid=tab-live]").click()
+    page.locator("[data-testid=live-camera]").click()
+    for name in ("live", "live_flat"):
+        page.wait_for_function("() => window.liaamStudio.live.shown()?.fit.ok")
+        page.wait_for_timeout(1000 * LIVE_SECONDS)
+        rate, delays = page.evaluate("() => [window.liaamStudio.live.rate(), window.liaamStudio.live.delays()]")
+        median, high = np.percentile(delays, (50, 95))
+        report(f"studio_{name}_frames_per_second", rate, f"delay {median:.0f} ms, 95 % {high:.0f} ms", form=".1f")
+        page.locator("[data-testid=live-flat]").click()
+    page.locator("[data-testid=live-stop]").click()
 
 
 # Many pictures -------------------------------------------------------------------------------------
@@ -267,25 +309,25 @@ def lacking() -> str | None:
 
 
 @contextmanager
-def launched() -> Iterator[Any]:
+def launched(flags: Sequence[str] = ()) -> Iterator[Any]:
     """Yield a headless browser, if nothing is :func:`lacking`."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=chromium(), args=FLAGS)
+        browser = driver.chromium.launch(executable_path=chromium(), args=[*FLAGS, *flags])
         yield browser
         browser.close()
 
 
 @contextmanager
-def browsing(size: tuple[int, int] = (1280, 720), **options) -> Iterator[Any]:
+def browsing(size: tuple[int, int] = (1280, 720), flags: Sequence[str] = (), **options) -> Iterator[Any]:
     """Yield a page of a headless browser, or print why there is none and yield None."""
     reason = lacking()
     if reason:
         print(f"studio: skipped; {reason}")
         yield None
         return
-    with launched() as browser:
+    with launched(flags) as browser:
         yield browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
 
 
@@ -297,14 +339,15 @@ def main(data: str | None = None, letters: int = 2) -> None:
     if data is None:
         newcomer()
         many()
-    with browsing() as page, tempfile.TemporaryDirectory() as name:
-        if page is None:
-            return
+    with tempfile.TemporaryDirectory() as name:
         pictures = material(Path(name)) if data is None else photographs(Path(name), Path(data), letters)
-        with served(Path(name), "--model", str(Path(name) / "model.liaam")) as address:
+        flags = write_camera(Path(name) / "camera.mjpeg", read_image(pictures[0]))
+        with browsing(flags=flags) as page, served(Path(name), "--model", f"{name}/model.liaam") as address:
+            if page is None:
+                return
             page.goto(address)
             page.locator("[data-testid=tab-fit]").click()
-            page.wait_for_function("() => window.liaamStudio.fit")
+            page.wait_for_selector("[data-testid=tab-fit][aria-selected=true]")  # files can be dropped now
             drops(page, pictures[:2])  # warm
             times, seconds = [], []
             for path in pictures:
@@ -315,6 +358,7 @@ def main(data: str | None = None, letters: int = 2) -> None:
                 report(f"studio_{part}_ms", 1000 * np.median([each[part] for each in seconds]), form=".0f")
             report("studio_theta_frames_per_second", theta_rate(page), form=".0f")
             report("studio_relit_images_per_second", relight_rate(page), form=".0f")
+            live(page)
 
 
 if __name__ == "__main__":
