@@ -45,6 +45,11 @@ _FILES = {
         {"template": TEMPLATE, "files": [{"file": "p1.ljson", "before": None, "text": "{}", "invisible": [1]}]},
     ],
     "model.json": [{"source": "studio", "trained": None, "pictures": {"p1.png": "ab"}, "order": "cd"}],
+    "log.jsonl": [
+        {"time": "2026-01-01T00:00:00+00:00", "who": "Ann", "picture": "p1.png", "did": did, "revision": "ab"}
+        for did in ("placed", "checked", "left out", "discarded", "deleted")
+    ],
+    "versions.jsonl": [{"time": "2026-01-01", "pictures": 3, "order": "", "errors": {"p1.png": 0.01}}],
     "id": ["0123456789abcdef"],
 }
 _WORDS = (b"[", b"]", b"{", b"}", b'"', b",", b":", b"null", b"NaN", b"1e999", b'"p1.png"', b'"points"')
@@ -55,13 +60,15 @@ def make_state(rng: Random) -> tuple[str, bytes]:
     name = one_of(rng, list(_FILES))
     if rng.random() < 0.3:
         return name, spoilt(rng, [json.dumps(document).encode() for document in _FILES[name]], _WORDS)
-    return name, spoilt_json(rng, _FILES[name])
+    data = spoilt_json(rng, _FILES[name])
+    return name, json.dumps(_FILES[name][0]).encode() + b"\n" + data + b"\n" if name.endswith(".jsonl") else data
 
 
 def check_state(given: tuple[str, bytes]) -> None:
     """Open the project and show all of it. A damaged file must be reported and skipped."""
-    from liaam.studio.model_store import ModelStore, load_studio_model
+    from liaam.studio.model_store import ModelStore, Versions, load_studio_model
     from liaam.studio.project import Project
+    from liaam.studio.review import ACTIONS
 
     name, data = given
     root = Path("project")
@@ -72,9 +79,12 @@ def check_state(given: tuple[str, bytes]) -> None:
     overview = project.overview()
     answers: list[Any] = [overview.pictures, project.template_json(), project.problems, project.id]
     answers += [project.marks(picture["name"]) for picture in overview.pictures]
+    answers += [project.history("p1.png"), Versions(project.state).as_json(project.order)]
     json.dumps(answers, allow_nan=False).encode()  # as sent to the page
     if project.template is not None and len(project.template) == 3:
         project.save_marks("p1.png", {"points": POINTS, "invisible": [], "revision": None})
+        answers += [project.review({"pictures": ["p1.png", "p2.png"], "did": did}) for did in ACTIONS]
+        json.dumps(answers, allow_nan=False).encode()
     if project.problems:
         raise LiaamError(project.problems[0])
 

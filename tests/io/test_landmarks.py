@@ -240,6 +240,23 @@ def test_a_collection_with_names_for_some(tmp_path: Path) -> None:
     assert (tmp_path / "b.csv").read_bytes() == b"x,y\r\n1.5,2.0\r\n"
 
 
+def test_coco_is_written_with_names_contours_sizes_and_visibility(tmp_path: Path) -> None:
+    contours = (Contour((0, 1, 2), closed=True), Contour((3, 4)))
+    points = np.array([[1.0, 2.0], [5.0, 2.0], [5.0, 8.5], [NAN, NAN], [9.0, 9.0]])
+    marks = Landmarks(points, contours, tuple("abcde"), invisible=(1,))
+    other = Landmarks(points + 1, contours, tuple("abcde"))
+    write_collection(tmp_path / "a.json", {"a.jpg": marks, "sub/b.jpg": other}, {"a.jpg": (40, 30)})
+    found = read_collection(tmp_path / "a.json")
+    assert list(found) == ["a.jpg", "sub/b.jpg"]
+    assert np.array_equal(found["a.jpg"].points, points, equal_nan=True)
+    assert (found["sub/b.jpg"].names, found["sub/b.jpg"].contours) == (marks.names, contours)
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert content["images"][0] == {"id": 1, "file_name": "a.jpg", "width": 40, "height": 30}
+    annotation = content["annotations"][0]
+    assert annotation["keypoints"][2::3] == [2, 1, 2, 0, 2]
+    assert (annotation["num_keypoints"], annotation["bbox"], annotation["area"]) == (4, [1, 2, 8, 7], 56)
+
+
 def test_asf_columns_of_the_user_and_the_host_image_are_optional(tmp_path: Path) -> None:
     short = ASF.replace(" 0.0 0.0 0.0", "")
     assert read_landmarks(save(tmp_path, "a.asf", short), (800, 600)).image_name == "face.jpg"
@@ -582,7 +599,7 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
         write_landmarks(tmp_path / "a.pts", np.zeros((2, 3)))
     with pytest.raises(LandmarkError, match=r"does not exist\. Make it first"):
         write_landmarks(tmp_path / "no" / "a.pts", np.zeros((1, 2)))
-    with pytest.raises(LandmarkError, match=r"only \.csv and \.tps hold many"):
+    with pytest.raises(LandmarkError, match=r"only \.csv, \.tps and \.json hold many"):
         write_collection(tmp_path / "a.pts", {})
     with pytest.raises(LandmarkError, match="there are no landmarks"):
         write_collection(tmp_path / "a.csv", {})

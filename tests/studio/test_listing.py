@@ -4,11 +4,12 @@ import os
 
 import numpy as np
 import pytest
-from small_projects import POINTS, by_name, put, refused
+from small_projects import POINTS, TRIANGLE, by_name, put, refused
 
 from liaam.datasets import load_folder
 from liaam.errors import ImageError
-from liaam.io import write_image
+from liaam.io import Landmarks, write_image, write_landmarks
+from liaam.studio import listing
 from liaam.studio.project import Project
 from liaam.studio.settings import Settings
 
@@ -20,11 +21,75 @@ def test_pictures_come_in_natural_order_without_hidden_files_and_folders(small):
     (small.root / "notes.txt").write_text("hello")
     (small.root / "empty").mkdir()
     assert list(by_name(small)) == ["p1.png", "p2.png", "p10.png", "q.jpg"]
-    assert small.problems == ["1 subfolder (sub) with pictures not shown: open the studio on a subfolder"]
+    assert small.problems == [
+        "1 subfolder (sub) with pictures not shown, because the folder itself has pictures: "
+        "open the studio on a subfolder"
+    ]
     assert by_name(small)["p1.png"] == {
         "name": "p1.png", "state": "new", "placed": 0, "error": None, "width": 40, "height": 30,
-        "uncertainty": None, "doubtful": False, "rank": None, "tag": small.marks("p1.png")["tag"],
+        "uncertainty": None, "doubtful": False, "rank": None, "checked": None, "left_out": None,
+        "tag": small.marks("p1.png")["tag"],
     }  # fmt: skip
+
+
+@pytest.fixture
+def nested(tmp_path):
+    """Give a project of two persons in subfolders, with pictures of the same names."""
+    for name in ("ann/1.png", "ann/2.png", "bob/side/1.png", ".hidden/1.png"):
+        (tmp_path / "all" / name).parent.mkdir(parents=True, exist_ok=True)
+        write_image(tmp_path / "all" / name, np.full((30, 40, 3), len(name), np.uint8))
+    return Project(tmp_path / "all")
+
+
+def test_without_pictures_in_the_folder_those_of_its_subfolders_are_shown(nested):
+    assert list(by_name(nested)) == ["ann/1.png", "ann/2.png", "bob/side/1.png"]
+    assert nested.problems == []
+    nested.save_template(TRIANGLE)
+    put(nested, "bob/side/1.png", POINTS)
+    assert (nested.root / "bob" / "side" / "1.ljson").is_file()
+    assert by_name(nested)["bob/side/1.png"]["state"] == "done" != by_name(nested)["ann/1.png"]["state"]
+    assert [item.name for item in nested.annotated()] == ["bob/side/1.png"]
+    assert [sample.name for sample in load_folder(nested.root, recursive=True)] == ["bob/side/1"]
+    write_image(nested.root / "top.png", np.zeros((9, 9, 3), np.uint8))
+    assert list(by_name(nested)) == ["top.png"]
+    assert "1 subfolder (ann) with pictures not shown" in nested.problems[0]
+
+
+def test_changes_in_subfolders_are_noticed(nested):
+    before = nested.stamp
+    write_image(nested.root / "bob" / "2.png", np.zeros((9, 9, 3), np.uint8))
+    assert nested.stamp != before
+    assert nested.size_of("bob/2.png") == (9, 9)
+    write_landmarks(nested.root / "ann" / "2.pts", Landmarks(POINTS))
+    assert nested.marks("ann/2.png")["file"] == "ann/2.pts"
+
+
+def test_invisible_points_and_changes_of_the_template_know_subfolders(nested):
+    nested.save_template(TRIANGLE)
+    for name in ("ann/1", "ann/2"):
+        write_landmarks(nested.root / f"{name}.pts", Landmarks(POINTS))
+    put(nested, "ann/1.png", POINTS, nested.marks("ann/1.png")["revision"], invisible=[1])
+    nested.save_template({**TRIANGLE, "names": ["c", "a", "b"], "mapping": [2, 0, 1]})
+    again = Project(nested.root)
+    assert again.marks("ann/1.png")["points"] == [POINTS[2], POINTS[0], POINTS[1]] == again.marks("ann/2.png")["points"]
+    assert (again.marks("ann/1.png")["invisible"], again.marks("ann/2.png")["invisible"]) == ([2], [])
+
+
+def test_links_to_folders_are_not_followed(nested, tmp_path):
+    (tmp_path / "outside").mkdir()
+    write_image(tmp_path / "outside" / "x.png", np.zeros((9, 9, 3), np.uint8))
+    (nested.root / "out").symlink_to(tmp_path / "outside")
+    (nested.root / "ann" / "loop").symlink_to(nested.root)
+    assert list(by_name(nested)) == ["ann/1.png", "ann/2.png", "bob/side/1.png"]
+    for name in ("out/x.png", "ann/../ann/1.png", "ann//1.png", "../outside/x.png", ".hidden/1.png"):
+        assert refused(nested.path_of, name).status == 404
+
+
+def test_subfolders_above_a_limit_are_named(nested, monkeypatch):
+    monkeypatch.setattr(listing, "MOST_FOLDERS", 3)
+    project = Project(nested.root)
+    assert list(by_name(project)) == ["ann/1.png", "ann/2.png"]
+    assert "1 subfolder (bob/side) with pictures not shown, because there are too many" in project.problems[0]
 
 
 def test_pictures_that_come_and_go_are_noticed(small):

@@ -48,7 +48,7 @@ def test_a_state_file_that_is_a_link_to_itself_is_replaced(small):
     assert Project(small.root).template is not None
 
 
-@pytest.mark.parametrize("name", ["../evil.ljson", "/tmp/evil.ljson", "p1.png", "sub/x.pts", 7])
+@pytest.mark.parametrize("name", ["../evil.ljson", "/tmp/evil.ljson", "p1.png", "sub/../x.pts", ".sub/x.pts", 7])
 def test_a_change_writes_landmark_files_of_the_folder_only(small, name):
     item = {"file": name, "before": None, "text": "evil", "invisible": []}
     (small.root / STATE / "change.json").write_text(json.dumps({"template": TRIANGLE, "files": [item]}))

@@ -27,6 +27,7 @@ from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import fit_routes, live
 from liaam.studio.events import Events
+from liaam.studio.export import export_of
 from liaam.studio.fit_files import attachment
 from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
@@ -166,11 +167,14 @@ class _Handlers:
         get, put, post, delete = (["GET"], ["PUT"], ["POST"], ["DELETE"])
         return [
             Route("/api/project", self.project, methods=get),
-            Route("/api/pictures/{name}/image", self.image, methods=get),
-            Route("/api/pictures/{name}/thumbnail", self.thumbnail, methods=get),
-            Route("/api/pictures/{name}/chroma", self.chroma, methods=get),
-            Route("/api/pictures/{name}/landmarks", self.landmarks, methods=get),
-            Route("/api/pictures/{name}/landmarks", self.save_landmarks, methods=put),
+            Route("/api/pictures/{name:path}/image", self.image, methods=get),
+            Route("/api/pictures/{name:path}/thumbnail", self.thumbnail, methods=get),
+            Route("/api/pictures/{name:path}/chroma", self.chroma, methods=get),
+            Route("/api/pictures/{name:path}/landmarks", self.landmarks, methods=get),
+            Route("/api/pictures/{name:path}/landmarks", self.save_landmarks, methods=put),
+            Route("/api/pictures/{name:path}/history", self.history, methods=get),
+            Route("/api/review", self.review, methods=post),
+            Route("/api/export/{kind}", self.export, methods=get),
             Route("/api/template", self.save_template, methods=put),
             Route("/api/template/file", self.read_template, methods=post),
             Route("/api/training", self.train, methods=post),
@@ -213,6 +217,7 @@ class _Handlers:
             "template": project.template_json(),
             "model": model_json(studio.models.current, overview.done),
             "training": asdict(studio.training.state),
+            "versions": studio.training.versions.as_json(project.order),
             "methods": [
                 {"name": method.name, "summary": method.summary, "needs_colour": method.needs_colour}
                 for method in METHODS.values()
@@ -240,6 +245,25 @@ class _Handlers:
     def _save_marks(self, name: str, data: Any) -> dict[str, Any]:
         self.studio.project.check_id(data)
         return self.studio.project.save_marks(name, data)
+
+    async def history(self, request: Request) -> Response:
+        return JSONResponse(await run_sync(self.studio.project.history, request.path_params["name"]))
+
+    async def review(self, request: Request) -> Response:
+        answer = await run_sync(self._review, await self._json(request))
+        for name, revision in answer.pop("revisions").items():
+            self.studio.events.publish("landmarks", {"name": name, "revision": revision})
+        self.studio.events.publish("project", {})
+        return JSONResponse(answer)
+
+    def _review(self, data: Any) -> dict[str, Any]:
+        self.studio.project.check_id(data)
+        return self.studio.project.review(data)
+
+    async def export(self, request: Request) -> Response:
+        name, data = await run_sync(export_of, self.studio.project, request.path_params["kind"])
+        headers = {"content-disposition": attachment(name)}
+        return Response(data, media_type="application/octet-stream", headers=headers)
 
     async def save_template(self, request: Request) -> Response:
         template = await run_sync(self._save_template, await self._json(request))
@@ -373,7 +397,7 @@ class _Handlers:
     def _source(self, request: Request) -> Source:
         project, name = self.studio.project, request.path_params["name"]
         project.size_of(name)  # raises if the picture cannot be used
-        return source_of(project.path_of(name), self.studio.settings.pixels)
+        return source_of(project.path_of(name), self.studio.settings.pixels, name)
 
     def _upload_source(self, request: Request) -> Source:
         return self.studio.uploads.source(request.path_params["id"])

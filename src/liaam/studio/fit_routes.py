@@ -112,7 +112,7 @@ class _Endpoints:
             return self.fits.uploads.source(name), (kind, name), None
         project = self.fits.project
         project.size_of(name)  # raises if the picture cannot be used
-        source = source_of(project.path_of(name), self.fits.settings.pixels)
+        source = source_of(project.path_of(name), self.fits.settings.pixels, name)
         return source, (kind, name), truth_of(project.landmarks(name))
 
     async def _work(self, call: Callable, *arguments: Any) -> Any:

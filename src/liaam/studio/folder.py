@@ -1,7 +1,7 @@
 """A project's folder: checks of the folder and its paths, and error messages without absolute paths.
 
-Names of pictures are looked up in the folder's listing and never joined to a path. The studio neither reads nor writes
-through a link that leads out of the folder.
+Names of files are relative to the folder, with ``/`` between the parts. Names of pictures are looked up in the folder's
+listing and never joined to a path. The studio neither reads nor writes through a link that leads out of the folder.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Folder:
         return real.is_relative_to(self.root) and STATE not in real.relative_to(self.root).parts
 
     def inside(self, name: str) -> Path:
-        """Return the path of a file directly in the folder.
+        """Return the path of a file in the folder or its subfolders.
 
         Raises
         ------
@@ -41,14 +41,18 @@ class Folder:
             409 if it is a link that leads out of the folder.
         """
         path = self.root / name
-        if path.name != name or not self.leads_inside(path):
+        if not is_relative(name) or not self.leads_inside(path):
             raise Refusal(409, f"{name} is a link that leads out of the folder, so it is not used: remove the link")
         return path
 
-    def time(self) -> int:
-        """Return the time of the folder's last added or removed entry, in nanoseconds."""
+    def name_of(self, path: Path) -> str:
+        """Return the name of a file in the folder."""
+        return path.relative_to(self.root).as_posix()
+
+    def time(self, subfolder: str = "") -> int:
+        """Return the time of the last added or removed entry of the folder, or of a subfolder, in nanoseconds."""
         try:
-            return self.root.stat().st_mtime_ns
+            return (self.root / subfolder).stat().st_mtime_ns
         except OSError:
             return 0
 
@@ -56,6 +60,11 @@ class Folder:
         """Return an error message in which the folder's path is replaced by its name."""
         name = self.root.name or "the folder"
         return str(fault).replace(f"{self.root}{os.sep}", "").replace(str(self.root), name)
+
+
+def is_relative(name: str) -> bool:
+    """Whether a name stays in the folder and names no hidden file or folder."""
+    return all(part and not part.startswith(".") for part in name.split("/")) and not Path(name).is_absolute()
 
 
 def checked_folder(folder: str | os.PathLike[str]) -> Path:

@@ -154,7 +154,7 @@ class LandmarkFiles:
 
     def _pair(self) -> tuple[dict[str, Marks], dict[str, str], list[str]]:
         """Pair pictures with files of other formats; return landmarks, errors by picture, and other errors."""
-        root, listing = self._folder.root, self._listing
+        root, listing, name_of = self._folder.root, self._listing, self._folder.name_of
         images = [root / name for name in listing.winners.values()]
         samples, left_out = pair_files(root, images, [root / file.name for file in listing.other_files])
         marks, faults, problems = {}, {}, []
@@ -171,7 +171,7 @@ class LandmarkFiles:
                     problems.append(self._folder.plain(fault))
             revision = revisions[file]
             if revision is not None:  # of several objects in a picture, the largest comes first
-                marks.setdefault(sample.image.name, Marks(file.name, revision, sample.landmarks))
+                marks.setdefault(name_of(sample.image), Marks(name_of(file), revision, sample.landmarks))
         several = [name for name, mark in marks.items() if mark.landmarks is not None and mark.landmarks.others]
         if several:
             only = "of several objects in a picture, only the largest is shown and saved"
@@ -180,9 +180,9 @@ class LandmarkFiles:
             if "cannot be read" not in left.reason:
                 continue
             reason = self._folder.plain(left.reason)
-            picture = listing.winners.get(left.path.stem)
+            picture = listing.winners.get(name_of(left.path.with_suffix("")))
             if picture is None:
-                problems.append(f"{left.path.name}: {reason}")
+                problems.append(f"{name_of(left.path)}: {reason}")
             elif picture not in marks:
                 faults[picture] = reason
         return marks, faults, problems
@@ -197,7 +197,9 @@ class LandmarkFiles:
     def save(self, picture: File, template: Template, points: Sequence[Any], invisible: Sequence[int]) -> None:
         """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed."""
         target, before = self.target(picture), self.of(picture)
-        self._keep_unreadable(before, target, template)
+        name = self._folder.name_of(target)
+        if before is not None and before.file == name:
+            self._keep_unreadable(before, target, template)
         # If the .ljson were removed, a file of another format would be read again.
         is_alone = picture.name not in self._foreign()
         if not any(points) and target.suffix.lower() == ".ljson" and is_alone:
@@ -205,17 +207,19 @@ class LandmarkFiles:
         else:
             landmarks = landmarks_of(template, points, invisible)
             text = text_of(landmarks, target)
-            revision = before.revision if before is not None and before.file == target.name else None
-            self._remember_invisible(target.name, revision, text.encode(), landmarks.invisible)
+            revision = before.revision if before is not None and before.file == name else None
+            self._remember_invisible(name, revision, text.encode(), landmarks.invisible)
             write_text_atomically(target, text, LandmarkError)
-        self._listing.renew(target.name)
-        self._read.pop(target.name, None)  # the signature may not change within the clock's resolution
+        self._listing.renew(name)
+        self._read.pop(name, None)  # the signature may not change within the clock's resolution
 
     def rewrite(self, name: str, text: str, before: str | None, invisible: Sequence[int]) -> None:
-        """Replace a file if its revision is ``before``; leave it alone otherwise."""
+        """Replace a file if its revision is ``before``; leave it alone otherwise, or if its folder is gone."""
         try:
             target, after = self._folder.inside(name), text.encode()
         except Refusal:  # it has become a link that leads out of the folder
+            return
+        if not target.parent.is_dir():
             return
         data = self._bytes(target) if target.is_file() else None
         if data != after and (None if data is None else revision_of(data)) != before:
@@ -224,10 +228,8 @@ class LandmarkFiles:
         if data != after:
             write_bytes_atomically(target, after, LandmarkError)
 
-    def _keep_unreadable(self, before: Marks | None, target: Path, template: Template) -> None:
+    def _keep_unreadable(self, before: Marks, target: Path, template: Template) -> None:
         """Keep a copy of a file that cannot be read, or that has another number of points."""
-        if before is None or before.file != target.name:
-            return
         if before.landmarks is None or len(before.landmarks) != len(template):
             data = self._bytes(target, sys.maxsize)
             self._state.write(f"kept/{target.stem}.{revision_of(data)}{target.suffix}", data)

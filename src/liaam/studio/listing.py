@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from liaam.studio.safety import Refusal
 OWN_SUFFIXES = (".pts", ".ljson")
 """Suffixes of the landmark files that the studio writes, in the order in which they are read."""
 
+MOST_FOLDERS = 1000
+"""Maximum number of folders that are listed."""
+
 _NAMED = 3
 """Maximum number of file names in a message."""
 
@@ -34,17 +37,18 @@ class File:
     """A file of the folder, with a signature that changes with it: time, size and inode."""
 
     name: str
+    """Relative to the folder, with ``/`` between the parts."""
     signature: Signature
 
     @cached_property
     def stem(self) -> str:
         """Name without its suffix."""
-        return Path(self.name).stem
+        return self.name[: len(self.name) - len(PurePosixPath(self.name).suffix)]
 
     @cached_property
     def suffix(self) -> str:
         """Suffix in lower case."""
-        return Path(self.name).suffix.lower()
+        return PurePosixPath(self.name).suffix.lower()
 
     @property
     def tag(self) -> str:
@@ -54,6 +58,8 @@ class File:
 
 class Listing:
     """The folder's files at the time of the last scan.
+
+    If there is no picture in the folder itself, the files of its subfolders are listed as well.
 
     Parameters
     ----------
@@ -68,16 +74,14 @@ class Listing:
     files : dict of str to File
         By name, in natural order.
     pictures : list of File
-    own_files : dict of (str, str) to File
-        Landmark files in formats that the studio writes, by stem and suffix.
     other_files : list of File
         Landmark files in other formats.
     winners : dict of str to str
         The picture to which landmark files of a stem belong, by stem.
     stranded : list of str
         Links that lead out of the folder.
-    subfolders : list of str
-        Folders in the folder, which are not listed.
+    unlisted : list of str
+        Subfolders that are not listed.
     """
 
     def __init__(self, folder: Folder, most_pixels: int) -> None:
@@ -85,9 +89,10 @@ class Listing:
         self.version = 0
         self.files: dict[str, File] = {}
         self.stranded: list[str] = []
-        self.subfolders: list[str] = []
+        self.unlisted: list[str] = []
         self._most_pixels = most_pixels
-        self._listed_at = 0
+        self._found: dict[str, Signature] = {}
+        self._times: dict[str, int] = {}
         self._sizes: dict[str, tuple[Signature, tuple[int, int] | str]] = {}
         self._arrange()
 
@@ -101,45 +106,60 @@ class Listing:
         Refusal
             503 if it can no longer be read.
         """
-        self._listed_at = self.folder.time()  # before the scan, so that changes during it are noticed
-        self.stranded, self.subfolders = [], []
-        root = self.folder.root
+        self.stranded, self.unlisted, self._times = [], [], {}
         try:
-            with os.scandir(root) as entries:
-                found = [self._entry(entry) for entry in entries if not entry.name.startswith(".")]
+            found, below = self._listed("")
         except OSError as fault:
             raise Refusal(
-                503, f"{root.name} cannot be read ({fault.strerror or fault}): is the folder still there?"
+                503,
+                f"{self.folder.root.name} cannot be read ({fault.strerror or fault}): is the folder still there?",
             ) from fault
-        files = [file for file in found if file is not None]
-        if {file.name: file for file in files} == self.files:
+        waiting = deque(below)
+        if any(PurePosixPath(name).suffix.lower() in PICTURE_SUFFIXES for name in found):
+            self.unlisted.extend(waiting)
+            waiting.clear()
+        while waiting:
+            name = waiting.popleft()
+            try:
+                more, below = self._listed(name) if len(self._times) < MOST_FOLDERS else ({}, None)
+            except OSError:
+                more, below = {}, None
+            found.update(more)
+            waiting.extend(below or ())
+            self.unlisted += [name] if below is None else []
+        if found == self._found:
             return  # sorting thousands of files takes far longer than listing them
-        self.files = {file.name: file for file in sorted(files, key=lambda file: natural_key(file.name))}
+        self._found = found
+        self.files = {name: File(name, found[name]) for name in sorted(found, key=natural_key)}
         self._arrange()
 
     def renew(self, name: str) -> None:
         """Update the entry of one file."""
         try:
-            self.files[name] = File(name, _signature((self.folder.root / name).stat()))
+            self._found[name] = _signature((self.folder.root / name).stat())
+            self.files[name] = File(name, self._found[name])
         except OSError:
             self.files.pop(name, None)
-        self._listed_at = self.folder.time()
+            self._found.pop(name, None)
+        subfolder = name.rpartition("/")[0]
+        self._times[subfolder] = self.folder.time(subfolder)
         self._arrange()
 
     def is_current(self, *files: File) -> bool:
         """Whether no file was added or removed, and the given files are unchanged."""
-        return self._listed_at == self.folder.time() and all(map(self._is_same, files))
+        same = all(self.folder.time(name) == time for name, time in self._times.items())
+        return same and all(map(self._is_same, files))
 
     def own(self, picture: File) -> File | None:
         """Return the landmark file of a picture in a format that the studio writes."""
-        found = (self.own_files.get((picture.stem, suffix)) for suffix in OWN_SUFFIXES)
-        return next((file for file in found if file is not None), None)
+        return self._own.get(picture.stem)
 
     def _arrange(self) -> None:
         """Sort the files into pictures, landmark files in the studio's formats, and other landmark files."""
         files = self.files.values()
         self.pictures = [file for file in files if file.suffix in PICTURE_SUFFIXES]
-        self.own_files = {(file.stem, file.suffix): file for file in files if file.suffix in OWN_SUFFIXES}
+        own_files = [file for file in files if file.suffix in OWN_SUFFIXES]
+        self._own = {file.stem: file for file in sorted(own_files, key=lambda file: -OWN_SUFFIXES.index(file.suffix))}
         others = set(LANDMARK_SUFFIXES) - set(OWN_SUFFIXES)
         self.other_files = [file for file in files if file.suffix in others]
         self.winners: dict[str, str] = {}
@@ -147,20 +167,28 @@ class Listing:
             self.winners.setdefault(file.stem, file.name)
         self.version += 1
 
-    def _entry(self, entry: os.DirEntry[str]) -> File | None:
-        """Return an entry as a file; None for folders, links out of the folder, and unreadable entries."""
-        try:
-            entry.name.encode()
-            if entry.is_symlink() and not self.folder.leads_inside(Path(entry.path)):
-                if Path(entry.name).suffix.lower() in (*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES):
-                    self.stranded.append(entry.name)
-                return None
-            if not entry.is_file():
-                self.subfolders += [entry.name] if entry.is_dir() else []
-                return None
-            return File(entry.name, _signature(entry.stat()))
-        except (OSError, UnicodeEncodeError):
-            return None
+    def _listed(self, subfolder: str) -> tuple[dict[str, Signature], list[str]]:
+        """List the files of a folder, without links that lead out and unreadable entries, and its subfolders."""
+        time = self.folder.time(subfolder)  # before the scan, so that changes during it are noticed
+        found, below = {}, []
+        with os.scandir(self.folder.root / subfolder) as entries:
+            for entry in entries:
+                if entry.name.startswith("."):
+                    continue
+                name = f"{subfolder}/{entry.name}" if subfolder else entry.name
+                try:
+                    name.encode()
+                    if entry.is_symlink() and not self.folder.leads_inside(Path(entry.path)):
+                        is_known = PurePosixPath(name).suffix.lower() in (*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES)
+                        self.stranded += [name] if is_known else []
+                    elif entry.is_file():
+                        found[name] = _signature(entry.stat())
+                    elif entry.is_dir(follow_symlinks=False):  # a link could lead to a folder above it
+                        below.append(name)
+                except (OSError, UnicodeEncodeError):
+                    continue
+        self._times[subfolder] = time
+        return found, sorted(below, key=natural_key)
 
     def _is_same(self, file: File) -> bool:
         try:
@@ -241,9 +269,13 @@ class Listing:
                 f"{_several(self.stranded, 'file')} skipped, because the link leads out of the folder: "
                 "put a copy in its place"
             )
-        below = [name for name in self.subfolders if self._has_pictures(name)]
+        below = [name for name in self.unlisted if self._has_pictures(name)]
         if below:
-            lines.append(f"{_several(below, 'subfolder')} with pictures not shown: open the studio on a subfolder")
+            lines.append(
+                f"{_several(below, 'subfolder')} with pictures not shown, because "
+                f"{'there are too many' if len(self._times) > 1 else 'the folder itself has pictures'}: "
+                "open the studio on a subfolder"
+            )
         return lines
 
     def _has_pictures(self, name: str) -> bool:
@@ -255,13 +287,16 @@ class Listing:
 
     def orphans(self) -> list[str]:
         """Return messages about landmark files without a picture, which may have been renamed."""
-        names = [file.name for (stem, _), file in self.own_files.items() if stem not in self.winners]
+        names = [file.name for file in self.files.values() if self._is_orphan(file)]
         if not names:
             return []
         return [
             f"{_several(names, 'landmark file')} without a picture of the same name: "
             "if the picture was renamed, rename the landmark file too"
         ]
+
+    def _is_orphan(self, file: File) -> bool:
+        return file.suffix in OWN_SUFFIXES and file.stem not in self.winners
 
 
 def _signature(facts: os.stat_result) -> Signature:

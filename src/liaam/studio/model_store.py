@@ -14,6 +14,7 @@ import numpy as np
 from liaam.errors import LiaamError, ModelFileError
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
+from liaam.studio.state_files import StateFiles
 
 if TYPE_CHECKING:
     from liaam.model import AAM
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 
 MODEL_FILE, FACTS_FILE = "model.liaam", "model.json"
 QUICK_FILE, QUICK_FACTS_FILE = "quick.liaam", "quick.json"
+VERSIONS_FILE = "versions.jsonl"
+
+SHOWN_VERSIONS = 30
+"""Number of versions that the page shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +103,53 @@ class ModelStore:
         current = self.current
         for listener in self.listeners:
             listener(current)
+
+
+class Versions:
+    """The trained models of a folder and their errors on held-out pictures, an append-only file.
+
+    The error of a picture is the mean distance of the fitted points to the placed ones, as a fraction of the object's
+    size. It is that of a model trained without the held-out pictures.
+    """
+
+    def __init__(self, state: StateFiles) -> None:
+        self._state = state
+        self._all: list[dict[str, Any]] = state.read_lines(VERSIONS_FILE, _is_version)
+
+    def add(self, facts: Mapping[str, Any], errors: Mapping[str, float]) -> None:
+        """Append a trained model."""
+        count = len(facts["pictures"]) - len(facts["left_out"])
+        version = {"time": facts["trained"], "pictures": count, "order": facts["order"], "errors": dict(errors)}
+        self._state.append(VERSIONS_FILE, [version])
+        self._all.append(version)
+
+    def held_out(self, order: str) -> list[str]:
+        """Return the held-out pictures of the newest model with an :attr:`Project.order` of its points."""
+        return next((list(version["errors"]) for version in reversed(self._all) if version["order"] == order), [])
+
+    def as_json(self, order: str) -> list[dict[str, Any]]:
+        """Return the newest versions with an :attr:`Project.order` of the points as JSON for the page, oldest first.
+
+        ``error`` is the median error, ``held_out`` the number of pictures, and ``same`` whether these are the pictures
+        of the newest version.
+        """
+        versions = [version for version in self._all if version["order"] == order and version["errors"]]
+        return [
+            {
+                "time": version["time"],
+                "pictures": version["pictures"],
+                "error": float(np.median(list(version["errors"].values()))),
+                "held_out": len(version["errors"]),
+                "same": set(version["errors"]) == set(versions[-1]["errors"]),
+            }
+            for version in versions[-SHOWN_VERSIONS:]
+        ]
+
+
+def _is_version(data: Any) -> bool:
+    numbers = [data["pictures"], *data["errors"].values()]
+    valid = all(type(number) in (int, float) and 0 <= number < 1e6 for number in numbers)
+    return valid and isinstance(data["time"], str) and isinstance(data["order"], str)
 
 
 # Loading -------------------------------------------------------------------------------------------

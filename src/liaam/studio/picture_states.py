@@ -9,12 +9,13 @@ import numpy as np
 
 from liaam.studio.landmark_files import LandmarkFiles, Marks, n_placed
 from liaam.studio.listing import File, Listing
-from liaam.studio.proposals import Proposals, Unchecked, teaching_order
+from liaam.studio.proposals import Proposals, Unchecked, revision_of_proposal, teaching_order
+from liaam.studio.review import ReviewLog
 from liaam.studio.template_store import TemplateStore
 
 
 class PictureStates:
-    """Describes pictures for the page from their listing, landmarks and proposals."""
+    """Describes pictures for the page from their listing, landmarks, proposals and reviews."""
 
     def __init__(
         self,
@@ -23,21 +24,21 @@ class PictureStates:
         proposals: Proposals,
         templates: TemplateStore,
         unchecked: Unchecked,
+        log: ReviewLog,
     ) -> None:
         self._listing = listing
         self._landmarks = landmarks
         self._proposals = proposals
         self._templates = templates
         self._unchecked = unchecked
+        self._log = log
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
-        template = self._templates.current
         waiting = {
             file.name: proposal
             for file in self._listing.pictures
-            if (proposal := self._proposals.with_points(file, template)) is not None
-            and not n_placed(self._landmarks.of(file))
+            if (proposal := self.proposal_of(file)) is not None and not n_placed(self._landmarks.of(file))
         }
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
@@ -47,13 +48,13 @@ class PictureStates:
 
     def unread_json(self, file: File) -> dict[str, Any]:
         """Return a picture whose files have not been read yet as JSON for the page."""
-        nothing = dict.fromkeys(("error", "width", "height", "uncertainty", "rank"))
+        nothing = dict.fromkeys(("error", "width", "height", "uncertainty", "rank", "checked", "left_out"))
         return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False, **nothing}
 
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
         """Return one picture as JSON for the page."""
         size, fault, marks = self._listing.size_of(file), self._listing.fault_of(file), self._landmarks.of(file)
-        proposal = self._proposals.with_points(file, self._templates.current)
+        proposal = self.proposal_of(file)
         placed = n_placed(marks)
         waiting = proposal is not None and not placed and fault is None
         if fault is not None:
@@ -73,6 +74,8 @@ class PictureStates:
             "uncertainty": proposal["uncertainty"] if waiting and proposal else None,
             "doubtful": bool(waiting and proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if waiting else None,
+            "checked": self._log.checked_by(file.name, marks.revision) if marks and state == "done" else None,
+            "left_out": self._log.left_out_by(file.name),
         }
 
     def marks_json(self, file: File) -> dict[str, Any]:
@@ -102,11 +105,19 @@ class PictureStates:
         }
         if marks is not None and marks.landmarks is not None and marks.n_placed:
             return {**answer, "points": marks.points, "invisible": list(marks.landmarks.invisible), "source": "file"}
-        proposal = self._proposals.with_points(file, template)
+        proposal = self.proposal_of(file)
         if proposal is None:
             return answer
         shown = ("points", "covariances", "quality", "status", "doubtful")
         return {**answer, **{key: proposal[key] for key in shown}, "source": "proposal"}
+
+    def proposal_of(self, file: File) -> dict[str, Any] | None:
+        """Return the proposal for a picture, unless it does not fit the template or was discarded."""
+        proposal = self._proposals.with_points(file, self._templates.current)
+        discarded = self._log.discarded(file.name)
+        if proposal is None or discarded is None:
+            return proposal
+        return None if discarded == revision_of_proposal(proposal) else proposal
 
     def is_done(self, file: File) -> bool:
         """Whether all points of a picture are placed, most of them inside it."""

@@ -185,8 +185,8 @@ class Source:
     raw: bool = False
 
 
-def source_of(path: Path, max_pixels: int) -> Source:
-    """Return the picture of a file.
+def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
+    """Return the picture of a file; its name is by default that of the file.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def source_of(path: Path, max_pixels: int) -> Source:
         return image
 
     return Source(
-        path.name,
+        name or path.name,
         tag,
         width,
         height,

@@ -8,7 +8,8 @@ depends only on those before it in this list:
 - :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
 - :mod:`~liaam.studio.proposals`: landmarks proposed by the model, and pictures left at the mean shape;
 - :mod:`~liaam.studio.template_store`: the template; :mod:`~liaam.studio.template_change`: its changes;
-- :mod:`~liaam.studio.picture_states`: the state of each picture.
+- :mod:`~liaam.studio.review`: the log of who changed what; :mod:`~liaam.studio.picture_states`: the state of each
+  picture; :mod:`~liaam.studio.review_actions`: actions on several pictures.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ from liaam.studio.landmark_files import LandmarkFiles, n_placed
 from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
 from liaam.studio.proposals import Proposals, Unchecked
+from liaam.studio.review import ReviewLog, parse_who
+from liaam.studio.review_actions import ReviewActions
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.state_files import StateFiles
@@ -42,12 +45,17 @@ from liaam.studio.template import Template, parse_indices, parse_points, parse_t
 from liaam.studio.template_change import TemplateChanges
 from liaam.studio.template_store import TemplateStore
 
-PART_SECONDS = 0.1
+PART_SECONDS = 0.02
 """How long files are read at a time, while requests wait."""
 
+REST_SECONDS = 0.3
+"""Files are read more slowly until so long after a request, so that the page opens soon."""
 
 READ_AT_ONCE = 100
 """Number of pictures whose files an overview reads in any case."""
+
+LONG = 2000
+"""Number of pictures above which an overview reads no more files than these."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +99,7 @@ class Project:
         self.root = self._folder.root
         self.state = StateFiles(self._folder)
         self._lock = threading.RLock()
+        self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
         self._listing = listing = Listing(self._folder, self.settings.pixels)
         listing.scan()
@@ -98,7 +107,13 @@ class Project:
         self._proposals = Proposals(listing, self.state)
         self._templates = TemplateStore(listing, self.state, self._landmarks)
         self._unchecked = Unchecked(self.state)
-        self._states = PictureStates(listing, self._landmarks, self._proposals, self._templates, self._unchecked)
+        self._log = ReviewLog(self.state)
+        self._states = PictureStates(
+            listing, self._landmarks, self._proposals, self._templates, self._unchecked, self._log
+        )
+        self._actions = ReviewActions(
+            self.state, self._landmarks, self._templates, self._states, self._log, self.settings.upload_bytes
+        )
         self._changes = TemplateChanges(listing, self.state, self._landmarks, self._proposals, self._templates)
         self._changes.try_to_finish()
 
@@ -154,10 +169,9 @@ class Project:
 
     def _stamp(self) -> str:
         listing, state = self._listing, self.state
-        files = [(file.name, *file.signature) for file in listing.files.values()]
         faults = sorted(state.faults.items())
-        known = (self._salt, state.writes, self._changes.is_pending, faults, listing.stranded)
-        return revision_of(repr((known, files)).encode())
+        known = (self._salt, state.writes, self._changes.is_pending, faults, listing.stranded, listing.unlisted)
+        return revision_of(repr((known, listing.version)).encode())
 
     # Pictures -------------------------------------------------------------------------------------
 
@@ -173,6 +187,7 @@ class Project:
         Files are read for about so many ``seconds``, but those of the first pictures in any case. The remaining
         pictures are in the state ``reading``, and the overview has a stamp that is never current.
         """
+        self._asked = time.monotonic()
         with self._lock:
             self._rescan()
             return None if self._stamp() == stamp else self._overview(seconds)
@@ -186,7 +201,8 @@ class Project:
         while waiting:
             with self._lock:
                 self._read_for(PART_SECONDS, waiting)
-            time.sleep(PART_SECONDS / 10)  # the lock is not fair
+            is_busy = time.monotonic() < self._asked + REST_SECONDS
+            time.sleep(PART_SECONDS * (5 if is_busy else 0.1))  # the lock is not fair
 
     def _read_for(self, seconds: float, waiting: deque[File], least: int = 1) -> None:
         """Read the files of pictures for some seconds, and of at least so many."""
@@ -197,13 +213,12 @@ class Project:
                 self._states.as_json(file, {})
 
     def _overview(self, seconds: float) -> Overview:
-        self._read_for(seconds, deque(self._listing.pictures), READ_AT_ONCE)
-        stamp, ranks, states = self._stamp(), self._states.ranks(), self._states
-        read = {file.name for file in self._listing.pictures if states.is_read(file)}
-        pictures = [
-            states.as_json(file, ranks) if file.name in read else states.unread_json(file)
-            for file in self._listing.pictures
-        ]
+        files, states = self._listing.pictures, self._states
+        is_long = len(files) > LONG and seconds < math.inf
+        self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
+        stamp, ranks = self._stamp(), states.ranks()
+        read = {file.name for file in files if states.is_read(file)}
+        pictures = [states.as_json(file, ranks) if file.name in read else states.unread_json(file) for file in files]
         stamp += "" if len(read) == len(pictures) else "-reading"
         return Overview(stamp, pictures, {item.name: item.revision for item in self._annotated(read)})
 
@@ -230,7 +245,7 @@ class Project:
             return self._listing.usable_size(self._find(name))
 
     def annotated(self) -> list[Annotated]:
-        """Return the done pictures, which have all their points.
+        """Return the done pictures, which have all their points, except those left out of training.
 
         Raises
         ------
@@ -246,12 +261,30 @@ class Project:
         """Return the done pictures, or those of them with a name that is in ``among``."""
         files = [file for file in self._listing.pictures if among is None or file.name in among]
         usable = [file for file in files if self._listing.fault_of(file) is None]
-        found = [(file, self._landmarks.of(file)) for file in usable if self._states.is_done(file)]
+        kept = [file for file in usable if self._log.left_out_by(file.name) is None]
+        found = [(file, self._landmarks.of(file)) for file in kept if self._states.is_done(file)]
         return [
             Annotated(file.name, self.root / file.name, marks.landmarks.points, marks.revision)
             for file, marks in found
             if marks is not None and marks.landmarks is not None
         ]
+
+    def placed(self) -> list[tuple[File, Landmarks, tuple[int, int]]]:
+        """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""
+        with self._lock:
+            self._changes.finish()
+            self._listing.scan()
+            template = self._templates.current
+            found = [(file, self._landmarks.of(file)) for file in self._listing.usable()]
+            return [
+                (file, marks.landmarks, self._listing.usable_size(file))
+                for file, marks in found
+                if marks is not None
+                and marks.landmarks is not None
+                and marks.n_placed
+                and template is not None
+                and len(marks.landmarks) == len(template)
+            ]
 
     def to_propose(self, most: int) -> list[tuple[str, Path]]:
         """Return the names and paths of at most ``most`` pictures without points, to propose landmarks for.
@@ -270,6 +303,7 @@ class Project:
 
     def _find(self, name: str) -> File:
         """Find a picture in the listing; scan the folder again if the picture or its files have changed."""
+        self._asked = time.monotonic()
         file = self._listing.files.get(name)
         if file is None or not self._landmarks.is_current(file):
             self._listing.scan()
@@ -307,7 +341,8 @@ class Project:
         data : dict
             JSON with ``points``, ``invisible`` and the ``revision`` of the file. Optionally ``template``, the revision
             of the template of the points, which is then checked. Optionally ``unchecked``, whether a picture without
-            points was left at the mean shape; it is then marked as not checked.
+            points was left at the mean shape; it is then marked as not checked. Optionally ``who``, the name of the
+            person, for the log.
 
         Returns
         -------
@@ -323,6 +358,7 @@ class Project:
         """
         if not isinstance(data, dict):
             raise Refusal(422, "send an object with points, invisible and revision")
+        who = parse_who(data.get("who"))
         with self._lock:
             self._changes.finish()
             file, template = self._find(name), self._templates.needed
@@ -339,10 +375,47 @@ class Project:
                     raise Refusal(409, _clash(name, current["revision"]), current=current)
                 self._templates.keep()  # the first save fixes a template that was taken from a file
                 self._landmarks.save(file, template, points, invisible)
+                did = "placed" if any(points) else "cleared"
+                with suppress(LiaamError):  # the landmarks are saved
+                    self._log.add_change(who, name, did, self._landmarks.revision(file))
             if "unchecked" in data and not any(points):
                 self._unchecked.mark(file, bool(data["unchecked"]))
             revision = self._landmarks.revision(file)
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
+
+    def review(self, data: Any) -> dict[str, Any]:
+        """Apply an action to several pictures.
+
+        Parameters
+        ----------
+        data : dict
+            JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`, and optionally
+            ``who``.
+
+        Returns
+        -------
+        dict
+            See :meth:`liaam.studio.review_actions.ReviewActions.apply`.
+
+        Raises
+        ------
+        Refusal
+            404 if there is no such picture; 422 for invalid data; 503 or 507 if the disk refuses to write.
+        """
+        names = data.get("pictures") if isinstance(data, dict) else None
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise Refusal(422, "send an object with pictures, a list of names, and did")
+        who = parse_who(data.get("who"))
+        with self._lock:
+            self._changes.finish()
+            self._listing.scan()
+            files = [self._find(name) for name in dict.fromkeys(names)]
+            return self._actions.apply(files, str(data.get("did")), who)
+
+    def history(self, name: str) -> list[dict[str, Any]]:
+        """Return the newest entries of a picture in the log."""
+        with self._lock:
+            return self._log.history(self._find(name).name)
 
     # Template -------------------------------------------------------------------------------------
 

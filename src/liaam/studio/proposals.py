@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
+from liaam.studio.folder import revision_of
 from liaam.studio.listing import File, Listing
 from liaam.studio.state_files import StateFiles
 from liaam.studio.template import Template, parse_points
@@ -45,6 +47,11 @@ class Proposals:
         if proposal is None or proposal["points"] is None or template is None:
             return None
         return proposal if len(proposal["points"]) == len(template) else None
+
+
+def revision_of_proposal(proposal: Mapping[str, Any]) -> str:
+    """Return a hash of a proposal."""
+    return revision_of(json.dumps(proposal, sort_keys=True).encode())
 
 
 class Unchecked:

@@ -2,16 +2,17 @@
 
 They are ``template.json``, ``change.json`` (:mod:`liaam.studio.template_change`), ``proposals.json``
 and ``unchecked.json`` (:mod:`liaam.studio.proposals`), ``invisible.json`` and ``kept``
-(:mod:`liaam.studio.landmark_files`), the models (:mod:`liaam.studio.model_store`), and ``id``, which identifies the
-folder.
+(:mod:`liaam.studio.landmark_files`), ``log.jsonl`` (:mod:`liaam.studio.review`), the models and ``versions.jsonl``
+(:mod:`liaam.studio.model_store`), and ``id``, which identifies the folder.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -98,16 +99,48 @@ class StateFiles:
             try:
                 if not path.is_file():
                     return None
-                content = json.loads(self.path(name).read_bytes())
-                # Raises for NaN, which the page cannot parse, and for lone surrogates, which UTF-8 cannot encode.
-                json.dumps(content, allow_nan=False, ensure_ascii=False).encode()
-                if check(content):
-                    return content
-                fault: object = "its contents are not valid"
-            except (OSError, ValueError, RecursionError, LiaamError, KeyError, TypeError, AttributeError) as error:
-                fault = error
-            self.note(name, f"{STATE}/{name} cannot be read ({fault}), so it is ignored: remove it, or fix it")
-            return None
+                return _checked(self.path(name).read_bytes(), check)
+            except _DAMAGE as fault:
+                self.note(name, f"{STATE}/{name} cannot be read ({fault}), so it is ignored: remove it, or fix it")
+                return None
+
+    def append(self, name: str, items: Iterable[Any]) -> None:
+        """Append lines of JSON to a file and flush it. If the process is killed, the last line may be cut short."""
+        data = "".join(json.dumps(item, ensure_ascii=False) + "\n" for item in items).encode()
+        with self._lock:
+            path = self.path(name)
+            try:
+                with path.open("ab+") as file:
+                    is_cut = file.tell() > 0 and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n"
+                    file.write(b"\n" * is_cut + data)
+                    file.flush()
+                    os.fsync(file.fileno())
+            except OSError as fault:
+                raise LiaamError(
+                    f"{path} cannot be written ({fault.strerror or fault}): check the permissions and the free space."
+                ) from fault
+            self.writes += 1
+
+    def read_lines(self, name: str, check: Callable[[Any], bool]) -> list[Any]:
+        """Read a file of JSON lines. Damaged lines are skipped, and noted in ``faults`` if not cut short by a kill."""
+        with self._lock:
+            self.note(name, None)
+            try:
+                path = self._folder() / name
+                lines = self.path(name).read_bytes().split(b"\n")[:-1] if path.is_file() else []
+            except _DAMAGE as fault:
+                self.note(name, f"{STATE}/{name} cannot be read ({fault}), so it is ignored: remove it, or fix it")
+                return []
+            found, n_damaged = [], 0
+            for line in filter(None, lines):
+                try:
+                    found.append(_checked(line, check))
+                except _DAMAGE:
+                    n_damaged += 1
+            if n_damaged:
+                what = f"{n_damaged} of the lines of {STATE}/{name}"
+                self.note(name, f"{what} cannot be read, so they are ignored: remove them, or fix them")
+            return found
 
     def remove(self, *names: str) -> None:
         """Remove files if they exist."""
@@ -135,6 +168,20 @@ class StateFiles:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise Refusal(409, f"{STATE} is a link or a file where the studio keeps a folder: remove it")
         return folder
+
+
+_DAMAGE = (OSError, ValueError, RecursionError, LiaamError, KeyError, TypeError, AttributeError)
+"""Errors of reading and checking a damaged file."""
+
+
+def _checked(data: bytes, check: Callable[[Any], bool]) -> Any:
+    """Parse and check JSON; raise one of :data:`_DAMAGE` if it is not valid."""
+    content = json.loads(data)
+    # Raises for NaN, which the page cannot parse, and for lone surrogates, which UTF-8 cannot encode.
+    json.dumps(content, allow_nan=False, ensure_ascii=False).encode()
+    if not check(content):
+        raise ValueError("its contents are not valid")
+    return content
 
 
 def _is_id(data: Any) -> bool:

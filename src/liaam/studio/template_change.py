@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from liaam.errors import LiaamError
-from liaam.studio.folder import Folder, status_of
+from liaam.studio.folder import Folder, is_relative, status_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, text_of
 from liaam.studio.listing import OWN_SUFFIXES, File, Listing
 from liaam.studio.proposals import Proposals
@@ -118,15 +118,16 @@ class TemplateChanges:
         files = []
         for file, known in marks:
             target = self._landmarks.target(file)
-            stays = not moved and (known.file != target.name or target.suffix.lower() == ".pts")
+            name = self._folder.name_of(target)
+            stays = not moved and (known.file != name or target.suffix.lower() == ".pts")
             if stays or old is None or known.landmarks is None or len(known.landmarks) != len(old):
                 continue
             points = known.points
             hidden = [i for i, source in enumerate(mapping) if source in known.landmarks.invisible]
             landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden)
-            before = known.revision if known.file == target.name else None
+            before = known.revision if known.file == name else None
             text = text_of(landmarks, target)
-            files.append({"file": target.name, "before": before, "text": text, "invisible": hidden})
+            files.append({"file": name, "before": before, "text": text, "invisible": hidden})
         order = secrets.token_hex(8) if moved else self._templates.order
         stored = {**template.as_json(), "revision": secrets.token_hex(8), "order": order}
         return {"template": stored, "files": files}
@@ -180,5 +181,5 @@ def _is_item(item: Any) -> bool:
 
 
 def _is_own(name: str) -> bool:
-    """Whether a name is that of a landmark file directly in the folder, in a format that the studio writes."""
-    return Path(name).name == name and Path(name).suffix.lower() in OWN_SUFFIXES
+    """Whether a name is that of a landmark file in the folder, in a format that the studio writes."""
+    return is_relative(name) and Path(name).suffix.lower() in OWN_SUFFIXES

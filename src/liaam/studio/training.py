@@ -1,6 +1,7 @@
 """Training in the background: a separate process trains models and proposes landmarks.
 
-A quick model comes first. It fits a few pictures, so that the user can continue within seconds. Then the careful model,
+A quick model comes first. It fits a few pictures, so that the user can continue within seconds. It is not trained on a
+few held-out pictures, on which its error is measured. Then the careful model, which is trained on all pictures and
 whose confidence is calibrated by leaving pictures out, fits all. The quick model has its own file and is used only if
 there is no careful one, so a stopped training keeps the earlier model. The process
 (:mod:`liaam.studio.training_process`) reports over a pipe. It can be killed at any time, since all its writes are
@@ -16,11 +17,11 @@ from datetime import UTC, datetime
 from typing import Any
 
 from liaam.errors import LiaamError
-from liaam.studio.model_store import FACTS_FILE, MODEL_FILE, QUICK_FACTS_FILE, QUICK_FILE, ModelStore
+from liaam.studio.model_store import FACTS_FILE, MODEL_FILE, QUICK_FACTS_FILE, QUICK_FILE, ModelStore, Versions
 from liaam.studio.project import Project
 from liaam.studio.proposals import is_proposal
 from liaam.studio.safety import Refusal
-from liaam.studio.training_process import LEAST, Job, launch
+from liaam.studio.training_process import LEAST, Job, choose_held_out, launch
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ class Trainer:
     def __init__(self, project: Project, models: ModelStore, publish: Callable[[str, Any], None]) -> None:
         self.project = project
         self.models = models
+        self.versions = Versions(project.state)
         self._publish = publish
         self._lock = threading.RLock()
         self._waiting = threading.Lock()
@@ -131,6 +133,7 @@ class Trainer:
             order,
             self.project.root.name,
             self.project.settings.proposals_at_once,
+            choose_held_out([item.name for item in done], self.versions.held_out(order)),
         )
 
     # Messages of the process ------------------------------------------------------------------
@@ -178,7 +181,7 @@ class Trainer:
             return Training("done", what=data)
         return None
 
-    def _use(self, job: Job, left_out: Mapping[str, str], careful: bool) -> None:
+    def _use(self, job: Job, left_out: Mapping[str, str], careful: bool, errors: Mapping[str, float]) -> None:
         """Publish a model; a quick one only if there is no careful one."""
         from liaam.model import load_model
 
@@ -188,7 +191,7 @@ class Trainer:
         facts = {
             "source": "studio",
             "trained": datetime.now(UTC).isoformat(timespec="seconds"),
-            "pictures": {item.name: item.revision for item in job.done},
+            "pictures": {item.name: item.revision for item in job.done if careful or item.name not in job.held_out},
             "left_out": {name: self.project.plain(reason) for name, reason in left_out.items()},
             "careful": careful,
             "order": job.order,
@@ -196,6 +199,7 @@ class Trainer:
         self.project.state.write(FACTS_FILE if careful else QUICK_FACTS_FILE, facts)
         self.models.publish(load_model(job.model if careful else job.quick), facts)
         if careful:
+            self.versions.add(facts, errors)
             self.project.state.remove(QUICK_FILE, QUICK_FACTS_FILE)
         self._publish("project", {})
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 import os
 import signal
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,6 +52,19 @@ class Job:
     """Name of the model."""
     at_once: int
     """Number of pictures that the quick model fits."""
+    held_out: tuple[str, ...] = ()
+    """Pictures that the quick model is not trained on but measured on."""
+
+
+def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, ...]:
+    """Choose the pictures to measure a model on: 1, 2, 4 or 8, at most a quarter of all.
+
+    The pictures of the ``before`` model come first, then others in an order that does not depend on the set, so that
+    models are measured on the same pictures where possible.
+    """
+    count = next((n for n in (8, 4, 2, 1) if 4 * n <= len(names)), 0)
+    order = sorted(names, key=lambda name: (name not in before, hashlib.sha256(name.encode()).digest()))
+    return tuple(order[:count])
 
 
 def launch(job: Job) -> tuple[Any, Any]:
@@ -106,6 +120,7 @@ class _Worker:
     send: Callable[[tuple[str, Any]], None]
     left_out: dict[str, str] = field(default_factory=dict)
     warned: str = ""
+    errors: dict[str, float] = field(default_factory=dict)
 
     def run(self) -> str:
         """Train and apply the quick model, then the careful one; return a summary."""
@@ -113,6 +128,7 @@ class _Worker:
         model = self._train(leave_out=False)
         if soon:
             self._propose(model, soon)
+        self.errors = self._measure(model)
         model = self._train(leave_out=True)
         if waiting:
             self._propose(model, waiting)
@@ -129,7 +145,8 @@ class _Worker:
         """Train a model. Leave out pictures that turn out to be unusable and start again."""
         from liaam.training import train
 
-        items = [_Picture(item, self.job.contours) for item in self.job.done if item.name not in self.left_out]
+        unused = {*self.left_out, *(() if leave_out else self.job.held_out)}
+        items = [_Picture(item, self.job.contours) for item in self.job.done if item.name not in unused]
         while True:
             try:
                 with warnings.catch_warnings(record=True) as caught:
@@ -151,8 +168,24 @@ class _Worker:
                 self.left_out |= unfit
                 items = [item for item in items if item.name not in unfit]
         model.save(self.job.model if leave_out else self.job.quick)
-        self.send(("model", {"left_out": self.left_out, "careful": leave_out}))
+        self.send(("model", {"left_out": self.left_out, "careful": leave_out, "errors": self.errors}))
         return model
+
+    def _measure(self, model: AAM) -> dict[str, float]:
+        """Return the mean distance of the fitted points to the placed ones in the held-out pictures.
+
+        The unit is the diagonal of the box around the placed points. Pictures that cannot be fitted are missing.
+        """
+        from liaam.fitting import Fitter
+        from liaam.model.shape import diagonal_of
+
+        fitter, errors = Fitter(model), {}
+        for item in self.job.done:
+            if item.name in self.job.held_out:
+                with suppress(LiaamError, MemoryError):
+                    distances = np.linalg.norm(fitter.fit(item.path).landmarks - item.points, axis=1)
+                    errors[item.name] = round(float(distances.mean() / diagonal_of(item.points)), 5)
+        return {name: error for name, error in errors.items() if np.isfinite(error)}
 
     def _propose(self, model: AAM, pictures: list[tuple[str, Path]]) -> None:
         """Find the object in pictures and report the proposals, at most once per second."""

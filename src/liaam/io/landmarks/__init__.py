@@ -26,6 +26,7 @@ __all__ = [
     "Contour",
     "Format",
     "Landmarks",
+    "collection_text",
     "in_pixels",
     "parse_landmark_data",
     "parse_landmark_file",
@@ -70,7 +71,7 @@ FORMATS: dict[str, Format] = {
         may_be_collection=True,
     ),
     ".xml": Format("dlib imglab", dlib_xml.parse, may_be_collection=True),
-    ".json": Format("COCO keypoints", coco.parse, may_be_collection=True),
+    ".json": Format("COCO keypoints", coco.parse, dump_collection=coco.dump_collection, may_be_collection=True),
     ".tps": Format(
         "tpsDig points",
         tps.parse,
@@ -246,25 +247,39 @@ def write_collection(
     collection: Mapping[str, Landmarks],
     image_sizes: Mapping[str, Size] | None = None,
 ) -> None:
-    """Write the landmarks of many images, by file name, atomically as one ``.csv`` or ``.tps``.
+    """Write the landmarks of many images, by file name, atomically as one ``.csv``, ``.tps`` or COCO ``.json``.
 
-    ``.tps`` needs the (width, height) of each image; by default they are taken from the images beside the file.
+    ``.tps`` needs the (width, height) of each image; by default they are taken from the images beside the file. COCO
+    stores them if they are given.
 
     Raises
     ------
     LandmarkError
         If the suffix is another, there is nothing to write, an image's size is unknown, or writing fails.
     """
-    dump = FORMATS[_suffix(Path(path))].dump_collection
+    write_text_atomically(path, collection_text(path, collection, image_sizes), LandmarkError)
+
+
+def collection_text(
+    path: str | os.PathLike[str],
+    collection: Mapping[str, Landmarks],
+    image_sizes: Mapping[str, Size] | None = None,
+) -> str:
+    """Return the text that :func:`write_collection` writes to a file; the path is not used otherwise."""
+    suffix = _suffix(Path(path))
+    dump = FORMATS[suffix].dump_collection
     if dump is None:
-        raise LandmarkError(f"{path} cannot be written: only .csv and .tps hold many images. Use such an extension.")
+        raise LandmarkError(
+            f"{path} cannot be written: only .csv, .tps and .json hold many images. Use such an extension."
+        )
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
+    sizes = image_sizes or {}
     placed = {
-        name: in_pixels(path, replace(landmarks, image_name=name), (image_sizes or {}).get(name))
+        name: in_pixels(path, replace(landmarks, image_name=name), sizes.get(name))
         for name, landmarks in collection.items()
     }
-    write_text_atomically(path, dump(placed), LandmarkError)
+    return coco.dump_collection(placed, sizes) if suffix == ".json" else dump(placed)
 
 
 def _suffix(path: Path) -> str:

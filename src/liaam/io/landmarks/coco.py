@@ -8,9 +8,13 @@ names become the names, and its skeleton (pairs counted from 1) the contours.
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import (
@@ -18,6 +22,7 @@ from liaam.io.landmarks.base import (
     Landmarks,
     chain_edges,
     check_number,
+    edges_of,
     largest_of,
     make_landmarks,
     parse_json,
@@ -54,6 +59,42 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
     if not objects:
         raise LandmarkError(f"{path} is COCO without keypoints: export the annotations with keypoints.")
     return {image: largest_of(each) for image, each in objects.items()}
+
+
+def dump_collection(collection: Mapping[str, Landmarks], sizes: Mapping[str, tuple[float, float]] | None = None) -> str:
+    """Return the text of a file with the landmarks of many images, by file name, with the sizes of the images if known.
+
+    Missing landmarks have visibility 0, invisible ones 1, all others 2. Names and contours are those of the first
+    image.
+    """
+    first = next(iter(collection.values()))
+    names = first.names or tuple(str(i + 1) for i in range(len(first)))
+    edges = [[start + 1, end + 1] for start, end in edges_of(first.contours)]
+    images, annotations = [], []
+    for number, (name, landmarks) in enumerate(collection.items(), 1):
+        width, height = (sizes or {}).get(name, (None, None))
+        size = {} if width is None else {"width": width, "height": height}
+        images.append({"id": number, "file_name": name, **size})
+        for each in (landmarks, *landmarks.others):
+            facts = {"id": len(annotations) + 1, "image_id": number, "category_id": 1, "iscrowd": 0}
+            annotations.append({**facts, **_keypoints(each)})
+    category = {"id": 1, "name": "object", "supercategory": "", "keypoints": list(names), "skeleton": edges}
+    return json.dumps({"images": images, "annotations": annotations, "categories": [category]}, ensure_ascii=False)
+
+
+def _keypoints(landmarks: Landmarks) -> dict[str, Any]:
+    placed = landmarks.points[~landmarks.missing]
+    low, extent = (placed.min(axis=0), np.ptp(placed, axis=0)) if len(placed) else (np.zeros(2), np.zeros(2))
+    triples = [
+        (0, 0, 0) if math.isnan(x) else (x, y, 1 if i in landmarks.invisible else 2)
+        for i, (x, y) in enumerate(landmarks.points.tolist())
+    ]
+    return {
+        "keypoints": [value for triple in triples for value in triple],
+        "num_keypoints": len(placed),
+        "bbox": [*low.tolist(), *extent.tolist()],
+        "area": float(extent.prod()),
+    }
 
 
 def _area(path: Path, annotation: Any) -> float:

@@ -55,7 +55,8 @@ export function createOpening(tab, begins) {
   function whyNot(name) {
     const picture = state.picture(name);
     if (!name || !picture) {
-      const what = `Put pictures (JPEG, PNG, TIFF …) into ${state.project?.folder ?? "the folder"}.`;
+      const where = state.project?.folder ?? "the folder";
+      const what = `Put pictures (JPEG, PNG, TIFF …) into ${where} or its subfolders.`;
       return ["folder", "No pictures yet", `${what} They appear here automatically.`, invited()];
     }
     if (picture.state !== "broken") return null;

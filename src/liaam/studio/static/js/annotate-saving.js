@@ -2,6 +2,7 @@
 
 import { contentOf, Saver } from "./saving.js";
 import { Page, Unsaved } from "./unsaved.js";
+import { whoAmI } from "./who.js";
 
 const KEEPALIVE = 60_000; // largest body in bytes that a browser still sends after the page is closed
 
@@ -42,7 +43,7 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
 
   function put(name, body) {
     const options = { keepalive: JSON.stringify(body).length < KEEPALIVE };
-    return state.send((folder) => api.put(addressOf(name), { ...body, folder }, options));
+    return state.send((folder) => api.put(addressOf(name), { ...body, folder, who: whoAmI() }, options));
   }
 
   /** Mark a picture whose mean shape was not moved. */

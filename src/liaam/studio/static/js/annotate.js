@@ -17,6 +17,7 @@ import { Marking } from "./marking.js";
 import { PictureStore } from "./picture-store.js";
 import { nextMissing } from "./points.js";
 import { createPointsPanel } from "./points-panel.js";
+import { createReview } from "./review.js";
 import { h } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
@@ -92,6 +93,7 @@ export class AnnotateTab {
       app, accept: () => commands.accept(), skip: () => commands.skip(), confirm: () => commands.confirmLayout(),
     });
     const boxes = () => this.boxing;
+    this.review = createReview(app);
     this.tool = new PointTool(viewer, () => this.doc, { boxes, onend: () => this.refresh() });
     viewer.tool = this.tool;
     viewer.addLayer((ctx) => this.draw(ctx));
@@ -192,7 +194,7 @@ export class AnnotateTab {
   refresh() {
     if (!this.tool) return; // the parts are not complete yet
     const { assist, editing, marking, panel, templates } = this;
-    const shown = editing ? [templates.panel] : [assist.element, ...panel.elements];
+    const shown = editing ? [templates.panel] : [assist.element, this.review, ...panel.elements];
     if (this.side.firstChild !== shown[0]) {
       this.side.replaceChildren(...shown);
       this.side.scrollTop = 0;

@@ -39,6 +39,7 @@ window.liaamStudio = { app, state };
 
 async function start() {
   waiting();
+  for (const { name } of TABS) import(`./${name}.js`).catch(() => {}); // load fetches them again and reports errors
   try {
     await state.open();
   } catch (error) {
@@ -50,7 +51,7 @@ async function start() {
   document.getElementById("folder").textContent = state.project.folder;
   document.getElementById("folder").title = state.project.folder;
   document.title = `${state.project.folder} – liaam studio`;
-  mountStrip(document.getElementById("strip"), state);
+  mountStrip(document.getElementById("strip"), app);
   status();
   connection();
   actions();

@@ -15,6 +15,8 @@ export class State extends EventTarget {
     this.online = true;
     this.restarted = false; // whether a new server refuses this page, which has the token of an earlier one
     this.unsure = false; // whether another server, for another folder, may have taken over the port
+    this._indexed = null; // the project whose pictures are in _byName
+    this._byName = new Map();
     this._refreshing = null;
     this._again = false;
   }
@@ -23,14 +25,17 @@ export class State extends EventTarget {
   async open() {
     const wanted = nameIn(location.hash); // before the first picture is selected
     await this.refresh();
-    const names = this.project.pictures.map((picture) => picture.name);
-    this.select(names.includes(wanted) ? wanted : this._first());
+    this.select(this.picture(wanted) ? wanted : this._first());
     this._follow();
     this._watch();
   }
 
   picture(name = this.current) {
-    return this.project?.pictures.find((picture) => picture.name === name) ?? null;
+    if (this._indexed !== this.project) {
+      this._indexed = this.project;
+      this._byName = new Map(this.project.pictures.map((picture) => [picture.name, picture]));
+    }
+    return this._byName.get(name) ?? null;
   }
 
   /** Fetch the project again; calls during a fetch lead to one more. */
@@ -59,8 +64,7 @@ export class State extends EventTarget {
 
   /** Select the picture `by` positions further in the list, among those that can be opened. */
   step(by) {
-    const broken = new Set(this.project.pictures.filter(({ state }) => state === "broken").map(({ name }) => name));
-    const names = this.order.filter((name) => !broken.has(name));
+    const names = this.order.filter((name) => this.picture(name)?.state !== "broken");
     if (!names.length) return;
     const at = names.indexOf(this.current);
     this.select(names[Math.min(Math.max(at + by, 0), names.length - 1)]);
@@ -68,9 +72,9 @@ export class State extends EventTarget {
 
   /** Update one picture from the answer to a save. */
   update(picture) {
-    const at = this.project.pictures.findIndex((other) => other.name === picture.name);
-    if (at < 0) return;
-    this.project.pictures[at] = picture;
+    const known = this.picture(picture.name);
+    if (!known) return;
+    Object.assign(known, picture);
     this._say("project");
   }
 

@@ -1,92 +1,127 @@
-// The list of the folder's pictures, with the state of each. Only the visible items exist, so that the list may be long.
+// The list of the folder's pictures, with the state of each. Only the visible items exist, so it may be long. Several
+// pictures can be selected, for actions on all of them.
 
-import { api } from "./api.js";
-import { h, icon, perFrame } from "./ui.js";
-
-const STATES = {
-  reading: "reading…", new: "no points", unchecked: "not checked", partial: "points missing", done: "done",
-  proposed: "proposed", broken: "cannot be read",
-};
-
-const FILTERS = {
-  all: { label: "All", has: () => true },
-  todo: { label: "To do", has: ({ state }) => !["done", "broken", "reading"].includes(state) },
-  new: { label: "No points", has: ({ state }) => state === "new" || state === "unchecked" },
-  proposed: { label: "Proposed", has: ({ state }) => state === "proposed" },
-  doubtful: { label: "Doubtful", has: ({ doubtful }) => doubtful },
-  done: { label: "Done", has: ({ state }) => state === "done" },
-  left: { label: "Left out", has: ({ name, state }, left) => state === "done" && Boolean(left[name]) },
-  broken: { label: "Cannot be read", has: ({ state }) => state === "broken" },
-};
-
-const ORDERS = { name: "Name", uncertainty: "Uncertainty" };
+import { createBulk } from "./bulk.js";
+import * as filters from "./strip-filters.js";
+import { button, h, icon, perFrame } from "./ui.js";
 
 const BESIDE = matchMedia("(min-width: 900px)"); // otherwise the list is above the picture
 const SIZES = { column: 58, row: 66 }; // css pixels of an item along the list
 const AHEAD = 6; // items before and after the visible ones
 const REST = 90; // milliseconds without scrolling until thumbnails are fetched
 
-export function mountStrip(root, state) {
-  const wanted = { text: "", filter: "all", order: "name" };
+export function mountStrip(root, app) {
+  const { api, state } = app;
+  const wanted = { text: "", filter: "all", folder: "", order: "name" };
   const items = new Map(); // name -> {element, key} of the items that exist
   let pictures = []; // as filtered and sorted
   let resting = 0; // timer until the list rests
+  let selecting = false; // whether a click selects several pictures
+  const chosen = new Set(); // their names
+  let anchor = null; // where a range of them begins
 
+  const optionsOf = (options) => Object.entries(options).map(([value, { label }]) => h("option", { value }, label));
   const choice = (label, options, key) =>
     h("select", { class: "text", "aria-label": label, dataset: { testid: `strip-${key}` },
-      onchange: ({ target }) => { wanted[key] = target.value; show(); } },
-    Object.entries(options).map(([value, { label: text = options[value] }]) => h("option", { value }, text)));
-  const search = h("input", { class: "text", type: "search", placeholder: "Search by name", "aria-label": "Search by name",
-    dataset: { testid: "strip-search" }, oninput: () => { wanted.text = search.value.trim().toLowerCase(); show(); } });
-  const count = h("p", { class: "small muted", "aria-live": "polite" });
+      onchange: ({ target }) => { wanted[key] = target.value; show(); } }, optionsOf(options));
+  const look = () => { wanted.text = search.value.trim().toLowerCase(); show(); };
+  const search = h("input", { class: "text", type: "search", placeholder: "Search by name", oninput: look,
+    "aria-label": "Search by name", dataset: { testid: "strip-search" } });
+  const folders = choice("Subfolder", {}, "folder");
+  folders.title = "Pictures of subfolders are shown because the folder itself has none";
+  const several = button("Select several", { icon: "check", iconOnly: true, small: true, kind: "ghost", pressed: false,
+    testid: "strip-several", onclick: () => select(!selecting) });
+  const count = h("p", { class: "small muted grow", "aria-live": "polite" });
+  const bulk = createBulk({ app, chosen: () => [...chosen], onend: () => select(false),
+    onall: () => choose(pictures.map(({ name }) => name)) });
   const space = h("div", { class: "strip-space", role: "presentation" });
-  const list = h("div", { class: "strip-list", role: "listbox", tabindex: "0", "aria-label": "Pictures", dataset: { testid: "strip" } }, space);
-  root.append(h("div", { class: "strip-head" }, search, choice("Show", FILTERS, "filter"), choice("Sort", ORDERS, "order"), count), list);
+  const list = h("div", { class: "strip-list", role: "listbox", tabindex: "0", "aria-label": "Pictures",
+    dataset: { testid: "strip" } }, space);
+  const head = h("div", { class: "strip-head" }, search, folders, choice("Show", filters.FILTERS, "filter"),
+    choice("Sort", filters.ORDERS, "order"), h("div", { class: "row strip-count" }, count, several));
+  root.append(head, bulk.element, list);
+
+  // Selecting -------------------------------------------------------------------------------------------------------
+
+  /** Begin or end the selection of several pictures. */
+  function select(on) {
+    selecting = on;
+    several.setAttribute("aria-pressed", String(on));
+    if (on) list.setAttribute("aria-multiselectable", "true");
+    else list.removeAttribute("aria-multiselectable");
+    choose(on && state.current ? [state.current] : []);
+  }
+
+  function choose(names) {
+    chosen.clear();
+    for (const name of names) chosen.add(name);
+    bulk.show(selecting);
+    render();
+  }
+
+  /** Select a picture too, or no longer; with a range, all up to it. */
+  function add(name, range) {
+    if (!selecting) select(true);
+    if (range) choose([...chosen, ...filters.between(state.order, anchor ?? state.current, name)]);
+    else choose(chosen.has(name) ? [...chosen].filter((other) => other !== name) : [...chosen, name]);
+    anchor = name;
+  }
 
   list.addEventListener("click", (event) => {
-    const item = event.target.closest("[data-name]");
-    if (item) state.select(item.dataset.name);
+    const name = event.target.closest("[data-name]")?.dataset.name;
+    if (!name) return;
+    if (selecting || event.shiftKey || event.ctrlKey || event.metaKey) add(name, event.shiftKey);
+    else state.select(name);
   });
   list.addEventListener("keydown", (event) => {
     const step = { ArrowDown: 1, ArrowRight: 1, ArrowUp: -1, ArrowLeft: -1 }[event.key];
-    if (!step || event.ctrlKey || event.altKey || event.metaKey) return;
+    const isAll = event.key === "a" && (event.ctrlKey || event.metaKey);
+    const isMark = event.key === " " || (event.key === "Escape" && selecting);
+    if (!isAll && !isMark && (!step || event.ctrlKey || event.altKey || event.metaKey)) return;
     event.preventDefault();
     event.stopPropagation();
-    const at = pictures.findIndex(({ name }) => name === state.current);
-    if (pictures.length) state.select(pictures[Math.min(Math.max(at + step, 0), pictures.length - 1)].name);
+    if (isAll) {
+      select(true);
+      choose(state.order);
+    } else if (event.key === "Escape") select(false);
+    else if (event.key === " ") add(state.current, false);
+    else if (pictures.length) {
+      const at = state.order.indexOf(state.current);
+      const name = state.order[Math.min(Math.max(at + step, 0), pictures.length - 1)];
+      if (event.shiftKey) add(name, true);
+      state.select(name);
+    }
   });
+
+  // Items -----------------------------------------------------------------------------------------------------------
 
   const leftOut = () => state.project.model?.left_out ?? {};
 
-  function describe(picture) {
-    if (picture.state === "done" && leftOut()[picture.name]) return "left out";
-    if (picture.state === "partial") return `${picture.placed} placed`;
-    if (picture.state === "proposed" && picture.doubtful) return "doubtful";
-    return STATES[picture.state] ?? picture.state;
-  }
-
   function make(picture) {
-    const { name, tag, rank, error } = picture;
-    const why = leftOut()[name];
-    const what = describe(picture);
+    const { name, tag, rank, error, checked } = picture;
+    const why = filters.whyLeftOut(picture, leftOut());
+    const what = filters.describe(picture, leftOut());
+    const folder = filters.folderOf(name);
     const face = picture.state === "broken"
       ? h("span", { class: "no-picture" }, icon("warning", 20))
       : h("img", { alt: "", draggable: false, dataset: { src: api.url("pictures", name, "thumbnail", { tag }) } });
     return h("div", {
       class: "strip-item", role: "option", id: `strip-${encodeURIComponent(name)}`,
-      title: error ?? (why ? `${name}: left out of the model, because ${why}` : name),
+      title: error ?? (why ? `${name}: left out, because ${why}` : checked ? `${name}: checked by ${checked}` : name),
       "aria-label": `${name}, ${what}${rank === 1 ? ", helps the model most" : ""}`,
       dataset: { name, state: picture.state },
     }, h("span", { class: "strip-face" }, face,
       rank === 1 && h("span", { class: "strip-next", title: "Helps the model most" }, icon("spark", 12)),
-      h("span", { class: `dot ${why ? "left-out" : picture.state}` })),
-    h("span", { class: "strip-text" }, h("span", { class: "strip-name" }, name), h("span", { class: "strip-state" }, what)));
+      h("span", { class: `dot ${why ? "left-out" : checked ? "checked" : picture.state}` })),
+    h("span", { class: "strip-text" }, h("span", { class: "strip-name" }, filters.baseOf(name)),
+      h("span", { class: "strip-state" }, folder ? `${what} · ${folder}` : what)));
   }
 
   /** The item of a picture, made again if the picture has changed. */
   function itemOf(picture) {
-    const { name, state: progress, placed, doubtful, rank, error, tag } = picture;
-    const key = [progress, placed, doubtful, rank === 1, error, tag, leftOut()[name]].join("|");
+    const { name, state: progress, placed, doubtful, rank, error, tag, checked } = picture;
+    const why = filters.whyLeftOut(picture, leftOut());
+    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why].join("|");
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
@@ -106,15 +141,17 @@ export function mountStrip(root, state) {
     const names = new Set(shown.map(({ name }) => name));
     for (const [name, { element }] of items) if (!names.has(name)) { element.remove(); items.delete(name); }
     shown.forEach((picture, i) => {
+      const { name } = picture;
       const element = itemOf(picture);
       element.style.setProperty("--at", `${(first + i) * size}px`);
       element.setAttribute("aria-posinset", String(first + i + 1));
       element.setAttribute("aria-setsize", String(pictures.length));
-      element.setAttribute("aria-selected", String(picture.name === state.current));
+      element.setAttribute("aria-selected", String(selecting ? chosen.has(name) : name === state.current));
+      element.setAttribute("aria-current", String(name === state.current));
       if (space.children[i] !== element) space.insertBefore(element, space.children[i] ?? null);
     });
-    const selected = items.get(state.current)?.element;
-    if (selected) list.setAttribute("aria-activedescendant", selected.id);
+    const current = items.get(state.current)?.element;
+    if (current) list.setAttribute("aria-activedescendant", current.id);
     else list.removeAttribute("aria-activedescendant");
     clearTimeout(resting);
     resting = setTimeout(fetchFaces, REST);
@@ -124,23 +161,33 @@ export function mountStrip(root, state) {
     for (const image of space.querySelectorAll("img:not([src])")) image.src = image.dataset.src;
   }
 
-  /** Scroll the selected picture into view. */
+  /** Scroll the current picture into view. */
   function reveal() {
-    const index = pictures.findIndex(({ name }) => name === state.current);
+    const index = state.order.indexOf(state.current);
     const { size, at, room } = along();
     if (index < 0 || (index * size >= at && (index + 1) * size <= at + room)) return;
     const to = index * size < at ? index * size : (index + 1) * size - room;
     list.scrollTo(BESIDE.matches ? { top: to } : { left: to });
   }
 
+  let known = "";
+  /** Show the subfolders to choose from; the choice of one that is gone ends. */
+  function showFolders(all) {
+    const found = filters.foldersOf(all);
+    if (known === JSON.stringify(found)) return;
+    known = JSON.stringify(found);
+    if (!found[wanted.folder]) wanted.folder = "";
+    folders.replaceChildren(...optionsOf({ "": { label: "All subfolders" }, ...found }));
+    folders.value = wanted.folder;
+    folders.hidden = !Object.keys(found).length;
+  }
+
   function show() {
     const all = state.project?.pictures ?? [];
-    const { has } = FILTERS[wanted.filter];
-    const left = leftOut();
-    pictures = all.filter((picture) => has(picture, left) && picture.name.toLowerCase().includes(wanted.text));
-    const doubt = ({ uncertainty, doubtful }) => (uncertainty ?? -1) + (doubtful ? 1e6 : 0);
-    if (wanted.order === "uncertainty") pictures.sort((a, b) => doubt(b) - doubt(a));
+    showFolders(all);
+    pictures = filters.matching(all, wanted, leftOut());
     state.order = pictures.map(({ name }) => name);
+    for (const name of chosen) if (!state.picture(name)) chosen.delete(name);
     const usable = all.filter((picture) => picture.state !== "broken");
     const done = usable.filter((picture) => picture.state === "done").length;
     const some = pictures.length < all.length ? `${pictures.length} shown, ` : "";
@@ -153,6 +200,7 @@ export function mountStrip(root, state) {
   new ResizeObserver(() => { show(); reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("select", () => { reveal(); render(); });
+  known = "?";
   show();
   reveal();
 }

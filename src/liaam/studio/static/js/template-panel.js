@@ -1,6 +1,7 @@
 // The panel beside the picture while the template is edited: instructions, points, paths, and Done.
 
 import { several } from "./annotate-words.js";
+import { createPresets } from "./presets.js";
 import * as drafts from "./template.js";
 import { button, h, icon, iconButton } from "./ui.js";
 
@@ -58,7 +59,8 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
     if (saved) return hint(EDIT);
     if (draft.names.length) return hint(CONTINUE);
     const label = h("label.button", { for: "template-file" }, icon("upload"), "Load a landmark file");
-    return [h("p", START), ...hint("Or load them from a landmark file (.pts, .ljson, .asf …):"), h("div", file, label)];
+    const other = hint("Or start with a common set, or with a landmark file (.pts, .ljson, .asf …):");
+    return [h("p", START), ...other, h("div.column", createPresets(onload), file, label)];
   }
 
   /** Update the buttons and the instructions. */

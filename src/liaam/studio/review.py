@@ -1,0 +1,116 @@
+"""Who changed what: an append-only log of the folder (``log.jsonl``), and the review states that follow from it.
+
+A picture is checked while its landmarks have the revision that was checked, so every change withdraws the check. The
+other states hold until the opposite entry.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from liaam.studio.safety import Refusal
+from liaam.studio.state_files import StateFiles
+
+LOG_FILE = "log.jsonl"
+
+OPPOSITE = {
+    "checked": "unchecked",
+    "left out": "taken in",
+    "discarded": "restored",
+    "deleted": "undeleted",
+}
+"""Actions on pictures, and the actions that undo them."""
+
+ACTIONS = (*OPPOSITE, *OPPOSITE.values())
+ENTRIES = (*ACTIONS, "placed", "cleared")
+
+LONGEST_NAME = 60
+SHOWN = 20
+"""Number of entries of a picture that the page shows."""
+
+SAME_WORK = timedelta(minutes=10)
+"""Changes of a picture by one person within this time are one entry."""
+
+
+class ReviewLog:
+    """The log of a folder, by name of the picture."""
+
+    def __init__(self, state: StateFiles) -> None:
+        self._state = state
+        self._entries: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        for entry in state.read_lines(LOG_FILE, _is_entry):
+            self._entries[entry["picture"]].append(entry)
+
+    def add(self, did: str, who: str, pictures: Mapping[str, str | None]) -> None:
+        """Append an entry for each picture, given with the revision of what was done to."""
+        time = datetime.now(UTC).isoformat(timespec="seconds")
+        entries = [
+            {"time": time, "who": who, "picture": name, "did": did, "revision": revision}
+            for name, revision in pictures.items()
+        ]
+        self._state.append(LOG_FILE, entries)
+        for entry in entries:
+            self._entries[entry["picture"]].append(entry)
+
+    def add_change(self, who: str, name: str, did: str, revision: str | None) -> None:
+        """Append that the points of a picture were placed or cleared, once for all changes in a few minutes."""
+        last = self._last(name, *ENTRIES)
+        age = SAME_WORK if last is None else datetime.now(UTC) - datetime.fromisoformat(last["time"])
+        if last is None or (last["who"], last["did"]) != (who, did) or age >= SAME_WORK:
+            self.add(did, who, {name: revision})
+
+    def history(self, name: str) -> list[dict[str, Any]]:
+        """Return the last entries of a picture, newest first."""
+        return self._entries.get(name, [])[: -SHOWN - 1 : -1]
+
+    def checked_by(self, name: str, revision: str) -> str | None:
+        """Return who checked a revision of the landmarks."""
+        last = self._last(name, "checked", "unchecked")
+        return _who(last) if last is not None and (last["did"], last["revision"]) == ("checked", revision) else None
+
+    def left_out_by(self, name: str) -> str | None:
+        """Return who left a picture out of training."""
+        last = self._last(name, "left out", "taken in")
+        return _who(last) if last is not None and last["did"] == "left out" else None
+
+    def discarded(self, name: str) -> str | None:
+        """Return the revision of the proposal that was discarded."""
+        last = self._last(name, "discarded", "restored")
+        return last["revision"] if last is not None and last["did"] == "discarded" else None
+
+    def deleted(self, name: str) -> str | None:
+        """Return the revision of the landmarks that were deleted and can be restored."""
+        last = self._last(name, "deleted", "undeleted")
+        return last["revision"] if last is not None and last["did"] == "deleted" else None
+
+    def _last(self, name: str, *did: str) -> dict[str, Any] | None:
+        return next((entry for entry in reversed(self._entries.get(name, ())) if entry["did"] in did), None)
+
+
+def parse_who(name: Any) -> str:
+    """Check the name of the person who works in the page; "" if it is not known.
+
+    Raises
+    ------
+    Refusal
+        422 if it is not valid.
+    """
+    if name is None:
+        return ""
+    if not isinstance(name, str) or len(name) > LONGEST_NAME or not name.isprintable():
+        raise Refusal(422, f"your name is not valid: enter at most {LONGEST_NAME} printable characters")
+    return name.strip()
+
+
+def _who(entry: Mapping[str, Any]) -> str:
+    return entry["who"] or "someone"
+
+
+def _is_entry(data: Any) -> bool:
+    parse_who(data["who"])
+    is_aware = datetime.fromisoformat(data["time"]).tzinfo is not None
+    texts = isinstance(data["picture"], str) and isinstance(data["revision"], str | None)
+    return is_aware and texts and isinstance(data["who"], str) and data["did"] in ENTRIES

@@ -1,0 +1,68 @@
+// Actions on several pictures of the list, and their undo.
+
+import { myName } from "./who.js";
+
+/** By name in the server's log: the label, what was done, and the action that undoes it. */
+const ACTIONS = {
+  checked: { label: "Mark as checked", done: "marked as checked", undo: "unchecked" },
+  unchecked: { label: "Mark as not checked", done: "marked as not checked", undo: "checked" },
+  discarded: { label: "Discard proposed points", done: "without proposed points", undo: "restored" },
+  "left out": { label: "Leave out of training", done: "left out of training", undo: "taken in" },
+  "taken in": { label: "Use for training", done: "used for training", undo: "left out" },
+  deleted: { label: "Delete landmarks", done: "without landmarks", undo: "undeleted" },
+  restored: { done: "with proposed points again", undo: "discarded" },
+  undeleted: { done: "with landmarks again", undo: "deleted" },
+};
+
+const pictures = ({ length }) => `${length} ${length === 1 ? "picture" : "pictures"}`;
+
+/** Message about the answer to an action. */
+export function outcome(did, { changed, refused }) {
+  const reasons = Object.values(refused);
+  const done = changed.length && `${pictures(changed)} ${ACTIONS[did].done}.`;
+  const not = reasons.length && `${pictures(reasons)} not changed: ${[...new Set(reasons)].slice(0, 3).join("; ")}.`;
+  return [done, not].filter(Boolean).join(" ");
+}
+
+/** Apply an action to pictures; resolves to the names that changed. */
+export async function act({ state, api, toast, ui }, did, names) {
+  const who = await myName(ui, did === "checked");
+  if (who === null) return [];
+  const answer = await state.send((folder) => api.post(api.url("review"), { folder, pictures: names, did, who }));
+  toast(outcome(did, answer), answer.changed.length ? "good" : "info");
+  await state.refresh();
+  return answer.changed;
+}
+
+/** The bar of actions; chosen() -> names; onall(): choose all shown pictures; onend(): end the selection. */
+export function createBulk({ app, chosen, onall, onend }) {
+  const { h, button } = app.ui;
+  let last = null; // {did, names} to undo
+  const count = h("span", { class: "small grow", "aria-live": "polite" });
+  const labels = Object.entries(ACTIONS).filter(([, { label }]) => label);
+  const choice = h("select", { class: "text", "aria-label": "Action on the selected pictures" },
+    h("option", { value: "" }, "Action…"), labels.map(([value, { label }]) => h("option", { value }, label)));
+  choice.dataset.testid = "bulk-action";
+  choice.addEventListener("change", () => { run(choice.value, chosen()); choice.value = ""; });
+  const undo = button("Undo", { icon: "undo", iconOnly: true, small: true, disabled: true, testid: "bulk-undo",
+    onclick: () => run(ACTIONS[last.did].undo, last.names) });
+  const small = (label, onclick, testid) => button(label, { small: true, kind: "ghost", onclick, testid });
+  const element = h("div", { class: "strip-bulk", hidden: true },
+    h("div", { class: "row" }, count, small("All", onall, "bulk-all"), small("End", onend, "bulk-end")),
+    h("div", { class: "row" }, choice, undo));
+
+  async function run(did, names) {
+    const changed = await act(app, did, names);
+    if (!changed.length) return;
+    last = { did, names: changed };
+    undo.disabled = false;
+    undo.title = `Undo: ${pictures(changed)} ${ACTIONS[did].done}`;
+  }
+
+  const show = (on) => {
+    element.hidden = !on;
+    count.textContent = `${chosen().length} selected`;
+    choice.disabled = !chosen().length;
+  };
+  return { element, show };
+}

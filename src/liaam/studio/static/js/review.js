@@ -1,0 +1,93 @@
+// Review of the open picture and of the folder: checked by whom, history, accuracy of the models, export of all.
+
+import { act } from "./bulk.js";
+import { fileNameIn } from "./fit-export.js";
+import { askName, whoAmI } from "./who.js";
+
+const DID = {
+  placed: "placed points", cleared: "removed all points", checked: "checked it", unchecked: "withdrew the check",
+  "left out": "left it out of training", "taken in": "took it into training", discarded: "discarded proposed points",
+  restored: "restored proposed points", deleted: "deleted the landmarks", undeleted: "restored the landmarks",
+};
+const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)" };
+
+export const sentence = ({ who, did }) => `${who || "Someone"} ${DID[did]}`;
+
+export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)} %`;
+
+/** What the newest bar of the chart means. */
+export function accuracyText(versions) {
+  const { held_out: count } = versions.at(-1);
+  const others = versions.some(({ same }) => !same) ? " Pale bars: measured on other pictures." : "";
+  const on = count === 1 ? "on 1 picture" : `median of ${count} pictures`;
+  const what = "Distance of fitted from placed points, in percent of the object's size";
+  return `${what}: ${on} held out from training.${others}`;
+}
+
+export function createReview(app) {
+  const { h, button } = app.ui;
+  const { state, api } = app;
+  const part = (testid, title, content, ontoggle) =>
+    h("details", { class: "small", name: "review", ontoggle, dataset: { testid } }, h("summary", {}, title), content);
+  const now = h("span", { class: "small muted grow", role: "status", dataset: { testid: "review-state" } });
+  const toggle = () => act(app, state.picture().checked ? "unchecked" : "checked", [state.current]);
+  const check = button("Mark as checked", { icon: "check", small: true, testid: "check", onclick: toggle });
+  const entries = h("ul", { class: "assist-lines" });
+  const history = part("history", "History", entries, () => fetchHistory());
+  const chart = h("div");
+  const accuracy = part("versions", "", chart);
+  const name = button("", {
+    small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(app.ui).then(show),
+  });
+  const files = h("select", { class: "text small", "aria-label": "Export all landmarks", onchange: () => save() },
+    h("option", { value: "" }, "Export all…"),
+    Object.entries(EXPORTS).map(([value, label]) => h("option", { value }, label)));
+  files.dataset.testid = "export-all";
+  const element = h("section", { class: "panel review", "aria-label": "Review" },
+    h("div", { class: "row" }, now, check), history, accuracy,
+    h("div", { class: "row" }, files, h("span", { class: "grow" }), name));
+
+  async function save() {
+    const { blob, disposition } = await api.file(api.url("export", files.value));
+    app.ui.saveFile(blob, fileNameIn(disposition, files.value));
+    files.value = "";
+  }
+
+  async function fetchHistory() {
+    const picture = state.current;
+    if (!history.open || !picture) return;
+    const lines = await api.get(api.url("pictures", picture, "history"), { quiet: true });
+    if (picture !== state.current) return;
+    const texts = lines.map((line) => `${sentence(line)}, ${new Date(line.time).toLocaleString()}`);
+    entries.replaceChildren(...(texts.length ? texts : ["Nothing yet"]).map((text) => h("li", {}, text)));
+  }
+
+  function draw(versions) {
+    accuracy.hidden = !versions.length;
+    if (!versions.length) return;
+    const most = Math.max(...versions.map(({ error }) => error));
+    const said = ({ error, pictures }) => `${percent(error)}, trained on ${pictures} pictures`;
+    accuracy.firstChild.textContent = `Accuracy of the models: ${percent(versions.at(-1).error)}`;
+    const bars = versions.map((version) => h("span", {
+      class: version.same ? "same" : "", title: said(version), style: { height: `${(100 * version.error) / most}%` },
+    }));
+    const label = `Errors of the models: ${versions.map(said).join("; ")}`;
+    chart.replaceChildren(h("div", { class: "version-chart", role: "img", "aria-label": label }, bars),
+      h("p", { class: "muted" }, accuracyText(versions)));
+  }
+
+  function show() {
+    const { checked, state: progress } = state.picture() ?? {};
+    element.hidden = !state.project.template;
+    now.textContent = checked ? `Checked by ${checked}` : progress === "done" ? "Not checked yet" : "";
+    check.hidden = progress !== "done";
+    check.lastChild.textContent = checked ? "Withdraw" : "Mark as checked";
+    name.textContent = whoAmI() || "Your name…";
+    draw(state.project.versions ?? []);
+    fetchHistory().catch(() => {}); // the next change fetches it again
+  }
+
+  for (const event of ["project", "select"]) state.addEventListener(event, show);
+  show();
+  return element;
+}

@@ -1,0 +1,65 @@
+// What the list of pictures shows: the state of each picture, and which pictures match. Needs no page.
+
+export const STATES = {
+  reading: "reading…", new: "no points", unchecked: "not checked", partial: "points missing", done: "done",
+  proposed: "proposed", broken: "cannot be read",
+};
+
+export const FILTERS = {
+  all: { label: "All", has: () => true },
+  todo: { label: "To do", has: ({ state }) => !["done", "broken", "reading"].includes(state) },
+  new: { label: "No points", has: ({ state }) => state === "new" || state === "unchecked" },
+  proposed: { label: "Proposed", has: ({ state }) => state === "proposed" },
+  doubtful: { label: "Doubtful", has: ({ doubtful }) => doubtful },
+  done: { label: "Done", has: ({ state }) => state === "done" },
+  review: { label: "To review", has: ({ state, checked }) => state === "done" && !checked },
+  checked: { label: "Checked", has: ({ checked }) => Boolean(checked) },
+  left: { label: "Left out", has: (picture, left) => Boolean(whyLeftOut(picture, left)) },
+  broken: { label: "Cannot be read", has: ({ state }) => state === "broken" },
+};
+
+export const ORDERS = { name: { label: "Name" }, uncertainty: { label: "Uncertainty" } };
+
+export const folderOf = (name) => name.slice(0, Math.max(name.lastIndexOf("/"), 0));
+
+export const baseOf = (name) => name.slice(name.lastIndexOf("/") + 1);
+
+/** Why a picture is not used for training; null if it is. left: reasons of the current model, by name. */
+export function whyLeftOut({ name, state, left_out: who }, left) {
+  return who ? `${who} left it out of training` : (state === "done" && left[name]) || null;
+}
+
+export function describe(picture, left) {
+  const { state, placed, doubtful, checked } = picture;
+  if (state !== "broken" && whyLeftOut(picture, left)) return "left out";
+  if (state === "partial") return `${placed} placed`;
+  if (state === "proposed" && doubtful) return "doubtful";
+  return checked ? "checked" : (STATES[state] ?? state);
+}
+
+/** The subfolders of all pictures, with those between: {name: {label}}. */
+export function foldersOf(pictures) {
+  const counts = new Map();
+  for (const { name } of pictures)
+    for (let folder = folderOf(name); folder; folder = folderOf(folder))
+      counts.set(folder, (counts.get(folder) ?? 0) + 1);
+  const names = [...counts.keys()].sort((a, b) => a.localeCompare(b, undefined, { numeric: true }));
+  return Object.fromEntries(names.map((name) => [name, { label: `${name} (${counts.get(name)})` }]));
+}
+
+/** The pictures to show, in order. wanted: {text, filter, folder, order}. */
+export function matching(pictures, { text, filter, folder, order }, left) {
+  const { has } = FILTERS[filter];
+  const isIn = (name) => !folder || name.startsWith(`${folder}/`);
+  const found = pictures.filter(
+    (picture) => has(picture, left) && isIn(picture.name) && picture.name.toLowerCase().includes(text),
+  );
+  const doubt = ({ uncertainty, doubtful }) => (uncertainty ?? -1) + (doubtful ? 1e6 : 0);
+  return order === "uncertainty" ? found.sort((a, b) => doubt(b) - doubt(a)) : found;
+}
+
+/** The names from one to another in a list, both included; only the second if the first is not there. */
+export function between(names, first, last) {
+  const [from, to] = [names.indexOf(first), names.indexOf(last)];
+  return from < 0 ? [last] : names.slice(Math.min(from, to), Math.max(from, to) + 1);
+}

@@ -1,0 +1,61 @@
+// The list of pictures without a page: what it shows, and the texts of the review. Run by test_annotate_modules.py, by Node.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { outcome } from "./modules/bulk.js";
+import { accuracyText, percent, sentence } from "./modules/review.js";
+import { between, describe, FILTERS, foldersOf, matching } from "./modules/strip-filters.js";
+
+const PICTURES = [
+  { name: "a/1.png", state: "done", checked: "Ann" },
+  { name: "a/2.png", state: "done", checked: null },
+  { name: "a/b/10.png", state: "proposed", uncertainty: 0.2 },
+  { name: "c/1.png", state: "proposed", uncertainty: 0.1, doubtful: true },
+  { name: "c/2.png", state: "partial", placed: 3, left_out: "Bob" },
+];
+const ALL = { text: "", filter: "all", folder: "", order: "name" };
+const names = (wanted, left = {}) => matching(PICTURES, { ...ALL, ...wanted }, left).map(({ name }) => name);
+
+test("subfolders are listed with those between, and their numbers of pictures", () => {
+  const labels = Object.values(foldersOf(PICTURES)).map(({ label }) => label);
+  assert.deepEqual(labels, ["a (3)", "a/b (1)", "c (2)"]);
+  assert.deepEqual(foldersOf([{ name: "1.png" }]), {});
+});
+
+test("pictures are found by folder, name and state, and sorted by uncertainty", () => {
+  assert.deepEqual(names({ folder: "a" }), ["a/1.png", "a/2.png", "a/b/10.png"]);
+  assert.deepEqual(names({ text: "c/" }), ["c/1.png", "c/2.png"]);
+  assert.deepEqual(names({ filter: "checked" }), ["a/1.png"]);
+  assert.deepEqual(names({ filter: "review" }), ["a/2.png"]);
+  assert.deepEqual(names({ filter: "left" }, { "a/2.png": "why", "c/1.png": "not done" }), ["a/2.png", "c/2.png"]);
+  assert.deepEqual(names({ order: "uncertainty" }).slice(0, 2), ["c/1.png", "a/b/10.png"]);
+  assert.deepEqual(names({}), PICTURES.map(({ name }) => name)); // sorting leaves the list itself alone
+  assert.ok(Object.values(FILTERS).every(({ label }) => label));
+});
+
+test("states are described", () => {
+  const said = PICTURES.map((picture) => describe(picture, { "a/2.png": "why" }));
+  assert.deepEqual(said, ["checked", "left out", "proposed", "doubtful", "left out"]);
+});
+
+test("a range goes both ways and needs its beginning", () => {
+  assert.deepEqual(between(["a", "b", "c", "d"], "c", "a"), ["a", "b", "c"]);
+  assert.deepEqual(between(["a", "b"], "gone", "b"), ["b"]);
+});
+
+test("the outcome of an action is said with what was refused", () => {
+  const refused = { "b.png": "it is checked already", "c.png": "it is checked already" };
+  assert.equal(outcome("checked", { changed: ["a.png"], refused }),
+    "1 picture marked as checked. 2 pictures not changed: it is checked already.");
+  assert.equal(outcome("deleted", { changed: ["a.png", "b.png"], refused: {} }), "2 pictures without landmarks.");
+});
+
+test("history and accuracy are said", () => {
+  assert.equal(sentence({ who: "", did: "placed" }), "Someone placed points");
+  assert.equal(percent(0.0312), "3.1 %");
+  assert.equal(percent(0.0012), "0.12 %");
+  const versions = [{ error: 0.04, held_out: 1, same: false }, { error: 0.02, held_out: 2, same: true }];
+  assert.match(accuracyText(versions), /median of 2 pictures held out.*Pale/);
+  assert.doesNotMatch(accuracyText(versions.slice(1)), /Pale/);
+});

@@ -1,0 +1,244 @@
+"""The log of who changed what, review states, and actions on several pictures."""
+
+import io
+import json
+import zipfile
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, states
+
+from liaam.io import Landmarks, read_collection, read_landmarks, write_landmarks
+from liaam.studio.export import export_of
+from liaam.studio.folder import STATE
+from liaam.studio.model_store import Versions
+from liaam.studio.project import Project
+from liaam.studio.training_process import choose_held_out
+
+MOVED = [[5.0, 6.0], *POINTS[1:]]
+
+
+@pytest.fixture
+def placed(small):
+    """Give a project with two done pictures of four."""
+    for name in ("p1.png", "p2.png"):
+        put(small, name, POINTS)
+    return small
+
+
+def act(project, did, *names, who="Ann"):
+    return project.review({"pictures": list(names), "did": did, "who": who})
+
+
+def entries(project):
+    lines = (project.root / STATE / "log.jsonl").read_text().splitlines()
+    return [(entry["picture"], entry["did"], entry["who"]) for entry in map(json.loads, lines)]
+
+
+def test_a_check_holds_for_the_landmarks_that_were_checked(placed):
+    answer = act(placed, "checked", "p1.png", "p10.png")
+    assert answer["changed"] == ["p1.png"]
+    assert answer["refused"] == {"p10.png": "not all of its points are placed: place them first"}
+    before = placed.marks("p1.png")["revision"]
+    assert by_name(Project(placed.root))["p1.png"]["checked"] == "Ann"
+    put(placed, "p1.png", MOVED, before)
+    assert by_name(placed)["p1.png"]["checked"] is None
+    put(placed, "p1.png", POINTS, placed.marks("p1.png")["revision"])  # as by undo
+    assert by_name(placed)["p1.png"]["checked"] == "Ann"
+    assert act(placed, "unchecked", "p1.png", "p2.png")["refused"] == {"p2.png": "it is not checked"}
+    assert by_name(placed)["p1.png"]["checked"] is None
+
+
+def test_changes_within_minutes_are_one_entry(small, monkeypatch):
+    def save(points, who):
+        revision = small.marks("p1.png")["revision"]
+        small.save_marks("p1.png", {"points": points, "invisible": [], "revision": revision, "who": who})
+
+    for points in (POINTS, MOVED, POINTS):
+        save(points, "Ann")
+    save(MOVED, "Bob")
+    save([None] * 3, "Bob")
+    expected = [("p1.png", "placed", "Ann"), ("p1.png", "placed", "Bob"), ("p1.png", "cleared", "Bob")]
+    assert entries(small) == expected
+    assert [(entry["did"], entry["who"]) for entry in small.history("p1.png")] == [
+        ("cleared", "Bob"), ("placed", "Bob"), ("placed", "Ann"),
+    ]  # fmt: skip
+    (small.root / STATE / "log.jsonl").write_text(
+        json.dumps({**small.history("p1.png")[-1], "time": (datetime.now(UTC) - timedelta(hours=1)).isoformat()}) + "\n"
+    )
+    again = Project(small.root)
+    put(again, "p1.png", POINTS)
+    assert [who for *_, who in entries(again)] == ["Ann", ""]
+
+
+def test_a_picture_left_out_is_not_trained_on(placed):
+    act(placed, "left out", "p1.png", "q.jpg")
+    assert [item.name for item in placed.annotated()] == ["p2.png"]
+    assert by_name(placed)["p1.png"]["left_out"] == "Ann"
+    assert act(placed, "left out", "p1.png")["changed"] == []
+    act(placed, "taken in", "p1.png")
+    assert [item.name for item in Project(placed.root).annotated()] == ["p1.png", "p2.png"]
+
+
+def test_a_discarded_proposal_comes_back_by_undo_or_as_another_one(placed):
+    placed.add_proposals({"p10.png": proposal()})
+    assert states(placed)["p10.png"] == "proposed"
+    act(placed, "discarded", "p10.png")
+    again = Project(placed.root)
+    assert states(again)["p10.png"] == "new" and again.marks("p10.png")["source"] == "none"
+    act(again, "restored", "p10.png")
+    assert states(again)["p10.png"] == "proposed"
+    act(again, "discarded", "p10.png")
+    again.add_proposals({"p10.png": proposal(0.02)})
+    assert states(again)["p10.png"] == "proposed"
+    assert act(again, "discarded", "p1.png")["refused"]
+
+
+@pytest.mark.parametrize("suffix", [".ljson", ".pts"])
+def test_deleted_landmarks_are_restored_even_by_another_studio(small, suffix):
+    write_landmarks(small.root / f"p1{suffix}", Landmarks(np.array(POINTS)))
+    put(small, "p1.png", MOVED, small.marks("p1.png")["revision"], invisible=[2])
+    before = small.marks("p1.png")
+    assert act(small, "deleted", "p1.png", "p2.png")["changed"] == ["p1.png"]
+    assert states(small)["p1.png"] == "new"
+    again = Project(small.root)
+    answer = act(again, "undeleted", "p1.png")
+    after = again.marks("p1.png")
+    assert answer["revisions"] == {"p1.png": after["revision"]}
+    assert (after["points"], after["invisible"]) == (before["points"], [2])
+    assert "landmarks again" in act(again, "undeleted", "p1.png")["refused"]["p1.png"]
+
+
+def test_deleted_landmarks_are_not_restored_from_a_changed_copy_or_for_another_template(placed):
+    act(placed, "deleted", "p1.png")
+    placed.save_template({**TRIANGLE, "names": ["a", "b"], "contours": [], "mirror": None, "mapping": [0, 1]})
+    assert "earlier template" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
+    (copy,) = (placed.root / STATE / "kept").iterdir()
+    copy.write_text(copy.read_text().replace("30.5", "31.5"))
+    assert "was changed" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
+    copy.unlink()
+    why = act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
+    assert "cannot be read" in why and str(placed.root) not in why
+
+
+def test_a_log_cut_short_by_a_kill_goes_on(placed):
+    act(placed, "checked", "p1.png")
+    log = placed.root / STATE / "log.jsonl"
+    log.write_bytes(log.read_bytes() + b'{"time": "2026-')
+    again = Project(placed.root)
+    assert again.problems == []
+    act(again, "checked", "p2.png", who="Bob")
+    last = Project(placed.root)
+    assert [by_name(last)[name]["checked"] for name in ("p1.png", "p2.png")] == ["Ann", "Bob"]
+    assert "1 of the lines" in last.problems[0]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"{", b"[]", b"7", b'{"a": 1}', b"\xff", b"[" * 100_000, b'{"time": "x", "who": "", "picture": "p1.png"}'],
+)
+def test_damaged_lines_are_skipped(placed, line):
+    act(placed, "checked", "p1.png")
+    log = placed.root / STATE / "log.jsonl"
+    log.write_bytes(line + b"\n" + log.read_bytes())
+    again = Project(placed.root)
+    assert by_name(again)["p1.png"]["checked"] == "Ann"
+    assert "log.jsonl cannot be read" in again.problems[0]
+
+
+def test_a_log_that_leads_out_is_not_used(placed, tmp_path):
+    outside = tmp_path / "outside.jsonl"
+    outside.write_text("{}\n")
+    (placed.root / STATE / "log.jsonl").unlink()
+    (placed.root / STATE / "log.jsonl").symlink_to(outside)
+    project = Project(placed.root)
+    assert "log.jsonl" in project.problems[0]
+    assert refused(act, project, "checked", "p1.png").status == 409
+    assert outside.read_text() == "{}\n"
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [({"did": "eaten"}, 422), ({"pictures": "p1.png"}, 422), ({"pictures": [7]}, 422), ({"pictures": ["no.png"]}, 404),
+     ({"who": 7}, 422), ({"who": "x" * 61}, 422), ({"who": "a\nb"}, 422)],
+)  # fmt: skip
+def test_requests_that_are_not_valid_are_refused(placed, change, status):
+    assert refused(placed.review, {"pictures": ["p1.png"], "did": "checked", **change}).status == status
+    assert entries(placed)[-1][1] == "placed"
+
+
+# Export ----------------------------------------------------------------------------------------------------------
+
+
+def test_all_landmarks_are_exported(placed, tmp_path):
+    put(placed, "q.jpg", [POINTS[0], None, POINTS[2]])
+    name, data = export_of(placed, "pts")
+    assert name == f"{placed.root.name}-pts.zip"
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        assert archive.namelist() == ["p1.pts", "p2.pts", "q.pts"]
+        archive.extract("q.pts", tmp_path)
+    assert read_landmarks(tmp_path / "q.pts").missing.tolist() == [False, True, False]
+    for kind in ("coco", "tps", "csv"):
+        name, data = export_of(placed, kind)
+        (placed.root / name).write_bytes(data)
+        found = read_collection(placed.root / name)
+        assert list(found) == ["p1.png", "p2.png", "q.jpg"]
+        assert found["p2.png"].points == pytest.approx(np.array(POINTS))
+        (placed.root / name).unlink()
+
+
+def test_nothing_and_unknown_kinds_are_not_exported(small):
+    assert "no picture has landmarks" in str(refused(export_of, small, "coco"))
+    assert refused(export_of, small, "../x").status == 422
+
+
+# Versions of the model -------------------------------------------------------------------------------------------
+
+
+def test_models_are_measured_on_the_same_pictures_where_possible():
+    names = [f"{i}.png" for i in range(40)]
+    assert [len(choose_held_out(names[:n], [])) for n in (3, 4, 7, 8, 15, 16, 31, 32, 40)] == [
+        0,
+        1,
+        1,
+        2,
+        2,
+        4,
+        4,
+        8,
+        8,
+    ]
+    first = choose_held_out(names[:16], [])
+    assert choose_held_out(names[:31][::-1], first) == first
+    assert set(first) < set(choose_held_out(names, first))
+    gone = [name for name in names[:31] if name != first[0]]
+    assert set(first[1:]) < set(choose_held_out(gone, first)) and first[0] not in choose_held_out(gone, first)
+
+
+def test_versions_are_kept_and_compared(small):
+    versions = Versions(small.state)
+    facts = {
+        "trained": "2026-01-01",
+        "pictures": {"a": "1", "b": "2", "c": "3"},
+        "left_out": {"c": "why"},
+        "order": "x",
+    }
+    for errors in ({"a": 0.03}, {"a": 0.02, "b": 0.04}, {"b": 0.01, "a": 0.03}, {}):
+        versions.add(facts, errors)
+    versions.add({**facts, "order": "y"}, {"a": 0.5})
+    again = Versions(Project(small.root).state)
+    assert again.held_out("x") == [] and again.held_out("y") == ["a"] and again.held_out("z") == []
+    shown = again.as_json("x")
+    assert [version["error"] for version in shown] == pytest.approx([0.03, 0.03, 0.02])
+    assert [version["same"] for version in shown] == [False, True, True]
+    assert shown[0] == {"time": "2026-01-01", "pictures": 2, "error": 0.03, "held_out": 1, "same": False}
+
+
+@pytest.mark.parametrize("errors", [{"a": -1}, {"a": "x"}, {"a": True}, [], {"a": 1e9}, None])
+def test_damaged_versions_are_skipped(small, errors):
+    line = {"time": "t", "pictures": 3, "order": "x", "errors": errors}
+    (small.root / STATE / "versions.jsonl").write_text(json.dumps(line) + "\n")
+    project = Project(small.root)
+    assert Versions(project.state).as_json("x") == []
+    assert "versions.jsonl" in project.problems[0]
