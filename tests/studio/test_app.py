@@ -109,6 +109,21 @@ def test_landmarks_are_saved_and_other_pages_told(folder, serve, listen):
     assert clash.json()["current"]["points"] == marks["points"]
 
 
+def test_pictures_are_reviewed_and_exported_and_other_pages_told(folder, serve, listen):
+    running = serve(folder(3, 3))
+    page = listen(running)
+    body = {"pictures": ["p1.png", "p2.png"], "did": "deleted", "who": "Ann"}
+    assert running.client.post("/api/review", json=body).json() == {"changed": ["p1.png", "p2.png"], "refused": {}}
+    assert page.event("landmarks") == [{"name": name, "revision": ""} for name in ("p1.png", "p2.png")]
+    assert page.event("project") == {}
+    (entry,) = running.client.get("/api/pictures/p1.png/history").json()
+    assert (entry["did"], entry["who"]) == ("deleted", "Ann")
+    assert running.client.post("/api/review", json={**body, "folder": "another"}).status_code == 409
+    answer = running.client.get("/api/export/tps")
+    assert answer.headers["content-disposition"].startswith("attachment")
+    assert answer.text.count("IMAGE=p3.png") == answer.text.count("IMAGE=") == 1
+
+
 def test_a_template_is_read_from_a_file(folder, serve):
     client = serve(folder(1)).client
     answer = client.post("/api/template/file?name=x.tem", content=b"3\n1 3\n20 3\n10 15\n1\n1 3 0 1 2\n")

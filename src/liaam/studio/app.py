@@ -251,8 +251,9 @@ class _Handlers:
 
     async def review(self, request: Request) -> Response:
         answer = await run_sync(self._review, await self._json(request))
-        for name, revision in answer.pop("revisions").items():
-            self.studio.events.publish("landmarks", {"name": name, "revision": revision})
+        # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
+        written = [{"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()]
+        self.studio.events.publish("landmarks", written)
         self.studio.events.publish("project", {})
         return JSONResponse(answer)
 

@@ -158,7 +158,9 @@ export class State extends EventTarget {
       this.project.training = JSON.parse(event.data);
       this._say("training", this.project.training);
     });
-    source.addEventListener("landmarks", (event) => this._say("landmarks", JSON.parse(event.data)));
+    source.addEventListener("landmarks", (event) => {
+      for (const each of [JSON.parse(event.data)].flat()) this._say("landmarks", each);
+    });
     addEventListener("pagehide", () => source.close());
   }
 
