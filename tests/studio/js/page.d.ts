@@ -20,6 +20,9 @@ interface Picture {
   doubtful: boolean;
   rank: number | null;
   error: string | null;
+  /** Who checked its landmarks, and who left it out of training. */
+  checked: string | null;
+  left_out: string | null;
 }
 
 interface Template {
@@ -70,6 +73,8 @@ interface Project {
   template: Template | null;
   model: Model | null;
   training: Training;
+  /** Trained models, oldest first; same: measured on the pictures of the newest. */
+  versions: { time: string; pictures: number; error: number; held_out: number; same: boolean }[];
   methods: Method[];
   default_method: string;
   default_ambient: number;
