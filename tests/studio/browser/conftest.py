@@ -10,6 +10,7 @@ from people import NAMES, TIMEOUT
 from benchmarks.studio import Server, lacking, launched, start
 from liaam.datasets.scenes import DIFFUSE, Head, Scene, lateral, make_set, random_expression, random_pose, render
 from liaam.io import Landmarks, write_image, write_landmarks
+from liaam.training import train
 
 PROGRAM = (str(Path(__file__).with_name("delayed_server.py")),) if "LIAAM_DELAY" in os.environ else ("-m", "liaam")
 """What runs the studio. To find races, LIAAM_DELAY makes its answers late by up to so many milliseconds."""
@@ -87,6 +88,14 @@ def serve(tmp_path) -> Iterator[Callable[..., Server]]:
 def portraits() -> list[Scene]:
     """Give twelve pictures of one head, as an ordinary camera sees it."""
     return make_set(12, Head(5), DIFFUSE, seed=3, size=(320, 240))
+
+
+@pytest.fixture(scope="session")
+def portrait_model(portraits, tmp_path_factory) -> Path:
+    """Give a model of the portraits."""
+    path = tmp_path_factory.mktemp("model") / "portraits.liaam"
+    train([(scene.image, scene.landmarks) for scene in portraits[:8]]).save(path)
+    return path
 
 
 @pytest.fixture(scope="session")

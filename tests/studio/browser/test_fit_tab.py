@@ -8,7 +8,6 @@ import pytest
 from people import shoot, wait_for, wait_until
 
 from liaam.io import read_landmarks, write_image, write_landmarks
-from liaam.training import train
 
 pytestmark = pytest.mark.slow
 
@@ -21,23 +20,17 @@ DROP = """([data, name]) => {
 }"""
 
 PIXEL = """([x, y]) => {
-  const { canvas } = window.liaamStudio.fit.viewer;
-  const ratio = canvas.width / canvas.clientWidth;
-  return [...canvas.getContext("2d").getImageData(Math.round(x * ratio), Math.round(y * ratio), 1, 1).data];
+  const { canvas, container } = window.liaamStudio.fit.viewer; // the canvas goes on under the panels
+  const [outer, inner] = [canvas, container].map((element) => element.getBoundingClientRect());
+  const at = [x + inner.left - outer.left, y + inner.top - outer.top];
+  const pixels = at.map((value) => Math.round((value * canvas.width) / canvas.clientWidth));
+  return [...canvas.getContext("2d").getImageData(...pixels, 1, 1).data];
 }"""
 
 UNNAMED = """() => [...document.querySelectorAll("#tab-fit :is(button, input, select, a, canvas, [role=slider])")]
   .filter((each) => each.offsetParent && !each.closest("[aria-hidden=true]"))
   .filter((each) => !each.getAttribute("aria-label") && !(each.closest("label") ?? each).textContent.trim())
   .map((each) => each.outerHTML)"""
-
-
-@pytest.fixture(scope="session")
-def portrait_model(portraits, tmp_path_factory) -> Path:
-    """Give a model of the portraits."""
-    path = tmp_path_factory.mktemp("model") / "portraits.liaam"
-    train([(scene.image, scene.landmarks) for scene in portraits[:8]]).save(path)
-    return path
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import { test } from "node:test";
 import { nameIn } from "./modules/address.js";
 import * as assist from "./modules/assist.js";
 import { loupePlace } from "./modules/drawing.js";
+import { shownValue } from "./modules/look.js";
 import { History } from "./modules/history.js";
 import * as points from "./modules/points.js";
 import { contentOf, Saver } from "./modules/saving.js";
@@ -831,6 +832,15 @@ test("what was left out, what was passed over, and a model of another template a
   assert.equal(groups.length, 3);
   assert.match(groups[0].lines[0], /3 points where the template has 2/);
   assert.deepEqual(groups[1].lines, ["x.png: too dark"]);
+});
+
+test("brightness, contrast and gamma of zero change nothing, and 1 stands for a factor of two", () => {
+  const neutral = { brightness: 0, contrast: 0, gamma: 0 };
+  for (const value of [0, 0.25, 0.5, 1]) assert.equal(shownValue(value, neutral), value);
+  assert.equal(shownValue(0.25, { ...neutral, brightness: 1 }), 0.5);
+  assert.equal(shownValue(0.25, { ...neutral, gamma: 1 }), 0.5);
+  assert.equal(shownValue(0.6, { ...neutral, contrast: 1 }).toFixed(6), "0.700000");
+  assert.equal(shownValue(0.9, { brightness: 2, contrast: 2, gamma: 2 }), 1);
 });
 
 test("the loupe stays inside the canvas and off the finger", () => {

@@ -187,7 +187,7 @@ function drafting() {
     width: 100,
     height: 60,
     scale: 2,
-    canvas: { clientWidth: 200, clientHeight: 120 },
+    container: { clientWidth: 200, clientHeight: 120 },
     redraw() {},
     toScreen: ([x, y]) => [2 * x, 2 * y],
     toImage: ([x, y]) => [x / 2, y / 2],

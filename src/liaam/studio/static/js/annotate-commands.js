@@ -17,7 +17,7 @@ export function createCommands(tab) {
     const point = marking.points[index];
     if (!point) return;
     const [x, y] = viewer.toScreen(point);
-    const { clientWidth: w, clientHeight: h } = viewer.canvas;
+    const { clientWidth: w, clientHeight: h } = viewer.container;
     if (x < EDGE || y < EDGE || x > w - EDGE || y > h - EDGE) viewer.panBy(w / 2 - x, h / 2 - y);
   }
 

@@ -2,8 +2,9 @@
 
 import { AxisGrip } from "./axis-grip.js";
 import {
-  COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawSpread, drawText,
+  COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawText,
 } from "./drawing.js";
+import { drawEllipses } from "./overlays.js";
 import { indicesOf } from "./points.js";
 
 const MANY = 150; // more points than these are drawn smaller
@@ -12,7 +13,9 @@ const NAMED = 6; // the names of up to so many selected points are shown
 /** Draw the marks of a picture; show: {names, contours, ellipses}. */
 export function drawMarking(ctx, viewer, tool, marking, show) {
   const { points, suggested, selection, active, invisible, names } = marking;
-  if (marking.state.source === "proposal" && show.ellipses) drawSpread(ctx, viewer, points, marking.book.covariances);
+  if (marking.state.source === "proposal" && show.ellipses) {
+    drawEllipses(ctx, viewer, points, marking.book.covariances, { colour: COLOURS.proposed, width: 1.1 });
+  }
   if (show.contours) drawPaths(ctx, viewer, points, marking.template.contours, suggested);
   drawMarks(ctx, viewer, {
     points, invisible, selection, active, hovered: tool.hovered, suggested, radius: points.length > MANY ? 3 : 4,
@@ -21,16 +24,17 @@ export function drawMarking(ctx, viewer, tool, marking, show) {
   const few = selection.size <= NAMED ? [...selection] : [];
   const named = show.names ? indicesOf(points) : [...new Set([...few, tool.hovered].filter((i) => i >= 0))];
   drawNames(ctx, viewer, points, names, named);
-  if (marking.placing && tool.pointer && !tool.gesture && tool.hovered < 0) {
+  if (marking.placing && !viewer.isLoupe && tool.pointer && !tool.gesture && tool.hovered < 0) {
     drawText(ctx, names[active], tool.pointer.at[0] + 14, tool.pointer.at[1] + 16);
   }
 }
 
-/** Draw the box and the loupe of a gesture. */
+/** Draw the box of a gesture, and the loupe. */
 export function drawGesture(ctx, viewer, tool, suggested) {
+  if (viewer.isLoupe) return;
   if (tool.gesture?.box) drawBox(ctx, viewer, tool.gesture.box);
-  if (tool.gesture?.loupe && tool.pointer)
-    drawLoupe(ctx, viewer, tool.gesture.loupe, tool.pointer, suggested ? COLOURS.proposed : COLOURS.placed);
+  const { loupe } = tool;
+  if (loupe) drawLoupe(ctx, viewer, loupe, tool.pointer, suggested ? COLOURS.proposed : COLOURS.placed);
 }
 
 /** Draw the template while it is edited. */
@@ -40,7 +44,7 @@ export function drawDrafting(ctx, viewer, tool, drafting) {
   const points = tool.gesture?.ghost ? ghost.points : drafting.points;
   if (axis !== null) new AxisGrip(viewer, axis).draw(ctx);
   drawPaths(ctx, viewer, points, ghost.contours, false);
-  if (ghost.path >= 0 && !tool.gesture && tool.pointer && tool.hovered < 0 && drafting.placing)
+  if (ghost.path >= 0 && !viewer.isLoupe && !tool.gesture && tool.pointer && tool.hovered < 0 && drafting.placing)
     drawNextLine(ctx, viewer, draft, tool.pointer.at);
   drawMarks(ctx, viewer, { points, invisible, selection, active, hovered: tool.hovered, suggested: false });
   const named = [...new Set([...selection, tool.hovered])].filter((i) => i >= 0);

@@ -18,6 +18,7 @@ export const SHORTCUTS = [
   { keys: "X M", what: "Move mirrored points together; flip left and right" },
   { keys: "B", what: "Select with a box" },
   { keys: "L K E", what: "Show names, contours, ellipses" },
+  { keys: "R", what: "Loupe where a click places a point: on, off" },
   { keys: "H", what: "Hide all points while held" },
   { keys: "Ctrl+Z Ctrl+Y", what: "Undo, redo" },
   { keys: "N C X P", what: "In the template: new path, close path, mirror, add a point in the middle" },
@@ -35,6 +36,7 @@ export function createKeys(tab) {
   const always = {
     l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
     b: () => commands.toggleBox(), h: () => commands.hideMarks(true), escape: () => commands.escape(),
+    r: () => { tab.tool.magnifies = !tab.tool.magnifies; },
   };
   const marks = {
     v: () => commands.toggleInvisible(), x: () => commands.toggleMirrored(), m: () => commands.flip(),
@@ -59,6 +61,7 @@ export function createKeys(tab) {
     const edit = keyEdit(event, before, chosen.length ? chosen : placed(before), chosen);
     if (!edit) return false;
     doc.commit(doc.follow(before, edit.points, chosen), edit.what, edit.key);
+    if (chosen.length === 1) tab.tool.nudged(doc.points[chosen[0]]);
     tab.saySoon(chosen);
     return true;
   }

@@ -11,7 +11,7 @@ import { createStatus, createToolbar } from "./annotate-toolbar.js";
 import { descriptionOf, placeOf, promptOf, several, tallyOf } from "./annotate-words.js";
 import { createAssist } from "./assist.js";
 import { Cover } from "./cover.js";
-import { drawHint } from "./drawing.js";
+import { drawHint, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
 import { Marking } from "./marking.js";
 import { PictureStore } from "./picture-store.js";
@@ -271,8 +271,8 @@ export class AnnotateTab {
       source: () => (this.editing ? "template" : (this.marking.state?.source ?? null)), name: () => this.name,
       selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible],
       undoSteps: () => this.doc.history?.past.length ?? 0, isDirty: () => this.saver.anyDirty,
-      /** The position under the loupe of a gesture, or null. */
-      loupe: () => this.tool.gesture?.loupe ?? null,
+      /** The loupe: {xy under its centre, centre on the screen, scale}, or null. */
+      loupe: () => this.tool.loupe && { xy: this.tool.loupe, ...loupeOver(this.viewer, this.tool.pointer) },
     };
     Object.assign(window.liaamStudio, { annotate });
   }

@@ -10,7 +10,7 @@ export class AxisGrip {
   constructor(viewer, x) {
     this.viewer = viewer;
     const top = viewer.toScreen([0, 0])[1];
-    this.at = [viewer.toScreen([x, 0])[0], Math.min(Math.max(top, 0) + 16, viewer.canvas.clientHeight - 16)];
+    this.at = [viewer.toScreen([x, 0])[0], Math.min(Math.max(top, 0) + 16, viewer.container.clientHeight - 16)];
   }
 
   /** Whether a position in the picture lies under the grip. */
@@ -23,7 +23,7 @@ export class AxisGrip {
     const [x, y] = this.at;
     ctx.beginPath();
     ctx.moveTo(x, 0);
-    ctx.lineTo(x, this.viewer.canvas.clientHeight);
+    ctx.lineTo(x, this.viewer.container.clientHeight);
     ctx.setLineDash([8, 5]);
     ctx.strokeStyle = COLOURS.axis;
     ctx.lineWidth = 1.5;

@@ -19,25 +19,24 @@ const SHORTCUTS = [
 
 export function mount(root, app) {
   const tab = new CompareTab(root, app);
-  return { show: () => tab.open(), hide: () => tab.leave(), shortcuts: SHORTCUTS, key: (event) => tab.key(event) };
+  return { show: () => tab.open(), hide: () => tab.watch(false), shortcuts: SHORTCUTS, key: (event) => tab.key(event) };
 }
 
 /** One side: its method, its viewer and its result. */
 class Side {
-  constructor(name, label, { onmethod, draw }) {
-    this.name = name;
+  constructor(name, { onmethod, draw }) {
     this.fit = null;
     this._run = 0;
     this.select = h("select.text", {
-      "aria-label": `Method on the ${label}`, testid: `compare-method-${name}`, onchange: () => onmethod(this),
+      "aria-label": `Method on the ${name}`, testid: `compare-method-${name}`, onchange: () => onmethod(this),
     });
     this.badge = h("span.badge", { hidden: true });
     this.facts = h("dl.fit-facts.compare-facts");
     this.message = h("p.small.muted.compare-message");
     this.container = h("div.fit-viewer");
-    this.viewer = new Viewer(this.container, { label: `Picture, fitted with the method on the ${label}` });
+    this.viewer = new Viewer(this.container, { label: `Picture, fitted with the method on the ${name}` });
     this.viewer.addLayer((ctx, viewer) => draw(ctx, viewer, this));
-    this.element = h("section.compare-side", { "aria-label": `Method on the ${label}`, testid: `compare-${name}` },
+    this.element = h("section.compare-side", { "aria-label": `Method on the ${name}`, testid: `compare-${name}` },
       h("div.compare-head", this.select, this.badge), this.container,
       h("div.compare-result", { role: "status", "aria-live": "polite" }, this.facts, this.message));
   }
@@ -68,7 +67,7 @@ class Side {
 
   say(text, bad = false) {
     this.facts.replaceChildren();
-    this.message.className = `small compare-message ${bad ? "error-text" : "muted"}`;
+    this.message.className = `small ${bad ? "error-text" : "muted"} compare-message`;
     this.message.textContent = this.message.title = text;
   }
 
@@ -104,12 +103,10 @@ class CompareTab {
     this.visible = false;
     this.truth = null;
     this.showTruth = true;
-    const options = {
+    this.sides = ["left", "right"].map((name) => new Side(name, {
       onmethod: (side) => this._method(side), draw: (ctx, viewer, side) => this._draw(ctx, viewer, side),
-    };
-    this.left = new Side("left", "left", options);
-    this.right = new Side("right", "right", options);
-    this.sides = [this.left, this.right];
+    }));
+    [this.left, this.right] = this.sides;
     this._build(root);
     this._together();
     this.sources.addEventListener("change", () => this._source());
@@ -128,16 +125,12 @@ class CompareTab {
   }
 
   open() {
-    this._watch(true);
+    this.watch(true);
     this._source();
   }
 
-  leave() {
-    this._watch(false);
-  }
-
   /** The tab is opened (true) or left (false). */
-  _watch(open) {
+  watch(open) {
     if (open !== this.visible) this.sources.watch(open);
     this.visible = open;
   }
@@ -152,7 +145,7 @@ class CompareTab {
     };
     if (overlay) this._toggle(overlay.name);
     else if (actions[event.key.toLowerCase()]) actions[event.key.toLowerCase()]();
-    else return this.left.viewer.key(event);
+    else return this.right.viewer.key(event);
     return true;
   }
 
@@ -268,12 +261,10 @@ class CompareTab {
 
   /** Keep zoom and pan of both sides equal. */
   _together() {
-    const follow = (one, other) =>
-      one.viewer.addEventListener("view", () => {
-        if (one.viewer.width === other.viewer.width) other.viewer.setView(one.viewer.view, true);
-      });
-    follow(this.left, this.right);
-    follow(this.right, this.left);
+    const [left, right] = this.sides.map((side) => side.viewer);
+    for (const [one, other] of [[left, right], [right, left]]) {
+      one.addEventListener("view", () => one.width === other.width && other.setView(one.view, true));
+    }
   }
 
   _toggle(name) {
@@ -302,7 +293,7 @@ class CompareTab {
     this._runButton.disabled = !works;
     this._name.textContent = this._name.title = source?.name ?? "";
     if (works) return;
-    const remedy = model ? [h("p", "Select a picture on the left, or drop one here.")] : modelNeeded(this.app);
+    const remedy = model ? [h("p", "Select a picture in the list, or drop one here.")] : modelNeeded(this.app);
     this._empty.replaceChildren(icon("compare", 56), h("h2", "Two methods, side by side"), ...remedy);
   }
 }

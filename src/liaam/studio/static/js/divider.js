@@ -44,7 +44,7 @@ export class Divider {
 
   /** Position of the line in the canvas, css pixels. */
   get x() {
-    return this.share * this.viewer.canvas.clientWidth;
+    return this.share * this.viewer.container.clientWidth;
   }
 
   label(before, after) {
@@ -79,7 +79,7 @@ export class Divider {
 
   _move(event) {
     if (!this.element.hasPointerCapture(event.pointerId)) return;
-    this.set(this.viewer.place(event)[0] / this.viewer.canvas.clientWidth);
+    this.set(this.viewer.place(event)[0] / this.viewer.container.clientWidth);
   }
 
   _key(event) {

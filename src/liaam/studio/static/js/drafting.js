@@ -184,7 +184,7 @@ export class Drafting {
   /** Add a point in the middle of the view, to be moved with keys. */
   addInTheMiddle() {
     if (this.layingOut) return;
-    const { clientWidth, clientHeight } = this.viewer.canvas;
+    const { clientWidth, clientHeight } = this.viewer.container;
     const index = this.names.length;
     this.apply(this.withPoint(this.viewer.toImage([clientWidth / 2, clientHeight / 2])), "add a point");
     this.select([index], index);

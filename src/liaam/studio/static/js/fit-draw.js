@@ -51,18 +51,26 @@ export function modelNeeded(app, testid = null) {
 export const entries = (rows) =>
   rows.map(([term, value]) => h("div", {}, h("dt", {}, term), h("dd", { class: "number" }, value)));
 
+const FAR = 1e4; // css pixels
+
 /** Fits are yellow like all landmarks; failed ones and those of low quality are orange and dashed. */
 const GOOD = { colour: "#ffd166", dash: [] };
 const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
 
-/** Draw a fit's shape, or that of an iteration, with the overlays named in a set. */
-export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true } = {}) {
+/** Draw a fit's shape, or that of an iteration, with the overlays named in a set; opacity: of overlays, by name. */
+export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true, opacity = {} } = {}) {
   const { colour, dash } = verdictOf(fit).isSure ? GOOD : UNSURE;
-  if (shown.has("mesh")) drawMesh(ctx, viewer, shape, fit.triangles);
+  const draw = (name, work) => {
+    if (!shown.has(name)) return;
+    ctx.globalAlpha = opacity[name] ?? 1;
+    work();
+    ctx.globalAlpha = 1;
+  };
+  draw("mesh", () => drawMesh(ctx, viewer, shape, fit.triangles));
   // Covariances exist for the result only.
-  if (shown.has("ellipses") && final) drawEllipses(ctx, viewer, shape, fit.covariances);
-  if (shown.has("contours")) drawContours(ctx, viewer, shape, fit.contours ?? [], { colour, dash });
-  if (shown.has("landmarks")) drawPoints(ctx, viewer, shape, { colour, radius: 3 });
+  draw("ellipses", () => final && drawEllipses(ctx, viewer, shape, fit.covariances));
+  draw("contours", () => drawContours(ctx, viewer, shape, fit.contours ?? [], { colour, dash }));
+  draw("landmarks", () => drawPoints(ctx, viewer, shape, { colour, radius: 3 }));
 }
 
 /** Draw known landmarks as crosses, to distinguish them from a fit's points without colour. */
@@ -88,15 +96,17 @@ export function drawTruth(ctx, viewer, points, colour = "#6df2a4") {
 
 /** Draw an image over the viewer's picture, to the right of the line `from` (css pixels) if given. covered: [width,
  *  height] of the part of the picture that the image shows, from the upper left, in its pixels; null: all of it. */
-export function drawOver(ctx, viewer, image, from = null, covered = null) {
+export function drawOver(ctx, viewer, image, { from = null, covered = null, opacity = 1, filter = "none" } = {}) {
   const [width, height] = covered ?? [viewer.width, viewer.height];
   ctx.save();
   if (from !== null) {
     ctx.beginPath();
-    ctx.rect(from, 0, viewer.canvas.clientWidth, viewer.canvas.clientHeight);
+    ctx.rect(from, -FAR, 2 * FAR, 2 * FAR); // the canvas may be larger than the viewer
     ctx.clip();
   }
   ctx.imageSmoothingEnabled = viewer.scale < 3;
+  ctx.globalAlpha = opacity;
+  ctx.filter = filter;
   ctx.drawImage(image, viewer.left, viewer.top, viewer.scale * width, viewer.scale * height);
   ctx.restore();
 }

@@ -98,31 +98,14 @@ export function boxMoved([x0, y0, x1, y1], [dx, dy], width, height) {
 export function placementAfterKey(placement, { key, shiftKey = false }) {
   const step = shiftKey ? 10 : 1;
   const { x, y, size, turn } = placement;
-  const degree = Math.PI / 180;
-  switch (key) {
-    case "ArrowLeft":
-      return { ...placement, x: x - step };
-    case "ArrowRight":
-      return { ...placement, x: x + step };
-    case "ArrowUp":
-      return { ...placement, y: y - step };
-    case "ArrowDown":
-      return { ...placement, y: y + step };
-    case "[":
-    case "{":
-      return { ...placement, turn: turn - step * degree };
-    case "]":
-    case "}":
-      return { ...placement, turn: turn + step * degree };
-    case ",":
-    case "<":
-      return { ...placement, size: Math.max(LEAST_SIZE, size * (1 - 0.01 * step)) };
-    case ".":
-    case ">":
-      return { ...placement, size: size * (1 + 0.01 * step) };
-    default:
-      return null;
-  }
+  const turned = (by) => ({ turn: turn + (by * step * Math.PI) / 180 });
+  const sized = (by) => ({ size: Math.max(LEAST_SIZE, size * (1 + 0.01 * by * step)) });
+  const change = {
+    ArrowLeft: { x: x - step }, ArrowRight: { x: x + step }, ArrowUp: { y: y - step }, ArrowDown: { y: y + step },
+    "[": turned(-1), "{": turned(-1), "]": turned(1), "}": turned(1),
+    ",": sized(-1), "<": sized(-1), ".": sized(1), ">": sized(1),
+  }[key];
+  return change ? { ...placement, ...change } : null;
 }
 
 /** Interpolate between two shapes; share 0 is the first. */

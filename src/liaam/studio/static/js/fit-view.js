@@ -2,15 +2,16 @@
 
 import { api } from "./api.js";
 import { Divider } from "./divider.js";
-import { drawFit, drawOver, overlayButtons, pressOverlays, roomy } from "./fit-draw.js";
+import { drawFit, drawOver, overlayButtons, OVERLAYS, pressOverlays, roomy } from "./fit-draw.js";
 import { isGone, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
+import { look } from "./look.js";
 import { Light, Relighter } from "./relight.js";
 import { button, h, segmented } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 export const VIEWS = [
-  { name: "picture", label: "Picture", hint: "Drop or paste another picture here, or select one on the left." },
+  { name: "picture", label: "Picture", hint: "Drop or paste another picture here, or select one in the list." },
   {
     name: "flat", label: "Flat", after: "Without shading",
     hint: "The object under the training light, without the shading of this picture.",
@@ -23,6 +24,9 @@ export const VIEWS = [
   { name: "invariant", label: "Invariant", after: "Invariant" },
   { name: "relit", label: "Relight", after: "Relit", hint: "The object under other lamps: drag them over the ball." },
 ];
+
+/** Layers that look like pictures: brightness and contrast change them, too. In the others, colours are values. */
+const LIKE_PICTURES = ["flat", "relit"];
 
 /** Layers fetched from the server, once per fit. */
 const FETCHED = ["flat", "shading", "residual"];
@@ -41,6 +45,7 @@ export class FitView {
     this._drawn = new Map(
       VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]),
     );
+    this.opacity = Object.fromEntries([...VIEWS, ...OVERLAYS].map(({ name }) => [name, 1]));
     this.iteration = null; // {shape, final} of the slider, null for the result
     this.tool = null; // tool of a manual start
     this._images = new Map();
@@ -223,7 +228,8 @@ export class FitView {
       (name) => this.show(name),
     );
     for (const each of this._choice.element.children) each.dataset.testid = `layer-${each.dataset.value}`;
-    this._splitter = roomy(
+    this.chooser = this._choice.element;
+    this.splitter = roomy(
       button("Before | after", {
         icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
         title: "Show the picture on the left of a line and the view on its right",
@@ -237,22 +243,41 @@ export class FitView {
       (name) => this.toggle(name),
       (name) => `layer-${name}`,
     );
+    this.layers = this._layers();
     this._hint = h("p", { class: "small muted fit-hint" });
     this._bars = { invariant: this.invariant.controls };
     this._legend = h("div", { class: "fit-legend small muted" });
     this.bar = h("div", { class: "fit-bar" }, this._hint, this._legend, Object.values(this._bars));
   }
 
-  get chooser() {
-    return this._choice.element;
+  /** The layers with their opacity: the view, and a button for each overlay. */
+  _layers() {
+    const slider = (label, oninput, testid) => h("input", {
+      type: "range", class: "slider", min: "0", max: "1", step: "0.05", value: "1", "aria-label": `Opacity: ${label}`,
+      dataset: { testid }, oninput: ({ target }) => oninput(Number(target.value)),
+    });
+    this._slider = slider("view", (value) => this.setOpacity(this.name, value), "opacity-view");
+    this._layerName = h("span", {});
+    this._layerText = h("span", { class: "number" });
+    return h(
+      "div",
+      { class: "fit-layers small" },
+      h("label", { class: "fit-layer" }, this._layerName, this._slider, this._layerText),
+      OVERLAYS.map(({ name, label }) => [
+        this._overlays.get(name), slider(label, (value) => this.setOpacity(name, value), `opacity-${name}`),
+      ]),
+    );
   }
 
-  get splitter() {
-    return this._splitter;
+  setOpacity(layer, opacity) {
+    this.opacity[layer] = opacity;
+    this._dress();
+    this.viewer.redraw();
   }
 
-  get overlayButtons() {
-    return [...this._overlays.values()];
+  /** Make the view more transparent in steps, then opaque again. */
+  fade() {
+    if (this.name !== "picture") this.setOpacity(this.name, this.opacity[this.name] > 0.25 ? this.opacity[this.name] - 0.25 : 1);
   }
 
   /** Update the controls for the view. */
@@ -262,16 +287,20 @@ export class FitView {
     for (const each of this._choice.element.children)
       each.classList.toggle("unavailable", Boolean(this._why(each.dataset.value)));
     pressOverlays(this._overlays, this.shown);
+    this._layerName.textContent = view.label;
+    this._slider.disabled = this.name === "picture";
+    this._slider.value = String(this.opacity[this.name]);
+    this._layerText.textContent = `${Math.round(100 * this.opacity[this.name])} %`;
     for (const [name, bar] of Object.entries(this._bars)) bar.hidden = name !== this.name || Boolean(why);
     this._hint.textContent = this.source ? why || view.hint || "" : "";
-    this._splitter.disabled = !this.source;
+    this.splitter.disabled = !this.source;
     this._hint.classList.toggle("error-text", this._faults.has(this.name));
     this._hint.hidden = !why && this.name in this._bars;
     this._explain(why ? null : this.fit?.scale?.[this.name]);
     this.light.element.hidden = this.name !== "relit" || Boolean(why);
     const beside = this.split && this.name !== "picture" && !why;
     this.divider.visible = beside;
-    this._splitter.setAttribute("aria-pressed", String(this.split));
+    this.splitter.setAttribute("aria-pressed", String(this.split));
     if (beside) this.divider.label("Picture", view.after);
   }
 
@@ -300,9 +329,15 @@ export class FitView {
 
   _draw(ctx, viewer) {
     const image = this._image();
-    const covered = this.name === "invariant" ? this.invariant.covered : null;
-    if (image) drawOver(ctx, viewer, image, this.divider.visible ? this.divider.x : null, covered);
-    if (this.fit && !this.tool?.hidesFit) drawFit(ctx, viewer, this.fit, this.shown, this.iteration ?? {});
+    if (image) {
+      drawOver(ctx, viewer, image, {
+        from: this.divider.visible ? this.divider.x : null, opacity: this.opacity[this.name],
+        covered: this.name === "invariant" ? this.invariant.covered : null,
+        filter: LIKE_PICTURES.includes(this.name) ? look.filter : "none",
+      });
+    }
+    const { opacity } = this;
+    if (this.fit && !this.tool?.hidesFit) drawFit(ctx, viewer, this.fit, this.shown, { ...this.iteration, opacity });
     this.tool?.draw(ctx, viewer);
   }
 

@@ -19,6 +19,7 @@ const SHORTCUTS = [
   { keys: "V Shift+V", what: "Next, previous view" },
   { keys: "S", what: "Before and after" },
   { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
+  { keys: "O", what: "Make the view more transparent" },
   { keys: ", .", what: "Previous, next iteration (or resize the start)" },
   { keys: "P", what: "Play the iterations" },
   { keys: "Arrows", what: "Change θ (Shift: 0.1°), the light, or the start" },
@@ -98,7 +99,7 @@ class FitTab {
         this.view.split = !this.view.split;
       },
       c: () => this.view.toggle("contours"), l: () => this.view.toggle("landmarks"), m: () => this.view.toggle("mesh"),
-      e: () => this.view.toggle("ellipses"),
+      e: () => this.view.toggle("ellipses"), o: () => this.view.fade(),
       ",": () => this.iterations.step(-1),
       ".": () => this.iterations.step(1),
       p: () => this.iterations.toggle(),
@@ -281,9 +282,8 @@ class FitTab {
       this.view.chooser, this.view.splitter, h("span.grow"), this.exports.element);
     this._empty = new EmptyStage(this.app, () => this._file.click());
     const stage = h("div.fit-stage", this.view.container, this._empty.element);
-    const overlays = h("div.row.tight.fit-overlays", this.view.overlayButtons);
     this._ofFits = [
-      h("section.panel", { "aria-label": "Drawn over the picture" }, overlays),
+      h("section.panel", { "aria-label": "Layers and their opacity" }, this.view.layers),
       h("section.panel", { "aria-label": "Iterations" }, this.iterations.element),
     ];
     const panels = [this.view.light, this.guest, this.setup, this.result].map(({ element }) => element);

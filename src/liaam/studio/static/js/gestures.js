@@ -17,8 +17,11 @@ const REACH_PLACING = { mouse: 5, pen: 7, touch: 11 }; // smaller while placing,
 const HANDLE_REACH = { mouse: 11, pen: 15, touch: 24 };
 const FRAME = 16; // css pixels between the points and their frame
 const KNOB = 26; // css pixels from the frame to the knobs
+const NUDGED = 1200; // milliseconds that the loupe stays after a key
 const STILL = 4; // maximum movement of a click, css pixels
 const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click that does not move a point, css pixels
+
+const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
 
 const distance = (p, q) => Math.hypot(p[0] - q[0], p[1] - q[1]);
 
@@ -111,7 +114,8 @@ export class PointTool {
     this.onend = onend;
     this.gesture = null;
     this.hovered = -1;
-    this.pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered
+    this.pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered, or of a point moved by keys
+    this.magnifies = true; // whether the loupe shows where a click would place a point
     this.pressed = null; // position of a press that started no gesture
     viewer.canvas.addEventListener("pointerup", (event) => this.released(event));
     viewer.canvas.addEventListener("blur", () => this.leave());
@@ -146,7 +150,7 @@ export class PointTool {
         : turning(this.viewer, doc, handle, indices);
     }
     if (index >= 0) {
-      if (doc.press(index, event)) return { loupe: null, move() {}, up() {}, cancel() {} };
+      if (doc.press(index, event)) return { ...NOTHING };
       return this.grab(doc, index, adds, xy, SLIP[event.pointerType] ?? SLIP.mouse);
     }
     if (adds || this.boxes()) return boxing(doc, xy, adds);
@@ -159,7 +163,7 @@ export class PointTool {
       if (chosen.has(index)) chosen.delete(index);
       else chosen.add(index);
       doc.select([...chosen], chosen.has(index) ? index : -1);
-      if (!chosen.has(index)) return { loupe: null, move() {}, up() {}, cancel() {} };
+      if (!chosen.has(index)) return { ...NOTHING };
     } else if (!doc.selection.has(index)) {
       doc.select([index], index);
     } else {
@@ -220,6 +224,20 @@ export class PointTool {
 
   note(event, xy) {
     this.pointer = { at: this.viewer.place(event), xy, type: event.pointerType };
+  }
+
+  /** What the loupe shows: the point of a gesture or of keys, or the place for a click; null without a loupe. */
+  get loupe() {
+    const { pointer, gesture } = this;
+    if (!pointer || gesture || pointer.type === "keys") return pointer && (gesture ? gesture.loupe : pointer.xy);
+    return this.magnifies && this.hovered < 0 && this.current().placing ? pointer.xy : null;
+  }
+
+  /** Show the loupe over a point that was moved by keys, for a moment. */
+  nudged(xy) {
+    this.pointer = { at: this.viewer.toScreen(xy), xy, type: "keys" };
+    clearTimeout(this.resting);
+    this.resting = setTimeout(() => this.pointer?.type === "keys" && this.leave(), NUDGED);
   }
 
   leave() {

@@ -5,6 +5,7 @@ import { api, ApiError, busy } from "./api.js";
 import { acceptFiles } from "./drops.js";
 import { isGuest, openModel } from "./fit-only.js";
 import { sourcesOf } from "./fit-source.js";
+import { look } from "./look.js";
 import { takeWork, unsavedWork } from "./handover.js";
 import { State } from "./state.js";
 import { mountStrip } from "./strip.js";
@@ -24,8 +25,12 @@ const COMMON_KEYS = [
   { keys: "+ - 0", what: "Zoom in, out, whole picture" },
   { keys: "Space drag", what: "Pan (or drag an empty area, use the middle button or two fingers)" },
   { keys: "Wheel", what: "Zoom at the pointer" },
+  { keys: "I D Z", what: "Slide away or show the list of pictures, the panel, both" },
+  { keys: "A", what: "Change brightness, contrast and gamma for looking" },
   { keys: "?", what: "Show these keys" },
 ];
+
+const PANELS = { i: ["strip"], d: ["side"], z: ["strip", "side"] }; // by key
 
 const state = new State();
 const tabs = new Map(); // name -> {root, tab, button}
@@ -51,6 +56,7 @@ async function start() {
   document.getElementById("folder").textContent = state.project.folder;
   document.getElementById("folder").title = state.project.folder;
   document.title = `${state.project.folder} – liaam studio`;
+  look.open(state.project.id);
   mountStrip(document.getElementById("strip"), app);
   status();
   connection();
@@ -148,6 +154,7 @@ function keys(event) {
   const number = Number(event.key);
   if (event.key === "?") showKeys();
   else if (number >= 1 && number <= TABS.length) openTab(TABS[number - 1].name);
+  else if (PANELS[event.key.toLowerCase()]) window.liaamPanels(PANELS[event.key.toLowerCase()]);
   else if (event.key === "[" || event.key === "PageUp") state.step(-1);
   else if (event.key === "]" || event.key === "PageDown") state.step(1);
   else return;
@@ -174,7 +181,18 @@ function actions() {
     icon: face(), iconOnly: true, kind: "ghost", testid: "theme", onclick: () => theme.toggle(),
   });
   addEventListener("theme", () => toggle.replaceChildren(ui.icon(face())));
+  const panels = [["strip", "List of pictures", "I"], ["side", "Panel", "D"]].map(([name, label, shortcut]) =>
+    button(label, {
+      icon: name, iconOnly: true, kind: "ghost", shortcut, testid: `show-${name}`,
+      onclick: () => window.liaamPanels([name]),
+    }));
+  const press = () => panels.forEach((each) => {
+    each.setAttribute("aria-pressed", String(document.documentElement.dataset[each.dataset.testid.slice(5)] !== "away"));
+  });
+  addEventListener("panels", press);
+  press();
   document.getElementById("top-actions").append(
+    ...panels,
     button("Keys", { icon: "keyboard", iconOnly: true, kind: "ghost", shortcut: "?", onclick: showKeys }),
     toggle,
   );
@@ -208,7 +226,7 @@ function connection() {
     onclick: () => ui.saveFile(new Blob([unsaved()], { type: "application/json" }), "unsaved-work.json"),
   });
   const notice = h("div", { class: "notice", role: "alert", hidden: true, dataset: { testid: "connection" } }, text, save);
-  document.querySelector(".top").after(notice);
+  document.querySelector(".top").append(notice); // over the page, so that nothing moves
   const show = () => {
     notice.hidden = state.online;
     save.hidden = !unsaved();

@@ -93,7 +93,8 @@ function pointList(onchoose) {
       const item = items[active]?.element;
       if (!item) return element.removeAttribute("aria-activedescendant");
       element.setAttribute("aria-activedescendant", item.id);
-      item.scrollIntoView({ block: "nearest" });
+      // On narrow pages the whole panel scrolls, and would hide the buttons above the list.
+      if (element.scrollHeight > element.clientHeight) item.scrollIntoView({ block: "nearest" });
     },
   };
 }

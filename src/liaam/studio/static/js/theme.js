@@ -1,39 +1,56 @@
-// The theme, light or dark: the user's choice, or else the system's. This is not a module, because it must run before
-// the page is drawn, to avoid a flash.
+// The theme, light or dark: the user's choice, or else the system's. And the panels that the user has slid away. This is
+// not a module, because it must run before the page is drawn, to avoid a flash.
 
 (() => {
   const KEY = "liaam-theme";
   const THEMES = ["light", "dark"];
+  const PANELS = ["strip", "side"];
   const system = matchMedia("(prefers-color-scheme: dark)");
+  const { dataset } = document.documentElement;
 
-  function chosen() {
+  function recall(key) {
     try {
-      return localStorage.getItem(KEY);
+      return localStorage.getItem(key);
     } catch {
       return null; // without storage, the choice is lost with the page
     }
   }
 
+  function keep(key, value) {
+    try {
+      localStorage.setItem(key, value);
+    } catch {
+      // As above.
+    }
+  }
+
   function show(theme) {
-    document.documentElement.dataset.theme = THEMES.includes(theme) ? theme : system.matches ? "dark" : "light";
+    dataset.theme = THEMES.includes(theme) ? theme : system.matches ? "dark" : "light";
     dispatchEvent(new Event("theme"));
   }
 
-  system.addEventListener("change", () => show(chosen()));
-  addEventListener("storage", ({ key }) => key === KEY && show(chosen())); // chosen in another tab
+  system.addEventListener("change", () => show(recall(KEY)));
+  addEventListener("storage", ({ key }) => key === KEY && show(recall(KEY))); // chosen in another tab
   window.liaamTheme = {
     get isDark() {
-      return document.documentElement.dataset.theme === "dark";
+      return dataset.theme === "dark";
     },
     toggle() {
       const next = this.isDark ? "light" : "dark";
-      try {
-        localStorage.setItem(KEY, next);
-      } catch {
-        // As above.
-      }
+      keep(KEY, next);
       show(next);
     },
   };
-  show(chosen());
+  show(recall(KEY));
+
+  for (const name of PANELS) dataset[name] = recall(`liaam-${name}`) ?? "open";
+  /** Slide panels in, or away if any of them is open. */
+  window.liaamPanels = (names = PANELS) => {
+    const next = names.some((name) => dataset[name] !== "away") ? "away" : "open";
+    for (const name of names) {
+      dataset[name] = next;
+      keep(`liaam-${name}`, next);
+    }
+    dispatchEvent(new Event("panels"));
+  };
 })();

@@ -49,6 +49,8 @@ const ICONS = {
   swap: "M7 4 3 8l4 4M3 8h18M17 12l4 4-4 4M21 16H3",
   target: "M12 4a8 8 0 1 0 0 16 8 8 0 0 0 0-16M12 2v4M12 18v4M2 12h4M18 12h4", box: "M5 5h14v14H5z",
   menu: "M4 7h16M4 12h16M4 17h16", compare: "M12 3v18M4 6h5v12H4zM15 6h5v12h-5z",
+  strip: "M4 5h16v14H4zM10 5v14M6.5 8.5h1M6.5 12h1", side: "M4 5h16v14H4zM14 5v14M16.5 8.5h1M16.5 12h1",
+  adjust: "M12 4a8 8 0 1 0 0 16zM12 4a8 8 0 0 1 0 16M12 8h6.5M12 12h8M12 16h6.5",
   spark: "M12 3l2 6 6 2-6 2-2 6-2-6-6-2 6-2z",
 };
 

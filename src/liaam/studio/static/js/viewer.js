@@ -1,11 +1,15 @@
 // A picture with zoom and pan, layers drawn over it, and a tool that handles the pointer.
 //
-// Landmark coordinates have (0, 0) at the centre of the top-left pixel; canvas coordinates at its corner.
+// Landmark coordinates have (0, 0) at the centre of the top-left pixel. Screen coordinates are css pixels from the corner
+// of the container, which is the area that no panel covers. The canvas may be larger, so that the picture goes on under
+// the panels.
 
+import { look } from "./look.js";
 import { button, h } from "./ui.js";
 
 const LARGEST = 64; // maximum zoom, screen pixels per picture pixel
 const EASE = 0.0016; // zoom per pixel of the wheel
+const GLOW_SIZE = 8; // pixels
 const SHARP_FROM = 3; // zoom from which pixels are shown as squares
 
 export class Viewer extends EventTarget {
@@ -24,17 +28,23 @@ export class Viewer extends EventTarget {
     this._fitted = true;
     this._waiting = false;
     this._space = false;
-    this._scaled = null; // {canvas, view}: cached scaled picture
+    this._scaled = null; // {canvas, what, at}: the scaled picture, cached
+    this._glow = h("div", { class: "viewer-glow" }); // shows a tiny copy of the picture, as tones around it
+    this.isLoupe = false; // whether the loupe is being drawn
     this._zoomText = h("span", { class: "number", "aria-hidden": "true" }, "100 %");
     container.classList.add("viewer");
-    container.append(this.canvas, h("div", { class: "viewer-zoom", role: "group", "aria-label": "Zoom" },
+    this.look = look.control();
+    container.append(this._glow, this.canvas, h("div", { class: "viewer-zoom", role: "group", "aria-label": "View" },
       button("Zoom out", { icon: "minus", iconOnly: true, kind: "ghost", small: true, shortcut: "-", onclick: () => this.zoomBy(1 / 1.3) }),
       this._zoomText,
       button("Zoom in", { icon: "plus", iconOnly: true, kind: "ghost", small: true, shortcut: "+", onclick: () => this.zoomBy(1.3) }),
       button("Whole picture", { icon: "fit", iconOnly: true, kind: "ghost", small: true, shortcut: "0", onclick: () => this.fit() }),
+      this.look,
     ));
     this._listen();
-    new ResizeObserver(() => this._resize()).observe(container);
+    look.addEventListener("change", () => this.redraw());
+    const watch = new ResizeObserver(() => this._resize());
+    for (const element of [container, this.canvas]) watch.observe(element);
     this._resize();
   }
 
@@ -59,22 +69,10 @@ export class Viewer extends EventTarget {
     this._fitted = true;
     const { w, h } = this._size();
     if (!this.width || !w || !h) return;
-    const margin = Math.min(24, 0.04 * w);
+    const margin = Math.min(14, 0.03 * w);
     this.scale = Math.min((w - 2 * margin) / this.width, (h - 2 * margin) / this.height, LARGEST);
     this.left = (w - this.scale * this.width) / 2;
     this.top = (h - this.scale * this.height) / 2;
-    this._changed();
-  }
-
-  /** Show a box [x0, y0, x1, y1] of the picture with a margin. */
-  show([x0, y0, x1, y1], room = 0.3) {
-    const { w, h } = this._size();
-    const width = (x1 - x0) * (1 + 2 * room), height = (y1 - y0) * (1 + 2 * room);
-    if (!(width > 0 && height > 0 && w && h)) return;
-    this._fitted = false;
-    this.scale = Math.min(w / width, h / height, LARGEST);
-    this.left = w / 2 - this.scale * ((x0 + x1) / 2 + 0.5);
-    this.top = h / 2 - this.scale * ((y0 + y1) / 2 + 0.5);
     this._changed();
   }
 
@@ -92,53 +90,54 @@ export class Viewer extends EventTarget {
     this._changed();
   }
 
+  /** Pan; return by how much, since the picture stays on the grid of the screen's pixels. */
   panBy(dx, dy) {
+    const { left, top } = this;
     this.left += dx;
     this.top += dy;
     this._fitted = false;
     this._changed();
+    return [this.left - left, this.top - top];
   }
 
   /** Set the view to that of another viewer with a picture of the same size. */
-  setView({ scale, left, top }, silent = false) {
-    Object.assign(this, { scale, left, top, _fitted: false });
+  setView(view, silent = false) {
+    Object.assign(this, view);
     this._changed(silent);
   }
 
   get view() {
-    return { scale: this.scale, left: this.left, top: this.top };
+    const { scale, left, top, _fitted } = this;
+    return { scale, left, top, _fitted };
   }
 
   toScreen([x, y]) {
     return [this.left + this.scale * (x + 0.5), this.top + this.scale * (y + 0.5)];
   }
 
-  /** Picture coordinates of an event or of [cx, cy] in the canvas. */
+  /** Picture coordinates of an event or of [cx, cy] on the screen. */
   toImage(place) {
     const [cx, cy] = Array.isArray(place) ? place : this.place(place);
     return [(cx - this.left) / this.scale - 0.5, (cy - this.top) / this.scale - 0.5];
   }
 
-  /** Position of an event in the canvas, css pixels. */
+  /** Position of an event on the screen, css pixels. */
   place(event) {
-    const box = this.canvas.getBoundingClientRect();
+    const box = this.container.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   }
 
   /** Position of a landmark on the page, for tests and tooltips. */
   toClient(point) {
-    const box = this.canvas.getBoundingClientRect();
+    const box = this.container.getBoundingClientRect();
     const [x, y] = this.toScreen(point);
     return [box.left + x, box.top + y];
   }
 
+  /** draw(ctx, viewer) draws over the picture. */
   addLayer(draw) {
     this._layers.push(draw);
     this.redraw();
-    return () => {
-      this._layers = this._layers.filter((other) => other !== draw);
-      this.redraw();
-    };
   }
 
   redraw() {
@@ -153,42 +152,74 @@ export class Viewer extends EventTarget {
   /** Handle a key of the view; return whether it was handled. */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
-    const keys = { "+": () => this.zoomBy(1.3), "=": () => this.zoomBy(1.3), "-": () => this.zoomBy(1 / 1.3), 0: () => this.fit() };
-    if (!keys[event.key]) return false;
-    keys[event.key]();
-    return true;
+    const keys = {
+      "+": () => this.zoomBy(1.3), "=": () => this.zoomBy(1.3), "-": () => this.zoomBy(1 / 1.3), 0: () => this.fit(),
+      a: () => {
+        this.look.open = !this.look.open;
+        (this.look.open ? this.look.querySelector("input") : this.canvas).focus();
+      },
+    };
+    const work = keys[event.key.toLowerCase()];
+    work?.();
+    return Boolean(work);
   }
 
+  /** Size of the area that no panel covers, css pixels. */
   _size() {
-    return { w: this.canvas.clientWidth, h: this.canvas.clientHeight };
+    return { w: this.container.clientWidth, h: this.container.clientHeight };
+  }
+
+  /** Position of that area in the canvas. */
+  _offset() {
+    const [outer, inner] = [this.canvas, this.container].map((element) => element.getBoundingClientRect());
+    return [inner.left - outer.left, inner.top - outer.top];
   }
 
   _resize() {
+    const { canvas } = this;
     const ratio = window.devicePixelRatio || 1;
     const { w, h } = this._size();
     if (!w || !h) return;
-    this.canvas.width = Math.round(w * ratio);
-    this.canvas.height = Math.round(h * ratio);
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((size) => Math.round(size * ratio));
+    // Setting the size of a canvas clears it.
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const [x, y] = this._offset();
+    const [dx, dy] = this._at ? [this._at[0] - x, this._at[1] - y] : [0, 0];
+    this._at = [x, y];
     if (this._fitted) this.fit();
+    else if (dx || dy) { // a panel has moved, but not what the user looks at
+      const moved = this.panBy(dx, dy);
+      this._at = [x + dx - moved[0], y + dy - moved[1]]; // what rounding has left is for the next time
+    }
     // Draw at once, because a resized canvas is blank.
     this._draw();
   }
 
   _changed(silent = false) {
+    const ratio = window.devicePixelRatio || 1;
+    // On the grid of pixels, so that panning can reuse what is drawn.
+    for (const side of ["left", "top"]) this[side] = Math.round(this[side] * ratio) / ratio;
     this._zoomText.textContent = `${Math.round(100 * this.scale)} %`;
     this.redraw();
     if (!silent) this.dispatchEvent(new Event("view"));
   }
 
   _draw() {
-    if (!this.canvas.clientWidth) return; // in a hidden tab; drawn when the tab is opened and resized
-    const ctx = this.canvas.getContext("2d");
-    const ratio = this.canvas.width / (this.canvas.clientWidth || 1);
+    const { canvas } = this;
+    if (!this.container.clientWidth) return; // in a hidden tab; drawn when the tab is opened and resized
+    const ctx = canvas.getContext("2d");
+    const ratio = canvas.width / (canvas.clientWidth || 1);
+    const [x, y] = this._offset();
     ctx.setTransform(1, 0, 0, 1, 0, 0);
-    ctx.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-    if (this.source && this.width) this._drawPicture(ctx, ratio);
-    else this._scaled = null;
+    ctx.clearRect(0, 0, canvas.width, canvas.height);
+    if (!("filter" in ctx)) canvas.style.filter = look.filter; // in Safari: changes the points, too
+    if (this.source && this.width) ctx.drawImage(this._scaledTo(canvas, ratio, x, y), 0, 0);
+    else this._showGlow(this._scaled = null);
+    ctx.setTransform(ratio, 0, 0, ratio, ratio * x, ratio * y);
+    this._drawLayers(ctx);
+  }
+
+  _drawLayers(ctx) {
     for (const draw of this._layers) {
       ctx.save();
       draw(ctx, this);
@@ -196,24 +227,60 @@ export class Viewer extends EventTarget {
     }
   }
 
-  /** Draw the picture from a cached scaled copy, because scaling takes longer than all other drawing. */
-  _drawPicture(ctx, ratio) {
-    const { width, height } = this.canvas;
-    const view = [this.source, this.left, this.top, this.scale, this.width, this.height, ratio, width, height];
-    if (!view.every((value, i) => value === this._scaled?.view[i])) {
-      const canvas = this._scaled?.canvas ?? document.createElement("canvas");
-      Object.assign(canvas, { width, height }); // also clears it
-      const scaled = canvas.getContext("2d");
-      scaled.setTransform(ratio, 0, 0, ratio, 0, 0);
-      scaled.imageSmoothingEnabled = this.scale < SHARP_FROM;
-      scaled.imageSmoothingQuality = "high";
-      scaled.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
-      this._scaled = { canvas, view };
+  _drawPicture(ctx) {
+    ctx.filter = look.filter;
+    ctx.imageSmoothingEnabled = this.scale < SHARP_FROM;
+    ctx.imageSmoothingQuality = "high";
+    ctx.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
+    ctx.filter = "none";
+  }
+
+  /** Draw the picture and its layers with another view, as in a loupe. */
+  drawAs(ctx, view) {
+    const { view: before } = this;
+    Object.assign(this, view, { isLoupe: true });
+    this._drawPicture(ctx);
+    this._drawLayers(ctx);
+    Object.assign(this, before, { isLoupe: false });
+  }
+
+  /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than all other drawing. */
+  _scaledTo({ width, height }, ratio, x, y) {
+    const { source } = this;
+    const what = [source, this.scale, this.width, this.height, ratio, width, height, look.version];
+    const at = [this.left + x, this.top + y].map((v) => v * ratio);
+    const before = this._scaled;
+    const moved = what.every((value, i) => value === before?.what[i]) && at.map((v, i) => v - before.at[i]);
+    if (moved && !moved[0] && !moved[1]) return before.canvas;
+    const canvas = before?.canvas ?? document.createElement("canvas");
+    const ctx = canvas.getContext("2d");
+    const isShift = moved && moved.every((v) => Math.abs(v - Math.round(v)) < 1e-6);
+    if (!isShift) Object.assign(canvas, { width, height }); // also clears it
+    for (const strip of isShift ? shifted(ctx, moved.map(Math.round)) : [[0, 0, width, height]]) {
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(...strip);
+      ctx.clip();
+      ctx.clearRect(...strip); // strips overlap, and pictures may be transparent
+      ctx.setTransform(ratio, 0, 0, ratio, ratio * x, ratio * y);
+      this._drawPicture(ctx);
+      ctx.restore();
     }
-    ctx.save();
-    ctx.setTransform(1, 0, 0, 1, 0, 0);
-    ctx.drawImage(this._scaled.canvas, 0, 0);
-    ctx.restore();
+    this._scaled = { canvas, what, at };
+    this._showGlow(canvas, [...at, ratio * this.scale * this.width, ratio * this.scale * this.height]);
+    return canvas;
+  }
+
+  /** Show the tones of the picture, which is at `box` of a canvas, around it. */
+  _showGlow(canvas, [left, top, width, height] = []) {
+    this._glow.hidden = !canvas;
+    if (!canvas) return;
+    const isWhole = left >= 0 && top >= 0 && left + width <= canvas.width && top + height <= canvas.height;
+    if (this._glowOf === this.source || !isWhole) return;
+    this._glowOf = this.source;
+    const tiny = Object.assign(document.createElement("canvas"), { width: GLOW_SIZE, height: GLOW_SIZE });
+    tiny.getContext("2d").drawImage(canvas, left, top, width, height, 0, 0, GLOW_SIZE, GLOW_SIZE);
+    this._glow.style.backgroundImage = `url(${tiny.toDataURL()})`;
   }
 
   // Pointers go to the tool first; otherwise they pan, and two fingers zoom.
@@ -222,8 +289,8 @@ export class Viewer extends EventTarget {
     const canvas = this.canvas;
     canvas.addEventListener("pointerdown", (event) => this._down(event));
     canvas.addEventListener("pointermove", (event) => this._move(event));
-    canvas.addEventListener("pointerup", (event) => this._up(event));
-    canvas.addEventListener("pointercancel", (event) => this._cancel(event));
+    canvas.addEventListener("pointerup", (event) => this._end(event, "up"));
+    canvas.addEventListener("pointercancel", (event) => this._end(event, "cancel"));
     canvas.addEventListener("pointerleave", (event) => { if (!this._pointers.size) this.tool?.leave?.(event); });
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
@@ -274,7 +341,10 @@ export class Viewer extends EventTarget {
     }
     const now = [event.clientX, event.clientY];
     if (this._pointers.size === 2) this._pinch(event.pointerId, before, now);
-    else if (this._taken == null) this.panBy(now[0] - before[0], now[1] - before[1]);
+    else if (this._taken == null) {
+      const [dx, dy] = this.panBy(now[0] - before[0], now[1] - before[1]);
+      now.splice(0, 2, before[0] + dx, before[1] + dy);
+    }
     this._pointers.set(event.pointerId, now);
   }
 
@@ -288,21 +358,25 @@ export class Viewer extends EventTarget {
     this.zoomBy(apart(now) / apart(before), to);
   }
 
-  _up(event) {
+  /** A pointer has gone up, or was cancelled. */
+  _end(event, how) {
     if (!this._pointers.delete(event.pointerId)) return;
     canvasCursor(this.canvas, "");
     if (this._taken !== event.pointerId) return;
     this._taken = null;
-    this.tool?.up?.(event, this.toImage(event));
+    this.tool?.[how]?.(event, this.toImage(event));
   }
+}
 
-  _cancel(event) {
-    this._pointers.delete(event.pointerId);
-    canvasCursor(this.canvas, "");
-    if (this._taken !== event.pointerId) return;
-    this._taken = null;
-    this.tool?.cancel?.(event);
-  }
+/** Move what is drawn by whole pixels; return the strips [x, y, width, height] that have become free. */
+function shifted(ctx, [dx, dy]) {
+  const { canvas } = ctx;
+  const { width, height } = canvas;
+  ctx.globalCompositeOperation = "copy";
+  ctx.drawImage(canvas, dx, dy);
+  ctx.globalCompositeOperation = "source-over";
+  const [across, down] = [Math.abs(dx), Math.abs(dy)];
+  return [[dx > 0 ? 0 : width - across, 0, across, height], [0, dy > 0 ? 0 : height - down, width, down]];
 }
 
 function canvasCursor(canvas, cursor) {

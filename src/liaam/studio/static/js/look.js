@@ -1,0 +1,108 @@
+// Brightness, contrast and gamma of the shown pictures. They change what is drawn, never the pictures or their fits, and
+// are kept in the browser for each folder.
+
+import { button, h, icon } from "./ui.js";
+
+const NEUTRAL = { brightness: 0, contrast: 0, gamma: 0 }; // powers of two
+const LABELS = { brightness: "Brightness", contrast: "Contrast", gamma: "Gamma" };
+const LIMIT = 2;
+
+/** The shown value of a pixel value, both from 0 to 1. */
+export function shownValue(value, { brightness, contrast, gamma }) {
+  const bright = (value * 2 ** brightness) ** (2 ** -gamma);
+  return Math.min(1, Math.max(0, (bright - 0.5) * 2 ** contrast + 0.5));
+}
+
+class Look extends EventTarget {
+  constructor() {
+    super();
+    this.values = NEUTRAL;
+    this.version = 0; // of what is drawn
+  }
+
+  /** Use the values that were kept for a folder. */
+  open(folder) {
+    this._key = `liaam-look:${folder}`;
+    try {
+      this.set({ ...NEUTRAL, ...JSON.parse(localStorage.getItem(this._key)) });
+    } catch {
+      // Without storage, or with a damaged entry, the pictures are shown as they are.
+    }
+  }
+
+  set(values) {
+    this.values = values;
+    this.version += 1;
+    this._paint();
+    try {
+      localStorage.setItem(this._key, JSON.stringify(values));
+    } catch {
+      // As above: the values are lost with the page.
+    }
+    this.dispatchEvent(new Event("change"));
+  }
+
+  get isNeutral() {
+    return Object.values(this.values).every((value) => value === 0);
+  }
+
+  /** The filter for drawing a picture on a canvas. */
+  get filter() {
+    return this.isNeutral ? "none" : "url(#look)";
+  }
+
+  /** Update the filter, which is an SVG element of the page. */
+  _paint() {
+    const table = Array.from({ length: 256 }, (_, i) => shownValue(i / 255, this.values).toFixed(4)).join(" ");
+    if (!this._curves) {
+      const holder = h("div", { class: "visually-hidden", "aria-hidden": "true" });
+      const curves = ["R", "G", "B"].map((channel) => `<feFunc${channel} type="table"/>`).join("");
+      const filter = `<filter id="look" color-interpolation-filters="sRGB">`;
+      holder.innerHTML = `<svg>${filter}<feComponentTransfer>${curves}</feComponentTransfer></filter></svg>`;
+      this._curves = [...holder.querySelector("feComponentTransfer").children];
+      document.body.append(holder);
+    }
+    for (const curve of this._curves) curve.setAttribute("tableValues", table);
+  }
+
+  /** A button that opens the sliders. */
+  control() {
+    const rows = Object.entries(LABELS).map(([name, label]) => {
+      const slider = h("input", {
+        type: "range", class: "slider", min: String(-LIMIT), max: String(LIMIT), step: "0.05", "aria-label": label,
+        dataset: { testid: `look-${name}` },
+        oninput: () => this.set({ ...this.values, [name]: Number(slider.value) }),
+      });
+      const text = h("span", { class: "number" });
+      const show = () => {
+        slider.value = String(this.values[name]);
+        text.textContent = `×${(2 ** this.values[name]).toFixed(2)}`;
+        slider.setAttribute("aria-valuetext", text.textContent);
+      };
+      this.addEventListener("change", show);
+      show();
+      return h("label", {}, h("span", {}, label), slider, text);
+    });
+    const reset = button("Reset", { small: true, testid: "look-reset", onclick: () => this.set(NEUTRAL) });
+    const note = h("p", { class: "small muted grow" }, "Only for looking");
+    const face = h("summary", {
+      class: "button ghost small icon-only", "aria-label": "Brightness and contrast", "aria-keyshortcuts": "A",
+      title: "Brightness, contrast, gamma (A)", dataset: { testid: "look" },
+    }, icon("adjust"));
+    const mark = () => face.classList.toggle("on", !this.isNeutral);
+    this.addEventListener("change", mark);
+    mark();
+    const box = h("details", { class: "look" }, face,
+      h("div", { class: "look-box glass" }, rows, h("div", { class: "row" }, note, reset)));
+    box.addEventListener("keydown", (event) => {
+      if (event.key === "Escape") {
+        box.open = false;
+        face.focus();
+      }
+      if (event.key.startsWith("Arrow") || event.key === "Escape") event.stopPropagation();
+    });
+    return box;
+  }
+}
+
+export const look = new Look();
