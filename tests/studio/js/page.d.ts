@@ -108,4 +108,5 @@ interface App {
 interface Window {
   liaamStudio: any;
   liaamTheme: any;
+  liaamPanels: any;
 }

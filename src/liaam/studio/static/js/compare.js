@@ -106,7 +106,8 @@ class CompareTab {
     this.sides = ["left", "right"].map((name) => new Side(name, {
       onmethod: (side) => this._method(side), draw: (ctx, viewer, side) => this._draw(ctx, viewer, side),
     }));
-    [this.left, this.right] = this.sides;
+    this.left = this.sides[0];
+    this.right = this.sides[1];
     this._build(root);
     this._together();
     this.sources.addEventListener("change", () => this._source());

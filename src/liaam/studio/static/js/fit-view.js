@@ -277,7 +277,8 @@ export class FitView {
 
   /** Make the view more transparent in steps, then opaque again. */
   fade() {
-    if (this.name !== "picture") this.setOpacity(this.name, this.opacity[this.name] > 0.25 ? this.opacity[this.name] - 0.25 : 1);
+    const opacity = this.opacity[this.name];
+    if (this.name !== "picture") this.setOpacity(this.name, opacity > 0.25 ? opacity - 0.25 : 1);
   }
 
   /** Update the controls for the view. */

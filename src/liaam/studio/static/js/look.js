@@ -1,5 +1,5 @@
-// Brightness, contrast and gamma of the shown pictures. They change what is drawn, never the pictures or their fits, and
-// are kept in the browser for each folder.
+// Brightness, contrast and gamma of the shown pictures. They change what is drawn, never the pictures or their fits,
+// and are kept in the browser for each folder.
 
 import { button, h, icon } from "./ui.js";
 

@@ -1,5 +1,5 @@
-// The theme, light or dark: the user's choice, or else the system's. And the panels that the user has slid away. This is
-// not a module, because it must run before the page is drawn, to avoid a flash.
+// The theme, light or dark: the user's choice, or else the system's. And the panels that the user has slid away. This
+// is not a module, because it must run before the page is drawn, to avoid a flash.
 
 (() => {
   const KEY = "liaam-theme";

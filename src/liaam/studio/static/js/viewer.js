@@ -1,8 +1,8 @@
 // A picture with zoom and pan, layers drawn over it, and a tool that handles the pointer.
 //
-// Landmark coordinates have (0, 0) at the centre of the top-left pixel. Screen coordinates are css pixels from the corner
-// of the container, which is the area that no panel covers. The canvas may be larger, so that the picture goes on under
-// the panels.
+// Landmark coordinates have (0, 0) at the centre of the top-left pixel. Screen coordinates are css pixels from the
+// corner of the container, which is the area that no panel covers. The canvas may be larger, so that the picture goes on
+// under the panels.
 
 import { look } from "./look.js";
 import { button, h } from "./ui.js";
@@ -34,13 +34,12 @@ export class Viewer extends EventTarget {
     this._zoomText = h("span", { class: "number", "aria-hidden": "true" }, "100 %");
     container.classList.add("viewer");
     this.look = look.control();
-    container.append(this._glow, this.canvas, h("div", { class: "viewer-zoom", role: "group", "aria-label": "View" },
-      button("Zoom out", { icon: "minus", iconOnly: true, kind: "ghost", small: true, shortcut: "-", onclick: () => this.zoomBy(1 / 1.3) }),
-      this._zoomText,
-      button("Zoom in", { icon: "plus", iconOnly: true, kind: "ghost", small: true, shortcut: "+", onclick: () => this.zoomBy(1.3) }),
-      button("Whole picture", { icon: "fit", iconOnly: true, kind: "ghost", small: true, shortcut: "0", onclick: () => this.fit() }),
-      this.look,
-    ));
+    const tool = (label, icon, shortcut, onclick) =>
+      button(label, { icon, shortcut, onclick, iconOnly: true, kind: "ghost", small: true });
+    container.append(this._glow, this.canvas, h("div.viewer-zoom", { role: "group", "aria-label": "View" },
+      tool("Zoom out", "minus", "-", () => this.zoomBy(1 / 1.3)), this._zoomText,
+      tool("Zoom in", "plus", "+", () => this.zoomBy(1.3)), tool("Whole picture", "fit", "0", () => this.fit()),
+      this.look));
     this._listen();
     look.addEventListener("change", () => this.redraw());
     const watch = new ResizeObserver(() => this._resize());
@@ -244,7 +243,7 @@ export class Viewer extends EventTarget {
     Object.assign(this, before, { isLoupe: false });
   }
 
-  /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than all other drawing. */
+  /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than other drawing. */
   _scaledTo({ width, height }, ratio, x, y) {
     const { source } = this;
     const what = [source, this.scale, this.width, this.height, ratio, width, height, look.version];
@@ -256,23 +255,24 @@ export class Viewer extends EventTarget {
     const ctx = canvas.getContext("2d");
     const isShift = moved && moved.every((v) => Math.abs(v - Math.round(v)) < 1e-6);
     if (!isShift) Object.assign(canvas, { width, height }); // also clears it
-    for (const strip of isShift ? shifted(ctx, moved.map(Math.round)) : [[0, 0, width, height]]) {
+    const whole = [[0, 0, width, height]];
+    for (const [left, top, across, down] of isShift ? shifted(ctx, moved.map(Math.round)) : whole) {
       ctx.save();
       ctx.beginPath();
-      ctx.rect(...strip);
+      ctx.rect(left, top, across, down);
       ctx.clip();
-      ctx.clearRect(...strip); // strips overlap, and pictures may be transparent
+      ctx.clearRect(left, top, across, down); // strips overlap, and pictures may be transparent
       ctx.setTransform(ratio, 0, 0, ratio, ratio * x, ratio * y);
       this._drawPicture(ctx);
       ctx.restore();
     }
     this._scaled = { canvas, what, at };
-    this._showGlow(canvas, [...at, ratio * this.scale * this.width, ratio * this.scale * this.height]);
+    this._showGlow(canvas, [at[0], at[1], ratio * this.scale * this.width, ratio * this.scale * this.height]);
     return canvas;
   }
 
   /** Show the tones of the picture, which is at `box` of a canvas, around it. */
-  _showGlow(canvas, [left, top, width, height] = []) {
+  _showGlow(canvas, /** @type {number[]} */ [left, top, width, height] = []) {
     this._glow.hidden = !canvas;
     if (!canvas) return;
     const isWhole = left >= 0 && top >= 0 && left + width <= canvas.width && top + height <= canvas.height;
@@ -323,7 +323,8 @@ export class Viewer extends EventTarget {
       return;
     }
     const mine = this._space || event.button === 1 || event.button === 2;
-    if (!mine && this._pointers.size === 1 && this.tool?.down?.(event, this.toImage(event))) this._taken = event.pointerId;
+    const isFirst = !mine && this._pointers.size === 1;
+    if (isFirst && this.tool?.down?.(event, this.toImage(event))) this._taken = event.pointerId;
     else canvasCursor(this.canvas, "grabbing");
     event.preventDefault();
   }
@@ -369,7 +370,7 @@ export class Viewer extends EventTarget {
 }
 
 /** Move what is drawn by whole pixels; return the strips [x, y, width, height] that have become free. */
-function shifted(ctx, [dx, dy]) {
+function shifted(ctx, /** @type {number[]} */ [dx, dy]) {
   const { canvas } = ctx;
   const { width, height } = canvas;
   ctx.globalCompositeOperation = "copy";
