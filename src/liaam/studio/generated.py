@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -51,5 +51,5 @@ def trained(calibrate: bool = False) -> AAM:
     if calibrate:
         return model
     known = json.loads(CALIBRATION.read_bytes())
-    fields = {name: np.array(value) if isinstance(value, list) else value for name, value in known.items()}
+    fields: dict[str, Any] = {name: np.array(v) if isinstance(v, list) else v for name, v in known.items()}
     return model.with_view(METHODS[DEFAULT_METHOD].view, reliability=Reliability(**fields))
