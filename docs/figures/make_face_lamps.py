@@ -16,10 +16,10 @@ from liaam.io import Landmarks, write_bytes_atomically
 from liaam.lamps import learn_lamps
 from liaam.model import MESH, SURROUNDINGS
 from liaam.training import train
-from liaam.training.faces import FOLDER, LAMPS, MODEL
+from liaam.training.faces import FOLDER, LAMPS, MODEL, N_LAMPS
 
-N_HEADS, N_LAMPS, N_FITTED = 6, 10, 30
-"""Heads under lamps, lamps of each, and other heads for the model."""
+N_HEADS, N_FITTED = 6, 30
+"""Heads under lamps, and other heads for the model."""
 
 SIDE = 48
 """Resolution at which the fields are stored; they are smooth."""

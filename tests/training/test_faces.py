@@ -56,7 +56,7 @@ def test_training_relights_faces_unless_told_otherwise(lamps_for_faces):
     data, options = heads(4), {"diagonal": 40.0, "leave_out": False}
     lit, plain = train(data, **options), train(data, lamps=None, **options)
     assert (lit.n_lamps, lit.n_textures, plain.n_lamps) == (60, 16, 0)
-    assert lit.light is None  # a basis of light is learnt from given lamps only
+    assert lit.light is not None and plain.light is None
     assert "varied" in lit.levels[0].appearances and "varied" not in plain.levels[0].appearances
     assert train(data, copies=0, **options).n_lamps == 0
 

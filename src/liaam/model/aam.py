@@ -40,7 +40,7 @@ class AAM:
     n_lamps : int
         Number of lamps under which these copies were relit.
     light : LightBasis, optional
-        What other lights do to the object and its surroundings; only of models trained with given lamps.
+        What other lights do to the object and its surroundings; only of models trained with lamps.
     points : PointMap, optional
         Map from the points of another landmarker to the landmarks, if it was trained.
     features : Features, optional

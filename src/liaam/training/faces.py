@@ -21,6 +21,9 @@ from liaam.training.entries import Entry
 FOLDER = Path(__file__).with_name("faces")
 MODEL, LAMPS = FOLDER / "heads.liaam", FOLDER / "lamps.safetensors"
 
+N_LAMPS = 10
+"""Number of lamps of each head, in this order in the file."""
+
 MOST = 16
 """Number of images that are fitted."""
 
@@ -56,5 +59,5 @@ def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) 
     if not (np.median(apart) <= AGREEMENT and np.median(qualities) >= LEAST_QUALITY):
         return None
     known = load_file(LAMPS)
-    names = tuple(f"generated lamp {i + 1}" for i in range(len(known["fields"])))
+    names = tuple(f"head{1 + i // N_LAMPS}-{i % N_LAMPS:02d}" for i in range(len(known["fields"])))
     return Lamps(mean, carried(known["mean"], known["fields"], middle), names)

@@ -119,7 +119,7 @@ def train(
         model,
         n_textures=len(copied.owners),
         n_lamps=len(lit) if lit is not None and copied.are_relit else 0,
-        light=None if lit is None or isinstance(lamps, str) else lit.basis(symmetric is not None),
+        light=None if lit is None else lit.basis(symmetric is not None),
         points=None if points is None else map_of_points(points, entries, mean),
         features=None if encoder is None else encoder.features,
     )

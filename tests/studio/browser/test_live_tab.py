@@ -93,7 +93,7 @@ def test_the_shading_is_removed_and_the_picture_recorded(live, tmp_path):
     use_camera(live)
     live.locator("[data-testid=live-flat]").click()
     wait_for(live, WITHOUT_SHADING)
-    assert live.locator("#tab-live [data-testid=divider]").is_visible()
+    assert live.locator("[data-testid=live-divider]").is_visible()
     live.locator("[data-testid=live-record]").click()
     live.locator("[data-testid=live-record][aria-pressed=true]").wait_for()
     wait_for(live, MORE, live.evaluate("() => window.liaamStudio.live.track().rows.size") + 10)

@@ -10,8 +10,8 @@ export function shareAfterKey(share, { key, shiftKey = false }) {
 }
 
 export class Divider {
-  /** `onmove` is called when the line has moved. */
-  constructor(viewer, onmove) {
+  /** `onmove` is called when the line has moved; `testid` tells the dividers of the tabs apart. */
+  constructor(viewer, onmove, testid = "divider") {
     this.viewer = viewer;
     this.share = 0.5;
     this._onmove = onmove;
@@ -21,7 +21,7 @@ export class Divider {
       "div",
       {
         class: "fit-divider", role: "slider", tabindex: "0", hidden: true, "aria-orientation": "horizontal",
-        "aria-valuemin": "0", "aria-valuemax": "100", dataset: { testid: "divider" },
+        "aria-valuemin": "0", "aria-valuemax": "100", dataset: { testid },
       },
       h("span", { class: "fit-divider-line" }),
       h("span", { class: "fit-divider-grip", "aria-hidden": "true" }, "‹ ›"),

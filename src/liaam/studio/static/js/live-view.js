@@ -19,7 +19,7 @@ export class LiveView {
     const container = h("div.fit-viewer");
     this.viewer = new Viewer(container, { label: "Live picture" });
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
-    this.divider = new Divider(this.viewer, () => this.viewer.redraw());
+    this.divider = new Divider(this.viewer, () => this.viewer.redraw(), "live-divider");
     this.divider.label("Picture", "Without shading");
     const file = h("input.visually-hidden", {
       type: "file", accept: "video/*", tabindex: "-1", "aria-label": "Open a video", testid: "live-file",
