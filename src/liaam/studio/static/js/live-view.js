@@ -58,7 +58,7 @@ export class LiveView {
       h("section.panel", { "aria-label": "Drawn over the picture" }, overlays),
     ];
     const { flat, record, save, stop } = this.tools;
-    const tools = h("div.toolbar", { role: "toolbar", "aria-label": "Video" },
+    const tools = h("div.toolbar.live-toolbar", { role: "toolbar", "aria-label": "Video" },
       flat, h("span.grow"), record, save, stop);
     root.append(h("div.fit-tab",
       h("div.workspace", tools, h("div.fit-stage", container, this._empty), this._bar),
@@ -91,7 +91,7 @@ export class LiveView {
     if (!this.shown) return;
     const { canvas, flat, fit, isNew, grabbed } = this.shown;
     drawOver(ctx, viewer, canvas);
-    if (flat) drawOver(ctx, viewer, flat, this.divider.x);
+    if (flat) drawOver(ctx, viewer, flat, { from: this.divider.x });
     if (fit.ok) drawFit(ctx, viewer, fit, this.overlays);
     if (!isNew) return;
     this.shown.isNew = false;

@@ -37,6 +37,7 @@ class LiveTab {
       seek: (time) => Object.assign(video, { currentTime: time }).pause(),
     });
     this.isFlat = false;
+    this.recorded = new Blob();
     this._stop();
     const { source: { video }, view } = this;
     for (const type of ["play", "pause", "ended"]) video.addEventListener(type, () => this._dress());
@@ -46,7 +47,7 @@ class LiveTab {
     setInterval(() => this.source.isOpen && this._tell(), 250);
     window.liaamStudio.live = {
       viewer: view.viewer, shown: () => view.shown, rate: () => view.meter.rate(), delays: () => view.delays,
-      track: () => this.track, video: () => video, isOpen: () => this.source.isOpen,
+      track: () => this.track, recorded: () => this.recorded.size, video: () => video, isOpen: () => this.source.isOpen,
     };
   }
 
@@ -152,15 +153,20 @@ class LiveTab {
   _record() {
     if (this._recorder) return this._recorder.stop();
     const [name, recorded] = [`${this.source.name}_fit.webm`, []];
+    this.recorded = new Blob();
     const recorder = new MediaRecorder(this.view.viewer.canvas.captureStream(), { mimeType: "video/webm" });
     const use = (now) => {
       this._recorder = now;
       this.view.tools.record.setAttribute("aria-pressed", String(Boolean(now)));
     };
-    recorder.ondataavailable = ({ data }) => recorded.push(data);
+    recorder.ondataavailable = ({ data }) => {
+      recorded.push(data);
+      this.recorded = new Blob(recorded, { type: "video/webm" });
+    };
     recorder.onstop = () => {
       use(null);
-      saveFile(new Blob(recorded, { type: "video/webm" }), name);
+      if (this.recorded.size) saveFile(this.recorded, name);
+      else this.app.toast("Nothing was recorded: record for a second or longer.");
     };
     recorder.start(1000);
     return use(recorder);
