@@ -57,7 +57,7 @@ def pytest_xdist_make_scheduler(config, log):
 
 @pytest.fixture(autouse=True, scope="session")
 def no_lamps_by_default() -> Iterator[Callable]:
-    """Train without lamps for faces, which take three times as long; give the function that finds faces."""
+    """Train without lamps for faces, which take longer; give the function that finds faces."""
     with pytest.MonkeyPatch.context() as patch:
         original = faces.face_lamps
         patch.setattr(faces, "face_lamps", lambda *_: None)

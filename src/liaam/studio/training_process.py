@@ -154,7 +154,7 @@ class _Worker:
                     model = train(
                         items,
                         leave_out=leave_out,
-                        lamps=None,  # lamps triple the time, and a person waits for the proposals
+                        lamps=None,  # lamps double the time, and a person waits for the proposals
                         name=self.job.name,
                         progress=self._progress("training"),
                         **OPTIONS,
