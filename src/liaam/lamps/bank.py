@@ -190,16 +190,11 @@ def places(mean: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> np.nd
     ``mean`` is the mean shape of the fields, and ``points`` are the landmarks in the image.
     """
     import cv2  # heavy: imported when first needed
-    from scipy.interpolate import LinearNDInterpolator
 
     width, height = size
     x, y = np.arange(0, width + STRIDE, STRIDE), np.arange(0, height + STRIDE, STRIDE)
     coarse = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
-    pose, (rest, there) = align(mean, points), anchors(mean, points)
-    # Triangulate the image's points, not the mean shape: this cannot fold.
-    found = LinearNDInterpolator(there, rest)(coarse)
-    found = np.where(np.isfinite(found), found, pose.inverse()(coarse.reshape(-1, 2)).reshape(coarse.shape))
-    found = in_field(found)
+    found = in_field(_to_mean(mean, points, coarse))
     across, down = (np.arange(n, dtype=np.float32) / STRIDE for n in size)
     return cv2.remap(found, *np.meshgrid(across, down), cv2.INTER_LINEAR)
 
@@ -222,15 +217,22 @@ def carried(mean: np.ndarray, fields: np.ndarray, shape: np.ndarray) -> np.ndarr
         Fields on the square around the other mean shape.
     """
     import cv2  # heavy: imported when first needed
-    from scipy.interpolate import LinearNDInterpolator
 
-    rest, there = anchors(mean, shape)
-    at = LinearNDInterpolator(there, rest)(square())
-    outside = align(mean, shape).inverse()(square().reshape(-1, 2)).reshape(at.shape)
-    at = in_field(np.where(np.isfinite(at), at, outside)) * np.float32((fields.shape[1] - 1) / (SIDE - 1))
+    at = in_field(_to_mean(mean, shape, square())) * np.float32((fields.shape[1] - 1) / (SIDE - 1))
     x, y, border = at[..., 0], at[..., 1], cv2.BORDER_REPLICATE
     moved = [cv2.remap(field.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=border) for field in fields]
     return np.array(moved, np.float16)
+
+
+def _to_mean(mean: np.ndarray, points: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Map positions (..., 2) in the image of the landmarks ``points`` to the coordinates of the mean shape."""
+    from scipy.interpolate import LinearNDInterpolator  # heavy: imported when first needed
+
+    rest, there = anchors(mean, points)
+    # Triangulate the image's points, not the mean shape: this cannot fold.
+    found = LinearNDInterpolator(there, rest)(at)
+    outside = align(mean, points).inverse()(at.reshape(-1, 2)).reshape(at.shape)
+    return np.where(np.isfinite(found), found, outside)
 
 
 def in_field(points: np.ndarray) -> np.ndarray:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from liaam.fitting import Fitter, SolverOptions
+from liaam.fitting import Fitter
+from liaam.fitting.reliability import OPTIONS
 from liaam.lamps import Lamps
 from liaam.lamps.bank import carried
 from liaam.lamps.learning import unit_shape
@@ -46,7 +47,7 @@ def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) 
     """
     from safetensors.numpy import load_file
 
-    fitter = Fitter(load_model(MODEL), options=SolverOptions(max_iterations=20), camera=camera, restarts=False)
+    fitter = Fitter(load_model(MODEL), options=OPTIONS, camera=camera, restarts=False)
     mean, shapes, qualities = unit_shape(mean), [], []
     for i in np.unique(np.linspace(0, len(entries) - 1, MOST).astype(int)):
         points = entries[i].points
