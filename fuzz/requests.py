@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import secrets
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,42 +17,33 @@ from fuzz.target import Target
 
 HOST, TOKEN = "127.0.0.1:8765", "token"
 
+_ID = "abc"
+"""Identifier of every upload, fit and live video here, so that requests reach those that exist."""
+
 _TARGETS = (
     *(b"/", b"/?token=token", b"/style.css", b"/js/../index.html", b"/api/project", b"/api/project?stamp=1-0-idle"),
     *(b"/api/pictures/p1.png/image?size=64", b"/api/pictures/p1.png/thumbnail", b"/api/pictures/p1.png/chroma?size=20"),
-    *(b"/api/pictures/p1.png/landmarks", b"/api/template", b"/api/template/file?name=x.pts", b"/api/training"),
-    *(
-        b"/api/uploads?name=x.png",
-        b"/api/uploads/abc/image",
-        b"/api/model/file",
-        b"/api/model/guest?name=x.liaam",
-        b"/api/fits",
-        b"/api/fits/x/layers/flat",
-    ),
-    *(b'/api/fits/x/relit?light={"lamps":[],"ambient":0.5}', b"/api/fits/x/export?what=pts", b"/api/nothing"),
+    *(b"/api/pictures/p1.png/landmarks", b"/api/pictures/p1.png/history", b"/api/template", b"/api/training"),
+    *(b"/api/template/file?name=x.pts", b"/api/review", b"/api/export/pts", b"/api/export/coco", b"/api/export/tps"),
+    *(b"/api/uploads?name=x.png", b"/api/uploads/abc/image", b"/api/model/file", b"/api/model/guest?name=x.liaam"),
+    *(b"/api/heads", b"/api/heads/model", b"/api/fits", b"/api/fits/abc/layers/flat", b"/api/live", b"/api/live/abc"),
+    b"/api/live/abc/frames?width=16&height=16&of_width=32&of_height=32&number=1&time=0.1&flat=1",
+    *(b'/api/fits/abc/relit?light={"lamps":[],"ambient":0.5}', b"/api/fits/abc/export?what=pts", b"/api/nothing"),
 )
 _WORDS = (
-    b"%2e%2e/",
-    b"../",
-    b"%00",
-    b"%ff",
-    b"%ED%A0%80",
-    b"%",
-    b"?",
-    b"&",
-    b"=",
-    b"size=",
-    b"name=",
-    b"p1.png",
-    b"//",
-    b"#",
+    *(b"%2e%2e/", b"../", b"%00", b"%ff", b"%ED%A0%80", b"%", b"?", b"&", b"=", b"size=", b"name=", b"p1.png", b"//"),
+    *(b"#", b"abc", b"width=", b"-1", b"1e999", b"99999999"),
 )
 _BODIES = (
     {"id": "x", "names": ["a", "b", "c"], "contours": [{"indices": [0, 1, 2], "closed": True}], "mapping": [0, 1, 2]},
     {"points": [[1, 2], [30, 2], [15, 20]], "invisible": [2], "revision": None},
     {"picture": "p1.png", "method": "soft-li", "start": {"box": [1, 2, 30, 20]}},
-    {"upload": "abc", "method": "grey", "start": {"shape": [[1, 2], None, [3, 4]]}},
+    {"upload": _ID, "method": "grey", "start": {"shape": [[1, 2], None, [3, 4]]}},
+    *({"pictures": ["p1.png"], "did": did, "who": "Ann"} for did in ("checked", "left out", "deleted", "undeleted")),
 )
+
+FRAME = bytes(range(256)) * 4
+"""A frame of a video, 16 x 16 pixels."""
 
 
 class Request(NamedTuple):
@@ -79,7 +71,11 @@ def make(rng: Random) -> Request:
         headers.append((name, value[:2000]))
     if rng.random() < 0.05:
         headers.pop(int(rng.integers(2)))
-    body = spoilt_json(rng, _BODIES) if rng.random() < 0.8 else spoilt(rng, (_png(), b"version: 1\n{\n1 2\n}\n", b"[]"))
+    body = (
+        spoilt_json(rng, _BODIES)
+        if rng.random() < 0.8
+        else spoilt(rng, (_png(), FRAME, b"version: 1\n{\n1 2\n}\n", b"[]"))
+    )
     at = np.sort(rng.integers(len(body) + 1, size=int(rng.integers(3)))).tolist()
     return Request(method, target, headers, [body[i:j] for i, j in zip([0, *at], [*at, len(body)], strict=True)])
 
@@ -107,6 +103,7 @@ def _app(folder: str) -> Any:
     home.mkdir()
     (home / "p1.png").write_bytes(_png())
     tiny().save(Path(folder) / "m.liaam")
+    secrets.token_urlsafe = lambda *_: _ID  # this process does nothing else
     return make_app(make_studio(home, Path(folder) / "m.liaam", Settings(token=TOKEN, drain_seconds=0.1)))
 
 
@@ -156,12 +153,17 @@ def check(request: Request) -> None:
 
 
 def prepare() -> None:
-    """Create the studio, and request each resource once."""
-    for target in _TARGETS:
-        for method, body in (("GET", b""), ("POST", b"{}"), ("POST", json.dumps(_BODIES[2]).encode())):
-            headers = [(b"host", HOST.encode()), (b"authorization", f"Bearer {TOKEN}".encode())]
-            request = Request(method, target, [*headers, (b"content-type", b"application/json")], [body])
-            asyncio.run(_answer(_app(str(Path.cwd())), request))
+    """Create the studio, request each resource once, and begin a fit and a live video."""
+    app = _app(str(Path.cwd()))
+    requests = [(b"POST", b"/api/uploads?name=x.png", _png()), (b"POST", b"/api/live", b"{}")]
+    requests += [(b"POST", b"/api/fits", json.dumps(body).encode()) for body in _BODIES[2:4]]
+    requests += [(b"POST", b"/api/heads/model", b""), (b"DELETE", b"/api/model/guest", b"")]
+    requests += [(method, target, FRAME) for target in _TARGETS for method in (b"GET", b"POST")]
+    for method, target, body in requests:
+        headers = [(b"host", HOST.encode()), (b"authorization", f"Bearer {TOKEN}".encode())]
+        kind = b"image/png" if body == _png() else b"application/json"
+        request = Request(method.decode(), target, [*headers, (b"content-type", kind)], [body])
+        asyncio.run(_answer(app, request))
 
 
 TARGETS = (Target("requests", make, check, prepare, ".txt", 0.2),)
