@@ -64,7 +64,8 @@ class _Commands(TyperGroup):
             with _plain_complaints():
                 return super().invoke(ctx)
         except KeyboardInterrupt as stop:
-            complain(str(stop) or "stopped")
+            # Not through the console: if it was interrupted while it printed, it keeps what follows to itself.
+            print(plain(str(stop) or "stopped"), file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
 
 
