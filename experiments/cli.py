@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from liaam.cli.terminal import console, make_app, progress_bar, run_app, say, table_of
+from liaam.cli.terminal import make_app, progress_bar, run_app, say, show_table, table_of
 from liaam.errors import MethodError
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def print_lines(lines: Mapping[str, Sequence[tuple[float, float | None]]], title
     for method, line in lines.items():
         table.add_row(method, *(or_dash(y) for _, y in line))
     say(title)
-    console.print(table)
+    show_table(table)
 
 
 def run_sweep(make: Callable[..., "Experiment"], out: Path, jobs: int | None, **options) -> None:
@@ -128,7 +128,7 @@ def print_protocol(table: tuple[list[str], list[list[str]]], summary: Mapping[st
     shown = table_of(*header)
     for row in rows:
         shown.add_row(*row)
-    console.print(shown)
+    show_table(shown)
     conclude(summary, out)
 
 
@@ -210,7 +210,7 @@ def spot(
     table = table_of("method", "median NME", "p90", "converged", "iterations", "theta")
     for row in spot_rows(summary):
         table.add_row(*row)
-    console.print(table)
+    show_table(table)
     conclude(summary, out)
 
 
@@ -262,7 +262,7 @@ def calibration(out: Out, trials: Trials = 24, seed: Seed = 0, jobs: Jobs = None
         coverage, plain = or_dash(c["coverage"], ".2f"), or_dash(c["plain_median_deg"])
         table.add_row(c["camera"], c["kind"], f"{c['sigma_n']:g}", observable, *numbers, coverage, plain)
     say("error of theta, degrees")
-    console.print(table)
+    show_table(table)
     conclude(summary, out)
 
 
@@ -286,7 +286,7 @@ def baselines(
             verdict = {True: "yes", False: "no"}.get(cell.get("beats_plain"), "–")
             table.add_row(method, or_dash(cell["median"]), verdict)
         say(situation.title)
-        console.print(table)
+        show_table(table)
     conclude(summary, out)
 
 
@@ -317,7 +317,7 @@ def reconstruct(
             medians = (cell[quantity]["median"] for quantity in module.QUANTITIES)
             table.add_row(kind, method, *(or_dash(value) for value in medians))
     say("median error of log light: of the input, of what was rebuilt, of the best the model can do")
-    console.print(table)
+    show_table(table)
     conclude(summary, out)
 
 

@@ -464,3 +464,12 @@ def test_what_is_said_has_no_escape_sequences(run):
 def test_a_folder_is_not_drawn(run, name):
     status, _, err = run("show", name)
     assert status == 1 and "is a folder" in err
+
+
+def test_tables_that_go_to_a_file_are_not_cut(capsys):
+    from liaam.cli.terminal import show_table, table_of
+
+    table = table_of("name", "value")
+    table.add_row("a" * 150, "1.234")
+    show_table(table)
+    assert "a" * 150 in capsys.readouterr().out

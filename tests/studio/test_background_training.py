@@ -91,6 +91,7 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     assert told.phases() == ["training", "proposals", "training", "proposals"]
     assert seen == [1, 2]  # the quick model, then the one that knows how far it can be trusted
     assert models.current.model.n_images == 4
+    assert models.current.model.n_lamps > 0  # the careful model knows the lamps of generated heads
     (version,) = trainer.versions.as_json(project.order)
     assert (version["pictures"], version["held_out"]) == (4, 1) and 0 < version["error"] < 0.05
     assert states(project)[:8] == ["done"] * 4 + ["proposed"] * 4

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, read_folder
-from liaam.cli.terminal import cell, complain, console, progress_bar, say, table_of
+from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io.files import real_path
 from liaam.progress import Progress
@@ -53,7 +53,7 @@ def check(
     for sample, own in faults:
         for fault in own:
             table.add_row(cell(sample.name), cell(fault.message))
-    console.print(table)
+    show_table(table)
     if output is not None:
         write_faults(output, folder, faults)
     raise typer.Exit(1)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.terminal import console, progress_bar, say, table_of
+from liaam.cli.terminal import progress_bar, say, show_table, table_of
 
 
 def demo(
@@ -21,5 +21,5 @@ def demo(
     for row in rows:
         angle = row.result.theta_degrees
         table.add_row(row.method, f"{row.error:.2f}", str(row.result.status), f"{angle:.1f}°" if angle else "–")
-    console.print(table)
+    show_table(table)
     say(f"written to {output / 'figure.png'}")

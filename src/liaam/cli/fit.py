@@ -17,7 +17,7 @@ from liaam.cli.inputs import (
     read_with_start,
     unique_stems,
 )
-from liaam.cli.terminal import cell, complain, console, progress_bar, say, table_of
+from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
 
 SEVERAL = "the image holds more such objects: add --all to fit each of them, or --init to choose one"
@@ -107,7 +107,7 @@ def fit(
                 if result.detection_doubtful:
                     advice.setdefault(low_score, []).append(image.name)
     if table.row_count:
-        console.print(table)
+        show_table(table)
         say(f"written to {output}")
     for text, names in advice.items():
         complain(f"{', '.join(names[:5])}{' …' if len(names) > 5 else ''}: {text}")

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from liaam.cli.inputs import read_sample
 from liaam.cli.lamps import LAMPS_SUFFIX, draw_lamps, read_lamps
-from liaam.cli.terminal import cell, console, say, table_of
+from liaam.cli.terminal import cell, say, show_table, table_of
 from liaam.errors import LiaamError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def info(
     table = Table.grid(padding=(0, 2))
     for key, value in describe(load_model(model_file), model_file).items():
         table.add_row(key, cell(value))
-    console.print(table)
+    show_table(table)
 
 
 def count_modes(model: "AAM") -> str:
@@ -119,7 +119,7 @@ def methods() -> None:
     table = table_of("method", "compares", "description")
     for method in METHODS.values():
         table.add_row(method.name, f"{method.encoding}, {method.metric}", method.summary)
-    console.print(table)
+    show_table(table)
     say(
         f"For occlusion, add a robust loss to any method, as in grey+tukey: {', '.join(f'+{n}' for n in LOSSES)}. "
         f"Methods on logarithms can also weight pixels by image noise: +{NOISE_SUFFIX}, as in li+{NOISE_SUFFIX}."

@@ -21,7 +21,7 @@ from liaam.cli.inputs import (
     starting_camera,
     unique_stems,
 )
-from liaam.cli.terminal import complain, console, progress_bar, say, table_of
+from liaam.cli.terminal import complain, progress_bar, say, show_table, table_of
 from liaam.errors import CameraError, LiaamError
 
 if TYPE_CHECKING:
@@ -461,7 +461,7 @@ def compare_pictures(pictures: Sequence["np.ndarray"], paths: Sequence[Path], se
     write_text_atomically(output / "agreement.csv", "\n".join(lines) + "\n")
     save_figure(figure_of_agreement(pictures, [p.name for p in paths], seen, found), output / "agreement.png")
     if len(found) <= 15:
-        console.print(table)
+        show_table(table)
     medians = (np.median([getattr(p, key) for p in found]) for key in ("invariant", "log_grey"))
     say("median correlation: invariant {:.3f}, log grey {:.3f}".format(*medians))
 

@@ -24,6 +24,9 @@ error_console = Console(stderr=True)
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as in a shell: 128 plus the number of the signal."""
 
+UNCUT = 500
+"""Width of tables that do not go to a terminal, characters."""
+
 BIDIRECTIONAL = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
 """Bidirectional classes of the characters that change the writing direction (Unicode Standard Annex 9)."""
 
@@ -121,6 +124,14 @@ def say(text: str) -> None:
 def complain(text: str) -> None:
     """Print a line of plain text to standard error."""
     error_console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
+
+
+def show_table(table: Table) -> None:
+    """Print a table; in full width if the output goes to a file or another program, which would not see what is cut."""
+    if console.is_terminal:
+        console.print(table)
+    else:
+        Console(width=UNCUT).print(table)
 
 
 @contextmanager

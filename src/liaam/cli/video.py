@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from liaam.cli.inputs import CameraOption, EllipsesOption, ResponseOption, camera_for, check_output, read_init
-from liaam.cli.terminal import INTERRUPTED, complain, console, progress_bar, say, table_of
+from liaam.cli.terminal import INTERRUPTED, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.io.files import real_path
 from liaam.progress import Progress
@@ -411,7 +411,7 @@ def report(counts: Counts, outputs: Sequence[Path]) -> None:
     quality = f"{np.median(known):.2f}" if known else "–"
     numbers = counts.n, counts.n_tracked, len(counts.lost), again, counts.statuses["corrected"]
     table.add_row(*map(str, numbers), quality, f"{counts.n / seconds:.1f}")
-    console.print(table)
+    show_table(table)
     for path in outputs:
         say(f"written to {path}")
     if not counts.lost:
