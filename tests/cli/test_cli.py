@@ -94,6 +94,24 @@ def test_training_that_is_stopped_leaves_one_line_and_no_file(run, portraits, tm
     assert not list(tmp_path.iterdir())
 
 
+def test_ctrl_c_while_options_are_read_is_reported(run, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("typer.core.TyperOption.process_value", stop)
+    code, _, err = run("methods")
+    assert (code, err) == (130, "stopped\n")
+
+
+def test_ctrl_c_between_the_steps_of_typer_is_reported(run, monkeypatch):
+    def stop(*_, **__):
+        raise SystemExit(130)  # what typer makes of it
+
+    monkeypatch.setattr("liaam.cli.terminal._Commands.invoke", stop)
+    code, _, err = run("methods")
+    assert (code, err) == (130, "stopped\n")
+
+
 def test_ctrl_c_while_a_line_is_printed_is_reported(run, portraits, tmp_path, monkeypatch):
     from liaam.cli.terminal import error_console
 

@@ -7,7 +7,7 @@ import unicodedata
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -50,11 +50,12 @@ def cell(text: str) -> str:
     return escape(plain(text))
 
 
-class _Commands(TyperGroup):
-    """Command group whose error messages repeat arguments without control characters.
+class StoppedError(Exception):
+    """A command was stopped by Ctrl-C. Its text is printed, and the exit status is :data:`INTERRUPTED`."""
 
-    Ctrl-C prints one line and exits with status 130.
-    """
+
+class _Commands(TyperGroup):
+    """Command group whose error messages repeat arguments without control characters."""
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
         """Read the arguments of the program."""
@@ -63,19 +64,16 @@ class _Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Read the arguments of a command, and run it."""
-        try:
-            with _plain_complaints():
-                return super().invoke(ctx)
-        except KeyboardInterrupt as stop:
-            # Not through the console: if it was interrupted while it printed, it keeps what follows to itself.
-            print(plain(str(stop) or "stopped"), file=sys.stderr)
-            raise typer.Exit(INTERRUPTED) from None
+        with _plain_complaints():
+            return super().invoke(ctx)
 
 
 @contextmanager
 def _plain_complaints() -> Iterator[None]:
     try:
         yield
+    except KeyboardInterrupt as stop:
+        raise StoppedError(str(stop) or "stopped") from None
     except Exception as error:
         if isinstance(message := getattr(error, "message", None), str):  # of click, which typer may bring along
             error.__dict__["message"] = plain(message)
@@ -95,18 +93,30 @@ def make_app(**options: Any) -> typer.Typer:
 
 
 def run_app(app: typer.Typer) -> None:
-    """Run a command line. Print an error as one line and exit with a non-zero status."""
+    """Run a command line. Print an error or a stop as one line and exit with a non-zero status."""
     for stream in (sys.stdout, sys.stderr):  # print ? where the terminal cannot show × or θ
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
         app()
+    except StoppedError as stop:
+        _exit_stopped(str(stop))
+    except SystemExit as end:  # typer ends like this, without a word, on a Ctrl-C between its steps
+        if end.code == INTERRUPTED:
+            _exit_stopped("stopped")
+        raise
     except LiaamError as error:
         complain(f"error: {error}")
         sys.exit(1)
     except OSError as error:  # an invalid name, missing permissions, a full or removed disk
         complain(f"error: {_sentence_of(error)}")
         sys.exit(1)
+
+
+def _exit_stopped(text: str) -> NoReturn:
+    # Not through the console: if it was interrupted while it printed, it keeps what follows to itself.
+    print(plain(text), file=sys.stderr)
+    sys.exit(INTERRUPTED)
 
 
 def _sentence_of(error: OSError) -> str:

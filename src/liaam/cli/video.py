@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from liaam.cli.inputs import CameraOption, EllipsesOption, ResponseOption, camera_for, check_output, read_init
-from liaam.cli.terminal import INTERRUPTED, complain, progress_bar, say, show_table, table_of
+from liaam.cli.terminal import StoppedError, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.io.files import real_path
 from liaam.progress import Progress
@@ -105,8 +105,7 @@ def track(
                 sink(frame, tracked, result)
     report(counts, [path for path in (output, annotated, shading_free) if path is not None])
     if stopped():
-        complain(f"stopped after {counts.n} frames; their results are written")
-        raise typer.Exit(INTERRUPTED)
+        raise StoppedError(f"stopped after {counts.n} frames; their results are written")
     faults = [task.fault] if task.fault else []
     if counts.n_grey and not counts.n_unshaded:
         faults.append(
