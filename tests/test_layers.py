@@ -127,6 +127,10 @@ def test_training_and_fitting_wait_for_what_is_slow_to_import():
     assert not any(module.startswith("liaam.calibration") for module in loaded)
 
 
+def test_submodules_load_on_first_use():
+    assert "liaam.batch.run" in loaded_by("import liaam; liaam.batch.run_batch")
+
+
 @pytest.mark.parametrize("package", ["liaam", "liaam.calibration", "liaam.photometry", "liaam.plotting"])
 def test_every_public_name_exists(package):
     module = import_module(package)

@@ -9,6 +9,24 @@ from typing import TYPE_CHECKING
 from liaam.lazy import attach
 
 if TYPE_CHECKING:
+    from liaam import (
+        batch,
+        calibration,
+        datasets,
+        errors,
+        evaluation,
+        fitting,
+        io,
+        lamps,
+        model,
+        morphometry,
+        photometry,
+        plotting,
+        registration,
+        relighting,
+        tracking,
+        training,
+    )
     from liaam.calibration import theta_from_chart, theta_from_scene
     from liaam.datasets import Dataset, Sample, load_folder
     from liaam.datasets.label_faults import LabelFault, find_label_faults
@@ -102,4 +120,8 @@ _HOMES = {
     "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
     "training": ("TrainingOptions", "train"),
 }
-__getattr__, __dir__ = attach(__name__, _HOMES)
+_SUBMODULES = (
+    *("batch", "calibration", "datasets", "errors", "evaluation", "fitting", "io", "lamps", "model", "morphometry"),
+    *("photometry", "plotting", "registration", "relighting", "tracking", "training"),
+)
+__getattr__, __dir__ = attach(__name__, _HOMES, _SUBMODULES)

@@ -5,7 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 
 
-def attach(package: str, homes: Mapping[str, Sequence[str]]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+def attach(
+    package: str, homes: Mapping[str, Sequence[str]], submodules: Sequence[str] = ()
+) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Make the ``__getattr__`` and ``__dir__`` of a package (PEP 562).
 
     Parameters
@@ -14,11 +16,15 @@ def attach(package: str, homes: Mapping[str, Sequence[str]]) -> tuple[Callable[[
         Name of the package.
     homes : mapping of str to sequence of str
         Names that each submodule defines. None may be the name of a submodule, which would hide it once imported.
+    submodules : sequence of str
+        Submodules that load on first use themselves.
     """
     assert not {name for names in homes.values() for name in names} & set(homes), "a name equals that of a submodule"
     home = {name: module for module, names in homes.items() for name in names}
 
     def get(name: str) -> object:
+        if name in submodules:
+            return import_module(f"{package}.{name}")
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(import_module(f"{package}.{home[name]}"), name)
@@ -26,6 +32,6 @@ def attach(package: str, homes: Mapping[str, Sequence[str]]) -> tuple[Callable[[
         return value
 
     def names() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *home})
+        return sorted({*vars(sys.modules[package]), *home, *submodules})
 
     return get, names
