@@ -72,6 +72,7 @@ def test_a_newcomer_sees_the_light_come_off_with_one_click(serve, page, empty):
     page.locator("[data-testid=tab-annotate][aria-selected=true]").wait_for()
     assert model_of(page) is None
     assert page.locator("[data-testid=head-1]:visible").count() == 1
+    assert page.locator(".viewer-zoom:visible").count() == 0  # it would cover the heads on a phone
 
 
 def test_a_dropped_model_fits_pictures_without_a_template(serve, page, folder, model_bytes, artefacts):
