@@ -325,7 +325,7 @@ def test_train_does_not_overwrite_a_picture(run, portraits, tmp_path):
     write_image(tmp_path / "holiday.png", read_image(portraits[1]))
     code, _, err = run("train", portraits[0], "-o", tmp_path / "holiday.png")
     assert code == 1
-    assert "is an image or landmark file" in err
+    assert "exists and is not a .liaam file, so it is kept" in err
     assert read_image(tmp_path / "holiday.png").shape == (200, 150, 3)
 
 

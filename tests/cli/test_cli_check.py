@@ -51,6 +51,16 @@ def test_check_says_that_all_is_well(run, good, tmp_path):
     assert not (tmp_path / "o").exists()
 
 
+def test_check_finds_landmarks_outside_of_their_image(run, scenes, tmp_path):
+    folder = write_folder(tmp_path, scenes)
+    write_landmarks(folder / "face4.pts", Landmarks(scenes[4].landmarks + 500))
+    code, text, err = run("check", folder)
+    assert code == 1 and "no faults" not in text
+    n = len(scenes[4].landmarks)
+    assert f"face4: {n} of {n} landmarks lie outside the image of 120×160 pixels" in err
+    assert "they belong to another image" in err
+
+
 def test_check_finds_shows_and_mends(run, scenes, spoilt, tmp_path):
     before = {path.name: path.read_bytes() for path in spoilt.iterdir()}
     code, text, err = run("check", spoilt, "-o", tmp_path / "o")
@@ -146,3 +156,13 @@ def test_training_says_so(run, good, spoilt, tmp_path):
     assert code == 1  # such an order folds the mesh, which is where training has always stopped
     assert "fold the mesh" in err.splitlines()[-1]
     assert run("train", good, *options)[2] == ""
+
+
+def test_training_names_points_far_off(run, scenes, tmp_path):
+    folder = write_folder(tmp_path, scenes)
+    points = scenes[4].landmarks.copy()
+    points[30] += 25
+    write_landmarks(folder / "face4.pts", Landmarks(points))
+    _, _, err = run("train", folder, "--diagonal", 40, "--no-leave-out", "-o", tmp_path / "m.liaam")
+    assert err.splitlines()[0].startswith("face4: point 31")
+    assert "liaam check" in err.splitlines()[1]

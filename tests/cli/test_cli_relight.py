@@ -127,7 +127,7 @@ def test_a_fit_that_fails_is_told_and_the_picture_written(run, files, tmp_path, 
     code, out, err = run("relight", files / "head.liaam", tmp_path / "noise.png", "-o", tmp_path / "out.png")
     assert code == 1
     assert "noise.png: " in err
-    assert "out.png was written from this fit" in " ".join(err.split())
+    assert "relit from this fit all the same" in " ".join(err.split())
     assert "written to" in out
     assert read_image(tmp_path / "out.png").shape == (160, 120, 3)
 
@@ -139,7 +139,7 @@ def test_several_images_go_into_a_folder_and_a_broken_one_stops_nothing(run, fil
         "relight", files / "head.liaam", files / "lit.png", broken, files / "other.png", "-o", tmp_path
     )
     assert code == 1
-    assert "lit_flat.png, other_flat.png" in out
+    assert f"written to {tmp_path}" in out
     assert "broken.png" in err
     assert [path.name for path in sorted(tmp_path.glob("*_flat.png"))] == ["lit_flat.png", "other_flat.png"]
 

@@ -34,20 +34,21 @@ def check(
 ) -> None:
     """Find landmarks that are swapped, in reverse order, or far from their expected positions.
 
-    Also names grey images among colour images, damaged images, and files that do not match. Changes nothing in the
+    Also names grey images among colour images, damaged images, landmarks outside of their image, and files that do not
+    match. Changes nothing in the
     folder. The exit status is 1 if faults are found.
     """
     data = read_folder(folder, images, recursive)
-    damaged = check_pixels(data)
+    unusable = check_pixels(data)
     complete = complete_samples(data)
     if len(complete) < len(data):
         complain(f"skipped {len(data) - len(complete)} of {len(data)} images with missing landmarks")
     with progress_bar() as progress:
         faults = faults_by_sample(complete, progress)
     if not faults:
-        say("no faults found in the landmarks of single images")
-        if damaged:
+        if unusable:
             raise typer.Exit(1)
+        say("no faults found in the landmarks of single images")
         return
     table = table_of("image", "landmarks")
     for sample, own in faults:
@@ -60,26 +61,34 @@ def check(
 
 
 def check_pixels(data: "Dataset") -> bool:
-    """Name images that are damaged, and grey images among colour images. Return whether any is damaged."""
+    """Name images that are damaged or do not contain their landmarks, and grey images among colour images.
+
+    Return whether any cannot be used.
+    """
     from liaam.photometry import is_grey
     from liaam.photometry.encoding import as_colour
-    from liaam.training.images import GREY_USE
+    from liaam.training.images import GREY_USE, describe_outside
     from liaam.workers import in_threads
 
-    def look(sample: "Sample") -> bool | LiaamError:
+    def look(sample: "Sample") -> bool | str:
         try:
-            return is_grey(as_colour(sample.read_image(), sample.name))
+            image = as_colour(sample.read_image(), sample.name)
         except LiaamError as error:
-            return error
+            return str(error)
+        placed = sample.landmarks.points[~sample.landmarks.missing]
+        outside = describe_outside(placed, image.shape) if len(placed) else ""
+        if outside:
+            return f"{sample.name}: {outside}: they belong to another image, or to one of another size"
+        return is_grey(image)
 
     found = in_threads(look, data.samples)
-    damaged = [each for each in found if isinstance(each, LiaamError)]
-    for error in damaged:
-        complain(str(error))
+    unusable = [each for each in found if isinstance(each, str)]
+    for fault in unusable:
+        complain(fault)
     grey = [sample.name for sample, each in zip(data, found, strict=True) if each is True]
-    if grey and len(grey) + len(damaged) < len(data):
+    if grey and len(grey) + len(unusable) < len(data):
         say(f"{len(grey)} of {len(data)} images are grey ({', '.join(grey)}): {GREY_USE}")
-    return bool(damaged)
+    return bool(unusable)
 
 
 def complete_samples(data: "Dataset") -> "list[Sample]":
@@ -134,7 +143,7 @@ def write_reordered(place: Path, landmarks: "Landmarks") -> None:
 
 
 def warn_of_faults(data: "Dataset", folder: Path) -> None:
-    """Warn, before training, about landmarks in another order than in the other images."""
+    """Warn, before training, about landmarks in another order than in the other images, or far off."""
     from liaam.datasets.label_faults import LEAST_PICTURES
 
     complete = complete_samples(data)
@@ -142,7 +151,7 @@ def warn_of_faults(data: "Dataset", folder: Path) -> None:
         return
     with progress_bar() as progress:
         faults = faults_by_sample(complete, progress)
-    found = [(sample, fault) for sample, own in faults for fault in own if fault.is_order]
+    found = [(sample, fault) for sample, own in faults for fault in own]
     for sample, fault in found[:MAX_WARNINGS]:
         complain(f"{sample.name}: {fault.message}")
     if found:

@@ -15,6 +15,7 @@ from liaam.cli.inputs import (
     RotationsOption,
     camera_for,
     read_with_start,
+    say_advice,
     unique_stems,
 )
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
@@ -78,10 +79,11 @@ def fit(
     low_score = LOW_SCORE + (TURNED if rotations == "upright" else "")
     quick = None if every or init is not None else replace(fitter, restarts=False)
 
-    def results_of(named: tuple[Path, str]) -> "tuple[list[FitResult], bool] | LiaamError":
+    def results_of(named: tuple[Path, str]) -> "tuple[dict[str, FitResult], bool] | LiaamError":
         try:
             results = fit_file(fitter, named[0], init, every, outputs, named[1])
-            return results, quick is not None and has_others(quick, named[0], results[0])
+            first = next(iter(results.values()))
+            return results, quick is not None and has_others(quick, named[0], first)
         except LiaamError as error:
             return error
 
@@ -99,18 +101,18 @@ def fit(
             fits, others = results
             if others:
                 advice.setdefault(SEVERAL, []).append(image.name)
-            for result in fits:
-                table.add_row(cell(image.name), *row_of(result))
+            for stem, result in fits.items():
+                name = image.name if stem == image.stem else stem  # of several, as their files
+                table.add_row(cell(name), *row_of(result))
                 if not result.status.ok:
                     failed += 1
-                    advice.setdefault(f"{result.status}: {result.message}", []).append(image.name)
+                    advice.setdefault(f"{result.status}: {result.message}", []).append(name)
                 if result.detection_doubtful:
-                    advice.setdefault(low_score, []).append(image.name)
+                    advice.setdefault(low_score, []).append(name)
     if table.row_count:
         show_table(table)
         say(f"written to {output}")
-    for text, names in advice.items():
-        complain(f"{', '.join(names[:5])}{' …' if len(names) > 5 else ''}: {text}")
+    say_advice(advice)
     if failed:
         raise typer.Exit(1)
 
@@ -136,8 +138,11 @@ class Outputs:
 
 def fit_file(
     fitter: "Fitter", image: Path, init: str | None, every: bool, outputs: Outputs, stem: str
-) -> "list[FitResult]":
-    """Fit one image file from `init`, from the start that the search finds, or from `every` start it finds."""
+) -> "dict[str, FitResult]":
+    """Fit one image file from `init`, from the start that the search finds, or from `every` start it finds.
+
+    Return the results by the name of their files.
+    """
     if not every:
         refuse_to_overwrite(outputs.folder, stem)
     pixels, start = read_with_start(image, init)
@@ -147,7 +152,9 @@ def fit_file(
         stems = [f"{stem}_{i}" for i in range(1, len(starts) + 1)]
         for name in stems:
             refuse_to_overwrite(outputs.folder, name)
-    return [fit_one(fitter, pixels, start, image, outputs, name) for start, name in zip(starts, stems, strict=True)]
+    return {
+        name: fit_one(fitter, pixels, start, image, outputs, name) for start, name in zip(starts, stems, strict=True)
+    }
 
 
 def has_others(fitter: "Fitter", image: Path, result: "FitResult") -> bool:

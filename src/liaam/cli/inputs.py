@@ -1,12 +1,12 @@
 """Options and checks that several commands share."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli.terminal import say
+from liaam.cli.terminal import complain, say
 from liaam.errors import CameraError, LiaamError
 from liaam.io.atomic import check_output
 from liaam.io.files import real_path, some_names
@@ -182,6 +182,12 @@ def read_patches(path: Path) -> "np.ndarray":
     if boxes.ndim != 2 or boxes.shape[1] != 4:
         raise CameraError(f"{path} is not a patch file: give one row x0,y0,x1,y1 in pixels per patch")
     return boxes
+
+
+def say_advice(advice: Mapping[str, Sequence[str]]) -> None:
+    """Print each piece of advice once, with the names of the images that it is for."""
+    for text, names in advice.items():
+        complain(f"{', '.join(names[:5])}{' …' if len(names) > 5 else ''}: {text}")
 
 
 def names_of(paths: Sequence[Path]) -> str:

@@ -40,7 +40,7 @@ def lamps(
 ) -> None:
     """Learn the effect of lamps from a few objects, for 'liaam train --lamps'. The file stores no image.
 
-    Also draws the effect of each lamp on plain grey. 'liaam show' draws it on a landmarked image.
+    'liaam show' draws the effect of each lamp on plain grey, or on a landmarked image.
     """
     check_output(output)
     if output.suffix.lower() != LAMPS_SUFFIX:
@@ -48,9 +48,7 @@ def lamps(
     learnt = read_lamps(folder, training_lamp, recursive)
     learnt.save(output)
     say(f"{output}: {len(learnt)} lamps for objects with {len(learnt.mean)} landmarks")
-    picture = output.with_suffix(".png")
-    draw_lamps(learnt, picture)
-    say(f"written to {picture}")
+    say(f"draw them with 'liaam show {output}'")
 
 
 def read_lamps(

@@ -15,6 +15,7 @@ from liaam.cli.inputs import (
     numbers_in,
     read_with_start,
     refuse_inputs,
+    say_advice,
     unique_stems,
 )
 from liaam.cli.terminal import complain, progress_bar, say
@@ -73,7 +74,7 @@ def relight(
     refuse_inputs(outputs, inputs)
 
     from liaam.fitting import Fitter
-    from liaam.io import write_image
+    from liaam.io import make_folder, write_image
     from liaam.model import load_model
     from liaam.relighting.lamp import AMBIENT, check_ambient, unit_direction
 
@@ -88,13 +89,14 @@ def relight(
             "images"
         )
     fitter = Fitter(model, method, camera=camera_for(inputs, camera_file, response, model.camera))
-    written, failed = [], False
+    make_folder(outputs[0].parent)
+    written, failed, other = [], False, None
+    advice: dict[str, list[str]] = {}
     with progress_bar() as progress:
         progress(0, len(inputs), inputs[-1].name)
-        other = None
         if like is not None:
             other, result = fit_relighter(fitter, like, like_init)
-            failed = warn(like, result, "its light was used")
+            failed = add_advice(advice, like, result, "its light was used")
         for i, (image, path) in enumerate(zip(images, outputs, strict=True), len(inputs) - len(images)):
             progress(i, len(inputs), image.name)
             try:
@@ -109,10 +111,11 @@ def relight(
                 failed = True
                 continue
             written.append(path)
-            failed |= warn(image, result, f"{path.name} was written")
+            failed |= add_advice(advice, image, result, "relit")
         progress(len(inputs), len(inputs), images[-1].name)
     if written:
-        say(f"written to {names_of(written) if output is None or len(images) > 1 else output}")
+        say(f"written to {output or names_of(written)}")
+    say_advice(advice)
     if failed:
         raise typer.Exit(1)
 
@@ -133,12 +136,14 @@ def check_lights(
 
 def output_paths(images: list[Path], output: Path | None, ending: str) -> list[Path]:
     """Return the path to write for each image. Raise if one cannot be written."""
+    from liaam.io import IMAGE_SUFFIXES
+
     folder = Path() if output is None else output
     if output is not None and len(images) == 1 and not output.is_dir():
         check_image_name(output)
         return [output]
-    if not folder.is_dir():
-        raise LiaamError(f"{folder} is not a folder; for several images, give a folder that exists with -o")
+    if len(images) > 1 and (folder.is_file() or folder.suffix.lower() in IMAGE_SUFFIXES):
+        raise LiaamError(f"{folder} is not a folder; for several images, give a folder with -o")
     return [folder / f"{stem}_{ending}.png" for stem in unique_stems(images)]
 
 
@@ -160,15 +165,18 @@ def fit_relighter(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Reli
     return Relighter.of(fitter, pixels, result, name=str(path)), result
 
 
-def warn(image: Path, result: "FitResult", what: str) -> bool:
-    """Warn if a fit may be wrong, and say what was done. Return whether it failed."""
+def add_advice(advice: dict[str, list[str]], image: Path, result: "FitResult", what: str) -> bool:
+    """Add what may be wrong with a fit, and what was done with it. Return whether it failed."""
     import numpy as np
 
     if not result.status.ok:
-        complain(f"{image.name}: {result.status}: {result.message.rstrip('.')}; {what} from this fit")
+        advice.setdefault(
+            f"{result.status}: {result.message.rstrip('.')}; {what} from this fit all the same", []
+        ).append(image.name)
     if result.detection_doubtful:
-        complain(f"{image.name}: {LOW_SCORE}")
+        advice.setdefault(LOW_SCORE, []).append(image.name)
     elif np.isnan(result.quality):
         place = "" if result.found is None else f", search score {result.found.score:.2f}"
-        complain(f"{image.name}: quality unknown{place}: the model has no calibrated quality; check the result")
+        text = f"quality unknown{place}: the model has no calibrated quality; check the result"
+        advice.setdefault(text, []).append(image.name)
     return not result.status.ok

@@ -14,6 +14,9 @@ from liaam.cli.models import count_copies, count_modes
 from liaam.cli.terminal import complain, progress_bar, say, warnings_as_lines
 from liaam.errors import LiaamError
 
+MODEL_SUFFIX = ".liaam"
+"""Suffix of files that may be replaced by a model."""
+
 AUTO = "auto"
 LAMP_WORDS = {AUTO: AUTO, "none": None}
 """Values of --lamps that are neither a file nor a folder."""
@@ -90,7 +93,6 @@ def train(
     Landmarks: .pts, .asf, .tem, .ljson or .csv beside each image, or one .tps, dlib .xml, COCO .json or .csv for all.
     """
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-    from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
     from liaam.training import train as train_model
 
     if theta is not None and not 60 <= theta <= 180:
@@ -100,9 +102,10 @@ def train(
         "appearance_variance": None if appearance_variance is None else parse_variance(appearance_variance),
     }
     check_output(output)
-    if output.exists() and output.suffix.lower() in {*IMAGE_SUFFIXES, *LANDMARK_SUFFIXES}:
+    if output.exists() and output.suffix.lower() != MODEL_SUFFIX:
         raise LiaamError(
-            f"{output} is an image or landmark file; give another name for the model, such as {folder.name}.liaam"
+            f"{output} exists and is not a {MODEL_SUFFIX} file, so it is kept; give another name for the model, such "
+            f"as {folder.name}{MODEL_SUFFIX}"
         )
     data = read_folder(folder, images, recursive)
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)

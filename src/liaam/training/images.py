@@ -102,13 +102,23 @@ def _look(warp: PiecewiseAffineWarp, entry: Entry) -> _Look:
         image = as_colour(entry.read_image(), entry.name)
     except ImageError as fault:
         return _Look(damage=str(fault))
-    inside = np.array(image.shape[1::-1]) - 0.5
     points = warp.interpolate(entry.points)
-    return _Look(is_grey(image), _outside(entry.points, points, inside), _exposure(image, points))
+    return _Look(is_grey(image), describe_outside(entry.points, image.shape, points), _exposure(image, points))
 
 
-def _outside(landmarks: np.ndarray, points: np.ndarray, inside: np.ndarray) -> str:
-    """Describe how far landmarks, or the mesh's pixels, lie outside an image. Empty if that is no fault."""
+def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.ndarray | None = None) -> str:
+    """Describe how far landmarks, or the mesh's pixels, lie outside an image. Empty if that is no fault.
+
+    Parameters
+    ----------
+    landmarks : (n, 2) float
+        In image pixels.
+    shape : tuple of int
+        Height and width of the image come first.
+    points : (k, 2) float, optional
+        Pixels of the mesh; by default the landmarks.
+    """
+    points, inside = landmarks if points is None else points, np.array(shape[1::-1]) - 0.5
     beyond = np.maximum(-0.5 - landmarks, landmarks - inside).max(axis=1)
     covered = float(((points > -0.5) & (points < inside)).all(axis=1).mean())
     if covered >= LEAST_INSIDE and beyond.max() <= FAR * diagonal_of(landmarks):
