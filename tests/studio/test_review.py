@@ -12,7 +12,7 @@ from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, st
 from liaam.io import Landmarks, read_collection, read_landmarks, write_landmarks
 from liaam.studio.export import export_of
 from liaam.studio.folder import STATE
-from liaam.studio.model_store import Versions
+from liaam.studio.model_store import ModelStore, Versions, model_json
 from liaam.studio.project import Project
 from liaam.studio.training_process import choose_held_out
 
@@ -79,6 +79,23 @@ def test_a_picture_left_out_is_not_trained_on(placed):
     assert act(placed, "left out", "p1.png")["changed"] == []
     act(placed, "taken in", "p1.png")
     assert [item.name for item in Project(placed.root).annotated()] == ["p1.png", "p2.png"]
+
+
+def test_leaving_out_and_taking_in_make_the_model_stale(placed, head_model):
+    act(placed, "left out", "p2.png")
+    facts = {"source": "studio", "trained": None, "pictures": placed.overview().done}
+
+    def stale(unread=(), **more):
+        shown = model_json(ModelStore().publish(head_model, {**facts, **more}), placed.overview().done, unread)
+        return shown and shown["stale"]
+
+    assert stale() == 0
+    act(placed, "taken in", "p2.png")
+    assert stale() == 1
+    act(placed, "left out", "p1.png")
+    assert stale() == 2
+    assert stale(unread=["p1.png"]) == 1
+    assert stale(left_out={"p1.png": "the picture is grey"}) == 1  # the model was not trained on it either
 
 
 def test_a_discarded_proposal_comes_back_by_undo_or_as_another_one(placed):

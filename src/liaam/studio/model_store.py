@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -229,13 +229,20 @@ def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
     return model
 
 
-def model_json(current: ModelInUse | None, done: Mapping[str, str]) -> dict[str, Any] | None:
-    """Return the current model as JSON for the page; ``done`` holds the revisions of the done pictures by name."""
+def model_json(
+    current: ModelInUse | None, done: Mapping[str, str], unread: Collection[str] = ()
+) -> dict[str, Any] | None:
+    """Return the current model as JSON for the page.
+
+    ``done`` holds the revisions of the pictures for training by name; ``unread`` are those not known yet.
+    """
     if current is None:
         return None
     model, facts = current.model, current.facts
     known = facts["pictures"] if current.is_careful else {}
-    stale = sum(known.get(name) != revision for name, revision in done.items())
+    changed = sum(known.get(name) != revision for name, revision in done.items())
+    served = known.keys() - facts.get("left_out", {}).keys()
+    lost = served - done.keys() - set(unread)  # left out by the user since, or without landmarks now
     # A picture that has changed since may be used by the next training.
     same = {name for name, revision in done.items() if facts["pictures"].get(name) == revision}
     return {
@@ -244,7 +251,7 @@ def model_json(current: ModelInUse | None, done: Mapping[str, str]) -> dict[str,
         "n_images": model.n_images,
         "n_points": model.n_points,
         "trained": facts["trained"],
-        "stale": stale,
+        "stale": changed + len(lost),
         "careful": current.is_careful,
         "colour": model.is_colour,
         "triangles": model.triangles.tolist(),

@@ -78,7 +78,9 @@ class Overview:
     pictures: list[dict[str, Any]]
     """The pictures as JSON for the page, in natural order."""
     done: dict[str, str]
-    """Revision of the landmarks of each done picture, by name."""
+    """Revision of the landmarks of each done picture that is not left out of training, by name."""
+    unread: list[str]
+    """Names of the pictures whose files have not been read yet."""
 
 
 class Project:
@@ -220,7 +222,8 @@ class Project:
         read = {file.name for file in files if states.is_read(file)}
         pictures = [states.as_json(file, ranks) if file.name in read else states.unread_json(file) for file in files]
         stamp += "" if len(read) == len(pictures) else "-reading"
-        return Overview(stamp, pictures, {item.name: item.revision for item in self._annotated(read)})
+        done = {item.name: item.revision for item in self._annotated(read)}
+        return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
     def path_of(self, name: str) -> Path:
         """Return the path of a picture.
