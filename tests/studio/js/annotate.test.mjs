@@ -794,6 +794,32 @@ test("what failed is not tried again by itself until something changes", () => {
   assert.ok(assist.shouldTrain(project(["done", "done", "done", "done", "done"]), { auto: true, failedAt }));
 });
 
+test("a picture that is left out of training does not count for it, and leaving it out is a change", () => {
+  const pictures = ["a", "b", "c", "d", "e"].map((name) => ({ name, state: "done", left_out: null }));
+  const of = (...left) => ({
+    ...project([]), pictures: pictures.map((picture) => ({ ...picture, left_out: left.includes(picture.name) && "Ann" })),
+  });
+  assert.ok(assist.shouldTrain(of("a"), { auto: true }));
+  assert.ok(!assist.shouldTrain(of("a", "b"), { auto: true }));
+  assert.ok(assist.shouldTrain(of("b"), { auto: true, failedAt: assist.situation(of("a")) }));
+});
+
+test("next is a picture of the subfolder that the list shows", () => {
+  const state = new State();
+  const told = [];
+  state.addEventListener("folder", () => told.push(state.folder));
+  const pictures = ["a/1", "b/1", "ab/1", "a/c/2"].map((name, i) => ({ name, rank: 9 - i, state: "new" }));
+  state.project = { pictures };
+  const next = () => assist.nextToTeach(state.pictures, "a/1")?.name;
+  assert.equal(next(), "a/c/2");
+  state.showFolder("b");
+  assert.deepEqual([next(), told], ["b/1", ["b"]]);
+  state.showFolder("a");
+  assert.equal(next(), "a/c/2");
+  pictures.pop();
+  assert.equal(next(), undefined);
+});
+
 test("next is the picture of the best rank, else the next in the folder, round", () => {
   const { pictures } = project(["new", "done", "new", "broken", "new"]);
   assert.equal(assist.nextToTeach(pictures, "2").name, "4");

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 
-import { fileNameIn } from "./modules/fit-export.js";
+import { fileNameIn, useAsAnnotation } from "./modules/fit-export.js";
 import { shareAfterKey } from "./modules/divider.js";
 import * as geometry from "./modules/fit-geometry.js";
 import { betterOf, cleaned, comparison, duration, factsOf, FitStore, significant, verdictOf } from "./modules/fit-run.js";
@@ -12,6 +12,7 @@ import { FrameMeter, LatestWins } from "./modules/fit-schedule.js";
 import { meanShape } from "./modules/fit-start.js";
 import * as inv from "./modules/invariant.js";
 import { lightQuery, PRESETS } from "./modules/relight.js";
+import { State } from "./modules/state.js";
 
 const close = (a, b, tolerance = 1e-6) => assert.ok(Math.abs(a - b) <= tolerance, `${a} is not ${b}`);
 const closePoints = (a, b, tolerance = 1e-6) => a.forEach((p, i) => p.forEach((v, k) => close(v, b[i][k], tolerance)));
@@ -491,6 +492,28 @@ test("the mean shape is the model's, else a layout with as many points, else whe
   assert.deepEqual(meanShape({ model: { n_points: 2 }, template: { points: [[2, 2]] } }, began), [[5, 5]]);
   assert.equal(meanShape({ model: { n_points: 2 }, template: null }, null), null);
 });
+
+test("a fit that becomes the landmarks is saved in the name of the person", async () => {
+  globalThis.localStorage = { getItem: () => "Ann" };
+  const { app, sent } = pageWith({ source: "file", points: [[0, 0]], invisible: [0], revision: "r" });
+  await useAsAnnotation(app, { picture: "a.png", shape: [[1, 2]] });
+  const body = { points: [[1, 2]], invisible: [0], revision: "r", template: "t", folder: "here", who: "Ann" };
+  assert.deepEqual(sent, [["/api/pictures/a.png/landmarks", body]]);
+  app.confirm = async () => false;
+  await useAsAnnotation(app, { picture: "a.png", shape: [[1, 2]] });
+  assert.equal(sent.length, 1);
+});
+
+/** The app of a page whose server has these marks, and the bodies that are sent to it. */
+function pageWith(marks) {
+  const [state, sent] = [new State(), []];
+  state.project = { id: "here", pictures: [], template: { revision: "t" } };
+  globalThis.fetch = async (address, { method, body }) => {
+    if (method === "PUT") sent.push([address, JSON.parse(body)]);
+    return new Response(JSON.stringify(method === "PUT" ? { picture: { name: "a.png" } } : marks), { status: 200 });
+  };
+  return { app: { state, confirm: async () => true, toast() {} }, sent };
+}
 
 test("chroma says how much of the picture it covers; that of before covers all", () => {
   const bytes = new ArrayBuffer(16 + 4 * 2);

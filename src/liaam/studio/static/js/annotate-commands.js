@@ -37,7 +37,7 @@ export function createCommands(tab) {
     const { name, saver } = tab;
     warned = null;
     // The states of the pictures that are being saved are out of date.
-    const known = state.project.pictures.filter((picture) => picture.name === name || !saver.isDirty(picture.name));
+    const known = state.pictures.filter((picture) => picture.name === name || !saver.isDirty(picture.name));
     const next = nextToTeach(known, name);
     if (next) {
       state.select(next.name);
@@ -46,8 +46,9 @@ export function createCommands(tab) {
     }
     tab.leavePicture(name);
     await saver.flush(); // updates the states of the pictures
-    const left = unfinished(state.project);
-    app.toast(left || "All pictures are done. Open Fit to try the model.", left ? "info" : "good");
+    const left = unfinished({ pictures: state.pictures, model: state.project.model });
+    const all = state.folder ? `All pictures of ${state.folder} are done.` : "All pictures are done.";
+    app.toast(left || `${all} Open Fit to try the model.`, left ? "info" : "good");
   }
 
   const commands = {

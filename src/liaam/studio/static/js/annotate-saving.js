@@ -2,7 +2,6 @@
 
 import { contentOf, Saver } from "./saving.js";
 import { Page, Unsaved } from "./unsaved.js";
-import { whoAmI } from "./who.js";
 
 const KEEPALIVE = 60_000; // largest body in bytes that a browser still sends after the page is closed
 
@@ -25,8 +24,7 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
   const page = new Page();
   let deciding = false;
   const template = () => state.project?.template ?? null;
-  const addressOf = (name) => api.url("pictures", name, "landmarks");
-  const fetchMarks = (name) => api.get(addressOf(name));
+  const fetchMarks = (name) => api.get(api.url("pictures", name, "landmarks"));
   /** Fetch the marks of a picture; null if the request fails. */
   const tryToFetch = (name) => fetchMarks(name).catch(() => null);
 
@@ -43,7 +41,7 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
 
   function put(name, body) {
     const options = { keepalive: JSON.stringify(body).length < KEEPALIVE };
-    return state.send((folder) => api.put(addressOf(name), { ...body, folder, who: whoAmI() }, options));
+    return state.saveMarks(name, body, options);
   }
 
   /** Mark a picture whose mean shape was not moved. */

@@ -3,29 +3,33 @@
 import { several } from "./annotate-words.js";
 import { button, h, icon } from "./ui.js";
 
-export const LEAST = 3; // pictures needed for training
-export const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
-export const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
+const LEAST = 3; // pictures needed for training
+const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
+const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const AUTO_KEY = "liaam-studio:auto-train";
 
-export const countDone = (pictures) => pictures.filter((picture) => picture.state === "done").length;
+const countDone = (pictures) => pictures.filter((picture) => picture.state === "done").length;
+
+/** The pictures that a training uses. */
+const forTraining = (pictures) => pictures.filter(({ state, left_out: who }) => state === "done" && !who);
 
 /** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped. */
 export function shouldTrain(project, { auto, failedAt = null }) {
   const { model, training, pictures } = project;
   if (!auto || !project.template || training?.state === "running") return false;
   if (model && model.source !== "studio") return false; // a model given by the user is replaced only on request
-  if (countDone(pictures) < AUTO_FIRST || situation(project) === failedAt) return false;
+  if (forTraining(pictures).length < AUTO_FIRST || situation(project) === failedAt) return false;
   return !model || model.stale >= AUTO_AGAIN;
 }
 
 /** Key of the training data: training on the same data would fail again. */
-export const situation = ({ model, pictures }) => `${countDone(pictures)}|${model?.stale ?? "none"}`;
+export const situation = ({ model, pictures }) =>
+  JSON.stringify([forTraining(pictures).map(({ name }) => name), model?.stale ?? null]);
 
-/** What is not done yet, as a sentence; "" if all pictures are done and the model was trained on all of them. */
+/** What is not done yet, as a sentence; "" if all shown pictures are done and the model was trained on all of them. */
 export function unfinished({ pictures, model }) {
   const open = pictures.filter((picture) => picture.state !== "done").length;
-  const left = Object.keys(model?.left_out ?? {});
+  const left = pictures.map(({ name }) => name).filter((name) => name in (model?.left_out ?? {}));
   const parts = [
     open && `${several(open, "picture")} ${open === 1 ? "is" : "are"} not done`,
     left.length && `the model leaves out ${left.length === 1 ? left[0] : several(left.length, "picture")}`,
@@ -98,15 +102,17 @@ export function mismatch({ model, template }) {
  * @param {{app: App, [handler: string]: any}} options
  */
 export function createAssist({ app, accept, skip, confirm }) {
-  const { api, state, toast } = app;
+  const { api, state } = app;
   let failedAt = null;
   let asking = false;
   let noted = "";
+  let known = null; // the pictures that were left out of training, once all states are known
 
   const count = h("p.assist-count");
   const bar = h("span");
-  const range = { "aria-valuemin": 0, "aria-valuemax": 100 };
-  const progress = h("div.progress", { role: "progressbar", "aria-label": "Training", ...range }, bar);
+  const progress = h("div.progress", {
+    role: "progressbar", "aria-label": "Training", "aria-valuemin": 0, "aria-valuemax": 100,
+  }, bar);
   const what = h("p.small.muted", { role: "status" });
   const cancel = button("Cancel", { small: true, kind: "ghost", testid: "training-cancel", onclick: stop });
   const running = h("div.column.assist-running", { testid: "training-progress", hidden: true },
@@ -157,8 +163,6 @@ export function createAssist({ app, accept, skip, confirm }) {
     failedAt = situation(state.project); // do not restart automatically what the user has stopped
     try {
       await state.send((folder) => api.delete(api.url("training"), { folder }));
-    } catch (error) {
-      toast(error, "bad");
     } finally {
       cancel.disabled = false;
     }
@@ -188,10 +192,10 @@ export function createAssist({ app, accept, skip, confirm }) {
     const { project } = state;
     if (!project) return;
     const { pictures, model, training } = project;
-    const done = countDone(pictures);
     const usable = pictures.filter((picture) => picture.state !== "broken").length;
     const left = Object.keys(model?.left_out ?? {}).length;
-    count.textContent = `${done} of ${usable} done${left ? `, ${left} left out` : ""}`;
+    count.textContent = `${countDone(pictures)} of ${usable} done${left ? `, ${left} left out` : ""}`;
+    const done = forTraining(pictures).length;
     element.hidden = !project.template;
     const runs = training?.state === "running";
     running.hidden = !runs;
@@ -218,14 +222,15 @@ export function createAssist({ app, accept, skip, confirm }) {
 
   function explain({ pictures, model, training }, done) {
     const here = state.picture();
-    const then = nextToTeach(pictures, state.current);
+    const then = nextToTeach(state.pictures, state.current);
+    const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(without));
     if (without) why.textContent = `The model leaves this picture out, because ${without}.`;
     else if (here && here.state !== "done" && here.uncertainty != null && model)
       why.textContent = reason(here, pictures, model);
-    else if (!then) why.textContent = unfinished(state.project) || (done ? "All pictures are done." : "");
+    else if (!then) why.textContent = left || (done ? "All pictures are done." : "");
     else if (model) why.textContent = `Next: ${then.name}. ${reason(then, pictures, model)}`;
     else if (done < AUTO_FIRST)
       why.textContent = `After ${several(AUTO_FIRST - done, "more picture")} the model can place points for you.`;
@@ -233,17 +238,21 @@ export function createAssist({ app, accept, skip, confirm }) {
     else why.textContent = "Train the model to let it place points for you.";
   }
 
+  const trainIfNeeded = () => shouldTrain(state.project, { auto: auto.checked, failedAt }) && start();
+
   /** Train between two pictures, when no point is being moved. */
   async function left() {
     await state.refresh().catch(() => {});
-    if (shouldTrain(state.project, { auto: auto.checked, failedAt })) await start();
+    await trainIfNeeded();
   }
 
-  /** Train on opening, once the states of all pictures are known. */
-  function opened() {
-    if (state.project.pictures.some((picture) => picture.state === "reading")) return;
-    state.removeEventListener("project", opened);
-    if (shouldTrain(state.project, { auto: auto.checked })) start();
+  /** Train on opening, once the states of all pictures are known, and when pictures are left out or taken in. */
+  function watch() {
+    const { pictures } = state.project;
+    if (pictures.some((picture) => picture.state === "reading")) return;
+    const now = JSON.stringify(pictures.filter(({ left_out: who }) => who).map(({ name }) => name));
+    if (now !== known) trainIfNeeded();
+    known = now;
   }
 
   state.addEventListener("training", (/** @type {any} */ { detail }) => {
@@ -252,10 +261,9 @@ export function createAssist({ app, accept, skip, confirm }) {
     if (detail.state === "done") failedAt = null;
     refresh();
   });
-  state.addEventListener("project", refresh);
-  state.addEventListener("project", opened);
-  state.addEventListener("select", refresh);
+  for (const event of ["project", "select", "folder"]) state.addEventListener(event, refresh);
+  state.addEventListener("project", watch);
   refresh();
-  opened();
+  watch();
   return { element, sure, left };
 }

@@ -131,19 +131,17 @@ export function fileNameIn(disposition, otherwise) {
 
 /** Save a fit's landmarks for its picture; ask before replacing others. Returns whether they were saved. */
 export async function useAsAnnotation(app, fit) {
-  const address = api.url("pictures", fit.picture, "landmarks");
-  const { template } = app.state.project;
-  const known = await api.get(address);
+  const { state } = app;
+  const known = await api.get(api.url("pictures", fit.picture, "landmarks"));
   const placed = known.source === "file" && known.points.some(Boolean);
   const text = `${fit.picture} already has landmarks (${known.file ?? "in its file"}).`;
   const replace = () =>
     app.confirm("Replace the landmarks?", `${text} They will be replaced by those of the fit.`, "Replace");
   if (placed && !(await replace())) return false;
-  const marks = {
+  const saved = await state.saveMarks(fit.picture, {
     points: fit.shape, invisible: placed ? known.invisible : [], revision: known.revision,
-    ...(template?.revision === undefined ? {} : { template: template.revision }),
-  };
-  const saved = await app.state.send((folder) => api.put(address, { ...marks, folder }));
-  app.state.update(saved.picture);
+    template: state.project.template?.revision,
+  });
+  state.update(saved.picture);
   return true;
 }

@@ -2,6 +2,8 @@
 
 import { nameIn, remember } from "./address.js";
 import { api, ApiError } from "./api.js";
+import { isIn } from "./strip-filters.js";
+import { whoAmI } from "./who.js";
 
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
 
@@ -12,6 +14,7 @@ export class State extends EventTarget {
     this.project = null;
     this.current = null;
     this.order = []; // names of the pictures as the list shows them
+    this.folder = ""; // the subfolder that the list shows; "" for all
     this.online = true;
     this.restarted = false; // whether a new server refuses this page, which has the token of an earlier one
     this.unsure = false; // whether another server, for another folder, may have taken over the port
@@ -68,6 +71,22 @@ export class State extends EventTarget {
     if (!names.length) return;
     const at = names.indexOf(this.current);
     this.select(names[Math.min(Math.max(at + by, 0), names.length - 1)]);
+  }
+
+  /** The pictures of the subfolder that the list shows. */
+  get pictures() {
+    return this.project.pictures.filter(({ name }) => isIn(name, this.folder));
+  }
+
+  showFolder(folder) {
+    this.folder = folder;
+    this._say("folder");
+  }
+
+  /** Save the marks of a picture in the name of the person who works here. */
+  saveMarks(name, marks, options = {}) {
+    const address = api.url("pictures", name, "landmarks");
+    return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI() }, options));
   }
 
   /** Update one picture from the answer to a save. */

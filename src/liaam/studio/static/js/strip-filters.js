@@ -22,6 +22,8 @@ export const ORDERS = { name: { label: "Name" }, uncertainty: { label: "Uncertai
 
 export const folderOf = (name) => name.slice(0, Math.max(name.lastIndexOf("/"), 0));
 
+export const isIn = (name, folder) => !folder || name.startsWith(`${folder}/`);
+
 export const baseOf = (name) => name.slice(name.lastIndexOf("/") + 1);
 
 /** Why a picture is not used for training; null if it is. left: reasons of the current model, by name. */
@@ -50,9 +52,8 @@ export function foldersOf(pictures) {
 /** The pictures to show, in order. wanted: {text, filter, folder, order}. */
 export function matching(pictures, { text, filter, folder, order }, left) {
   const { has } = FILTERS[filter];
-  const isIn = (name) => !folder || name.startsWith(`${folder}/`);
   const found = pictures.filter(
-    (picture) => has(picture, left) && isIn(picture.name) && picture.name.toLowerCase().includes(text),
+    (picture) => has(picture, left) && isIn(picture.name, folder) && picture.name.toLowerCase().includes(text),
   );
   const doubt = ({ uncertainty, doubtful }) => (uncertainty ?? -1) + (doubtful ? 1e6 : 0);
   return order === "uncertainty" ? found.sort((a, b) => doubt(b) - doubt(a)) : found;

@@ -185,6 +185,7 @@ export function mountStrip(root, app) {
   function show() {
     const all = state.project?.pictures ?? [];
     showFolders(all);
+    if (state.folder !== wanted.folder) state.showFolder(wanted.folder);
     pictures = filters.matching(all, wanted, leftOut());
     state.order = pictures.map(({ name }) => name);
     for (const name of chosen) if (!state.picture(name)) chosen.delete(name);
