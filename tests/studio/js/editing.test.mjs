@@ -175,6 +175,7 @@ test("or with nothing, where the points are clicked or there is no layout", asyn
 test("a layout stays where it fills a part of the picture", () => {
   assert.equal(layoutIn(TRIANGLE, 60, 60), TRIANGLE);
   for (const [width, height] of [[30, 60], [600, 600]]) assert.notEqual(layoutIn(TRIANGLE, width, height), TRIANGLE);
+  assert.equal(layoutIn(TRIANGLE, 30, 60, 1), TRIANGLE); // counted from 1
   assert.equal(layoutIn(null, 60, 60), null);
 });
 

@@ -4,7 +4,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { outcome } from "./modules/bulk.js";
-import { accuracyText, percent, sentence } from "./modules/review.js";
+import { percent } from "./modules/annotate-words.js";
+import { accuracyText, sentence } from "./modules/review.js";
 import { between, describe, FILTERS, foldersOf, matching } from "./modules/strip-filters.js";
 
 const PICTURES = [
@@ -18,8 +19,7 @@ const ALL = { text: "", filter: "all", folder: "", order: "name" };
 const names = (wanted, left = {}) => matching(PICTURES, { ...ALL, ...wanted }, left).map(({ name }) => name);
 
 test("subfolders are listed with those between, and their numbers of pictures", () => {
-  const labels = Object.values(foldersOf(PICTURES)).map(({ label }) => label);
-  assert.deepEqual(labels, ["a (3)", "a/b (1)", "c (2)"]);
+  assert.deepEqual(Object.values(foldersOf(PICTURES)), ["a (3)", "a/b (1)", "c (2)"]);
   assert.deepEqual(foldersOf([{ name: "1.png" }]), {});
 });
 
@@ -53,8 +53,8 @@ test("the outcome of an action is said with what was refused", () => {
 
 test("history and accuracy are said", () => {
   assert.equal(sentence({ who: "", did: "placed" }), "Someone placed points");
-  assert.equal(percent(0.0312), "3.1 %");
-  assert.equal(percent(0.0012), "0.12 %");
+  assert.equal(percent(0.0312), "3.1\u00a0%");
+  assert.equal(percent(0.0012), "0.12\u00a0%");
   const versions = [{ error: 0.04, held_out: 1, same: false }, { error: 0.02, held_out: 2, same: true }];
   assert.match(accuracyText(versions), /median of 2 pictures held out.*Pale/);
   assert.doesNotMatch(accuracyText(versions.slice(1)), /Pale/);

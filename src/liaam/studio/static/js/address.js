@@ -1,18 +1,14 @@
 // The page's address holds the tab and the picture: a reload keeps them, and Back and Forward move between them.
 
+import { attempt } from "./unsaved.js";
+
 const QUICK = 500; // milliseconds; faster changes, as by a held key, are one step
 
 let last = -QUICK;
 let isOpen = false; // whether the page has opened its first picture and tab
 
 /** The picture in an address; "" if the address is malformed. */
-export function nameIn(hash) {
-  try {
-    return decodeURIComponent(hash.slice(1));
-  } catch {
-    return "";
-  }
-}
+export const nameIn = (hash) => attempt(() => decodeURIComponent(hash.slice(1)), "");
 
 export const tabIn = (search) => new URLSearchParams(search).get("tab");
 

@@ -3,7 +3,7 @@
 import { drawDrafting } from "./annotate-drawing.js";
 import { several } from "./annotate-words.js";
 import { Drafting } from "./drafting.js";
-import { bounds, expected, fitInto, indicesOf, layoutIn, placed, rounded } from "./points.js";
+import { expected, indicesOf, layoutIn, placed, rounded } from "./points.js";
 import { createTemplatePanel } from "./template-panel.js";
 import * as drafts from "./template.js";
 import { keptDraft } from "./unsaved.js";
@@ -15,7 +15,7 @@ const sentence = (text) => (/[.!?]$/.test(text) ? text : `${text}.`);
 export function createTemplates(tab) {
   const { app, state, marking, viewer } = tab;
   const { api, toast, confirm } = app;
-  const kept = keptDraft(state.project.id ?? state.project.folder);
+  const kept = keptDraft(state.project.id);
   const doc = new Drafting({ viewer, onchange: changed, onselect: () => panel.mark(), say: tab.say });
   const panel = createTemplatePanel({ drafting: doc, onload: load, ondone: done, onleave: stop });
   let editing = false;
@@ -46,9 +46,8 @@ export function createTemplates(tab) {
   function edit() {
     if (!marking.book) return;
     const { points, template } = marking;
-    const layout = template.points ?? points;
     const guess = placed(points).length
-      ? expected(layout, points)
+      ? expected(template.points ?? points, points)
       : layoutIn(template.points, viewer.width, viewer.height);
     tab.saver.flush();
     tab.tool.cancel();
@@ -79,12 +78,8 @@ export function createTemplates(tab) {
     const { width, height } = viewer;
     try {
       const template = await api.upload(api.url("template/file", { name: file.name }), file);
-      const box = bounds(template.points ?? []);
-      if (box === null) throw new Error(`${file.name} has no points: choose another file.`);
-      const lies = box[0] >= -1 && box[1] >= -1 && box[2] <= width && box[3] <= height;
-      const large = Math.max((box[2] - box[0]) / width, (box[3] - box[1]) / height) > 0.2;
-      // The file often belongs to this picture, so points that fit are left unchanged.
-      const points = lies && large ? template.points : fitInto(template.points, width, height);
+      const points = layoutIn(template.points, width, height, 1); // unchanged if the file belongs to this picture
+      if (!points) throw new Error(`${file.name} has no points: choose another file.`);
       doc.load(file.name, template, points.map((p) => p && rounded(p)));
     } catch (error) {
       toast(error, "bad");

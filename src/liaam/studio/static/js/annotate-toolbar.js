@@ -1,18 +1,16 @@
 // The Annotate tab's toolbar, with the status of saving.
 
-import { button, h, iconButton } from "./ui.js";
+import { button, h, iconButton, press } from "./ui.js";
 
 /** act(event, work): runs the action of a button. Returns {element, refresh(), press(name, on)}. */
 export function createToolbar({ state, commands, status, act }) {
   const tool = (label, icon, shortcut, work, more = {}) =>
     iconButton(label, icon, (event) => act(event, work), { shortcut, ...more });
-  const toggle = (label, title, face, shortcut, work, pressed) =>
-    button(face.text ?? label, {
-      icon: face.icon, iconOnly: !face.text, "aria-label": label, kind: "ghost", shortcut, pressed, title,
-      onclick: (event) => act(event, work),
+  const show = (name, title, face, shortcut, pressed) =>
+    button(face.text ?? name, {
+      icon: face.icon, iconOnly: !face.text, "aria-label": name, kind: "ghost", shortcut, pressed, title,
+      onclick: (event) => act(event, () => commands.flick(name.toLowerCase())),
     });
-  const show = (name, title, face, shortcut, on) =>
-    toggle(name, title, face, shortcut, () => commands.flick(name.toLowerCase()), on);
   const rule = () => h("span.rule", { "aria-hidden": "true" });
   const undo = tool("Undo", "undo", "Ctrl+Z", () => commands.travel("undo"), { testid: "undo" });
   const redo = tool("Redo", "redo", "Ctrl+Y", () => commands.travel("redo"), { testid: "redo" });
@@ -43,7 +41,7 @@ export function createToolbar({ state, commands, status, act }) {
       flip.disabled = !marking;
       mirror.disabled = editing;
     },
-    press: (name, on) => switches[name].setAttribute("aria-pressed", String(on)),
+    press: (name, on) => press(switches[name], on),
   };
 }
 

@@ -2,6 +2,9 @@
 
 export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
+/** A fraction as text, with a space that does not break. */
+export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)}\u00a0%`;
+
 /** What to do next with the open picture; "" if nothing. */
 export function promptOf({ state, book, placing, names, active, missing }) {
   if (state.source === "proposal") {

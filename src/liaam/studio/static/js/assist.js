@@ -1,6 +1,6 @@
 // The model's help: training in the background, and the choice of the next picture.
 
-import { several } from "./annotate-words.js";
+import { percent, several } from "./annotate-words.js";
 import { button, h, icon } from "./ui.js";
 
 const LEAST = 3; // pictures needed for training
@@ -50,13 +50,8 @@ export function nextToTeach(pictures, current) {
   return open.reduce((best, picture) => (best === null || rank(picture) < rank(best) ? picture : best), null);
 }
 
-const NBSP = "\u00a0";
-
-/** A fraction as text. Above 1 the value is meaningless. */
-function percent(fraction) {
-  if (!(fraction <= 1)) return `over 100${NBSP}%`;
-  return `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)}${NBSP}%`;
-}
+/** An uncertainty as text. Above 1 the value is meaningless. */
+const uncertain = (fraction) => (fraction <= 1 ? percent(fraction) : "over 100\u00a0%");
 
 /** Why this picture comes next. */
 export function reason(picture, pictures, model) {
@@ -65,7 +60,7 @@ export function reason(picture, pictures, model) {
   if (picture.state === "partial") return "Some of its points are missing.";
   if (picture.state === "unchecked") return "Its points are still the mean shape, so no model is trained on it.";
   if (picture.uncertainty == null) return "The model has not been fitted to it yet.";
-  const text = `uncertainty of its points: ${percent(picture.uncertainty)} of the object's size`;
+  const text = `uncertainty of its points: ${uncertain(picture.uncertainty)} of the object's size`;
   if (picture.doubtful) return `The model has low confidence here (${text}), so correcting it helps most.`;
   // Compare with confident fits only: the uncertainty of the others is unreliable.
   const known = pictures
@@ -74,7 +69,7 @@ export function reason(picture, pictures, model) {
     .sort((a, b) => a - b);
   if (known.length < 2 || picture.uncertainty < known.at(-1)) return `${text[0].toUpperCase()}${text.slice(1)}.`;
   const median = known[Math.floor((known.length - 1) / 2)];
-  return `The least certain of the remaining pictures (${text}, median ${percent(median)}).`;
+  return `The least certain of the remaining pictures (${text}, median ${uncertain(median)}).`;
 }
 
 /** Notices about the folder and the model: [{title, lines}], without empty ones. */

@@ -96,10 +96,6 @@ export class Drafting {
     this.viewer.redraw();
   }
 
-  revert() {
-    this.preview(null);
-  }
-
   commit(points, what, key = null) {
     this.shown = null;
     this.apply({ ...this.draft, points }, what, key);
@@ -112,26 +108,25 @@ export class Drafting {
   adding(xy) {
     if (this.axis !== null && new AxisGrip(this.viewer, this.axis).isAt(xy)) return this.draggingAxis();
     if (this.layingOut) return null;
-    const drafting = this;
     const unplaced = this.draft.points.findIndex((point) => !point);
     const index = unplaced >= 0 ? unplaced : this.names.length;
     const add = (at) =>
       unplaced >= 0 ? { ...this.draft, points: place(this.draft.points, unplaced, at) } : this.withPoint(at);
     // The ghost shows the new point and its line; the point is added when the pointer goes up.
-    return {
+    const gesture = {
       loupe: xy, ghost: add(xy),
-      move(at) {
-        this.loupe = at;
-        this.ghost = add(at);
-        drafting.viewer.redraw();
+      move: (at) => {
+        Object.assign(gesture, { loupe: at, ghost: add(at) });
+        this.viewer.redraw();
       },
-      up() {
-        drafting.choose([index]);
-        drafting.apply(this.ghost, "add a point");
-        drafting.say(`${drafting.names[index]} added`);
+      up: () => {
+        this.choose([index]);
+        this.apply(gesture.ghost, "add a point");
+        this.say(`${this.names[index]} added`);
       },
       cancel() {},
     };
+    return gesture;
   }
 
   withPoint(at) {
@@ -147,9 +142,7 @@ export class Drafting {
         this.viewer.redraw();
       },
       up() {},
-      cancel: () => {
-        this.axis = before;
-      },
+      cancel: () => { this.axis = before; },
     };
   }
 

@@ -6,7 +6,7 @@ import { bounds } from "./points.js";
 
 // Colours for any picture: yellow is placed, blue is proposed, white is selected.
 export const COLOURS = {
-  placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", rim: RIM, axis: "#ff7ab8",
+  placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8",
 };
 const LOUPE = 62; // css pixels, radius
 const MAGNIFIED = 4;
@@ -81,20 +81,20 @@ export function drawFrame(ctx, viewer, points, indices) {
   ctx.moveTo((x0 + x1) / 2, y1);
   ctx.lineTo(...frame.handles[5].at);
   stroked(ctx, "rgb(255 255 255 / 80%)", 1, [4, 3]);
-  for (const { kind, at: [x, y] } of frame.handles) {
-    ctx.beginPath();
-    if (kind === "scale") ctx.rect(x - 5, y - 5, 10, 10);
-    else ctx.arc(x, y, 9, 0, 2 * Math.PI);
-    ctx.fillStyle = "#fff";
-    ctx.fill();
-    ctx.strokeStyle = COLOURS.rim;
-    ctx.lineWidth = 1.5;
-    ctx.stroke();
-    if (kind !== "scale") drawSign(ctx, kind, x, y);
-  }
+  for (const { kind, at } of frame.handles) drawHandle(ctx, kind, at);
 }
 
-function drawSign(ctx, kind, x, y) {
+/** Draw a handle that scales, turns or moves. */
+export function drawHandle(ctx, kind, /** @type {number[]} */ [x, y]) {
+  ctx.beginPath();
+  if (kind === "scale") ctx.rect(x - 5, y - 5, 10, 10);
+  else ctx.arc(x, y, 9, 0, 2 * Math.PI);
+  ctx.fillStyle = "#fff";
+  ctx.fill();
+  ctx.strokeStyle = RIM;
+  ctx.lineWidth = 1.5;
+  ctx.stroke();
+  if (kind === "scale") return;
   ctx.save();
   ctx.translate(x, y);
   ctx.strokeStyle = "#222";

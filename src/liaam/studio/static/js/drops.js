@@ -7,8 +7,8 @@ const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes(
 /** take(file): a file was dropped or pasted. */
 export function acceptFiles(take) {
   let depth = 0; // number of nested elements under a drag
-  const words = h("p", {}, icon("upload", 28), "Drop a picture to fit it, or a model (.liaam)");
-  const overlay = h("div", { class: "dropping", hidden: true, "aria-hidden": "true" }, words);
+  const words = h("p", icon("upload", 28), "Drop a picture to fit it, or a model (.liaam)");
+  const overlay = h("div.dropping", { hidden: true, "aria-hidden": "true" }, words);
   document.body.append(overlay);
   const enter = (now) => {
     depth = Math.max(0, now);

@@ -2,7 +2,7 @@
 // They edit a document (the marks of a picture, or a template):
 //   points, invisible (Set), selection (Set)     the current state
 //   select(indices, active)                      select points
-//   preview(points), revert()                    show points during a gesture; restore them
+//   preview(points)                              show points during a gesture; null: restore them
 //   commit(points, what)                         end of a gesture: one undo step
 //   follow(before, after, indices) -> points     also move the mirrored points (twins)
 //   adding(xy) -> gesture | null                 a press on an empty place adds a point
@@ -10,11 +10,12 @@
 //   framed() -> indices                          the points with a frame and handles
 // A gesture is {move(xy, event), up(), cancel(), loupe: xy | null}.
 
-import { bounds, centroid, inBox, move, nearest, turn } from "./points.js";
+import { ARROWS, bounds, centroid, inBox, middleOf, move, nearest, turn } from "./points.js";
 
 const REACH = { mouse: 9, pen: 14, touch: 24 }; // css pixels around a point that hit it
 const REACH_PLACING = { mouse: 5, pen: 7, touch: 11 }; // smaller while placing, so that points can be close together
 const HANDLE_REACH = { mouse: 11, pen: 15, touch: 24 };
+export const CURSORS = { scale: "nwse-resize", turn: "grab", move: "move" }; // by kind of a handle
 const FRAME = 16; // css pixels between the points and their frame
 const KNOB = 26; // css pixels from the frame to the knobs
 const NUDGED = 1200; // milliseconds that the loupe stays after a key
@@ -43,32 +44,45 @@ export function frameOf(viewer, points, indices) {
   };
 }
 
-function handleAt(viewer, doc, at, type) {
+export const handleReach = ({ pointerType }) => HANDLE_REACH[pointerType] ?? HANDLE_REACH.mouse;
+
+/** The handle under the pointer, or null. */
+export function handleAt(viewer, doc, event) {
   const frame = frameOf(viewer, doc.points, doc.framed());
-  if (frame === null) return null;
-  return frame.handles.find((handle) => distance(handle.at, at) <= (HANDLE_REACH[type] ?? HANDLE_REACH.mouse)) ?? null;
+  const at = viewer.place(event);
+  return frame?.handles.find((handle) => distance(handle.at, at) <= handleReach(event)) ?? null;
 }
 
-function dragging(doc, index, indices, start, what) {
+/** A gesture that moves points; index: the point under the pointer, or -1. isFar(place on the screen): whether it is
+ *  more than a click; still(): it was only a click. */
+export function dragging(doc, index, indices, start, isFar = (_at) => true, still = () => {}) {
   const before = doc.points;
   let [dx, dy] = [0, 0];
+  let far = false;
   const after = () => doc.follow(before, move(before, indices, dx, dy), indices);
   return {
     loupe: index < 0 ? null : before[index],
-    move(xy, _event) {
+    move(xy, event) {
+      far ||= isFar(event.at);
+      if (!far) return; // a click must not move a point
       [dx, dy] = [xy[0] - start[0], xy[1] - start[1]];
       const points = after();
       this.loupe = index < 0 ? null : points[index];
       doc.preview(points);
     },
-    up: () => (dx || dy ? doc.commit(after(), what) : doc.revert()), cancel: () => doc.revert(),
+    up() {
+      if (dx || dy) doc.commit(after(), "move");
+      else doc.preview(null);
+      if (!far) still();
+    },
+    cancel: () => doc.preview(null),
   };
 }
 
-function turning(viewer, doc, handle, indices) {
+/** A gesture that scales or rotates points. */
+export function turning(viewer, doc, handle, indices) {
   const before = doc.points;
-  const box = bounds(before, indices);
-  const fixed = handle.kind === "scale" ? viewer.toImage(handle.fixed) : [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
+  const fixed = handle.kind === "scale" ? viewer.toImage(handle.fixed) : middleOf(bounds(before, indices));
   const start = viewer.toImage(handle.at);
   let points = before;
   return {
@@ -85,8 +99,11 @@ function turning(viewer, doc, handle, indices) {
       }
       doc.preview(points);
     },
-    up: () => (points === before ? doc.revert() : doc.commit(points, handle.kind === "scale" ? "scale" : "rotate")),
-    cancel: () => doc.revert(),
+    up() {
+      if (points === before) doc.preview(null);
+      else doc.commit(points, handle.kind === "scale" ? "scale" : "rotate");
+    },
+    cancel: () => doc.preview(null),
   };
 }
 
@@ -141,12 +158,12 @@ export class PointTool {
     const doc = this.current();
     if (!doc.editable) return null;
     const adds = event.shiftKey || event.ctrlKey || event.metaKey;
-    const handle = handleAt(this.viewer, doc, this.viewer.place(event), event.pointerType);
+    const handle = handleAt(this.viewer, doc, event);
     const index = this.find(event, xy);
     if (handle && index < 0) {
       const indices = doc.framed();
       return handle.kind === "move"
-        ? dragging(doc, -1, indices, xy, "move")
+        ? dragging(doc, -1, indices, xy)
         : turning(this.viewer, doc, handle, indices);
     }
     if (index >= 0) {
@@ -169,18 +186,9 @@ export class PointTool {
     } else {
       doc.select([...doc.selection], index);
     }
-    const gesture = dragging(doc, index, [...doc.selection], xy, "move");
-    const still = () => !adds && doc.selection.size > 1 && doc.select([index], index); // a click on one of several
-    let far = false;
-    const { up } = gesture;
     const at = this.viewer.toScreen(xy);
-    const shift = gesture.move;
-    gesture.move = function (to, event) {
-      far ||= distance(event.at, at) > slip; // a click must not move a point
-      if (far) shift.call(this, to);
-    };
-    gesture.up = () => (far ? up() : (doc.revert(), still()));
-    return gesture;
+    const still = () => !adds && doc.selection.size > 1 && doc.select([index], index); // a click on one of several
+    return dragging(doc, index, [...doc.selection], xy, (to) => distance(to, at) > slip, still);
   }
 
   move(event, xy) {
@@ -249,9 +257,9 @@ export class PointTool {
   cursor(event, xy) {
     const doc = this.current();
     if (!doc.editable) return "";
-    const handle = handleAt(this.viewer, doc, this.viewer.place(event), event.pointerType);
     if (this.find(event, xy) >= 0) return "move";
-    if (handle) return { scale: "nwse-resize", turn: "grab", move: "move" }[handle.kind];
+    const handle = handleAt(this.viewer, doc, event);
+    if (handle) return CURSORS[handle.kind];
     return doc.placing || this.boxes() || event.shiftKey ? "crosshair" : "";
   }
 }
@@ -261,8 +269,7 @@ const GROW = 1.01;
 
 /** Edit points with a key: {points, what, key} or null. `indices`: the selected points, or all. */
 export function keyEdit(event, points, indices, chosen) {
-  const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-  const arrow = arrows[event.key];
+  const arrow = ARROWS[event.key];
   const more = event.shiftKey ? 5 : 1;
   if (arrow && (event.ctrlKey || event.metaKey)) {
     const centre = centroid(points, indices);

@@ -1,5 +1,7 @@
 // Unsaved work of a folder, handed as a file to the page of a studio at another address with other browser storage.
 
+import { attempt } from "./unsaved.js";
+
 const KIND = "liaam-studio-unsaved";
 const isOf = (folder, key) =>
   key === `liaam-studio:template:${folder}` || key.startsWith(`liaam-studio:unsaved:${folder}:`);
@@ -14,12 +16,7 @@ export function unsavedWork(storage, folder) {
 /** Keep unsaved work of another page in the storage of this one, which a reload restores. Returns the number of items
  *  that were left out, because this page has unsaved work of its own on them. */
 export function takeWork(storage, folder, text, file) {
-  let work = null;
-  try {
-    work = JSON.parse(text);
-  } catch {
-    // not JSON: refused below
-  }
+  const work = attempt(() => JSON.parse(text));
   if (work?.kind !== KIND)
     throw new Error(`${file} is not unsaved work of the studio: drop a picture, or the file that the studio saved.`);
   if (work.folder !== folder) throw new Error(`${file} belongs to another folder: open the studio on that folder.`);

@@ -35,12 +35,8 @@ export class History {
   get undoes() { return this.past.at(-1)?.what ?? ""; }
   get redoes() { return this.future.at(-1)?.what ?? ""; }
 
-  undo() {
-    return this.travel(this.past, this.future);
-  }
-  redo() {
-    return this.travel(this.future, this.past);
-  }
+  undo() { return this.travel(this.past, this.future); }
+  redo() { return this.travel(this.future, this.past); }
 
   /** Take a step from one list to the other; returns its state, or null if there is none. */
   travel(from, to) {

@@ -1,7 +1,8 @@
 // Brightness, contrast and gamma of the shown pictures. They change what is drawn, never the pictures or their fits,
 // and are kept in the browser for each folder.
 
-import { button, h, icon } from "./ui.js";
+import { button, h, icon, slider } from "./ui.js";
+import { attempt } from "./unsaved.js";
 
 const NEUTRAL = { brightness: 0, contrast: 0, gamma: 0 }; // powers of two
 const LABELS = { brightness: "Brightness", contrast: "Contrast", gamma: "Gamma" };
@@ -23,39 +24,27 @@ class Look extends EventTarget {
   /** Use the values that were kept for a folder. */
   open(folder) {
     this._key = `liaam-look:${folder}`;
-    try {
-      this.set({ ...NEUTRAL, ...JSON.parse(localStorage.getItem(this._key)) });
-    } catch {
-      // Without storage, or with a damaged entry, the pictures are shown as they are.
-    }
+    this.set({ ...NEUTRAL, ...attempt(() => JSON.parse(localStorage.getItem(this._key))) });
   }
 
   set(values) {
     this.values = values;
     this.version += 1;
     this._paint();
-    try {
-      localStorage.setItem(this._key, JSON.stringify(values));
-    } catch {
-      // As above: the values are lost with the page.
-    }
+    attempt(() => localStorage.setItem(this._key, JSON.stringify(values)));
     this.dispatchEvent(new Event("change"));
   }
 
-  get isNeutral() {
-    return Object.values(this.values).every((value) => value === 0);
-  }
+  get isNeutral() { return Object.values(this.values).every((value) => value === 0); }
 
   /** The filter for drawing a picture on a canvas. */
-  get filter() {
-    return this.isNeutral ? "none" : "url(#look)";
-  }
+  get filter() { return this.isNeutral ? "none" : "url(#look)"; }
 
   /** Update the filter, which is an SVG element of the page. */
   _paint() {
     const table = Array.from({ length: 256 }, (_, i) => shownValue(i / 255, this.values).toFixed(4)).join(" ");
     if (!this._curves) {
-      const holder = h("div", { class: "visually-hidden", "aria-hidden": "true" });
+      const holder = h("div.visually-hidden", { "aria-hidden": "true" });
       const curves = ["R", "G", "B"].map((channel) => `<feFunc${channel} type="table"/>`).join("");
       const filter = `<filter id="look" color-interpolation-filters="sRGB">`;
       holder.innerHTML = `<svg>${filter}<feComponentTransfer>${curves}</feComponentTransfer></filter></svg>`;
@@ -68,32 +57,30 @@ class Look extends EventTarget {
   /** A button that opens the sliders. */
   control() {
     const rows = Object.entries(LABELS).map(([name, label]) => {
-      const slider = h("input", {
-        type: "range", class: "slider", min: String(-LIMIT), max: String(LIMIT), step: "0.05", "aria-label": label,
-        dataset: { testid: `look-${name}` },
-        oninput: () => this.set({ ...this.values, [name]: Number(slider.value) }),
+      const input = slider({
+        min: String(-LIMIT), max: String(LIMIT), step: "0.05", "aria-label": label, testid: `look-${name}`,
+        oninput: () => this.set({ ...this.values, [name]: Number(input.value) }),
       });
-      const text = h("span", { class: "number" });
+      const text = h("span.number");
       const show = () => {
-        slider.value = String(this.values[name]);
+        input.value = String(this.values[name]);
         text.textContent = `×${(2 ** this.values[name]).toFixed(2)}`;
-        slider.setAttribute("aria-valuetext", text.textContent);
+        input.setAttribute("aria-valuetext", text.textContent);
       };
       this.addEventListener("change", show);
       show();
-      return h("label", {}, h("span", {}, label), slider, text);
+      return h("label", h("span", label), input, text);
     });
     const reset = button("Reset", { small: true, testid: "look-reset", onclick: () => this.set(NEUTRAL) });
-    const note = h("p", { class: "small muted grow" }, "Only for looking");
-    const face = h("summary", {
-      class: "button ghost small icon-only", "aria-label": "Brightness and contrast", "aria-keyshortcuts": "A",
-      title: "Brightness, contrast, gamma (A)", dataset: { testid: "look" },
+    const face = h("summary.button.ghost.small.icon-only", {
+      "aria-label": "Brightness and contrast", "aria-keyshortcuts": "A", title: "Brightness, contrast, gamma (A)",
+      testid: "look",
     }, icon("adjust"));
     const mark = () => face.classList.toggle("on", !this.isNeutral);
     this.addEventListener("change", mark);
     mark();
-    const box = h("details", { class: "look" }, face,
-      h("div", { class: "look-box glass" }, rows, h("div", { class: "row" }, note, reset)));
+    const foot = h("div.row", h("p.small.muted.grow", "Only for looking"), reset);
+    const box = h("details.look", face, h("div.look-box.glass", rows, foot));
     box.addEventListener("keydown", (event) => {
       if (event.key === "Escape") {
         box.open = false;

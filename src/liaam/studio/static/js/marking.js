@@ -75,10 +75,6 @@ export class Marking {
     this.onpreview();
   }
 
-  revert() {
-    this.preview(null);
-  }
-
   /** Change the points in one undo step. */
   commit(points, what, key = null) {
     this.change({ points }, what, key);
@@ -122,23 +118,23 @@ export class Marking {
 
   adding(xy) {
     if (!this.placing) return null;
-    const marking = this;
     const before = this.points;
     const index = this.active;
     let points = place(before, index, xy);
     this.preview(points);
-    return {
+    const gesture = {
       loupe: xy,
-      move: function (at) {
+      move: (at) => {
         points = place(before, index, at);
-        this.loupe = at;
+        gesture.loupe = at;
       },
       up: () => {
-        marking.commit(points, `place ${marking.names[index]}`);
-        marking.onplaced(index);
+        this.commit(points, `place ${this.names[index]}`);
+        this.onplaced(index);
       },
-      cancel: () => marking.revert(),
+      cancel: () => this.preview(null),
     };
+    return gesture;
   }
 
   accept() {

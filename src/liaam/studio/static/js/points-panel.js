@@ -1,6 +1,6 @@
 // The panel beside the picture: its points with their states, actions on the selected ones, and the start of pictures.
 
-import { button, h, iconButton, segmented } from "./ui.js";
+import { button, consume, h, iconButton, segmented } from "./ui.js";
 
 const START_KEY = "liaam-studio:start";
 const STARTS = [
@@ -56,8 +56,7 @@ function pointList(onchoose) {
       const last = items.length - 1;
       const goes = { ArrowDown: current + 1, ArrowUp: current - 1, Home: 0, End: last };
       if (!(event.key in goes) || event.ctrlKey || event.metaKey || event.altKey || last < 0) return;
-      event.preventDefault();
-      event.stopPropagation();
+      consume(event);
       onchoose(Math.min(Math.max(goes[event.key], 0), last), false);
     },
   });

@@ -1,6 +1,9 @@
 // Points of a picture as immutable values: every function returns new arrays. A point is [x, y] in pixels of the
 // picture, or null if it is not placed. This module is independent of the page.
 
+/** Step right and down of each arrow key. */
+export const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
 const isPlaced = (point) => point !== null && point !== undefined;
 
 export const indicesOf = (points) => points.map((_, index) => index);
@@ -42,6 +45,8 @@ export function bounds(points, indices = placed(points)) {
   const ys = own.map((i) => points[i][1]);
   return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
 }
+
+export const middleOf = (/** @type {number[]} */ [x0, y0, x1, y1]) => [(x0 + x1) / 2, (y0 + y1) / 2];
 
 export function centroid(points, indices = placed(points)) {
   const own = indices.filter((i) => isPlaced(points[i]));
@@ -101,12 +106,12 @@ export function similarity(from, to) {
   return { a, b, x: q[0] - a * p[0] + b * p[1], y: q[1] - b * p[0] - a * p[1] };
 }
 
-export const carry = ({ a, b, x, y }, [px, py]) => [a * px - b * py + x, b * px + a * py + y];
+const carry = ({ a, b, x, y }, [px, py]) => [a * px - b * py + x, b * px + a * py + y];
 
 /** Expected position of each point, from the layout and the placed points. */
 export function expected(layout, points) {
-  const map = similarity(layout, points);
-  return map === null ? layout.map((p) => p && rounded(p)) : layout.map((p) => p && rounded(carry(map, p)));
+  const map = similarity(layout, points) ?? { a: 1, b: 0, x: 0, y: 0 };
+  return layout.map((p) => p && rounded(carry(map, p)));
 }
 
 /** Centre the layout in a picture and scale it to the fraction `share` of its size. */
@@ -115,16 +120,16 @@ export function fitInto(layout, width, height, share = 0.6) {
   if (box === null) return layout;
   const [w, h] = [Math.max(box[2] - box[0], 1e-6), Math.max(box[3] - box[1], 1e-6)];
   const scale = share * Math.min(width / w, height / h);
-  const [cx, cy] = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
+  const [cx, cy] = middleOf(box);
   return layout.map((p) => p && rounded([width / 2 + scale * (p[0] - cx), height / 2 + scale * (p[1] - cy)]));
 }
 
-/** A layout placed on a picture: unchanged if it lies inside and is large enough, otherwise centred; null without a
- *  layout. */
-export function layoutIn(layout, width, height) {
+/** A layout placed on a picture: unchanged if it lies inside (but for `slack` pixels) and is large enough, otherwise
+ *  centred; null without a layout. */
+export function layoutIn(layout, width, height, slack = 0) {
   const box = layout && bounds(layout);
   if (!box) return null;
-  const inside = box[0] >= 0 && box[1] >= 0 && box[2] < width && box[3] < height;
+  const inside = Math.min(box[0], box[1]) >= -slack && box[2] < width + slack && box[3] < height + slack;
   const large = Math.max((box[2] - box[0]) / width, (box[3] - box[1]) / height) > 0.2;
   return inside && large ? layout : fitInto(layout, width, height);
 }
@@ -180,8 +185,7 @@ export function withTwins(before, after, indices, mirror) {
   const result = after.slice();
   for (const i of indices) {
     const twin = mirror[i];
-    if (twin === i || moved.has(twin) || !isPlaced(before[twin]) || !isPlaced(before[i]) || !isPlaced(after[i]))
-      continue;
+    if (twin === i || moved.has(twin) || ![before[twin], before[i], after[i]].every(isPlaced)) continue;
     const [dx, dy] = [after[i][0] - before[i][0], after[i][1] - before[i][1]];
     const along = 2 * (dx * nx + dy * ny);
     result[twin] = rounded([before[twin][0] + dx - along * nx, before[twin][1] + dy - along * ny]);
@@ -215,13 +219,10 @@ export const samePoints = (p, q) => p.length === q.length && p.every((point, i) 
 
 /** Whether two contents of a landmark file are equal up to rounding in the file. */
 export function sameMarks(one, other, tolerance = 0.006) {
-  const near = (p, q) =>
-    !isPlaced(p) || !isPlaced(q)
-      ? isPlaced(p) === isPlaced(q)
-      : Math.abs(p[0] - q[0]) <= tolerance && Math.abs(p[1] - q[1]) <= tolerance;
-  return (
-    one.points.length === other.points.length &&
-    one.points.every((p, i) => near(p, other.points[i])) &&
-    one.invisible.join() === other.invisible.join()
-  );
+  const near = (p, q) => {
+    if (!isPlaced(p) || !isPlaced(q)) return isPlaced(p) === isPlaced(q);
+    return Math.abs(p[0] - q[0]) <= tolerance && Math.abs(p[1] - q[1]) <= tolerance;
+  };
+  const same = one.points.length === other.points.length && one.invisible.join() === other.invisible.join();
+  return same && one.points.every((p, i) => near(p, other.points[i]));
 }

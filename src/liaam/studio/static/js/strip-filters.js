@@ -1,8 +1,8 @@
 // What the list of pictures shows: the state of each picture, and which pictures match. Needs no page.
 
-export const STATES = {
-  reading: "reading…", new: "no points", unchecked: "not checked", partial: "points missing", done: "done",
-  proposed: "proposed", broken: "cannot be read",
+const STATES = {
+  reading: "reading…", new: "no points", unchecked: "not checked", done: "done", proposed: "proposed",
+  broken: "cannot be read",
 };
 
 export const FILTERS = {
@@ -18,7 +18,7 @@ export const FILTERS = {
   broken: { label: "Cannot be read", has: ({ state }) => state === "broken" },
 };
 
-export const ORDERS = { name: { label: "Name" }, uncertainty: { label: "Uncertainty" } };
+export const ORDERS = { name: "Name", uncertainty: "Uncertainty" };
 
 export const folderOf = (name) => name.slice(0, Math.max(name.lastIndexOf("/"), 0));
 
@@ -39,14 +39,14 @@ export function describe(picture, left) {
   return checked ? "checked" : (STATES[state] ?? state);
 }
 
-/** The subfolders of all pictures, with those between: {name: {label}}. */
+/** The labels of the subfolders of all pictures, with those between, by name. */
 export function foldersOf(pictures) {
   const counts = new Map();
   for (const { name } of pictures)
     for (let folder = folderOf(name); folder; folder = folderOf(folder))
       counts.set(folder, (counts.get(folder) ?? 0) + 1);
   const names = [...counts.keys()].sort((a, b) => a.localeCompare(b, undefined, { numeric: true }));
-  return Object.fromEntries(names.map((name) => [name, { label: `${name} (${counts.get(name)})` }]));
+  return Object.fromEntries(names.map((name) => [name, `${name} (${counts.get(name)})`]));
 }
 
 /** The pictures to show, in order. wanted: {text, filter, folder, order}. */

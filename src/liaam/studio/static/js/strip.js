@@ -3,7 +3,7 @@
 
 import { createBulk } from "./bulk.js";
 import * as filters from "./strip-filters.js";
-import { button, h, icon, perFrame } from "./ui.js";
+import { consume, h, icon, iconButton, labelsOf, optionsOf, perFrame, press } from "./ui.js";
 
 const BESIDE = matchMedia("(min-width: 900px)"); // otherwise the list is above the picture
 const SIZES = { column: 58, row: 66 }; // css pixels of an item along the list
@@ -12,7 +12,7 @@ const REST = 90; // milliseconds without scrolling until thumbnails are fetched
 
 export function mountStrip(root, app) {
   const { api, state } = app;
-  const wanted = { text: "", filter: "all", folder: "", order: "name" };
+  const wanted = { text: "", filter: "all", order: "name" };
   const items = new Map(); // name -> {element, key} of the items that exist
   let pictures = []; // as filtered and sorted
   let resting = 0; // timer until the list rests
@@ -20,39 +20,43 @@ export function mountStrip(root, app) {
   const chosen = new Set(); // their names
   let anchor = null; // where a range of them begins
 
-  const optionsOf = (options) => Object.entries(options).map(([value, { label }]) => h("option", { value }, label));
-  const choice = (label, options, key) =>
-    h("select", { class: "text", "aria-label": label, dataset: { testid: `strip-${key}` },
-      onchange: ({ target }) => { wanted[key] = target.value; show(); } }, optionsOf(options));
-  const look = () => { wanted.text = search.value.trim().toLowerCase(); show(); };
-  const search = h("input", { class: "text", type: "search", placeholder: "Search by name", oninput: look,
-    "aria-label": "Search by name", dataset: { testid: "strip-search" } });
-  const folders = choice("Subfolder", {}, "folder");
+  const choose = (label, name, onchange, labels = {}) =>
+    h("select.text", {
+      "aria-label": label, testid: `strip-${name}`, onchange: ({ target }) => { onchange(target.value); show(); },
+    }, optionsOf(labels));
+  const filter = choose("Show", "filter", (value) => { wanted.filter = value; }, labelsOf(filters.FILTERS));
+  const order = choose("Sort", "order", (value) => { wanted.order = value; }, filters.ORDERS);
+  const folders = choose("Subfolder", "folder", (value) => state.showFolder(value));
   folders.title = "Pictures of subfolders are shown because the folder itself has none";
-  const several = button("Select several", { icon: "check", iconOnly: true, small: true, kind: "ghost", pressed: false,
-    testid: "strip-several", onclick: () => select(!selecting) });
-  const count = h("p", { class: "small muted grow", "aria-live": "polite" });
+  const search = h("input.text", {
+    type: "search", placeholder: "Search by name", "aria-label": "Search by name", testid: "strip-search",
+    oninput: () => { wanted.text = search.value.trim().toLowerCase(); show(); },
+  });
+  const several = iconButton("Select several", "check", () => select(!selecting), {
+    small: true, pressed: false, testid: "strip-several",
+  });
+  const count = h("p.small.muted.grow", { "aria-live": "polite" });
   const bulk = createBulk({ app, chosen: () => [...chosen], onend: () => select(false),
-    onall: () => choose(pictures.map(({ name }) => name)) });
-  const space = h("div", { class: "strip-space", role: "presentation" });
-  const list = h("div", { class: "strip-list", role: "listbox", tabindex: "0", "aria-label": "Pictures",
-    dataset: { testid: "strip" } }, space);
-  const head = h("div", { class: "strip-head" }, search, folders, choice("Show", filters.FILTERS, "filter"),
-    choice("Sort", filters.ORDERS, "order"), h("div", { class: "row strip-count" }, count, several));
-  root.append(head, bulk.element, list);
+    onall: () => mark(state.order) });
+  const space = h("div.strip-space", { role: "presentation" });
+  const list = h("div.strip-list", {
+    role: "listbox", tabindex: "0", "aria-label": "Pictures", testid: "strip", onclick: click, onkeydown: key,
+  }, space);
+  root.append(
+    h("div.strip-head", search, folders, filter, order, h("div.row.strip-count", count, several)), bulk.element, list);
 
   // Selecting -------------------------------------------------------------------------------------------------------
 
   /** Begin or end the selection of several pictures. */
   function select(on) {
     selecting = on;
-    several.setAttribute("aria-pressed", String(on));
+    press(several, on);
     if (on) list.setAttribute("aria-multiselectable", "true");
     else list.removeAttribute("aria-multiselectable");
-    choose(on && state.current ? [state.current] : []);
+    mark(on && state.current ? [state.current] : []);
   }
 
-  function choose(names) {
+  function mark(names) {
     chosen.clear();
     for (const name of names) chosen.add(name);
     bulk.show(selecting);
@@ -62,27 +66,27 @@ export function mountStrip(root, app) {
   /** Select a picture too, or no longer; with a range, all up to it. */
   function add(name, range) {
     if (!selecting) select(true);
-    if (range) choose([...chosen, ...filters.between(state.order, anchor ?? state.current, name)]);
-    else choose(chosen.has(name) ? [...chosen].filter((other) => other !== name) : [...chosen, name]);
+    if (range) mark([...chosen, ...filters.between(state.order, anchor ?? state.current, name)]);
+    else mark(chosen.has(name) ? [...chosen].filter((other) => other !== name) : [...chosen, name]);
     anchor = name;
   }
 
-  list.addEventListener("click", (event) => {
+  function click(event) {
     const name = event.target.closest("[data-name]")?.dataset.name;
     if (!name) return;
     if (selecting || event.shiftKey || event.ctrlKey || event.metaKey) add(name, event.shiftKey);
     else state.select(name);
-  });
-  list.addEventListener("keydown", (event) => {
+  }
+
+  function key(event) {
     const step = { ArrowDown: 1, ArrowRight: 1, ArrowUp: -1, ArrowLeft: -1 }[event.key];
     const isAll = event.key === "a" && (event.ctrlKey || event.metaKey);
     const isMark = event.key === " " || (event.key === "Escape" && selecting);
     if (!isAll && !isMark && (!step || event.ctrlKey || event.altKey || event.metaKey)) return;
-    event.preventDefault();
-    event.stopPropagation();
+    consume(event);
     if (isAll) {
       select(true);
-      choose(state.order);
+      mark(state.order);
     } else if (event.key === "Escape") select(false);
     else if (event.key === " ") add(state.current, false);
     else if (pictures.length) {
@@ -91,7 +95,7 @@ export function mountStrip(root, app) {
       if (event.shiftKey) add(name, true);
       state.select(name);
     }
-  });
+  }
 
   // Items -----------------------------------------------------------------------------------------------------------
 
@@ -103,18 +107,18 @@ export function mountStrip(root, app) {
     const what = filters.describe(picture, leftOut());
     const folder = filters.folderOf(name);
     const face = picture.state === "broken"
-      ? h("span", { class: "no-picture" }, icon("warning", 20))
+      ? h("span.no-picture", icon("warning", 20))
       : h("img", { alt: "", draggable: false, dataset: { src: api.url("pictures", name, "thumbnail", { tag }) } });
-    return h("div", {
-      class: "strip-item", role: "option", id: `strip-${encodeURIComponent(name)}`,
+    return h("div.strip-item", {
+      role: "option", id: `strip-${encodeURIComponent(name)}`,
       title: error ?? (why ? `${name}: left out, because ${why}` : checked ? `${name}: checked by ${checked}` : name),
       "aria-label": `${name}, ${what}${rank === 1 ? ", helps the model most" : ""}`,
       dataset: { name, state: picture.state },
-    }, h("span", { class: "strip-face" }, face,
-      rank === 1 && h("span", { class: "strip-next", title: "Helps the model most" }, icon("spark", 12)),
-      h("span", { class: `dot ${why ? "left-out" : checked ? "checked" : picture.state}` })),
-    h("span", { class: "strip-text" }, h("span", { class: "strip-name" }, filters.baseOf(name)),
-      h("span", { class: "strip-state" }, folder ? `${what} · ${folder}` : what)));
+    }, h("span.strip-face", face,
+      rank === 1 && h("span.strip-next", { title: "Helps the model most" }, icon("spark", 12)),
+      h("span.dot", { class: why ? "left-out" : checked ? "checked" : picture.state })),
+    h("span.strip-text", h("span.strip-name", filters.baseOf(name)),
+      h("span.strip-state", folder ? `${what} · ${folder}` : what)));
   }
 
   /** The item of a picture, made again if the picture has changed. */
@@ -170,23 +174,22 @@ export function mountStrip(root, app) {
     list.scrollTo(BESIDE.matches ? { top: to } : { left: to });
   }
 
-  let known = "";
+  let known = null;
   /** Show the subfolders to choose from; the choice of one that is gone ends. */
   function showFolders(all) {
     const found = filters.foldersOf(all);
     if (known === JSON.stringify(found)) return;
     known = JSON.stringify(found);
-    if (!found[wanted.folder]) wanted.folder = "";
-    folders.replaceChildren(...optionsOf({ "": { label: "All subfolders" }, ...found }));
-    folders.value = wanted.folder;
+    if (state.folder && !found[state.folder]) state.showFolder("");
+    folders.replaceChildren(...optionsOf({ "": "All subfolders", ...found }));
+    folders.value = state.folder;
     folders.hidden = !Object.keys(found).length;
   }
 
   function show() {
-    const all = state.project?.pictures ?? [];
+    const all = state.project.pictures;
     showFolders(all);
-    if (state.folder !== wanted.folder) state.showFolder(wanted.folder);
-    pictures = filters.matching(all, wanted, leftOut());
+    pictures = filters.matching(all, { ...wanted, folder: state.folder }, leftOut());
     state.order = pictures.map(({ name }) => name);
     for (const name of chosen) if (!state.picture(name)) chosen.delete(name);
     const usable = all.filter((picture) => picture.state !== "broken");
@@ -201,7 +204,6 @@ export function mountStrip(root, app) {
   new ResizeObserver(() => { show(); reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("select", () => { reveal(); render(); });
-  known = "?";
   show();
   reveal();
 }

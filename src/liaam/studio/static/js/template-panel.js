@@ -1,9 +1,8 @@
 // The panel beside the picture while the template is edited: instructions, points, paths, and Done.
 
 import { several } from "./annotate-words.js";
-import { createPresets } from "./presets.js";
 import * as drafts from "./template.js";
-import { button, h, icon, iconButton } from "./ui.js";
+import { button, consume, fileField, h, icon, iconButton, menu, press } from "./ui.js";
 
 const START =
   "Which points will be placed on every picture? Click them on this picture, one contour after another. Each click " +
@@ -16,19 +15,21 @@ const EDIT =
   "press Done.";
 const LAY_OUT = "Drag the frame's handles until the points lie on this picture, then move single points.";
 
+/** Common sets of points to start with, by the name of their landmark file. */
+const PRESETS = {
+  "face-68": "Face, 68 points (iBUG)", "body-17": "Body, 17 points (COCO)", "hand-21": "Hand, 21 points",
+  "wing-12": "Fly wing, 12 points on veins",
+};
+
 /** onload(file): start with a landmark file; ondone(); onleave(). */
 export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
   let busy = false;
   const heading = h("h2.panel-title");
   const intro = h("div.column.template-intro");
-  const file = h("input.visually-hidden", {
-    type: "file", id: "template-file", testid: "template-load",
-    onchange: async () => {
-      if (file.files[0]) await onload(file.files[0]);
-      file.value = ""; // so that the same file can be chosen again
-    },
-  });
-  const tool = (label, icon, onclick, more = {}) => button(label, { icon, small: true, onclick, ...more });
+  const file = fileField(onload, { id: "template-file", testid: "template-load", tabindex: null });
+  const loadPreset = async (set) =>
+    onload(new File([await (await fetch(`presets/${set}.ljson`)).blob()], `${set}.ljson`));
+  const tool = (label, face, onclick, more = {}) => button(label, { icon: face, small: true, onclick, ...more });
   const path = tool("New path", "path", () => drafting.startPath(), { shortcut: "N", testid: "template-new-path" });
   const close = tool("Close path", "check", () => drafting.close(), { shortcut: "C", testid: "template-close-path" });
   const mirror = tool("Mirror", "mirror", () => toggleMirror(), {
@@ -48,7 +49,7 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
       h("h2.panel-title", "Points"), points.element, h("h2.panel-title", "Paths"), paths),
     h("section.panel.side-foot", message, h("div.row", done, cancel)));
 
-  const showMirror = (on) => mirror.setAttribute("aria-pressed", String(on));
+  const showMirror = (on) => press(mirror, on);
   const toggleMirror = () => showMirror(drafting.toggleMirror());
 
   /** What to do, above the buttons. */
@@ -60,7 +61,10 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
     if (draft.names.length) return hint(CONTINUE);
     const label = h("label.button", { for: "template-file" }, icon("upload"), "Load a landmark file");
     const other = hint("Or start with a common set, or with a landmark file (.pts, .ljson, .asf …):");
-    return [h("p", START), ...other, h("div.column", createPresets(onload), file, label)];
+    const common = menu("Choose a common set…", PRESETS, loadPreset, {
+      "aria-label": "Common sets of points", testid: "template-preset",
+    });
+    return [h("p", START), ...other, h("div.column", common, file, label)];
   }
 
   /** Update the buttons and the instructions. */
@@ -102,8 +106,8 @@ function pathRow(drafting, { indices, closed }, k) {
   const label = `Path ${k + 1}`;
   const length = ` ${several(indices.length, "point")}${current ? ", being drawn" : ""}`;
   const edit = (what, change, ...more) => () => drafting.apply(change(drafting.draft, k, ...more), what);
-  const small = (text, icon, onclick, more = {}) =>
-    iconButton(`${text} path ${k + 1}`, icon, onclick, { small: true, ...more });
+  const small = (text, face, onclick, more = {}) =>
+    iconButton(`${text} path ${k + 1}`, face, onclick, { small: true, ...more });
   const state = { small: true, kind: "ghost", pressed: closed, "aria-label": `${label}: closed` };
   return h("li.template-path", { class: current && "chosen" },
     h("span.grow", label, h("span.muted.small", length)),
@@ -152,8 +156,8 @@ function pointRows(drafting) {
       oninput: () => drafting.apply(drafts.rename(drafting.draft, at(), name.value), "rename", `rename ${at()}`),
     });
     const grip = h("span.grip", {
-      title: "Drag to reorder (Alt + ↑ ↓ in the name)", "aria-hidden": "true", onpointermove: drag, onpointerup: drop,
-      onpointercancel: drop,
+      title: "Drag to reorder (Alt + ↑ ↓ in the name)", "aria-hidden": "true",
+      onpointermove: drag, onpointerup: drop, onpointercancel: drop,
       onpointerdown: (event) => {
         dragged = at();
         grip.setPointerCapture(event.pointerId);
@@ -195,8 +199,7 @@ function pointRows(drafting) {
     const step = { ArrowUp: -1, ArrowDown: 1 }[event.key];
     const go = event.key === "Enter" ? 1 : step;
     if (!go) return;
-    event.preventDefault();
-    event.stopPropagation();
+    consume(event);
     if (event.altKey && step) drafting.shift(i, i + step);
     const next = rows[Math.min(Math.max(i + go, 0), rows.length - 1)].name;
     next.focus();

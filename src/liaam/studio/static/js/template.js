@@ -5,6 +5,7 @@
 //  index of each point in the saved template or null, path: the contour that clicks continue or -1, twinPath: its
 //  mirror image or -1}
 
+import { several } from "./annotate-words.js";
 import { axisNormal, bounds, indicesOf, rounded } from "./points.js";
 
 export const EMPTY = Object.freeze({
@@ -21,7 +22,7 @@ export function draftOf(template, points = null) {
   };
 }
 
-export function freshName(names) {
+function freshName(names) {
   let number = names.length + 1;
   while (names.includes(`point ${number}`)) number += 1;
   return `point ${number}`;
@@ -76,10 +77,7 @@ export function joined(path, twin, closed) {
   if (starts && ends && path.length > 1) return [{ indices: [...path, ...back], closed: true }];
   if (starts && !closed) return [{ indices: [...back, ...path], closed: false }];
   if (ends || (starts && closed)) return [{ indices: [...path, ...back], closed }];
-  return [
-    { indices: path, closed },
-    { indices: twin, closed },
-  ];
+  return [{ indices: path, closed }, { indices: twin, closed }];
 }
 
 /** End the current path; the next click starts another. */
@@ -89,8 +87,7 @@ export function newPath(draft, closed = false) {
   const twin = draft.twinPath < 0 ? null : draft.contours[draft.twinPath].indices;
   const done = twin ? joined(indices, twin, closed) : [{ indices, closed: closed && indices.length > 2 }];
   const contours = draft.contours.flatMap((contour, k) =>
-    k === draft.path ? done : k === draft.twinPath ? [] : [contour],
-  );
+    k === draft.path ? done : k === draft.twinPath ? [] : contour);
   return { ...draft, contours: contours.filter((contour) => contour.indices.length > 1), path: -1, twinPath: -1 };
 }
 
@@ -104,12 +101,10 @@ export function continuePath(draft, path) {
 
 /** Connect the current path to an existing point; a path contains a point once. */
 export function connect(draft, index) {
-  if (draft.contours[draft.path]?.indices.includes(index)) return draft;
-  if (draft.path < 0)
-    return {
-      ...draft, contours: [...draft.contours, { indices: [index], closed: false }], path: draft.contours.length,
-    };
-  return { ...draft, contours: extend(draft.contours, draft.path, index) };
+  const { path, contours } = draft;
+  if (contours[path]?.indices.includes(index)) return draft;
+  if (path >= 0) return { ...draft, contours: extend(contours, path, index) };
+  return { ...draft, contours: [...contours, { indices: [index], closed: false }], path: contours.length };
 }
 
 export const setClosed = (draft, path, closed) =>
@@ -124,7 +119,7 @@ export const rename = (draft, index, name) =>
   ({ ...draft, names: draft.names.map((old, i) => (i === index ? name : old)) });
 
 /** The draft with reordered points: order[new index] = old index; other points are deleted. */
-export function arranged(draft, order) {
+function arranged(draft, order) {
   const now = new Map(order.map((old, i) => [old, i]));
   const pick = (list) => order.map((old) => list[old]);
   const kept = draft.contours.map(({ indices, closed }) => {
@@ -133,20 +128,17 @@ export function arranged(draft, order) {
   });
   // The current path may have one point; all others need two.
   const alive = kept.map((contour, k) => contour.indices.length > (k === draft.path || k === draft.twinPath ? 0 : 1));
-  const place_ = (k) => (k < 0 || !alive[k] ? -1 : alive.slice(0, k).filter(Boolean).length);
+  const newPlace = (k) => (k < 0 || !alive[k] ? -1 : alive.slice(0, k).filter(Boolean).length);
   return {
     names: pick(draft.names), points: pick(draft.points), origins: pick(draft.origins),
     mirror: order.map((old, i) => now.get(draft.mirror[old]) ?? i), contours: kept.filter((_, k) => alive[k]),
-    path: place_(draft.path), twinPath: place_(draft.twinPath),
+    path: newPlace(draft.path), twinPath: newPlace(draft.twinPath),
   };
 }
 
 export function deletePoints(draft, indices) {
   const gone = new Set(indices);
-  return arranged(
-    draft,
-    indicesOf(draft.names).filter((i) => !gone.has(i)),
-  );
+  return arranged(draft, indicesOf(draft.names).filter((i) => !gone.has(i)));
 }
 
 export function reorder(draft, from, to) {
@@ -227,10 +219,9 @@ export function changes(draft, count) {
   const kept = draft.origins.filter((origin) => origin !== null);
   const [added, deleted] = [draft.origins.length - kept.length, count - kept.length];
   const moved = kept.some((origin, i) => i > 0 && origin < kept[i - 1]);
-  const points = (number) => `${number} ${number === 1 ? "point" : "points"}`;
   return [
-    deleted > 0 && `${points(deleted)} will be deleted`,
-    added > 0 && `${points(added)} will be added, and will be missing in the other pictures`,
+    deleted > 0 && `${several(deleted, "point")} will be deleted`,
+    added > 0 && `${several(added, "point")} will be added, and will be missing in the other pictures`,
     moved && "the order of the points will change",
   ].filter(Boolean);
 }

@@ -8,21 +8,17 @@
   const system = matchMedia("(prefers-color-scheme: dark)");
   const { dataset } = document.documentElement;
 
-  function recall(key) {
+  /** Use the storage; without it, the choice is lost with the page. */
+  function attempt(work) {
     try {
-      return localStorage.getItem(key);
+      return work();
     } catch {
-      return null; // without storage, the choice is lost with the page
+      return null;
     }
   }
 
-  function keep(key, value) {
-    try {
-      localStorage.setItem(key, value);
-    } catch {
-      // As above.
-    }
-  }
+  const recall = (key) => attempt(() => localStorage.getItem(key));
+  const keep = (key, value) => attempt(() => localStorage.setItem(key, value));
 
   function show(theme) {
     dataset.theme = THEMES.includes(theme) ? theme : system.matches ? "dark" : "light";
@@ -32,9 +28,7 @@
   system.addEventListener("change", () => show(recall(KEY)));
   addEventListener("storage", ({ key }) => key === KEY && show(recall(KEY))); // chosen in another tab
   window.liaamTheme = {
-    get isDark() {
-      return dataset.theme === "dark";
-    },
+    get isDark() { return dataset.theme === "dark"; },
     toggle() {
       const next = this.isDark ? "light" : "dark";
       keep(KEY, next);

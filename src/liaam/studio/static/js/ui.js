@@ -1,7 +1,5 @@
 // Elements and controls shared by all tabs.
 
-const SVG = "http://www.w3.org/2000/svg";
-
 /**
  * Create an element: h("p.small.muted", "text") or h("button.wide", {onclick: f, "aria-label": "…", testid: "x"},
  * "text", child). Attributes that are null or false, and such children, are left out.
@@ -32,15 +30,14 @@ export function h(tag, ...rest) {
 const ICONS = {
   undo: "M9 14 4 9l5-5M4 9h10a6 6 0 0 1 0 12h-3", redo: "m15 14 5-5-5-5M20 9H10a6 6 0 0 0 0 12h3",
   plus: "M12 5v14M5 12h14", minus: "M5 12h14", fit: "M4 9V4h5M20 9V4h-5M4 15v5h5M20 15v5h-5", check: "m5 12 5 5 9-10",
-  close: "M6 6l12 12M18 6 6 18", left: "m14 6-6 6 6 6", right: "m10 6 6 6-6 6", up: "m6 14 6-6 6 6",
-  down: "m6 10 6 6 6-6", play: "M7 5v14l12-7z", pause: "M8 5v14M16 5v14", train: "M4 19V9l8-5 8 5v10M9 19v-6h6v6",
-  brain: "M12 3v18M7 7h10M5 12h14M7 17h10", image: "M4 5h16v14H4zM4 16l5-5 4 4 3-3 4 4M15.5 9.5h.01",
-  folder: "M3 6h6l2 2h10v11H3z", upload: "M12 16V5M7 10l5-5 5 5M5 19h14", download: "M12 5v11M7 11l5 5 5-5M5 20h14",
+  close: "M6 6l12 12M18 6 6 18", left: "m14 6-6 6 6 6", right: "m10 6 6 6-6 6", play: "M7 5v14l12-7z",
+  pause: "M8 5v14M16 5v14", brain: "M12 3v18M7 7h10M5 12h14M7 17h10",
+  image: "M4 5h16v14H4zM4 16l5-5 4 4 3-3 4 4M15.5 9.5h.01", folder: "M3 6h6l2 2h10v11H3z",
+  upload: "M12 16V5M7 10l5-5 5 5M5 19h14", download: "M12 5v11M7 11l5 5 5-5M5 20h14",
   sun: "M12 8a4 4 0 1 0 0 8 4 4 0 0 0 0-8M12 2v2M12 20v2M2 12h2M20 12h2M5 5l1.4 1.4M17.6 17.6 19 19M5 19l1.4-1.4" +
     "M17.6 6.4 19 5",
   moon: "M20 14.5A8 8 0 1 1 9.5 4a6.5 6.5 0 0 0 10.5 10.5z",
   keyboard: "M3 7h18v10H3zM7 11h.01M11 11h.01M15 11h.01M8 14h8", warning: "M12 4 2.5 20h19zM12 10v4M12 17h.01",
-  points: "M5 7h.01M12 5h.01M19 7h.01M7 16h.01M17 16h.01M12 20h.01M5 7l7-2 7 2-2 9-5 4-5-4z",
   path: "M5 18c4-12 10 0 14-12M5 18h.01M19 6h.01", mirror: "M12 3v18M9 7 3 18h6zM15 7l6 11h-6z",
   trash: "M5 7h14M10 7V4h4v3M7 7l1 13h8l1-13", edit: "M4 20h4L19 9l-4-4L4 16zM13 7l4 4",
   eye: "M2 12s4-7 10-7 10 7 10 7-4 7-10 7S2 12 2 12zM12 9a3 3 0 1 0 0 6 3 3 0 0 0 0-6",
@@ -48,24 +45,26 @@ const ICONS = {
     "c1.8 0 3.4-.6 4.8-1.4M9.9 9.9a3 3 0 0 0 4.2 4.2",
   swap: "M7 4 3 8l4 4M3 8h18M17 12l4 4-4 4M21 16H3",
   target: "M12 4a8 8 0 1 0 0 16 8 8 0 0 0 0-16M12 2v4M12 18v4M2 12h4M18 12h4", box: "M5 5h14v14H5z",
-  menu: "M4 7h16M4 12h16M4 17h16", compare: "M12 3v18M4 6h5v12H4zM15 6h5v12h-5z",
+  compare: "M12 3v18M4 6h5v12H4zM15 6h5v12h-5z",
   strip: "M4 5h16v14H4zM10 5v14M6.5 8.5h1M6.5 12h1", side: "M4 5h16v14H4zM14 5v14M16.5 8.5h1M16.5 12h1",
   adjust: "M12 4a8 8 0 1 0 0 16zM12 4a8 8 0 0 1 0 16M12 8h6.5M12 12h8M12 16h6.5",
   spark: "M12 3l2 6 6 2-6 2-2 6-2-6-6-2 6-2z",
 };
 
+/** An element of an SVG. */
+export function svg(tag, attributes, ...children) {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, String(value));
+  element.append(...children);
+  return element;
+}
+
 /** An icon as an SVG that is hidden from screen readers. */
-export function icon(name, size = 16) {
-  const svg = document.createElementNS(SVG, "svg");
-  const path = document.createElementNS(SVG, "path");
-  for (const [key, value] of Object.entries({
+export const icon = (name, size = 16) =>
+  svg("svg", {
     viewBox: "0 0 24 24", width: size, height: size, fill: "none", stroke: "currentColor",
     "stroke-width": 2, "stroke-linecap": "round", "stroke-linejoin": "round", "aria-hidden": "true",
-  })) svg.setAttribute(key, String(value));
-  path.setAttribute("d", ICONS[name] ?? ICONS.points);
-  svg.append(path);
-  return svg;
-}
+  }, svg("path", { d: ICONS[name] }));
 
 /**
  * A button. kind: "primary", "danger", "ghost"; small; pressed: true or false for toggles; iconOnly: show the label
@@ -94,8 +93,56 @@ export function button(label, options = {}) {
 export const iconButton = (label, picture, onclick, options = {}) =>
   button(label, { icon: picture, iconOnly: true, kind: "ghost", onclick, ...options });
 
-/** A row of radio buttons: [{value, label, title}]; returns {element, value (get, set)}. */
-export function segmented(label, choices, value, onchange) {
+/** Show whether a toggle is on. */
+export const press = (toggle, on) => toggle.setAttribute("aria-pressed", String(on));
+
+/** Do the work of a control that shows that it is busy; it cannot be started twice. */
+export async function whileBusy(control, work) {
+  if (control.getAttribute("aria-busy") === "true") return;
+  control.setAttribute("aria-busy", "true");
+  try {
+    await work();
+  } finally {
+    control.removeAttribute("aria-busy");
+  }
+}
+
+/** The event needs no further handling, neither by the page nor by the browser. */
+export function consume(event) {
+  event.preventDefault();
+  event.stopPropagation();
+}
+
+/** The labels in a table of {label}, by name; entries without one are left out. */
+export const labelsOf = (table) =>
+  Object.fromEntries(Object.entries(table).filter(([, { label }]) => label).map(([name, { label }]) => [name, label]));
+
+/** The options of a list to choose from: labels by value. */
+export const optionsOf = (labels) => Object.entries(labels).map(([value, label]) => h("option", { value }, label));
+
+/** A list of actions under a title; onchoose(value). */
+export function menu(title, labels, onchoose, attributes = {}) {
+  const onchange = () => {
+    const { value } = list;
+    list.value = "";
+    onchoose(value);
+  };
+  const list = h("select.text", { onchange, ...attributes }, h("option", { value: "" }, title), optionsOf(labels));
+  return list;
+}
+
+export const slider = (attributes) => h("input.slider", { type: "range", ...attributes });
+
+/** A hidden field for a file, which is opened by its click(); onfile(file). */
+export function fileField(onfile, attributes = {}) {
+  const onchange = () => field.files[0] && onfile(field.files[0]);
+  const onclick = () => { field.value = ""; }; // so that the same file can be chosen again
+  const field = h("input.visually-hidden", { type: "file", tabindex: "-1", onclick, onchange, ...attributes });
+  return field;
+}
+
+/** A row of radio buttons: [{value, label, title}]; their test ids start with testid. Returns {element, value}. */
+export function segmented(label, choices, value, onchange, testid = null) {
   const choose = (next) => {
     if (next === value) return;
     value = next;
@@ -103,7 +150,10 @@ export function segmented(label, choices, value, onchange) {
     onchange(value);
   };
   const buttons = choices.map(({ value: own, label: text, title }) =>
-    h("button", { type: "button", role: "radio", title, dataset: { value: own }, onclick: () => choose(own) }, text));
+    h("button", {
+      type: "button", role: "radio", title, testid: testid && `${testid}-${own}`, dataset: { value: own },
+      onclick: () => choose(own),
+    }, text));
   const show = () => buttons.forEach((each) => {
     const on = each.dataset.value === value;
     each.setAttribute("aria-checked", String(on));
@@ -112,8 +162,7 @@ export function segmented(label, choices, value, onchange) {
   const onkeydown = (event) => {
     const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
     if (!step) return;
-    event.preventDefault();
-    event.stopPropagation();
+    consume(event);
     const at = choices.findIndex((choice) => choice.value === value) + step;
     choose(choices.at(at % choices.length).value);
     buttons.at(at % choices.length).focus();
@@ -180,6 +229,10 @@ export function toast(message, kind = "info") {
   if (kind !== "bad") setTimeout(remove, 5000);
   return remove;
 }
+
+/** Whether a key has no modifier but Shift, and is not the Enter that a button needs. */
+export const isPlain = ({ key, ctrlKey, metaKey, altKey, target }) =>
+  !ctrlKey && !metaKey && !altKey && !(key === "Enter" && target.matches?.("button, a, [role=radio]"));
 
 const TYPED = "textarea, select, input:not([type=range], [type=checkbox], [type=radio], [type=button])";
 

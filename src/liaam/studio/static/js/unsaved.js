@@ -1,7 +1,7 @@
 // Unsaved work in the browser's storage, which survives a reload, and the pages that save it.
 
-/** Use the storage; `otherwise` if it is full or forbidden. Then unsaved work is lost with the page. */
-function attempt(work, otherwise = null) {
+/** The result of some work, or `otherwise` if it fails. Without a storage, unsaved work is lost with the page. */
+export function attempt(work, otherwise = null) {
   try {
     return work();
   } catch {
