@@ -42,11 +42,3 @@ test("a refusal that names no time is told at once", async (t) => {
   await assert.rejects(api.put("/api/template", {}), { message: "the disk refuses", status: 503 });
   assert.equal(asked.length, 1);
 });
-
-test("who no longer waits asks no more", async (t) => {
-  const { asked } = served(t, busy);
-  const stop = new AbortController();
-  stop.abort();
-  await assert.rejects(api.get("/api/project", { signal: stop.signal }), { name: "AbortError" });
-  assert.equal(asked.length, 1);
-});

@@ -34,6 +34,8 @@ interface Template {
 }
 
 interface Model {
+  /** Another one for each model that the server uses. */
+  number: number;
   name: string;
   n_images: number;
   n_points: number;
@@ -102,6 +104,12 @@ interface App {
   toast: typeof import("../../../src/liaam/studio/static/js/ui.js").toast;
   confirm: typeof import("../../../src/liaam/studio/static/js/ui.js").confirm;
   openTab(name: string, options?: object): void;
+  /** A file was dropped, pasted or opened. */
+  take(file: File): void;
+  pictures: import("../../../src/liaam/studio/static/js/picture-store.js").PictureStore;
+  /** The picture to fit and the fits, shared by the tabs Fit and Compare. */
+  sources: import("../../../src/liaam/studio/static/js/fit-source.js").Sources;
+  fits: import("../../../src/liaam/studio/static/js/fit-run.js").FitStore;
 }
 
 /** Hooks for browser tests, and the theme. */

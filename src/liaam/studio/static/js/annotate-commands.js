@@ -58,8 +58,8 @@ export function createCommands(tab) {
     get marks() { return !tab.editing && marking.book !== null; },
 
     flick(what) {
-      tab.show[what] = !tab.show[what];
-      tab.toolbar.press(what, tab.show[what]);
+      tab.drawn[what] = !tab.drawn[what];
+      tab.toolbar.press(what, tab.drawn[what]);
       viewer.redraw();
     },
 

@@ -28,14 +28,14 @@ export function createOpening(tab, begins) {
     marking.open(null);
     const fault = whyNot(name);
     if (fault) {
-      const [icon, title, text, more] = fault;
-      showInstead(icon, title, text, more);
+      showInstead(fault);
       return;
     }
     cover.hide();
     tab.refresh();
     try {
-      const [picture, marks] = await Promise.all([tab.pictures.fetch(name), tab.template ? fetchMarks(name) : null]);
+      const requests = [tab.app.pictures.fetch(name), tab.template ? fetchMarks(name) : null];
+      const [picture, marks] = await Promise.all(requests);
       if (own !== turn) return;
       const { width, height } = marks ?? picture;
       viewer.setPicture(picture.bitmap, width, height);
@@ -47,27 +47,29 @@ export function createOpening(tab, begins) {
       const isGone = error.status === 0;
       const again = "Start 'liaam studio' again, and the picture opens. Your changes are kept.";
       const title = isGone ? "The server is not reachable" : `${name} cannot be opened`;
-      showInstead("warning", title, isGone ? again : error.message);
+      showInstead({ icon: "warning", title, text: isGone ? again : error.message });
     }
   }
 
-  /** Why a picture cannot be opened: [icon, title, text, what follows]; null if it may be. */
+  /** Why a picture cannot be opened, for the cover; null if it can be. */
   function whyNot(name) {
     const picture = state.picture(name);
     if (!name || !picture) {
-      const where = state.project?.folder ?? "the folder";
-      const what = `Put pictures (JPEG, PNG, TIFF …) into ${where} or its subfolders.`;
-      return ["folder", "No pictures yet", `${what} They appear here automatically.`, invited()];
+      const what = `Put pictures (JPEG, PNG, TIFF …) into ${state.project.folder} or its subfolders.`;
+      return {
+        icon: "folder", title: "No pictures yet", text: `${what} They appear here automatically.`, more: invited(),
+      };
     }
     if (picture.state !== "broken") return null;
-    return ["warning", `${name} cannot be used`, picture.error ?? "It cannot be read: replace the file."];
+    const text = picture.error ?? "It cannot be read: replace the file.";
+    return { icon: "warning", title: `${name} cannot be used`, text };
   }
 
   /** Generated heads to try the studio on, in a folder without pictures. */
-  const invited = () => (state.project?.pictures.length ? null : (heads ??= invitation(tab.app)));
+  const invited = () => (state.project.pictures.length ? null : (heads ??= invitation(tab.app)));
 
-  function showInstead(icon, title, text, more = null) {
-    cover.show(icon, title, text, more);
+  function showInstead(message) {
+    cover.show(message);
     viewer.setPicture(null, 0, 0);
     tab.refresh();
   }
@@ -111,7 +113,7 @@ export function createOpening(tab, begins) {
   /** Fetch the picture at a higher resolution if the zoom needs it. */
   async function sharpen() {
     const { name } = tab;
-    const bitmap = await tab.pictures.sharper(name, viewer.scale * devicePixelRatio);
+    const bitmap = await tab.app.pictures.sharper(name, viewer.scale * devicePixelRatio);
     if (bitmap && tab.name === name) viewer.setSource(bitmap);
   }
 

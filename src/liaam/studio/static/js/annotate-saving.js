@@ -20,7 +20,6 @@ const DELETED = {
  *  @param {{app: App, [handler: string]: any}} options */
 export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
   const { api, state, toast, ui } = app;
-  const { id, folder: folderName } = state.project;
   const page = new Page();
   let deciding = false;
   const template = () => state.project?.template ?? null;
@@ -29,7 +28,7 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
   const tryToFetch = (name) => fetchMarks(name).catch(() => null);
 
   const saver = new Saver({
-    put, unsaved: new Unsaved(localStorage, id ?? folderName, page.name),
+    put, unsaved: new Unsaved(localStorage, state.project.id, page.name),
     template: () => template() && { names: template().names, revision: template().revision },
     onStatus: onstatus, onConflict: decide, onForeign: onforeign, onTemplate: templateMoved,
     onLost: (_name, sentence) => toast(sentence, "bad"),

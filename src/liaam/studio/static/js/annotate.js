@@ -14,7 +14,6 @@ import { Cover } from "./cover.js";
 import { drawHint, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
 import { Marking } from "./marking.js";
-import { PictureStore } from "./picture-store.js";
 import { nextMissing } from "./points.js";
 import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
@@ -23,17 +22,13 @@ import { Viewer } from "./viewer.js";
 
 const SAY_AFTER = 350; // milliseconds after the last arrow key until a position is announced
 
-export function mount(root, app) {
-  const tab = new AnnotateTab(root, app);
-  return {
-    show: () => tab.appear(), hide: () => tab.disappear(), shortcuts: SHORTCUTS, key: (event) => tab.key(event),
-  };
-}
+export const mount = (root, app) => new AnnotateTab(root, app);
 
 export class AnnotateTab {
+  shortcuts = SHORTCUTS;
   name = null; // name of the open picture
   visible = false;
-  show = { names: false, contours: true, ellipses: true };
+  drawn = { names: false, contours: true, ellipses: true };
   boxing = false; // whether dragging selects with a box
   waiting = null; // timer of an announcement
 
@@ -64,10 +59,7 @@ export class AnnotateTab {
 
   makeParts() {
     const { app, state, viewer } = this;
-    this.say = (text) => {
-      this.spoken.textContent = text;
-    };
-    this.pictures = new PictureStore(app);
+    this.say = (text) => { this.spoken.textContent = text; };
     this.marking = new Marking({
       template: () => this.template, onchange: () => this.changed(), onselect: () => this.chosen(),
       onpreview: () => viewer.redraw(), onplaced: (index) => this.goOn(index),
@@ -129,14 +121,14 @@ export class AnnotateTab {
     setTimeout(() => this.saving.sendKept((name) => this.reopen(name)), 500);
   }
 
-  appear() {
+  show() {
     this.visible = true;
     if (this.name !== this.state.current || !this.marking.book) this.opening.open(this.state.current);
     this.refresh();
     this.focus();
   }
 
-  disappear() {
+  hide() {
     this.visible = false;
     this.tool.cancel();
     this.saver.flush();
@@ -252,7 +244,7 @@ export class AnnotateTab {
     const { viewer, tool, marking } = this;
     if (!viewer.width || marking.hidden) return;
     if (this.editing) this.templates.draw(ctx, tool);
-    else if (marking.book) drawMarking(ctx, viewer, tool, marking, this.show);
+    else if (marking.book) drawMarking(ctx, viewer, tool, marking, this.drawn);
     drawGesture(ctx, viewer, tool, marking.suggested);
   }
 
@@ -270,7 +262,7 @@ export class AnnotateTab {
       /** "file", "proposal", "layout", "none", or "template" while it is edited; null while a picture opens. */
       source: () => (this.editing ? "template" : (this.marking.state?.source ?? null)), name: () => this.name,
       selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible],
-      undoSteps: () => this.doc.history?.past.length ?? 0, isDirty: () => this.saver.anyDirty,
+      undoSteps: () => this.doc.history?.past.length ?? 0, isDirty: () => this.saver.dirty.length > 0,
       /** The loupe: {xy under its centre, centre on the screen, scale}, or null. */
       loupe: () => this.tool.loupe && { xy: this.tool.loupe, ...loupeOver(this.viewer, this.tool.pointer) },
     };

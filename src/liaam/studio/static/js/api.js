@@ -52,14 +52,14 @@ async function request(address, options) {
   for (let tries = 1; ; tries += 1) {
     try {
       response = await fetch(address, { credentials: "same-origin", ...options });
-    } catch (fault) {
-      if (fault.name === "AbortError") throw fault;
+    } catch {
       throw new ApiError(UNREACHABLE, 0);
     }
     // Retry only if the server asks for it. Other 503 errors, such as a full disk, are shown.
     const wait = Number(response.headers.get("retry-after"));
     if (response.status !== 503 || !(wait > 0) || tries === TRIES) break;
-    await later(1000 * Math.min(wait, 10) * (1 + Math.random()), options?.signal); // random, to spread retries
+    const delay = 1000 * Math.min(wait, 10) * (1 + Math.random()); // random, to spread retries
+    await new Promise((resolve) => { setTimeout(resolve, delay); });
   }
   if (response.ok) return response;
   const body = await response.json().catch(() => null);
@@ -67,26 +67,15 @@ async function request(address, options) {
   throw new ApiError(message, response.status, body);
 }
 
-/** Wait; rejects at once when the signal is aborted.
- *  @returns {Promise<void>} */
-function later(milliseconds, signal) {
-  return new Promise((resolve, reject) => {
-    signal?.throwIfAborted();
-    const stop = () => {
-      clearTimeout(timer);
-      reject(signal.reason);
-    };
-    const timer = setTimeout(() => {
-      signal?.removeEventListener("abort", stop);
-      resolve();
-    }, milliseconds);
-    signal?.addEventListener("abort", stop, { once: true });
-  });
-}
-
 async function json(address, options) {
   const response = await send(address, options);
   return response.status === 204 ? null : response.json();
+}
+
+/** File name in a Content-Disposition header of the server. */
+export function fileNameIn(disposition) {
+  const [, encoded] = /filename\*=UTF-8''([^;]+)/i.exec(disposition ?? "") ?? [];
+  return encoded ? decodeURIComponent(encoded) : "file";
 }
 
 function withBody(method) {
@@ -103,9 +92,9 @@ export const api = {
     json(address, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: blob, ...options }),
   buffer: async (address, options = {}) => (await send(address, options)).arrayBuffer(),
   blob: async (address, options = {}) => (await send(address, options)).blob(),
-  /** A file to save: {blob, disposition: the Content-Disposition header}. */
+  /** A file to save: [blob, name]. */
   file: async (address, options = {}) => {
     const answer = await send(address, options);
-    return { blob: await answer.blob(), disposition: answer.headers.get("content-disposition") };
+    return /** @type {[Blob, string]} */ ([await answer.blob(), fileNameIn(answer.headers.get("content-disposition"))]);
   },
 };

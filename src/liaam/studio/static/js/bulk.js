@@ -1,5 +1,7 @@
 // Actions on several pictures of the list, and their undo.
 
+import { several } from "./annotate-words.js";
+import { button, h, iconButton, labelsOf, menu } from "./ui.js";
 import { myName } from "./who.js";
 
 /** By name in the server's log: the label, what was done, and the action that undoes it. */
@@ -14,7 +16,7 @@ const ACTIONS = {
   undeleted: { done: "with landmarks again", undo: "deleted" },
 };
 
-const pictures = ({ length }) => `${length} ${length === 1 ? "picture" : "pictures"}`;
+const pictures = ({ length }) => several(length, "picture");
 
 /** Message about the answer to an action. */
 export function outcome(did, { changed, refused }) {
@@ -25,8 +27,8 @@ export function outcome(did, { changed, refused }) {
 }
 
 /** Apply an action to pictures; resolves to the names that changed. */
-export async function act({ state, api, toast, ui }, did, names) {
-  const who = await myName(ui, did === "checked");
+export async function act({ state, api, toast }, did, names) {
+  const who = await myName(did === "checked");
   if (who === null) return [];
   const answer = await state.send((folder) => api.post(api.url("review"), { folder, pictures: names, did, who }));
   toast(outcome(did, answer), answer.changed.length ? "good" : "info");
@@ -36,20 +38,18 @@ export async function act({ state, api, toast, ui }, did, names) {
 
 /** The bar of actions; chosen() -> names; onall(): choose all shown pictures; onend(): end the selection. */
 export function createBulk({ app, chosen, onall, onend }) {
-  const { h, button } = app.ui;
   let last = null; // {did, names} to undo
-  const count = h("span", { class: "small grow", "aria-live": "polite" });
-  const labels = Object.entries(ACTIONS).filter(([, { label }]) => label);
-  const choice = h("select", { class: "text", "aria-label": "Action on the selected pictures" },
-    h("option", { value: "" }, "Action…"), labels.map(([value, { label }]) => h("option", { value }, label)));
-  choice.dataset.testid = "bulk-action";
-  choice.addEventListener("change", () => { run(choice.value, chosen()); choice.value = ""; });
-  const undo = button("Undo", { icon: "undo", iconOnly: true, small: true, disabled: true, testid: "bulk-undo",
-    onclick: () => run(ACTIONS[last.did].undo, last.names) });
+  const count = h("span.small.grow", { "aria-live": "polite" });
+  const choice = menu("Action…", labelsOf(ACTIONS), (did) => run(did, chosen()), {
+    "aria-label": "Action on the selected pictures", testid: "bulk-action",
+  });
+  const undo = iconButton("Undo", "undo", () => run(ACTIONS[last.did].undo, last.names), {
+    kind: "", small: true, disabled: true, testid: "bulk-undo",
+  });
   const small = (label, onclick, testid) => button(label, { small: true, kind: "ghost", onclick, testid });
-  const element = h("div", { class: "strip-bulk", hidden: true },
-    h("div", { class: "row" }, count, small("All", onall, "bulk-all"), small("End", onend, "bulk-end")),
-    h("div", { class: "row" }, choice, undo));
+  const element = h("div.strip-bulk", { hidden: true },
+    h("div.row", count, small("All", onall, "bulk-all"), small("End", onend, "bulk-end")),
+    h("div.row", choice, undo));
 
   async function run(did, names) {
     const changed = await act(app, did, names);

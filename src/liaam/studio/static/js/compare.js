@@ -1,11 +1,10 @@
 // The Compare tab: two methods on the same picture, side by side, with the same zoom.
 
 import { api } from "./api.js";
-import { drawFit, drawTruth, entries, modelNeeded, overlayButtons, OVERLAYS, pressOverlays } from "./fit-draw.js";
+import { drawFit, drawTruth, entries, modelNeeded, Overlays } from "./fit-draw.js";
 import { meanDistance } from "./fit-geometry.js";
-import { betterOf, comparison, factsOf, fitsOf, verdictOf } from "./fit-run.js";
-import { sourcesOf } from "./fit-source.js";
-import { button, h, icon } from "./ui.js";
+import { betterOf, comparison, factsOf, verdictOf } from "./fit-run.js";
+import { button, h, icon, isPlain, press } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 /** Methods to compare the default with at first: the best known. */
@@ -17,19 +16,17 @@ const SHORTCUTS = [
   { keys: "C L M E T", what: "Show contours, points, mesh, ellipses, ground truth" },
 ];
 
-export function mount(root, app) {
-  const tab = new CompareTab(root, app);
-  return { show: () => tab.open(), hide: () => tab.watch(false), shortcuts: SHORTCUTS, key: (event) => tab.key(event) };
-}
+export const mount = (root, app) => new CompareTab(root, app);
 
 /** One side: its method, its viewer and its result. */
 class Side {
-  constructor(name, { onmethod, draw }) {
+  constructor(name, methods, method, { onmethod, draw }) {
     this.fit = null;
     this._run = 0;
     this.select = h("select.text", {
       "aria-label": `Method on the ${name}`, testid: `compare-method-${name}`, onchange: () => onmethod(this),
-    });
+    }, methods.map(({ name: value, summary: title }) => h("option", { value, title }, value)));
+    this.select.value = method;
     this.badge = h("span.badge", { hidden: true });
     this.facts = h("dl.fit-facts.compare-facts");
     this.message = h("p.small.muted.compare-message");
@@ -42,12 +39,6 @@ class Side {
   }
 
   get method() { return this.select.value; }
-
-  methods(methods, chosen) {
-    this.select.replaceChildren(
-      ...methods.map(({ name, summary }) => h("option", { value: name, title: summary }, name)));
-    this.select.value = chosen;
-  }
 
   show(source) {
     this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0);
@@ -72,10 +63,10 @@ class Side {
   }
 
   /** Fit; return whether this is still the newest run of the side. */
-  async run(store, source) {
+  async run(fits, source) {
     const run = (this._run += 1);
     try {
-      const fit = store.recall(source, this.method) ?? (await store.run(source, this.method));
+      const fit = fits.recall(source, this.method) ?? (await fits.run(source, this.method));
       if (run === this._run) this.take(fit);
     } catch (error) {
       if (run !== this._run) return false;
@@ -93,17 +84,19 @@ class Side {
 }
 
 class CompareTab {
+  shortcuts = SHORTCUTS;
+
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
     this.app = app;
     this.state = app.state;
-    this.sources = sourcesOf(app);
-    this.store = fitsOf(app);
-    this.shown = new Set(["contours", "landmarks"]);
+    this.sources = app.sources;
     this.visible = false;
     this.truth = null;
     this.showTruth = true;
-    this.sides = ["left", "right"].map((name) => new Side(name, {
+    const { methods, default_method: first } = this.state.project;
+    const other = FAMILIAR.find((name) => name !== first && methods.some((method) => method.name === name));
+    this.sides = [["left", first], ["right", other]].map(([name, method]) => new Side(name, methods, method, {
       onmethod: (side) => this._method(side), draw: (ctx, viewer, side) => this._draw(ctx, viewer, side),
     }));
     this.left = this.sides[0];
@@ -112,7 +105,7 @@ class CompareTab {
     this._together();
     this.sources.addEventListener("change", () => this._source());
     this.sources.addEventListener("ready", () => this.sides.forEach((side) => side.show(this.sources.current)));
-    this.sources.addEventListener("failed", ({ detail }) => {
+    this.sources.addEventListener("failed", (/** @type {any} */ { detail }) => {
       if (this.visible) this._say(detail.error.message, true);
     });
     this.state.addEventListener("project", () => this._project());
@@ -125,56 +118,51 @@ class CompareTab {
     window.liaamStudio.compare = { left: this.left, right: this.right };
   }
 
-  open() {
-    this.watch(true);
+  show() {
+    this.visible = true;
+    this.sources.watch(this);
     this._source();
   }
 
-  /** The tab is opened (true) or left (false). */
-  watch(open) {
-    if (open !== this.visible) this.sources.watch(open);
-    this.visible = open;
+  hide() {
+    this.visible = false;
+    this.sources.leave(this);
   }
 
+  /** Whether there are a picture and a model to fit. */
+  get _works() { return Boolean(this.sources.current && this.state.project.model); }
+
   key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return false;
-    const onControl = event.target instanceof HTMLElement && event.target.matches("button, a");
-    if (event.key === "Enter" && onControl) return false;
-    const overlay = OVERLAYS.find(({ key }) => key.toLowerCase() === event.key.toLowerCase());
-    const actions = {
+    if (!isPlain(event)) return false;
+    const action = {
       enter: () => this.run(), f: () => this.run(), x: () => this.swap(), t: () => this._toggleTruth(),
-    };
-    if (overlay) this._toggle(overlay.name);
-    else if (actions[event.key.toLowerCase()]) actions[event.key.toLowerCase()]();
-    else return this.right.viewer.key(event);
+    }[event.key.toLowerCase()];
+    if (!action) return this._overlays.key(event) || this.right.viewer.key(event);
+    action();
     return true;
   }
 
   /** Fit with both methods at once. */
   async run() {
-    const source = this.sources.current;
-    if (!source || !this.state.project?.model) return;
+    if (!this._works) return;
     this._say("Fitting…");
-    const newest = await Promise.all(this.sides.map((side) => side.run(this.store, source)));
+    const newest = await Promise.all(this.sides.map((side) => side.run(this.app.fits, this.sources.current)));
     if (newest.every(Boolean)) this._verdict();
   }
 
   swap() {
-    const [a, b] = [this.left.method, this.right.method];
-    const fits = [this.left.fit, this.right.fit];
-    this.sides.forEach((side) => side.reset());
-    this.left.select.value = b;
-    this.right.select.value = a;
-    this.left.take(fits[1]);
-    this.right.take(fits[0]);
+    const others = this.sides.map(({ method, fit }) => ({ method, fit })).reverse();
+    this.sides.forEach((side, i) => {
+      side.reset();
+      side.select.value = others[i].method;
+      side.take(others[i].fit);
+    });
     this._verdict();
   }
 
   async _method(side) {
-    const source = this.sources.current;
     side.take(null);
-    if (!source || !this.state.project?.model) return;
-    if (await side.run(this.store, source)) this._verdict();
+    if (this._works && (await side.run(this.app.fits, this.sources.current))) this._verdict();
   }
 
   _source() {
@@ -200,23 +188,15 @@ class CompareTab {
     if (this.sources.current !== source) return;
     this.truth = marks?.source === "file" && marks.points.some(Boolean) ? marks.points : null;
     this._truthButton.disabled = !this.truth;
-    this.sides.forEach((side) => side.viewer.redraw());
+    this._redraw();
   }
 
   _project() {
-    const { methods = [], default_method: first, model } = this.state.project ?? {};
-    const names = methods.map(({ name }) => name);
-    if (this._names !== names.join()) {
-      this._names = names.join();
-      this.left.methods(methods, first ?? names[0]);
-      const other = FAMILIAR.find((name) => names.includes(name) && name !== first);
-      this.right.methods(methods, other ?? names[1] ?? names[0]);
-    }
-    const trained = model?.trained ?? null;
-    const another = this._trained !== undefined && this._trained !== trained;
-    this._trained = trained;
-    this._overlays.get("contours").disabled = !model?.contours?.length;
-    pressOverlays(this._overlays, this.shown);
+    const { model } = this.state.project;
+    const number = model?.number ?? null;
+    const another = this._number !== undefined && this._number !== number;
+    this._number = number;
+    this._overlays.hasContours = Boolean(model?.contours.length);
     this._emptiness();
     if (!another) return;
     this.sides.forEach((side) => side.reset());
@@ -239,7 +219,7 @@ class CompareTab {
   // The page.
 
   _build(root) {
-    this._overlays = overlayButtons(this.shown, (name) => this._toggle(name));
+    this._overlays = new Overlays(["contours", "landmarks"], () => this._redraw(), "compare");
     this._truthButton = button("Ground truth", {
       small: true, shortcut: "T", pressed: this.showTruth, disabled: true, testid: "compare-truth",
       title: "Show the known landmarks of the picture as crosses", onclick: () => this._toggleTruth(),
@@ -250,10 +230,12 @@ class CompareTab {
     const swap = button("Swap", {
       icon: "swap", small: true, shortcut: "X", testid: "compare-swap", onclick: () => this.swap(),
     });
-    this._verdictText = h("p.compare-verdict.grow", { role: "status", "aria-live": "polite", testid: "compare-verdict" });
+    this._verdictText = h("p.compare-verdict.grow", {
+      role: "status", "aria-live": "polite", testid: "compare-verdict",
+    });
     this._name = h("span.fit-source-name");
     const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "Compare" },
-      this._runButton, swap, h("span.rule"), [...this._overlays.values()], this._truthButton, h("span.grow"), this._name);
+      this._runButton, swap, h("span.rule"), this._overlays.buttons, this._truthButton, h("span.grow"), this._name);
     this._pair = h("div.compare-pair", this.left.element, this.right.element);
     this._empty = h("div.empty.big");
     const foot = h("div.compare-foot", this._verdictText);
@@ -268,33 +250,30 @@ class CompareTab {
     }
   }
 
-  _toggle(name) {
-    if (!this.shown.delete(name)) this.shown.add(name);
-    pressOverlays(this._overlays, this.shown);
-    this.sides.forEach((side) => side.viewer.redraw());
+  _redraw() {
+    for (const { viewer } of this.sides) viewer.redraw();
   }
 
   _toggleTruth() {
     this.showTruth = !this.showTruth;
-    this._truthButton.setAttribute("aria-pressed", String(this.showTruth));
-    this.sides.forEach((side) => side.viewer.redraw());
+    press(this._truthButton, this.showTruth);
+    this._redraw();
   }
 
   _draw(ctx, viewer, side) {
     if (this.truth && this.showTruth) drawTruth(ctx, viewer, this.truth);
-    if (side.fit) drawFit(ctx, viewer, side.fit, this.shown);
+    if (side.fit) drawFit(ctx, viewer, side.fit, this._overlays.shown);
   }
 
   _emptiness() {
-    const source = this.sources.current;
-    const model = this.state.project?.model;
-    const works = Boolean(source && model);
+    const works = this._works;
     this._pair.hidden = !works;
     this._empty.hidden = works;
     this._runButton.disabled = !works;
-    this._name.textContent = this._name.title = source?.name ?? "";
+    this._name.textContent = this._name.title = this.sources.current?.name ?? "";
     if (works) return;
-    const remedy = model ? [h("p", "Select a picture in the list, or drop one here.")] : modelNeeded(this.app);
+    const select = h("p", "Select a picture in the list, or drop one here.");
+    const remedy = this.state.project.model ? [select] : modelNeeded(this.app);
     this._empty.replaceChildren(icon("compare", 56), h("h2", "Two methods, side by side"), ...remedy);
   }
 }

@@ -5,14 +5,12 @@ import { h, icon } from "./ui.js";
 export class Cover {
   element = h("div.annotate-cover", { hidden: true });
 
-  get isShown() {
-    return !this.element.hidden;
-  }
+  get isShown() { return !this.element.hidden; }
 
   /** more: an element below the text, or null. */
-  show(picture, title, text, more = null) {
+  show({ icon: name, title, text, more = null }) {
     this.element.hidden = false;
-    this.element.replaceChildren(h("div.empty", icon(picture, 40), h("h2", title), h("p", text), more));
+    this.element.replaceChildren(h("div.empty", icon(name, 40), h("h2", title), h("p", text), more));
   }
 
   hide() {

@@ -1,55 +1,76 @@
 // Drawing of fits for the tabs Fit and Compare.
 
 import { verdictOf } from "./fit-run.js";
-import { button, h } from "./ui.js";
-import { drawContours, drawEllipses, drawMesh, drawPoints } from "./overlays.js";
+import { drawContours, drawEllipses, drawMesh, drawPoints, stroked } from "./overlays.js";
+import { button, h, press } from "./ui.js";
 
-export const OVERLAYS = [
+const OVERLAYS = [
   { name: "contours", label: "Contours", key: "C", title: "Show the contours" },
   { name: "landmarks", label: "Points", key: "L", title: "Show the fitted points" },
   { name: "mesh", label: "Mesh", key: "M", title: "Show the model's triangles" },
   { name: "ellipses", label: "Ellipses", key: "E", title: "Show ellipses that contain a point with 95 % probability" },
 ];
 
-/** A button for each overlay, by name; `shown`: names of the drawn overlays. */
-export function overlayButtons(shown, onclick, testid = (_name) => null) {
-  return new Map(
-    OVERLAYS.map(({ name, label, key, title }) => [
-      name,
-      button(label, {
-        small: true, shortcut: key, title, pressed: shown.has(name), testid: testid(name), onclick: () => onclick(name),
-      }),
-    ]),
-  );
-}
+/** What is drawn over a picture, with a button for each overlay. */
+export class Overlays {
+  /** shown: names of the drawn overlays; onchange(): they have changed; test ids start with testid. */
+  constructor(shown, onchange, testid) {
+    this._onchange = onchange;
+    this.buttons = OVERLAYS.map(({ name, label, key, title }) => button(label, {
+      small: true, shortcut: key, title, pressed: false, testid: `${testid}-${name}`, dataset: { name },
+      onclick: () => this.toggle(name),
+    }));
+    this.show(new Set(shown));
+  }
 
-export function pressOverlays(buttons, shown) {
-  for (const [name, each] of buttons) each.setAttribute("aria-pressed", String(shown.has(name) && !each.disabled));
+  /** Show another set of overlays. */
+  show(shown) {
+    this.shown = shown;
+    for (const each of this.buttons) press(each, shown.has(each.dataset.name) && !each.disabled);
+  }
+
+  toggle(name) {
+    if (!this.shown.delete(name)) this.shown.add(name);
+    this.show(this.shown);
+    this._onchange();
+  }
+
+  /** Handle a key; return whether it was handled. */
+  key({ key }) {
+    const overlay = OVERLAYS.find((each) => each.key === key.toUpperCase());
+    if (overlay) this.toggle(overlay.name);
+    return Boolean(overlay);
+  }
+
+  /** Whether the model has contours to draw. */
+  set hasContours(has) {
+    const [contours] = this.buttons;
+    contours.disabled = !has;
+    contours.title = has ? "Show the contours (C)" : "This model has no contours: define them in the template";
+    this.show(this.shown);
+  }
 }
 
 /** A button whose label is hidden if there is little room. */
 export function roomy(element) {
   const label = element.lastChild;
   element.setAttribute("aria-label", label.textContent);
-  label.replaceWith(h("span", { class: "fit-roomy" }, label.textContent));
+  label.replaceWith(h("span.fit-roomy", label.textContent));
   return element;
 }
 
 /** Message without a model, with a button to the Annotate tab. */
 export function modelNeeded(app, testid = null) {
+  const how = "Place points on a few pictures and train one, or drop a model file (.liaam) on the page.";
   return [
-    h(
-      "p",
-      { class: "muted" },
-      "There is no model yet. Place points on a few pictures and train one, or drop a model file (.liaam) on the page.",
-    ),
+    h("p.muted", `There is no model yet. ${how}`),
     button("Annotate pictures", { icon: "edit", kind: "primary", testid, onclick: () => app.openTab("annotate") }),
   ];
 }
 
 /** Terms and values as the entries of a <dl>. */
 export const entries = (rows) =>
-  rows.map(([term, value]) => h("div", {}, h("dt", {}, term), h("dd", { class: "number" }, value)));
+  rows.map(([term, value]) => h("div", h("dt", term), h("dd.number", value)));
 
 const FAR = 1e4; // css pixels
 
@@ -57,7 +78,7 @@ const FAR = 1e4; // css pixels
 const GOOD = { colour: "#ffd166", dash: [] };
 const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
 
-/** Draw a fit's shape, or that of an iteration, with the overlays named in a set; opacity: of overlays, by name. */
+/** Draw a fit's shape, or that of an iteration, with the overlays in a set of names; opacity: of overlays, by name. */
 export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true, opacity = {} } = {}) {
   const { colour, dash } = verdictOf(fit).isSure ? GOOD : UNSURE;
   const draw = (name, work) => {
@@ -69,12 +90,12 @@ export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = tr
   draw("mesh", () => drawMesh(ctx, viewer, shape, fit.triangles));
   // Covariances exist for the result only.
   draw("ellipses", () => final && drawEllipses(ctx, viewer, shape, fit.covariances));
-  draw("contours", () => drawContours(ctx, viewer, shape, fit.contours ?? [], { colour, dash }));
+  draw("contours", () => drawContours(ctx, viewer, shape, fit.contours, { colour, dash }));
   draw("landmarks", () => drawPoints(ctx, viewer, shape, { colour, radius: 3 }));
 }
 
 /** Draw known landmarks as crosses, to distinguish them from a fit's points without colour. */
-export function drawTruth(ctx, viewer, points, colour = "#6df2a4") {
+export function drawTruth(ctx, viewer, points) {
   const arm = 5;
   ctx.beginPath();
   for (const point of points) {
@@ -85,13 +106,7 @@ export function drawTruth(ctx, viewer, points, colour = "#6df2a4") {
     ctx.moveTo(x - arm, y + arm);
     ctx.lineTo(x + arm, y - arm);
   }
-  for (const [stroke, width] of [
-    ["rgb(0 0 0 / 60%)", 3.4], [colour, 1.6],
-  ]) {
-    ctx.strokeStyle = stroke;
-    ctx.lineWidth = width;
-    ctx.stroke();
-  }
+  stroked(ctx, "#6df2a4", 1.6);
 }
 
 /** Draw an image over the viewer's picture, to the right of the line `from` (css pixels) if given. covered: [width,

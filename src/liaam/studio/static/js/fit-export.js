@@ -3,7 +3,7 @@
 import { api } from "./api.js";
 import { roomy } from "./fit-draw.js";
 import { lightQuery } from "./relight.js";
-import { button, h, saveFile } from "./ui.js";
+import { button, h, saveFile, whileBusy } from "./ui.js";
 
 const EXPORTS = {
   Landmarks: [
@@ -21,10 +21,9 @@ const EXPORTS = {
 };
 
 export class ExportMenu {
-  /** `light()` returns the current light; `annotate(fit)` saves the landmarks in the folder; `complain(error)`. */
-  constructor({ light, annotate, complain }) {
+  /** `light()` returns the current light; `annotate()` saves the landmarks of the fit in the folder. */
+  constructor({ light, annotate }) {
     this._light = light;
-    this._complain = complain;
     this._fit = null;
     const onclick = () => this._toggle();
     this.button = roomy(
@@ -36,7 +35,7 @@ export class ExportMenu {
       title: "Save these landmarks beside the picture",
       onclick: () => {
         this.close();
-        annotate(this._fit);
+        annotate();
       },
     });
     const groups = Object.entries(EXPORTS).map(([title, items]) =>
@@ -74,29 +73,17 @@ export class ExportMenu {
       download: "", testid: `export-${what}`,
       onclick: (event) => {
         event.preventDefault(); // a plain link would show neither progress nor errors
-        this._save(link, what);
+        whileBusy(link, () => this._save(link));
       },
     }, label);
     this._links.set(what, { link, layer });
     return link;
   }
 
-  /** Fetch a file and save it; the menu stays open and shows progress. */
-  async _save(link, what) {
-    if (link.getAttribute("aria-busy") === "true") return;
-    const label = link.textContent;
-    link.setAttribute("aria-busy", "true");
-    link.textContent = `${label} …`;
-    try {
-      const { blob, disposition } = await api.file(link.getAttribute("href"));
-      saveFile(blob, fileNameIn(disposition, what));
-      this.close();
-    } catch (error) {
-      this._complain(error);
-    } finally {
-      link.removeAttribute("aria-busy");
-      link.textContent = label;
-    }
+  /** Fetch a file and save it; the menu stays open until then. */
+  async _save(link) {
+    saveFile(...(await api.file(link.getAttribute("href"))));
+    this.close();
   }
 
   _toggle() {
@@ -115,21 +102,7 @@ export class ExportMenu {
   }
 }
 
-/** File name in a Content-Disposition header. */
-export function fileNameIn(disposition, otherwise) {
-  const [, encoded] = /filename\*=UTF-8''([^;]+)/i.exec(disposition ?? "") ?? [];
-  if (encoded) {
-    try {
-      return decodeURIComponent(encoded);
-    } catch {
-      // use the plain name below
-    }
-  }
-  const [, quoted, bare] = /filename=(?:"([^"]+)"|([^;"\s]+))/i.exec(disposition ?? "") ?? [];
-  return quoted ?? bare ?? otherwise;
-}
-
-/** Save a fit's landmarks for its picture; ask before replacing others. Returns whether they were saved. */
+/** Save a fit's landmarks for its picture; ask before replacing others. */
 export async function useAsAnnotation(app, fit) {
   const { state } = app;
   const known = await api.get(api.url("pictures", fit.picture, "landmarks"));
@@ -137,11 +110,11 @@ export async function useAsAnnotation(app, fit) {
   const text = `${fit.picture} already has landmarks (${known.file ?? "in its file"}).`;
   const replace = () =>
     app.confirm("Replace the landmarks?", `${text} They will be replaced by those of the fit.`, "Replace");
-  if (placed && !(await replace())) return false;
+  if (placed && !(await replace())) return;
   const saved = await state.saveMarks(fit.picture, {
     points: fit.shape, invisible: placed ? known.invisible : [], revision: known.revision,
     template: state.project.template?.revision,
   });
   state.update(saved.picture);
-  return true;
+  app.toast(`Saved as the landmarks of ${fit.picture}.`, "good");
 }

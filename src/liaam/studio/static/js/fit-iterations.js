@@ -2,18 +2,10 @@
 
 import { costRuns } from "./fit-geometry.js";
 import { significant } from "./fit-run.js";
-import { button, h, icon } from "./ui.js";
+import { button, h, icon, slider, svg } from "./ui.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const [WIDTH, HEIGHT] = [264, 58];
 const STEP = 140; // milliseconds per iteration while playing
-
-function svg(tag, attributes, ...children) {
-  const element = document.createElementNS(SVG, tag);
-  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-  element.append(...children);
-  return element;
-}
 
 export class Iterations {
   /** `onmove(index, last)` is called to show an iteration. */
@@ -22,8 +14,8 @@ export class Iterations {
     this._timer = null;
     this.iterations = [];
     this.index = 0;
-    this.slider = h("input.slider", {
-      type: "range", min: "0", max: "0", value: "0", "aria-label": "Iteration", testid: "fit-iterations",
+    this.slider = slider({
+      min: "0", max: "0", value: "0", "aria-label": "Iteration", testid: "fit-iterations",
       oninput: () => this.step(Number(this.slider.value) - this.index),
     });
     this.player = button("Play the iterations", {
@@ -45,7 +37,7 @@ export class Iterations {
   /** Show a fit's iterations, starting with the last. */
   show(iterations) {
     this.pause();
-    this.iterations = iterations ?? [];
+    this.iterations = iterations;
     this.index = Math.max(0, this.last);
     this._turns = this.iterations.some(({ theta_deg: theta }) => theta !== this.iterations[0].theta_deg);
     this.slider.max = String(Math.max(0, this.last));
@@ -54,7 +46,7 @@ export class Iterations {
     this._mark();
   }
 
-  go(index) {
+  _go(index) {
     if (!this.iterations.length) return;
     this.index = Math.min(Math.max(index, 0), this.last);
     this._mark();
@@ -63,19 +55,19 @@ export class Iterations {
 
   step(by) {
     this.pause();
-    this.go(this.index + by);
+    this._go(this.index + by);
   }
 
+  /** Play, or pause. */
   toggle() {
-    if (this._timer) this.pause();
-    else this.play();
-  }
-
-  play() {
+    if (this._timer) {
+      this.pause();
+      return;
+    }
     if (this.iterations.length < 2) return;
-    if (this.index === this.last) this.go(0);
+    if (this.index === this.last) this._go(0);
     this._timer = setInterval(() => {
-      this.go(this.index + 1);
+      this._go(this.index + 1);
       if (this.index === this.last) this.pause();
     }, STEP);
     this._face(true);
@@ -93,16 +85,16 @@ export class Iterations {
   }
 
   _draw() {
-    this._runs = costRuns(this.iterations, WIDTH, HEIGHT, 6);
-    const levels = this._runs.length;
+    const runs = costRuns(this.iterations, WIDTH, HEIGHT, 6);
+    this._points = runs.flatMap(({ points }) => points);
     this._cursor = svg("line", { class: "cursor", y1: 0, y2: HEIGHT });
     this._dot = svg("circle", { class: "dot-now", r: 3.5 });
-    const drawn = this._runs.map(({ level, points }, run) => {
+    const drawn = runs.map(({ level, points }, run) => {
       const line = points.map(({ x, y }) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ");
-      const left = run ? (points[0].x + this._runs[run - 1].points.at(-1).x) / 2 : 0;
-      const next = this._runs[run + 1];
+      const left = run ? (points[0].x + runs[run - 1].points.at(-1).x) / 2 : 0;
+      const next = runs[run + 1];
       const right = next ? (points.at(-1).x + next.points[0].x) / 2 : WIDTH;
-      const label = levels > 1 && right - left > 36 ? `level ${level}` : "";
+      const label = runs.length > 1 && right - left > 36 ? `level ${level}` : "";
       return svg("g", {},
         ...(run ? [svg("line", { class: "between", x1: left, x2: left, y1: 0, y2: HEIGHT })] : []),
         svg("polyline", { points: line, class: "cost" }),
@@ -120,11 +112,9 @@ export class Iterations {
       this.text.textContent = "The iterations of a fit appear here.";
       return;
     }
-    const at = this._runs.flatMap((run) => run.points).find((point) => point.index === this.index);
-    this._cursor.setAttribute("x1", at.x);
-    this._cursor.setAttribute("x2", at.x);
-    this._dot.setAttribute("cx", at.x);
-    this._dot.setAttribute("cy", at.y);
+    const { x, y } = this._points[this.index];
+    this._cursor.setAttribute("transform", `translate(${x} 0)`);
+    this._dot.setAttribute("transform", `translate(${x} ${y})`);
     // Methods that do not estimate the angle keep it constant.
     const theta = now.theta_deg == null || !this._turns ? "" : ` · θ ${now.theta_deg.toFixed(1)}°`;
     const text = `${this.index} of ${this.last} · level ${now.level} · cost ${significant(now.cost)}${theta}`;
@@ -136,8 +126,7 @@ export class Iterations {
     if (!this.iterations.length) return;
     const box = this.plot.getBoundingClientRect();
     const x = ((event.clientX - box.left) / box.width) * WIDTH;
-    const points = this._runs.flatMap((run) => run.points);
-    const nearest = points.reduce((best, point) => (Math.abs(point.x - x) < Math.abs(best.x - x) ? point : best));
+    const nearest = this._points.reduce((best, each) => (Math.abs(each.x - x) < Math.abs(best.x - x) ? each : best));
     this.step(nearest.index - this.index);
   }
 }

@@ -1,8 +1,7 @@
 // Models from elsewhere: dropped on the page, or of the generated heads. With such a guest, the page only fits.
 
 import { api } from "./api.js";
-import { sourcesOf } from "./fit-source.js";
-import { button, h, icon } from "./ui.js";
+import { button, h, icon, whileBusy } from "./ui.js";
 
 /** Name of the model of the generated heads. */
 const HEADS = "generated heads";
@@ -26,7 +25,7 @@ async function openHead(app, address) {
   const name = address.split("/").at(-1);
   const [blob] = await Promise.all([api.blob(address), useHeads(app)]);
   app.openTab("fit", { view: "flat" });
-  await sourcesOf(app).take(new File([blob], name, { type: "image/jpeg" }));
+  await app.sources.take(new File([blob], name, { type: "image/jpeg" }));
 }
 
 async function useHeads(app) {
@@ -39,26 +38,16 @@ async function useHeads(app) {
 let heads = null;
 
 /** The generated heads to choose from. The server makes their model when they are first shown. */
-export function gallery(app) {
+function gallery(app) {
   heads ??= api.get(api.url("heads"), { quiet: true });
   const list = h("div.gallery", { role: "group", "aria-label": "Generated heads" });
   const item = (address, i) => h("button.gallery-item", {
     type: "button", title: "Fit this head and take off the light", testid: `head-${i + 1}`,
-    onclick: ({ currentTarget }) => choose(currentTarget, address),
+    onclick: ({ currentTarget: { classList } }) => whileBusy(list, () => {
+      classList.add("chosen");
+      return openHead(app, address).finally(() => classList.remove("chosen"));
+    }),
   }, h("img", { src: address, alt: `Generated head ${i + 1} under hard light`, draggable: false }));
-  const choose = async (chosen, address) => {
-    if (list.getAttribute("aria-busy") === "true") return;
-    list.setAttribute("aria-busy", "true");
-    chosen.classList.add("chosen");
-    try {
-      await openHead(app, address);
-    } catch (error) {
-      app.toast(error, "bad");
-    } finally {
-      list.removeAttribute("aria-busy");
-      chosen.classList.remove("chosen");
-    }
-  };
   heads.then(({ pictures }) => list.append(...pictures.map(item)), () => (heads = null));
   return list;
 }
@@ -84,7 +73,7 @@ export class EmptyStage {
   show(now, invite) {
     this.element.hidden = !now;
     if (!now) return;
-    const listed = this._app.state.project?.pictures.length ? "select one on the left, " : "";
+    const listed = this._app.state.project.pictures.length ? "select one on the left, " : "";
     const where = `${listed}drop one here, or open one`;
     this._words.textContent = `Use any picture of the model's object: ${where}. It stays on this machine.`;
     if (invite) this.element.append((this._invitation ??= invitation(this._app)));
@@ -117,12 +106,8 @@ export class GuestPanel {
   }
 
   async _leave() {
-    try {
-      await api.delete(api.url("model", "guest"));
-      await this._app.state.refresh();
-      this._app.openTab("annotate");
-    } catch (error) {
-      this._app.toast(error, "bad");
-    }
+    await api.delete(api.url("model", "guest"));
+    await this._app.state.refresh();
+    this._app.openTab("annotate");
   }
 }

@@ -10,6 +10,7 @@ export const isGone = (error) => error?.status === 404;
 
 export class FitStore {
   #kept = new Map();
+  #running = new Map();
 
   constructor(state) {
     this.state = state;
@@ -17,8 +18,15 @@ export class FitStore {
     state.addEventListener("landmarks", ({ detail }) => this.#drop((fit) => fit.picture === detail.name));
   }
 
-  /** Fit a source; start: null, {box} or {shape}. */
-  async run(source, method, start = null) {
+  /** Fit a source; start: null, {box} or {shape}. A request is not sent again while it is answered. */
+  run(source, method, start = null) {
+    const key = `${this.#key(source, method)}|${JSON.stringify(start)}`;
+    if (!this.#running.has(key))
+      this.#running.set(key, this.#fit(source, method, start).finally(() => this.#running.delete(key)));
+    return this.#running.get(key);
+  }
+
+  async #fit(source, method, start) {
     await source.ready;
     const asked = { ...source.reference, method, start };
     const fit = cleaned(await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
@@ -43,7 +51,7 @@ export class FitStore {
   }
 
   #key(source, method) {
-    return `${source.key}|${method}|${this.state.project?.model?.number ?? ""}`;
+    return `${source.key}|${method}|${this.state.project.model?.number ?? ""}`;
   }
 }
 
@@ -55,14 +63,6 @@ export function cleaned(fit) {
     covariances: fit.covariances?.map((each) => (each?.flat().every(Number.isFinite) ? each : null)) ?? null,
     iterations: fit.iterations.map((step) => ({ ...step, shape: points(step.shape) })),
   };
-}
-
-const shared = new WeakMap();
-
-/** The store of an app, shared by the tabs Fit and Compare. */
-export function fitsOf(app) {
-  if (!shared.has(app)) shared.set(app, new FitStore(app.state));
-  return shared.get(app);
 }
 
 /** Quality from which a fit is shown as good: fewer than one in five such fits is wrong. */
@@ -142,16 +142,21 @@ export function comparison(left, right, distance) {
   const { by } = compared(left, right) ?? {};
   const better = betterOf(left, right);
   const worse = better === left ? right : left;
-  const trained = left.trained_on ? " The model was trained on this picture, so its errors on new pictures are larger." : "";
+  const larger = " The model was trained on this picture, so its errors on new pictures are larger.";
+  const trained = left.trained_on ? larger : "";
   const apart = `The two fits are ${short(distance)} px apart on average.`;
   if (by === "error" && !better) return `Equal errors: ${errorText(left)} and ${errorText(right)}.${trained}`;
   if (by === "error") {
-    return `${better.method} is closer to the landmarks: ${errorText(better)}, ${worse.method}: ${errorText(worse)}.${trained}`;
+    const errors = `${errorText(better)}, ${worse.method}: ${errorText(worse)}`;
+    return `${better.method} is closer to the landmarks: ${errors}.${trained}`;
   }
-  if (by === "quality" && !better) return `No landmarks to compare with, and equal quality: ${percent(left.quality)}. ${apart}`;
+  if (by === "quality" && !better)
+    return `No landmarks to compare with, and equal quality: ${percent(left.quality)}. ${apart}`;
   if (by === "quality") {
     const values = `quality ${percent(better.quality)}, ${worse.method}: ${percent(worse.quality)}`;
     return `No landmarks to compare with. ${better.method} is more likely to be right: ${values}. ${apart}`;
   }
-  return `This picture has no landmarks, and the quality of ${left.quality == null ? left.method : right.method} is unknown, so neither fit can be called better. ${apart}`;
+  const unknown = left.quality == null ? left.method : right.method;
+  const why = `This picture has no landmarks, and the quality of ${unknown} is unknown`;
+  return `${why}, so neither fit can be called better. ${apart}`;
 }

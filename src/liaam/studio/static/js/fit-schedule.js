@@ -5,26 +5,19 @@
  * fast as the server can, without a queue of outdated requests.
  */
 export class LatestWins {
-  #task;
-  #done;
-  #failed;
+  busy = false;
   #waiting = null;
-  #running = false;
   #epoch = 0;
 
-  constructor(task, { done, failed = () => {} }) {
-    this.#task = task;
-    this.#done = done;
-    this.#failed = failed;
-  }
-
-  get busy() {
-    return this.#running;
+  constructor(task, { done, failed = (_error, _request) => {} }) {
+    this.task = task;
+    this.done = done;
+    this.failed = failed;
   }
 
   ask(request) {
     this.#waiting = { request };
-    if (!this.#running) this.#run();
+    if (!this.busy) this.#run();
   }
 
   /** Drop the waiting request, and the answer of a running one. */
@@ -34,49 +27,43 @@ export class LatestWins {
   }
 
   async #run() {
-    this.#running = true;
+    this.busy = true;
     while (this.#waiting) {
       const { request } = this.#waiting;
       const epoch = this.#epoch;
       this.#waiting = null;
       try {
-        const answer = await this.#task(request);
-        if (epoch === this.#epoch) this.#done(answer, request);
+        const answer = await this.task(request);
+        if (epoch === this.#epoch) this.done(answer, request);
       } catch (error) {
         // Report the last failure only, since a newer request may succeed.
-        if (epoch === this.#epoch && !this.#waiting) this.#failed(error, request);
+        if (epoch === this.#epoch && !this.#waiting) this.failed(error, request);
       }
     }
-    this.#running = false;
+    this.busy = false;
   }
 }
 
-/** Frames per second of the `most` newest frames of one drag. A pause of more than `gap` milliseconds starts another. */
+const GAP = 400; // milliseconds without a frame after which another drag begins
+
+/** Frames per second of the `most` newest frames of one drag. */
 export class FrameMeter {
   #times = [];
-  #gap;
-  #most;
 
-  constructor(gap = 400, most = 600) {
-    this.#gap = gap;
-    this.#most = most;
+  constructor(most = 600) {
+    this.most = most;
   }
 
   tick(now = performance.now()) {
-    const last = this.#times.at(-1);
-    if (last !== undefined && now - last > this.#gap) this.#times = [];
+    if (now - this.#times.at(-1) > GAP) this.#times = [];
     this.#times.push(now);
-    if (this.#times.length > this.#most) this.#times.shift();
+    if (this.#times.length > this.most) this.#times.shift();
   }
 
   rate() {
     const n = this.#times.length;
     if (n < 2) return 0;
     return (1000 * (n - 1)) / (this.#times[n - 1] - this.#times[0]);
-  }
-
-  reset() {
-    this.#times = [];
   }
 }
 

@@ -22,48 +22,44 @@ const STARTS = [
 
 export class SetupPanel {
   /** onback(): show the folder's picture; onopen(): open a file; onstart(value), onmethod(name): chosen; onclick(): a
-   *  start was clicked, not chosen by keys; onrun(). */
+   *  start was clicked, not chosen by keys; onrun().
+   *  @param {{app: App, [handler: string]: any}} options */
   constructor({ app, onback, onopen, onstart, onclick, onmethod, onrun }) {
     this._app = app;
-    this._methods = [];
     this._label = h("span.fit-source-name.grow");
     this._back = iconButton("Back to the folder", "left", onback, { small: true, hidden: true });
     const open = button("Open…", {
       icon: "image", small: true, title: "Open another picture without adding it to the folder", onclick: onopen,
     });
-    this._starts = segmented("Start", STARTS, "auto", onstart);
-    for (const each of this._starts.element.children) each.dataset.testid = `start-${each.dataset.value}`;
+    this._starts = segmented("Start", STARTS, "auto", onstart, "start");
     this._starts.element.addEventListener("click", onclick);
     this._hint = h("p.small.muted", { hidden: true });
-    this._method = h("select.text", {
+    const { methods, default_method: first } = app.state.project;
+    const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
+    const method = h("select.text", {
       "aria-describedby": "fit-method-summary", testid: "fit-method",
       onchange: () => {
-        this._summarise();
-        onmethod(this.method);
+        summarise();
+        onmethod(method.value);
       },
+    }, sorted.map(({ name }) => h("option", { value: name }, name)));
+    const summary = h("p.small.muted.fit-method-summary", { id: "fit-method-summary" });
+    const summarise = () => {
+      const chosen = methods.find(({ name }) => name === method.value);
+      summary.textContent = `${chosen.summary}${chosen.needs_colour ? " Needs colour." : ""}`;
+    };
+    summarise();
+    this._run = button("Fit", {
+      icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run", onclick: onrun,
     });
-    this._summary = h("p.small.muted.fit-method-summary", { id: "fit-method-summary" });
-    this._run = button("Fit", { icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run", onclick: onrun });
     this._run.append(h("kbd.kbd", "Enter"));
     this._mismatch = h("p.small.error-text", { hidden: true, testid: "fit-mismatch" });
     this._needsModel = h("div.column", modelNeeded(app, "fit-to-annotate"));
     this._withModel = h("div.column",
       h("div.column.tight", this._starts.element, this._hint),
-      h("div.row.fit-method", h("label.field.grow", "Method", this._method), this._run),
-      this._summary);
+      h("div.row.fit-method", h("label.field.grow", "Method", method), this._run), summary);
     this.element = h("section.panel", { "aria-label": "Fit" },
       h("div.row.fit-source", this._back, this._label, open), this._needsModel, this._mismatch, this._withModel);
-  }
-
-  get method() { return this._method.value; }
-
-  /** Set the methods, with `first` at the top. */
-  offer(methods, first, chosen) {
-    this._methods = methods;
-    const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
-    this._method.replaceChildren(...sorted.map(({ name }) => h("option", { value: name }, name)));
-    this._method.value = chosen;
-    this._summarise();
   }
 
   set start(value) {
@@ -74,8 +70,8 @@ export class SetupPanel {
 
   set canRun(can) { this._run.disabled = !can; }
 
-  /** source: the picture, or null; canGoBack: whether it hides a picture of the folder; mismatch: why the model does not
-   *  match the template, or "". */
+  /** source: the picture, or null; canGoBack: whether it hides a picture of the folder; mismatch: why the model does
+   *  not match the template, or "". */
   show({ source, model, canGoBack, mismatch }) {
     this._label.textContent = source?.name ?? "No picture";
     this._label.title = source?.name ?? "";
@@ -86,10 +82,5 @@ export class SetupPanel {
     this._mismatch.textContent = mismatch;
     this._mismatch.hidden = !mismatch;
     this.canRun = Boolean(source);
-  }
-
-  _summarise() {
-    const method = this._methods.find(({ name }) => name === this.method);
-    this._summary.textContent = method ? `${method.summary}${method.needs_colour ? " Needs colour." : ""}` : "";
   }
 }

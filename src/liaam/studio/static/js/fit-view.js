@@ -2,15 +2,15 @@
 
 import { api } from "./api.js";
 import { Divider } from "./divider.js";
-import { drawFit, drawOver, overlayButtons, OVERLAYS, pressOverlays, roomy } from "./fit-draw.js";
+import { drawFit, drawOver, Overlays, roomy } from "./fit-draw.js";
 import { isGone, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
 import { Light, Relighter } from "./relight.js";
-import { button, h, segmented } from "./ui.js";
+import { button, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
-export const VIEWS = [
+const VIEWS = [
   { name: "picture", label: "Picture", hint: "Drop or paste another picture here, or select one in the list." },
   {
     name: "flat", label: "Flat", after: "Without shading",
@@ -36,18 +36,16 @@ export class FitView {
   /** `gone(fit)` is called when the server no longer has the fit; `ambient`: fraction of ambient light at first. */
   constructor({ gone, ambient }) {
     this._gone = gone;
-    this.container = h("div", { class: "fit-viewer", dataset: { testid: "fit-viewer" } });
+    this.container = h("div.fit-viewer", { testid: "fit-viewer" });
     this.viewer = new Viewer(this.container, { label: "Picture to fit" });
     this.source = null;
     this.fit = null;
     this.name = "picture";
     // Each view has its own overlays, since those of the picture would hide the others.
     this._drawn = new Map(
-      VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]),
-    );
-    this.opacity = Object.fromEntries([...VIEWS, ...OVERLAYS].map(({ name }) => [name, 1]));
+      VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]));
+    this.opacity = Object.fromEntries(VIEWS.map(({ name }) => [name, 1])); // of views and overlays
     this.iteration = null; // {shape, final} of the slider, null for the result
-    this.tool = null; // tool of a manual start
     this._images = new Map();
     this._faults = new Map(); // view -> error message of the server
     this._split = new Set(["flat", "relit"]); // views that are shown beside the picture
@@ -61,7 +59,6 @@ export class FitView {
     this.light.addEventListener("rest", () => this._relight(true));
     this._build();
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
-    this.viewer.tool = this._tools();
     this.show("picture");
   }
 
@@ -87,34 +84,19 @@ export class FitView {
     this.show(this.name);
   }
 
-  setAngles(angles) {
-    this.invariant.mark(angles);
-  }
-
   setIteration(iteration) {
     this.iteration = iteration;
     this.viewer.redraw();
-  }
-
-  get shown() {
-    return this._drawn.get(this.name);
   }
 
   show(name) {
     this.name = name;
     this._faults.delete(name); // retry a view that has failed
     this._choice.value = name;
+    this.overlays.show(this._drawn.get(name));
     this._load();
     this._dress();
     this.viewer.redraw();
-  }
-
-  /** Whether the model has contours to draw. */
-  set hasContours(has) {
-    const chooser = this._overlays.get("contours");
-    chooser.disabled = !has;
-    this._dress();
-    chooser.title = has ? "Show the contours (C)" : "This model has no contours: define them in the template";
   }
 
   /** Choose the next or previous available view. */
@@ -123,22 +105,13 @@ export class FitView {
     this.show(can[(can.indexOf(this.name) + by + can.length) % can.length] ?? "picture");
   }
 
-  toggle(overlay) {
-    if (!this.shown.delete(overlay)) this.shown.add(overlay);
-    this._dress();
-    this.viewer.redraw();
-  }
-
-  get split() {
-    return this._split.has(this.name);
-  }
-
-  set split(now) {
+  /** Show the view beside the picture, or alone. */
+  toggleSplit() {
     if (!this.source) return;
     // The picture has no counterpart: switch to the most useful view.
-    if (now && this.name === "picture")
-      this.show(["flat", "invariant"].find((name) => !this._why(name)) ?? "picture");
-    if (!now) this._split.delete(this.name);
+    const isSplit = this._split.has(this.name);
+    if (this.name === "picture") this.show(["flat", "invariant"].find((name) => !this._why(name)) ?? "picture");
+    if (isSplit) this._split.delete(this.name);
     else if (this.name !== "picture") this._split.add(this.name);
     this._dress();
     this.viewer.redraw();
@@ -147,7 +120,7 @@ export class FitView {
   key(event) {
     if (this.name === "invariant" && event.key.startsWith("Arrow")) return this.invariant.key(event);
     if (!this.light.element.hidden && event.key.startsWith("Arrow")) return this.light.key(event);
-    return this.viewer.key(event);
+    return this.overlays.key(event) || this.viewer.key(event);
   }
 
   // Why a view is unavailable, or "".
@@ -160,7 +133,8 @@ export class FitView {
     if (!this.fit) return "This picture has not been fitted yet.";
     const layer = name === "relit" ? "flat" : name;
     if (this.fit.layers.includes(layer)) return "";
-    return `A fit with ${this.fit.method} has no such layer: choose another method, such as soft-li, and a colour picture.`;
+    return `A fit with ${this.fit.method} has no such layer: choose another method, such as soft-li, and a colour ` +
+      "picture.";
   }
 
   async _load() {
@@ -207,7 +181,7 @@ export class FitView {
 
   _relight(resting) {
     if (this.name !== "relit" || this._why("relit")) return;
-    this.relighter.ask(this.fit, this.light, resting);
+    this.relighter.relight(this.fit, this.light, resting);
     this.viewer.redraw();
   }
 
@@ -221,55 +195,37 @@ export class FitView {
   // The page.
 
   _build() {
-    this._choice = segmented(
-      "View",
-      VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint })),
-      this.name,
-      (name) => this.show(name),
-    );
-    for (const each of this._choice.element.children) each.dataset.testid = `layer-${each.dataset.value}`;
+    const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
+    this._choice = segmented("View", choices, this.name, (name) => this.show(name), "layer");
     this.chooser = this._choice.element;
-    this.splitter = roomy(
-      button("Before | after", {
-        icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
-        title: "Show the picture on the left of a line and the view on its right",
-        onclick: () => {
-          this.split = !this.split;
-        },
-      }),
-    );
-    this._overlays = overlayButtons(
-      this.shown,
-      (name) => this.toggle(name),
-      (name) => `layer-${name}`,
-    );
+    this.splitter = roomy(button("Before | after", {
+      icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
+      title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
+    }));
+    this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
     this.layers = this._layers();
-    this._hint = h("p", { class: "small muted fit-hint" });
-    this._bars = { invariant: this.invariant.controls };
-    this._legend = h("div", { class: "fit-legend small muted" });
-    this.bar = h("div", { class: "fit-bar" }, this._hint, this._legend, Object.values(this._bars));
+    this._hint = h("p.small.muted.fit-hint");
+    this._legend = h("div.fit-legend.small.muted");
+    this.bar = h("div.fit-bar", this._hint, this._legend, this.invariant.controls);
   }
 
   /** The layers with their opacity: the view, and a button for each overlay. */
   _layers() {
-    const slider = (label, oninput, testid) => h("input", {
-      type: "range", class: "slider", min: "0", max: "1", step: "0.05", value: "1", "aria-label": `Opacity: ${label}`,
-      dataset: { testid }, oninput: ({ target }) => oninput(Number(target.value)),
+    const opacity = (label, of, testid) => slider({
+      min: "0", max: "1", step: "0.05", value: "1", "aria-label": `Opacity: ${label}`, testid: `opacity-${testid}`,
+      oninput: ({ target }) => this._setOpacity(of(), Number(target.value)),
     });
-    this._slider = slider("view", (value) => this.setOpacity(this.name, value), "opacity-view");
-    this._layerName = h("span", {});
-    this._layerText = h("span", { class: "number" });
-    return h(
-      "div",
-      { class: "fit-layers small" },
-      h("label", { class: "fit-layer" }, this._layerName, this._slider, this._layerText),
-      OVERLAYS.map(({ name, label }) => [
-        this._overlays.get(name), slider(label, (value) => this.setOpacity(name, value), `opacity-${name}`),
-      ]),
-    );
+    this._slider = opacity("view", () => this.name, "view");
+    this._layerName = h("span");
+    this._layerText = h("span.number");
+    const overlays = this.overlays.buttons.map((each) => {
+      const { name } = each.dataset;
+      return [each, opacity(each.textContent, () => name, name)];
+    });
+    return h("div.fit-layers.small", h("label.fit-layer", this._layerName, this._slider, this._layerText), overlays);
   }
 
-  setOpacity(layer, opacity) {
+  _setOpacity(layer, opacity) {
     this.opacity[layer] = opacity;
     this._dress();
     this.viewer.redraw();
@@ -278,7 +234,7 @@ export class FitView {
   /** Make the view more transparent in steps, then opaque again. */
   fade() {
     const opacity = this.opacity[this.name];
-    if (this.name !== "picture") this.setOpacity(this.name, opacity > 0.25 ? opacity - 0.25 : 1);
+    if (this.name !== "picture") this._setOpacity(this.name, opacity > 0.25 ? opacity - 0.25 : 1);
   }
 
   /** Update the controls for the view. */
@@ -287,22 +243,21 @@ export class FitView {
     const why = this._why(this.name);
     for (const each of this._choice.element.children)
       each.classList.toggle("unavailable", Boolean(this._why(each.dataset.value)));
-    pressOverlays(this._overlays, this.shown);
     this._layerName.textContent = view.label;
     this._slider.disabled = this.name === "picture";
     this._slider.value = String(this.opacity[this.name]);
     this._layerText.textContent = `${Math.round(100 * this.opacity[this.name])} %`;
-    for (const [name, bar] of Object.entries(this._bars)) bar.hidden = name !== this.name || Boolean(why);
+    this.invariant.controls.hidden = this.name !== "invariant" || Boolean(why);
     this._hint.textContent = this.source ? why || view.hint || "" : "";
     this.splitter.disabled = !this.source;
     this._hint.classList.toggle("error-text", this._faults.has(this.name));
-    this._hint.hidden = !why && this.name in this._bars;
+    this._hint.hidden = !this.invariant.controls.hidden;
     this._explain(why ? null : this.fit?.scale?.[this.name]);
     this.light.element.hidden = this.name !== "relit" || Boolean(why);
-    const beside = this.split && this.name !== "picture" && !why;
-    this.divider.visible = beside;
-    this.splitter.setAttribute("aria-pressed", String(this.split));
-    if (beside) this.divider.label("Picture", view.after);
+    const isSplit = this._split.has(this.name);
+    this.divider.visible = isSplit && !why;
+    press(this.splitter, isSplit);
+    if (isSplit) this.divider.label("Picture", view.after);
   }
 
   /** Show the colour scale of a layer. */
@@ -316,10 +271,9 @@ export class FitView {
       : [`−${significant(scale.limit, 2)}`, `+${significant(scale.limit, 2)}`];
     const what = shading ? "light" : scale.what;
     this._legend.replaceChildren(
-      h("span", {}, what),
-      h("span", { class: "number" }, low),
-      h("span", { class: `fit-ramp ${this.name}`, role: "img", "aria-label": `Colours from ${low} to ${high}` }),
-      h("span", { class: "number" }, high),
+      h("span", what), h("span.number", low),
+      h("span.fit-ramp", { class: this.name, role: "img", "aria-label": `Colours from ${low} to ${high}` }),
+      h("span.number", high),
     );
   }
 
@@ -337,21 +291,8 @@ export class FitView {
         filter: LIKE_PICTURES.includes(this.name) ? look.filter : "none",
       });
     }
-    const { opacity } = this;
-    if (this.fit && !this.tool?.hidesFit) drawFit(ctx, viewer, this.fit, this.shown, { ...this.iteration, opacity });
-    this.tool?.draw(ctx, viewer);
-  }
-
-  /** Pointers go to the start's tool; otherwise they pan. */
-  _tools() {
-    let holder = null;
-    return {
-      down: (event, xy) => {
-        holder = this.tool?.down(event, xy) ? this.tool : null;
-        return Boolean(holder);
-      },
-      move: (event, xy) => holder?.move(event, xy), up: (event, xy) => holder?.up(event, xy),
-      cancel: (event, xy) => holder?.cancel(event, xy), cursor: (event, xy) => this.tool?.cursor(event, xy) ?? "",
-    };
+    const { fit, opacity, overlays } = this;
+    if (fit && !viewer.tool?.hidesFit) drawFit(ctx, viewer, fit, overlays.shown, { ...this.iteration, opacity });
+    viewer.tool?.draw(ctx, viewer);
   }
 }

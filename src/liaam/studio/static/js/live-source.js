@@ -27,9 +27,7 @@ export class LiveSource {
     follow();
   }
 
-  get isOpen() {
-    return Boolean(this.video.srcObject || this.video.src);
-  }
+  get isOpen() { return Boolean(this.video.srcObject || this.video.src); }
 
   /** Show the camera; errors have a message for the user. */
   async openCamera() {

@@ -42,9 +42,7 @@ export class Track {
     this.rows = new Map(); // by milliseconds
   }
 
-  get lost() {
-    return [...this.rows.values()].filter(isLost).length;
-  }
+  get lost() { return [...this.rows.values()].filter(isLost).length; }
 
   set(time, row) {
     this.rows.set(key(time), row);

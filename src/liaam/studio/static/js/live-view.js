@@ -1,10 +1,10 @@
 // The picture of the Live tab with its fit, the controls, and the timeline.
 
 import { Divider } from "./divider.js";
-import { drawFit, drawOver, entries, modelNeeded, overlayButtons, OVERLAYS, pressOverlays } from "./fit-draw.js";
+import { drawFit, drawOver, entries, modelNeeded, Overlays } from "./fit-draw.js";
 import { SURE } from "./fit-run.js";
 import { FrameMeter } from "./fit-schedule.js";
-import { button, h, icon, perFrame } from "./ui.js";
+import { button, fileField, h, icon, perFrame, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const LATELY = 50; // frames over which the speed and the delay are averaged
@@ -13,18 +13,14 @@ export class LiveView {
   /** act: functions camera, file (of a File), stop, play, flat, record, save and seek (to seconds). */
   constructor(root, app, act) {
     this.shown = null;
-    this.overlays = new Set(["contours", "landmarks", "ellipses"]);
     this.delays = []; // milliseconds from each frame to its painted fit
-    this.meter = new FrameMeter(400, LATELY);
+    this.meter = new FrameMeter(LATELY);
     const container = h("div.fit-viewer");
     this.viewer = new Viewer(container, { label: "Live picture" });
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
     this.divider = new Divider(this.viewer, () => this.viewer.redraw(), "live-divider");
     this.divider.label("Picture", "Without shading");
-    const file = h("input.visually-hidden", {
-      type: "file", accept: "video/*", tabindex: "-1", "aria-label": "Open a video", testid: "live-file",
-      onclick: () => { file.value = ""; }, onchange: () => act.file(file.files[0]),
-    });
+    const file = fileField(act.file, { accept: "video/*", "aria-label": "Open a video", testid: "live-file" });
     const tool = (label, name, more) =>
       button(label, { small: true, testid: `live-${name}`, onclick: act[name], ...more });
     this.tools = {
@@ -38,8 +34,8 @@ export class LiveView {
       button("Open a video…", { icon: "upload", testid: "live-open", onclick: () => file.click() }),
     ];
     this._strip = h("canvas.live-strip", { height: 8, "aria-hidden": "true" });
-    this._slider = h("input.slider", {
-      type: "range", min: "0", step: "0.04", "aria-label": "Time in the video", testid: "live-time",
+    this._slider = slider({
+      min: "0", step: "0.04", "aria-label": "Time in the video", testid: "live-time",
       oninput: perFrame(() => act.seek(Number(this._slider.value))),
     });
     this._time = h("span.number");
@@ -48,14 +44,14 @@ export class LiveView {
     this._empty = h("div.empty.big.fit-empty", icon("play", 56), h("h2", "Follow the object in a video"),
       h("p", "Use your camera, or open a video or drop one here. It stays on this machine, and no frame is kept."),
       h("div.row", this._openers));
-    this._buttons = overlayButtons(this.overlays, (name) => this._toggle(name), (name) => `live-${name}`);
+    this._overlays = new Overlays(["contours", "landmarks", "ellipses"], () => this.viewer.redraw(), "live");
     this._status = h("p.fit-status", { role: "status", testid: "live-status" });
     this._facts = h("dl.fit-facts");
     this._needs = h("section.panel.column", modelNeeded(app));
-    const overlays = h("div.row.tight.fit-overlays", [...this._buttons.values()]);
     this._panels = [
       h("section.panel.column", { "aria-label": "Result" }, this._status, this._facts),
-      h("section.panel", { "aria-label": "Drawn over the picture" }, overlays),
+      h("section.panel", { "aria-label": "Drawn over the picture" },
+        h("div.row.tight.fit-overlays", this._overlays.buttons)),
     ];
     const { flat, record, save, stop } = this.tools;
     const tools = h("div.toolbar.live-toolbar", { role: "toolbar", "aria-label": "Video" },
@@ -74,17 +70,9 @@ export class LiveView {
   }
 
   key(event) {
-    const letter = event.key.toUpperCase();
-    const overlay = OVERLAYS.find(({ key }) => key === letter)?.name;
-    const chosen = { P: this._play, F: this.tools.flat, R: this.tools.record }[letter] ?? this._buttons.get(overlay);
+    const chosen = { P: this._play, F: this.tools.flat, R: this.tools.record }[event.key.toUpperCase()];
     chosen?.click();
-    return Boolean(chosen) || this.viewer.key(event);
-  }
-
-  _toggle(name) {
-    if (!this.overlays.delete(name)) this.overlays.add(name);
-    pressOverlays(this._buttons, this.overlays);
-    this.viewer.redraw();
+    return Boolean(chosen) || this._overlays.key(event) || this.viewer.key(event);
   }
 
   _draw(ctx, viewer) {
@@ -92,7 +80,7 @@ export class LiveView {
     const { canvas, flat, fit, isNew, grabbed } = this.shown;
     drawOver(ctx, viewer, canvas);
     if (flat) drawOver(ctx, viewer, flat, { from: this.divider.x });
-    if (fit.ok) drawFit(ctx, viewer, fit, this.overlays);
+    if (fit.ok) drawFit(ctx, viewer, fit, this._overlays.shown);
     if (!isNew) return;
     this.shown.isNew = false;
     this.meter.tick();
@@ -109,8 +97,7 @@ export class LiveView {
     for (const each of Object.values(this.tools)) each.disabled = !isOpen;
     this._bar.hidden = this._play.disabled = !isFile;
     this._play.textContent = video.paused ? "Play" : "Pause";
-    this._buttons.get("contours").disabled = !model?.contours?.length;
-    pressOverlays(this._buttons, this.overlays);
+    this._overlays.hasContours = Boolean(model?.contours.length);
   }
 
   /** Show figures, and a message: {kind: "bad", "warn", "good" or "", text}. */

@@ -5,7 +5,7 @@ import { verdictOf } from "./fit-run.js";
 import { LiveSource } from "./live-source.js";
 import { isJump, parseRow, sentSize, Track } from "./live-track.js";
 import { LiveView } from "./live-view.js";
-import { saveFile } from "./ui.js";
+import { isPlain, press, saveFile } from "./ui.js";
 
 const AT_ONCE = 3; // frames that the server works on
 const SLOW = 15; // frames per second below which the user sees a message
@@ -17,20 +17,16 @@ const SHORTCUTS = [
   { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
 ];
 
-export function mount(root, app) {
-  const tab = new LiveTab(root, app);
-  return {
-    show: (/** @type {any} */ { file } = {}) => tab.open(file), hide: () => tab.leave(), shortcuts: SHORTCUTS,
-    key: (event) => !event.ctrlKey && !event.metaKey && !event.altKey && tab.view.key(event),
-  };
-}
+export const mount = (root, app) => new LiveTab(root, app);
 
 class LiveTab {
+  shortcuts = SHORTCUTS;
+
   constructor(root, app) {
     this.app = app;
     this.source = new LiveSource((time) => this._frame(time));
     this.view = new LiveView(root, app, {
-      camera: () => this._start(() => this.source.openCamera()), file: (file) => this.open(file),
+      camera: () => this._start(() => this.source.openCamera()), file: (file) => this.show({ file }),
       stop: () => this._stop(), play: () => (video.paused ? video.play().catch(() => {}) : video.pause()),
       flat: () => this._switchFlat(), record: () => this._record(),
       save: () => saveFile(new Blob([this.track.csv()], { type: "text/csv" }), `${this.source.name}_track.csv`),
@@ -51,13 +47,18 @@ class LiveTab {
     };
   }
 
-  open(file) {
+  /** @param {{file?: File}} options file: a video to follow */
+  show({ file } = {}) {
     if (file) this._start(() => this.source.openFile(file));
   }
 
-  leave() {
+  hide() {
     if (this.source.isFile) this.source.video.pause();
     else this._stop(); // the camera is on only while the tab is open
+  }
+
+  key(event) {
+    return isPlain(event) && this.view.key(event);
   }
 
   async _start(open) {
@@ -136,7 +137,7 @@ class LiveTab {
   _take(frame, row, flat) {
     this.track.set(frame.time, row);
     if (frame.grabbed < this.view.shown?.grabbed) return; // overtaken by a newer one
-    const { triangles, contours } = this.app.state.project.model ?? {};
+    const { triangles, contours } = this.app.state.project.model;
     this.view.show({ ...frame, flat, fit: { ...parseRow(row), triangles, contours } });
     if (this.source.isFile) this.view.drawTime(this.source.video, this.track);
   }
@@ -145,7 +146,7 @@ class LiveTab {
 
   _switchFlat() {
     this.isFlat = !this.isFlat;
-    this.view.tools.flat.setAttribute("aria-pressed", String(this.isFlat));
+    press(this.view.tools.flat, this.isFlat);
     if (this.source.video.paused && this.view.shown) this._frame(this.view.shown.time);
   }
 
@@ -157,7 +158,7 @@ class LiveTab {
     const recorder = new MediaRecorder(this.view.viewer.canvas.captureStream(), { mimeType: "video/webm" });
     const use = (now) => {
       this._recorder = now;
-      this.view.tools.record.setAttribute("aria-pressed", String(Boolean(now)));
+      press(this.view.tools.record, Boolean(now));
     };
     recorder.ondataavailable = ({ data }) => {
       recorded.push(data);

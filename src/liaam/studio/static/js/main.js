@@ -4,13 +4,15 @@ import { nameIn, opened, remember, tabIn } from "./address.js";
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles } from "./drops.js";
 import { isGuest, openModel } from "./fit-only.js";
-import { sourcesOf } from "./fit-source.js";
-import { look } from "./look.js";
+import { FitStore } from "./fit-run.js";
+import { Sources } from "./fit-source.js";
 import { takeWork, unsavedWork } from "./handover.js";
+import { look } from "./look.js";
+import { PictureStore } from "./picture-store.js";
 import { State } from "./state.js";
 import { mountStrip } from "./strip.js";
 import * as ui from "./ui.js";
-import { button, dialog, h, isTyping, toast } from "./ui.js";
+import { button, consume, h, iconButton, isPlain, isTyping, press, toast } from "./ui.js";
 
 const TABS = [
   { name: "annotate", label: "Annotate", what: "Place landmarks with the help of the model" },
@@ -37,7 +39,11 @@ const tabs = new Map(); // name -> {root, tab, button}
 let open = null;
 let wanted = null; // tab requested while the page was loading
 
-const app = { state, api, ui, toast, confirm: ui.confirm, openTab, take };
+const pictures = new PictureStore(state);
+const app = {
+  state, api, ui, toast, confirm: ui.confirm, openTab, take, pictures, sources: new Sources(state, pictures),
+  fits: new FitStore(state),
+};
 
 /** Hooks for browser tests; the tabs add theirs. */
 window.liaamStudio = { app, state };
@@ -77,23 +83,21 @@ async function start() {
 
 async function mountTabs() {
   const bar = document.getElementById("tabs");
-  const stage = document.getElementById("stage");
   const loaded = TABS.map(async ({ name, label, what }) => {
     const root = h("section", { id: `tab-${name}`, role: "tabpanel", "aria-label": label, hidden: true });
     const chooser = h("button", {
       type: "button", role: "tab", "aria-controls": root.id, "aria-selected": "false", title: what,
-      dataset: { testid: `tab-${name}` }, onclick: () => openTab(name),
+      testid: `tab-${name}`, onclick: () => openTab(name),
     }, label);
     bar.append(chooser);
-    stage.append(root);
+    document.getElementById("stage").append(root);
     return [name, { root, button: chooser, tab: await load(name, root) }];
   });
   for (const [name, tab] of await Promise.all(loaded)) tabs.set(name, tab);
   bar.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (!step) return;
-    event.preventDefault();
-    event.stopPropagation();
+    consume(event);
     const names = TABS.map((tab) => tab.name);
     openTab(names[(names.indexOf(open) + step + names.length) % names.length]);
     tabs.get(open).button.focus();
@@ -112,8 +116,8 @@ async function load(name, root) {
     return (await import(`./${name}.js`)).mount(root, app);
   } catch (error) { // the other tabs must still work
     console.error(error);
-    root.append(h("p", { class: "empty error-text" }, `This tab failed to load: ${error.message}`));
-    return { show() {}, hide() {}, shortcuts: [] };
+    root.append(h("p.empty.error-text", `This tab failed to load: ${error.message}`));
+    return {};
   }
 }
 
@@ -145,57 +149,48 @@ function openTab(name, options = {}) {
 
 function keys(event) {
   if (event.defaultPrevented || isTyping(event) || document.querySelector("dialog[open]")) return;
-  const plain = !event.ctrlKey && !event.metaKey && !event.altKey;
-  if (tabs.get(open)?.tab.key?.(event)) {
-    event.preventDefault();
-    return;
-  }
-  if (!plain) return;
-  const number = Number(event.key);
-  if (event.key === "?") showKeys();
-  else if (number >= 1 && number <= TABS.length) openTab(TABS[number - 1].name);
-  else if (PANELS[event.key.toLowerCase()]) window.liaamPanels(PANELS[event.key.toLowerCase()]);
-  else if (event.key === "[" || event.key === "PageUp") state.step(-1);
-  else if (event.key === "]" || event.key === "PageDown") state.step(1);
-  else return;
-  event.preventDefault();
+  if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event.key))) event.preventDefault();
+}
+
+function commonKey(key) {
+  const tab = TABS[Number(key) - 1];
+  const panels = PANELS[key.toLowerCase()];
+  if (key === "?") showKeys();
+  else if (tab) openTab(tab.name);
+  else if (panels) window.liaamPanels(panels);
+  else if (key === "[" || key === "PageUp") state.step(-1);
+  else if (key === "]" || key === "PageDown") state.step(1);
+  else return false;
+  return true;
 }
 
 async function showKeys() {
-  const table = (title, rows) => h("section", {}, h("h2", {}, title), h("dl", {}, rows.map(({ keys: names, what }) => [
-    h("dt", {}, names.split(" ").map((key) => [h("kbd", {}, key), " "])), h("dd", {}, what)])));
-  const sections = [...tabs].filter(([, { tab }]) => tab.shortcuts?.length)
-    .map(([name, { tab }]) => table(TABS.find((each) => each.name === name).label, tab.shortcuts));
-  const body = h("div", { class: "keys" }, table("Everywhere", COMMON_KEYS), sections);
-  const choice = await dialog("Keys", body, [
-    { label: "Open unsaved work…", kind: "ghost", value: "work" }, { label: "Close", kind: "primary", value: null }], { wide: true });
-  if (choice !== "work") return;
-  const input = h("input", { type: "file", accept: ".json", onchange: () => restore(input.files[0]) });
-  input.click();
+  const table = (title, rows) => h("section", h("h2", title), h("dl", rows.map(({ keys: names, what }) => [
+    h("dt", names.split(" ").map((key) => [h("kbd", key), " "])), h("dd", what)])));
+  const sections = TABS.map(({ name, label }) => table(label, tabs.get(name).tab.shortcuts ?? []));
+  const actions = [
+    { label: "Open unsaved work…", kind: "ghost", value: "work" }, { label: "Close", kind: "primary", value: null },
+  ];
+  const body = h("div.keys", table("Everywhere", COMMON_KEYS), sections);
+  if ((await ui.dialog("Keys", body, actions, { wide: true })) === "work")
+    ui.fileField(restore, { accept: ".json" }).click();
 }
 
 function actions() {
   const theme = window.liaamTheme; // of theme.js
   const face = () => (theme.isDark ? "sun" : "moon");
-  const toggle = button("Light or dark", {
-    icon: face(), iconOnly: true, kind: "ghost", testid: "theme", onclick: () => theme.toggle(),
-  });
+  const toggle = iconButton("Light or dark", face(), () => theme.toggle(), { testid: "theme" });
   addEventListener("theme", () => toggle.replaceChildren(ui.icon(face())));
-  const panels = [["strip", "List of pictures", "I"], ["side", "Panel", "D"]].map(([name, label, shortcut]) =>
-    button(label, {
-      icon: name, iconOnly: true, kind: "ghost", shortcut, testid: `show-${name}`,
-      onclick: () => window.liaamPanels([name]),
-    }));
-  const press = () => panels.forEach((each) => {
-    each.setAttribute("aria-pressed", String(document.documentElement.dataset[each.dataset.testid.slice(5)] !== "away"));
-  });
-  addEventListener("panels", press);
-  press();
+  const panel = (name, label, shortcut) => {
+    const shower = iconButton(label, name, () => window.liaamPanels([name]), { shortcut, testid: `show-${name}` });
+    const show = () => press(shower, document.documentElement.dataset[name] !== "away");
+    addEventListener("panels", show);
+    show();
+    return shower;
+  };
   document.getElementById("top-actions").append(
-    ...panels,
-    button("Keys", { icon: "keyboard", iconOnly: true, kind: "ghost", shortcut: "?", onclick: showKeys }),
-    toggle,
-  );
+    panel("strip", "List of pictures", "I"), panel("side", "Panel", "D"),
+    iconButton("Keys", "keyboard", showKeys, { shortcut: "?" }), toggle);
 }
 
 /** A file was dropped or pasted: fit the picture, follow the video, use the model, or take over unsaved work. */
@@ -204,14 +199,14 @@ function take(file) {
   if (/\.json$/i.test(file.name)) return restore(file);
   if (/\.liaam$/i.test(file.name)) return openModel(app, file).catch((error) => toast(error, "bad"));
   if (open === "annotate") openTab("fit");
-  return sourcesOf(app).take(file);
+  return app.sources.take(file);
 }
 
 async function restore(file) {
   try {
     const left = takeWork(localStorage, state.project.id, await file.text(), file.name);
-    if (left) toast(`${left} of the items in ${file.name} were left out: this page has unsaved work on them, too.`, "bad");
-    else location.reload();
+    if (!left) return location.reload();
+    toast(`${left} of the items in ${file.name} were left out: this page has unsaved work on them, too.`, "bad");
   } catch (error) {
     toast(error, "bad");
   }
@@ -219,13 +214,13 @@ async function restore(file) {
 
 /** Say above the page that the server is gone, and how to go on. */
 function connection() {
-  const text = h("span", { class: "grow" });
+  const text = h("span.grow");
   const unsaved = () => unsavedWork(localStorage, state.project.id);
   const save = button("Save unsaved work as a file", {
     icon: "download", small: true, testid: "save-work",
     onclick: () => ui.saveFile(new Blob([unsaved()], { type: "application/json" }), "unsaved-work.json"),
   });
-  const notice = h("div", { class: "notice", role: "alert", hidden: true, dataset: { testid: "connection" } }, text, save);
+  const notice = h("div.notice", { role: "alert", hidden: true, testid: "connection" }, text, save);
   document.querySelector(".top").append(notice); // over the page, so that nothing moves
   const show = () => {
     notice.hidden = state.online;
@@ -233,7 +228,8 @@ function connection() {
     const what = state.restarted
       ? "The studio was restarted: open its new address, which it printed in the terminal."
       : "The server is not reachable. If you have started the studio again, open the address that it printed.";
-    const more = "Unsaved work is kept in this browser. If the new address has another port, save the work as a file, and drop the file on the new page.";
+    const more = "Unsaved work is kept in this browser. If the new address has another port, save the work as a " +
+      "file, and drop the file on the new page.";
     text.textContent = save.hidden ? what : `${what} ${more}`;
   };
   state.addEventListener("online", show);
@@ -242,25 +238,21 @@ function connection() {
 
 /** Show a moving line at the top of the page while the user waits. The line has a delay in the style sheet. */
 function waiting() {
-  const line = h("div", { class: "waiting", role: "progressbar", "aria-label": "Working", hidden: true, dataset: { testid: "busy" } });
+  const line = h("div.waiting", { role: "progressbar", "aria-label": "Working", hidden: true, testid: "busy" });
   document.body.append(line);
   busy.addEventListener("change", () => { line.hidden = busy.count === 0; });
 }
 
-// Status in the top bar: the model and training.
-
+/** Show the model and training in the top bar. */
 function status() {
-  const box = document.getElementById("top-status");
-  const training = h("span", { class: "badge accent", hidden: true, dataset: { testid: "top-training" } });
-  const model = h("span", { class: "badge", dataset: { testid: "top-model" } });
-  box.append(training, model);
+  const training = h("span.badge.accent", { hidden: true, testid: "top-training" });
+  const model = h("span.badge", { testid: "top-model" });
+  document.getElementById("top-status").append(training, model);
   const show = () => {
     const { training: now, model: has } = state.project;
-    training.hidden = now?.state !== "running";
-    if (now?.state === "running") {
-      const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
-      training.textContent = `${now.phase === "proposals" ? "Placing points" : "Training"}${percent}`;
-    }
+    const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
+    training.hidden = now.state !== "running";
+    training.textContent = `${now.phase === "proposals" ? "Placing points" : "Training"}${percent}`;
     const guest = isGuest(state.project);
     model.textContent = guest ? `Fit only: ${has.name}` : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";

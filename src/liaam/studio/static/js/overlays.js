@@ -84,7 +84,7 @@ export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1
 }
 
 /** Radii and angle of the 95 % confidence ellipse of a Gaussian with covariance [[a, b], [b, c]]. */
-export function ellipse([[a, b], [, c]]) {
+function ellipse([[a, b], [, c]]) {
   const middle = (a + c) / 2;
   const spread = Math.hypot((a - c) / 2, b);
   const radius = (variance) => CHI * Math.sqrt(Math.max(variance, 0));

@@ -1,12 +1,21 @@
 // A cache of the last few pictures, which are fetched at a higher resolution for zooming in.
 
-const SHOWN_SIZE = 2048; // longest side at first
+import { api } from "./api.js";
+
+export const SHOWN_SIZE = 2048; // longest side at first
 const SHARP_SIZE = 8192; // longest side after zooming in
 const KEPT = 4;
 
+/** Fetch a picture of the server as a bitmap. */
+export async function bitmapOf(address) {
+  const blob = await api.blob(address);
+  return createImageBitmap(blob).catch(() => {
+    throw new Error("The browser cannot show this picture: reload the page.");
+  });
+}
+
 export class PictureStore {
-  constructor({ api, state }) {
-    this.api = api;
+  constructor(state) {
     this.state = state;
     this.pictures = new Map(); // name -> {bitmap, sharp, width, height, tag: of the file}
   }
@@ -14,11 +23,7 @@ export class PictureStore {
   /** Fetch a picture: {bitmap, width, height}, with the size of landmark coordinates. */
   async fetch(name) {
     const known = this.pictures.get(name);
-    return known && known.tag === this.tag(name) ? known : this.load(name, SHOWN_SIZE);
-  }
-
-  tag(name) {
-    return this.state.picture(name)?.tag ?? null;
+    return known && known.tag === this.state.picture(name)?.tag ? known : this.load(name, SHOWN_SIZE);
   }
 
   /** Fetch a sharper bitmap if `scale` (screen pixels per picture pixel) needs one; null otherwise. */
@@ -37,19 +42,25 @@ export class PictureStore {
   }
 
   async load(name, size) {
-    const tag = this.tag(name);
-    const blob = await this.api.blob(this.api.url("pictures", name, "image", { size, tag }));
-    const bitmap = await createImageBitmap(blob);
-    const { width, height } = this.state.picture(name) ?? {};
-    const sharp = size > SHOWN_SIZE;
-    const picture = { bitmap, sharp, width: width ?? bitmap.width, height: height ?? bitmap.height, tag };
+    const { tag } = this.state.picture(name);
+    const bitmap = await bitmapOf(api.url("pictures", name, "image", { size, tag }));
+    const { width, height } = await this.sizeOf(name, bitmap);
+    const picture = { bitmap, sharp: size > SHOWN_SIZE, width, height, tag };
     this.pictures.set(name, picture);
     this.forget(name);
     return picture;
   }
 
+  /** The picture's size, also if the project lacks it: that of the bitmap, unless it was scaled down. */
+  async sizeOf(name, bitmap) {
+    const known = this.state.picture(name);
+    if (known?.width) return known;
+    const isWhole = Math.max(bitmap.width, bitmap.height) < SHOWN_SIZE;
+    return isWhole ? bitmap : api.get(api.url("pictures", name, "landmarks"));
+  }
+
   forget(newest) {
-    const sharp = this.pictures.get(newest).sharp;
+    const { sharp } = this.pictures.get(newest);
     for (const [name, picture] of this.pictures) {
       if (name === newest) continue;
       // Keep only one sharp picture, which may take a hundred megabytes.

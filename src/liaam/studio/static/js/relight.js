@@ -3,7 +3,7 @@
 import { api } from "./api.js";
 import { directionAfterKey, directionAt, directionInWords, litFrom } from "./fit-geometry.js";
 import { FrameMeter, LatestWins } from "./fit-schedule.js";
-import { button, h } from "./ui.js";
+import { button, consume, h, menu, slider } from "./ui.js";
 
 /** @typedef {{direction: number[], colour: string, strength: number, softness: number}} Lamp colour: "#rrggbb" */
 /** @typedef {{lamps: Lamp[], ambient: number}} Lights ambient: fraction of white ambient light */
@@ -27,15 +27,19 @@ function lampAt([x, y], colour = "#ffffff", strength = 1, softness = 0) {
 
 export const PRESETS = {
   Side: { lamps: [lampAt([-0.9, -0.25])], ambient: 0.1 },
-  Portrait: { lamps: [lampAt([-0.55, -0.5], "#fff1dc", 1.1, 0.4), lampAt([0.7, 0], "#dfe9ff", 0.35, 0.8)], ambient: 0.15 },
+  Portrait: {
+    lamps: [lampAt([-0.55, -0.5], "#fff1dc", 1.1, 0.4), lampAt([0.7, 0], "#dfe9ff", 0.35, 0.8)], ambient: 0.15,
+  },
   Window: { lamps: [lampAt([-0.8, -0.2], "#e6f0ff", 1.2, 1)], ambient: 0.15 },
-  "Two colours": { lamps: [lampAt([-0.9, 0], "#ffb070", 1.1, 0.4), lampAt([0.9, 0], "#86a9ff", 1.2, 0.4)], ambient: 0.2 },
+  "Two colours": {
+    lamps: [lampAt([-0.9, 0], "#ffb070", 1.1, 0.4), lampAt([0.9, 0], "#86a9ff", 1.2, 0.4)], ambient: 0.2,
+  },
   Candle: { lamps: [lampAt([-0.15, 0.75], "#ffbe80", 1.2, 0.3)], ambient: 0.15 },
   Overcast: { lamps: [lampAt([0, -0.6], "#f2f6ff", 1, 1)], ambient: 0.5 },
 };
 
 /** Red, green and blue of "#rrggbb", 0 to 1. */
-export const channelsOf = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
+const channelsOf = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
 
 /** Query of a picture under lights. @param {Lights} lights @param {number} [size] */
 export function lightQuery({ lamps, ambient }, size) {
@@ -94,14 +98,12 @@ export class Light extends EventTarget {
       oninput: () => this._edit("colour", this._colour.value), onchange: () => this._say("rest"),
     });
     const lights = { "One lamp": this.first, ...PRESETS };
-    const presets = h("select.text", {
-      "aria-label": "Preset lights", testid: "light-presets",
-      onchange: () => {
-        this.set(lights[presets.value]);
-        presets.value = "";
-        this._changed(true);
-      },
-    }, h("option", { value: "" }, "Presets…"), Object.keys(lights).map((name) => h("option", name)));
+    const labels = Object.fromEntries(Object.keys(lights).map((name) => [name, name]));
+    const use = (name) => {
+      this.set(lights[name]);
+      this._changed(true);
+    };
+    const presets = menu("Presets…", labels, use, { "aria-label": "Preset lights", testid: "light-presets" });
     this._sliders = SLIDERS.map((of) => this._slider(of, () => this.lamp[of.key], (to) => this._edit(of.key, to)));
     const ambient = { label: "Ambient", max: "1", what: "Ambient light: from all directions", key: "ambient" };
     this._sliders.push(this._slider(ambient, () => this.ambient, (value) => {
@@ -115,8 +117,8 @@ export class Light extends EventTarget {
   }
 
   _slider({ key, label, max, what }, get, set) {
-    const input = h("input.slider", {
-      type: "range", min: "0", max, step: "0.01", "aria-label": what, testid: `light-${key}`,
+    const input = slider({
+      min: "0", max, step: "0.01", "aria-label": what, testid: `light-${key}`,
       oninput: () => set(Number(input.value)), onchange: () => this._say("rest"),
     });
     const text = h("span.number");
@@ -157,11 +159,7 @@ export class Light extends EventTarget {
     const dot = h("div.light-lamp", {
       role: "slider", tabindex: "0", "aria-roledescription": "movable lamp", "aria-valuemin": "0",
       "aria-valuemax": "90", testid: "lamp", onfocus: select,
-      onkeydown: (event) => {
-        if (!this.key(event)) return;
-        event.preventDefault();
-        event.stopPropagation();
-      },
+      onkeydown: (event) => this.key(event) && consume(event),
     });
     return dot;
   }
@@ -234,25 +232,19 @@ function drawBall(canvas, { lamps, ambient }) {
 }
 
 /** Fetches the relit picture, with at most one request at a time for the newest light. */
-export class Relighter {
+export class Relighter extends LatestWins {
   constructor({ done, failed }) {
-    this.meter = new FrameMeter();
     const task = async ({ fit, query }) => createImageBitmap(await api.blob(api.url("fits", fit.id, "relit", query)));
     const shown = (image, { fit }) => {
       this.meter.tick();
       done(image, fit);
     };
-    this._asks = new LatestWins(task, { done: shown, failed });
+    super(task, { done: shown, failed });
+    this.meter = new FrameMeter();
   }
 
-  get busy() { return this._asks.busy; }
-
-  ask(fit, light, resting) {
+  relight(fit, light, resting) {
     const size = Math.min(Math.max(fit.width, fit.height), resting ? SIZE_AT_REST : SIZE_WHILE_MOVING);
-    this._asks.ask({ fit, query: lightQuery(light, size) });
-  }
-
-  cancel() {
-    this._asks.cancel();
+    this.ask({ fit, query: lightQuery(light, size) });
   }
 }

@@ -1,7 +1,8 @@
 // Review of the open picture and of the folder: checked by whom, history, accuracy of the models, export of all.
 
+import { percent } from "./annotate-words.js";
 import { act } from "./bulk.js";
-import { fileNameIn } from "./fit-export.js";
+import { button, h, menu, saveFile } from "./ui.js";
 import { askName, whoAmI } from "./who.js";
 
 const DID = {
@@ -13,8 +14,6 @@ const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig 
 
 export const sentence = ({ who, did }) => `${who || "Someone"} ${DID[did]}`;
 
-export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)} %`;
-
 /** What the newest bar of the chart means. */
 export function accuracyText(versions) {
   const { held_out: count } = versions.at(-1);
@@ -25,33 +24,25 @@ export function accuracyText(versions) {
 }
 
 export function createReview(app) {
-  const { h, button } = app.ui;
   const { state, api } = app;
   const part = (testid, title, content, ontoggle) =>
-    h("details", { class: "small", name: "review", ontoggle, dataset: { testid } }, h("summary", {}, title), content);
-  const now = h("span", { class: "small muted grow", role: "status", dataset: { testid: "review-state" } });
+    h("details.small", { name: "review", ontoggle, testid }, h("summary", title), content);
+  const now = h("span.small.muted.grow", { role: "status", testid: "review-state" });
   const toggle = () => act(app, state.picture().checked ? "unchecked" : "checked", [state.current]);
   const check = button("Mark as checked", { icon: "check", small: true, testid: "check", onclick: toggle });
-  const entries = h("ul", { class: "assist-lines" });
+  const entries = h("ul.assist-lines");
   const history = part("history", "History", entries, () => fetchHistory());
   const chart = h("div");
   const accuracy = part("versions", "", chart);
   const name = button("", {
-    small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(app.ui).then(show),
+    small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName().then(show),
   });
-  const files = h("select", { class: "text small", "aria-label": "Export all landmarks", onchange: () => save() },
-    h("option", { value: "" }, "Export all…"),
-    Object.entries(EXPORTS).map(([value, label]) => h("option", { value }, label)));
-  files.dataset.testid = "export-all";
-  const element = h("section", { class: "panel review", "aria-label": "Review" },
-    h("div", { class: "row" }, now, check), history, accuracy,
-    h("div", { class: "row" }, files, h("span", { class: "grow" }), name));
-
-  async function save() {
-    const { blob, disposition } = await api.file(api.url("export", files.value));
-    app.ui.saveFile(blob, fileNameIn(disposition, files.value));
-    files.value = "";
-  }
+  const save = async (format) => saveFile(...(await api.file(api.url("export", format))));
+  const files = menu("Export all…", EXPORTS, save, {
+    class: "small", "aria-label": "Export all landmarks", testid: "export-all",
+  });
+  const element = h("section.panel.review", { "aria-label": "Review" },
+    h("div.row", now, check), history, accuracy, h("div.row", files, h("span.grow"), name));
 
   async function fetchHistory() {
     const picture = state.current;
@@ -59,7 +50,7 @@ export function createReview(app) {
     const lines = await api.get(api.url("pictures", picture, "history"), { quiet: true });
     if (picture !== state.current) return;
     const texts = lines.map((line) => `${sentence(line)}, ${new Date(line.time).toLocaleString()}`);
-    entries.replaceChildren(...(texts.length ? texts : ["Nothing yet"]).map((text) => h("li", {}, text)));
+    entries.replaceChildren(...(texts.length ? texts : ["Nothing yet"]).map((text) => h("li", text)));
   }
 
   function draw(versions) {
@@ -69,11 +60,11 @@ export function createReview(app) {
     const said = ({ error, pictures }) => `${percent(error)}, trained on ${pictures} pictures`;
     accuracy.firstChild.textContent = `Accuracy of the models: ${percent(versions.at(-1).error)}`;
     const bars = versions.map((version) => h("span", {
-      class: version.same ? "same" : "", title: said(version), style: { height: `${(100 * version.error) / most}%` },
+      class: version.same && "same", title: said(version), style: { height: `${(100 * version.error) / most}%` },
     }));
     const label = `Errors of the models: ${versions.map(said).join("; ")}`;
-    chart.replaceChildren(h("div", { class: "version-chart", role: "img", "aria-label": label }, bars),
-      h("p", { class: "muted" }, accuracyText(versions)));
+    chart.replaceChildren(
+      h("div.version-chart", { role: "img", "aria-label": label }, bars), h("p.muted", accuracyText(versions)));
   }
 
   function show() {
@@ -83,7 +74,7 @@ export function createReview(app) {
     check.hidden = progress !== "done";
     check.lastChild.textContent = checked ? "Withdraw" : "Mark as checked";
     name.textContent = whoAmI() || "Your name…";
-    draw(state.project.versions ?? []);
+    draw(state.project.versions);
     fetchHistory().catch(() => {}); // the next change fetches it again
   }
 

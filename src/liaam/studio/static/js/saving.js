@@ -4,7 +4,7 @@
 import { sameMarks } from "./points.js";
 import { carried } from "./template.js";
 
-export const DELAY = 250; // milliseconds between a change and its request
+const DELAY = 250; // milliseconds between a change and its request
 const RETRY = [1000, 2000, 4000, 8000];
 
 /** Body of a request: the content with the revisions of the file and, if known, of the template. */
@@ -84,7 +84,6 @@ export class Saver {
 
   /** Names of all pictures with unsaved content. */
   get dirty() { return [...this.entries.keys()].filter((name) => this.isDirty(name)); }
-  get anyDirty() { return this.dirty.length > 0; }
 
   /** A picture with an unresolved conflict, or null. */
   get conflicted() { return [...this.entries].find(([, entry]) => entry.state === "conflict")?.[0] ?? null; }

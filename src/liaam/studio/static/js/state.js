@@ -74,9 +74,7 @@ export class State extends EventTarget {
   }
 
   /** The pictures of the subfolder that the list shows. */
-  get pictures() {
-    return this.project.pictures.filter(({ name }) => isIn(name, this.folder));
-  }
+  get pictures() { return this.project.pictures.filter(({ name }) => isIn(name, this.folder)); }
 
   showFolder(folder) {
     this.folder = folder;
@@ -100,12 +98,7 @@ export class State extends EventTarget {
   /** Check the folder for changes by other programs, which send no events, while the page is visible. */
   async look() {
     if (document.hidden || this._refreshing || !this.project) return;
-    const { stamp } = this.project;
-    if (stamp === undefined) {
-      await this.refresh();
-      return;
-    }
-    const project = await api.get(api.url("project", { stamp }), { quiet: true });
+    const project = await api.get(api.url("project", { stamp: this.project.stamp }), { quiet: true });
     if (!project.unchanged && !this._refreshing) this._take(project);
   }
 
@@ -113,9 +106,7 @@ export class State extends EventTarget {
     const look = () => this.look().catch(() => {}); // a lost connection is reported by the event stream
     addEventListener("focus", look);
     document.addEventListener("visibilitychange", look);
-    setInterval(() => {
-      if (this.project?.stamp !== undefined) look();
-    }, LOOK_EVERY);
+    setInterval(look, LOOK_EVERY);
   }
 
   /** Send a request with the id of the page's folder. If the server now serves another folder, it refuses the request,
