@@ -6,7 +6,7 @@ import {
   thetaAfterKey,
 } from "./invariant.js";
 import { FrameMeter } from "./fit-schedule.js";
-import { button, h, segmented } from "./ui.js";
+import { button, consume, h, segmented, slider } from "./ui.js";
 
 /** Longest side of the requested chroma: full size for 640x480, and fast to draw for all pictures. */
 const SIZE = 1024;
@@ -76,7 +76,8 @@ export class InvariantView extends EventTarget {
     this._pixels = new Uint32Array(this._image.data.buffer);
     this._context = this.canvas.getContext("2d");
     const usable = measurable(chroma);
-    this._note.textContent = usable < 0.5 ? `${Math.round(100 * (1 - usable))} % too dark or overexposed (hatched)` : "";
+    const lost = `${Math.round(100 * (1 - usable))} % too dark or overexposed (hatched)`;
+    this._note.textContent = usable < 0.5 ? lost : "";
     this._adaptContrast();
   }
 
@@ -128,15 +129,11 @@ export class InvariantView extends EventTarget {
   }
 
   _controls() {
-    this._slider = h("input.slider", {
-      type: "range", min: "0", max: "180", step: "0.1", testid: "theta-slider",
+    this._slider = slider({
+      min: "0", max: "180", step: "0.1", testid: "theta-slider",
       "aria-label": "Angle θ of the invariant image in degrees",
       oninput: () => this._move(Number(this._slider.value)), onchange: () => this._adaptContrast(),
-      onkeydown: (event) => {
-        if (!this.key(event)) return;
-        event.preventDefault();
-        event.stopPropagation();
-      },
+      onkeydown: (event) => this.key(event) && consume(event),
     });
     this._text = h("output.number.fit-theta-text", { testid: "theta-value" });
     this._marks = h("div.fit-theta-marks", { "aria-hidden": "true" });

@@ -18,22 +18,17 @@ const SAMPLED = 4096;
 const SHARE = 0.01;
 
 /**
- * Chroma of a picture from the server's bytes, little-endian: two uint32 (width, height), two float32 (covered width and
- * height of the picture from its upper left, in its pixels), then int16 (height, width, 2). Without the floats, covered
- * is null: all of the picture.
+ * Chroma of a picture from the server's bytes, little-endian: two uint32 (width, height), two float32 (covered width
+ * and height of the picture from its upper left, in its pixels), then int16 (height, width, 2).
  */
 export function parseChroma(buffer) {
-  if (buffer.byteLength < 8) throw new RangeError("The picture's chroma is incomplete: reload the page.");
+  const found = buffer.byteLength;
+  if (found < 16) throw new RangeError("The picture's chroma is incomplete: reload the page.");
   const [width, height] = new Uint32Array(buffer, 0, 2);
-  const size = 4 * width * height;
-  const [short, expected] = [8 + size, 16 + size];
-  if (buffer.byteLength !== expected && buffer.byteLength !== short) {
-    throw new RangeError(
-      `The picture's chroma has ${buffer.byteLength} bytes instead of ${expected}: reload the page.`,
-    );
-  }
-  const covered = buffer.byteLength === short ? null : [...new Float32Array(buffer, 8, 2)];
-  return { width, height, covered, values: new Int16Array(buffer, buffer.byteLength - size) };
+  const expected = 16 + 4 * width * height;
+  if (found !== expected)
+    throw new RangeError(`The picture's chroma has ${found} bytes instead of ${expected}: reload the page.`);
+  return { width, height, covered: [...new Float32Array(buffer, 8, 2)], values: new Int16Array(buffer, 16) };
 }
 
 const commonDivisor = (a, b) => (b ? commonDivisor(b, a % b) : a);
@@ -115,7 +110,7 @@ const VIRIDIS = [
 ];
 
 /** 256 colours between anchors, as 32-bit pixels. */
-export function colourTable(anchors) {
+function colourTable(anchors) {
   return Uint32Array.from({ length: 256 }, (_, level) => {
     const at = (level / 255) * (anchors.length - 1);
     const below = Math.min(Math.floor(at), anchors.length - 2);

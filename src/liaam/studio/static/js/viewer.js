@@ -1,8 +1,8 @@
 // A picture with zoom and pan, layers drawn over it, and a tool that handles the pointer.
 //
 // Landmark coordinates have (0, 0) at the centre of the top-left pixel. Screen coordinates are css pixels from the
-// corner of the container, which is the area that no panel covers. The canvas may be larger, so that the picture goes on
-// under the panels.
+// corner of the container, which is the area that no panel covers. The canvas may be larger, so that the picture goes
+// on under the panels.
 
 import { look } from "./look.js";
 import { button, h } from "./ui.js";
