@@ -5,6 +5,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import * as words from "./modules/annotate-words.js";
+import { createOpening } from "./modules/annotate-opening.js";
 import { Drafting } from "./modules/drafting.js";
 import { FirstMarks } from "./modules/first-marks.js";
 import { History } from "./modules/history.js";
@@ -177,6 +178,21 @@ test("a layout stays where it fills a part of the picture", () => {
   for (const [width, height] of [[30, 60], [600, 600]]) assert.notEqual(layoutIn(TRIANGLE, width, height), TRIANGLE);
   assert.equal(layoutIn(TRIANGLE, 30, 60, 1), TRIANGLE); // counted from 1
   assert.equal(layoutIn(null, 60, 60), null);
+});
+
+test("marks that were fetched before this page saved newer ones do not replace them", async () => {
+  const entry = { revision: "1" };
+  const saver = { isDirty: () => false, entry: () => entry };
+  const saving = {
+    tryToFetch: async () => {
+      const marks = { ...entry };
+      entry.revision = "2"; // saved while the server answers
+      return marks;
+    },
+    inherited: async (_name, { revision }) => { throw new Error(`taken: ${revision}`); },
+  };
+  const { reload } = createOpening({ name: "a", template: {}, marking: {}, tool: {}, saver, saving }, () => "click");
+  await assert.rejects(reload(), { message: "taken: 2" });
 });
 
 // The template ------------------------------------------------------------------------------------------------------

@@ -103,10 +103,12 @@ export function createOpening(tab, begins) {
     const { name, saver } = tab;
     const own = turn;
     if (!name || !tab.template || tab.editing) return;
+    const { revision } = saver.entry(name);
     const marks = await tab.saving.tryToFetch(name); // if the server is unreachable, `online` calls this again
     if (!marks || own !== turn || saver.isDirty(name) || tab.tool.gesture) return;
     const { chosen, active } = marking;
-    await take(name, marks, own);
+    if (saver.entry(name).revision !== revision) await reload(); // this page has saved newer marks meanwhile
+    else await take(name, marks, own);
     if (marking.book && chosen.length && chosen.at(-1) < marking.points.length) marking.select(chosen, active);
   }
 
