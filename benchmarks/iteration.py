@@ -125,7 +125,7 @@ def make_problem(model: AAM, rng: np.random.Generator, method: str = "li") -> Fi
 def make_loops(objective: Objective, problem: FitProblem) -> Parts:
     """Make the loop over one iteration and over :data:`STEPS` more. Their difference excludes the overhead."""
     start = objective.start(np.zeros(objective.warp.n_parameters))
-    method, damping = objective.method, DAMPING[objective.method.name]
+    method, damping = objective.method, DAMPING.get(objective.method.name, DAMPING["li"])
 
     def loop(n: int) -> Callable[[], int]:
         options = SolverOptions(
