@@ -138,7 +138,7 @@ def test_a_file_that_cannot_be_read_says_why(tmp_path, monkeypatch, fault, reaso
 
     path = write(tmp_path)
     monkeypatch.setattr("safetensors.safe_open", broken)
-    assert complaint(path) == f"the lamp file cannot be read ({reason})"
+    assert complaint(path) == f"the lamp file cannot be read ({reason}); check its permissions"
 
 
 def test_a_file_without_a_header_is_refused(tmp_path):

@@ -204,7 +204,7 @@ def test_a_file_cut_short_is_refused(tiny_file, tmp_path, share):
 def test_random_bytes_are_refused(tmp_path, junk):
     path = tmp_path / "junk.liaam"
     path.write_bytes(junk)
-    assert_refused(path, "not a complete liaam model|is not a liaam model")
+    assert_refused(path, "not a complete liaam model|is not a liaam model|image, not a model file")
 
 
 @FILE
@@ -227,6 +227,12 @@ def test_a_safetensors_file_of_another_kind_is_refused(tmp_path):
     path = tmp_path / "other.safetensors"
     path.write_bytes(save({"weights": np.zeros(4)}))
     assert_refused(path, "is not a liaam model")
+
+
+def test_a_lamp_file_is_refused_as_such(tmp_path):
+    path = tmp_path / "heads.lamps"
+    path.write_bytes(save({"mean": np.zeros((3, 2))}, {"liaam": '{"format": "liaam-lamps", "schema": 1}'}))
+    assert_refused(path, "is a lamp file, not a model; draw it with 'liaam show'")
 
 
 @pytest.mark.parametrize("schema", [0, 1, 2, 3, 99, None, "4"])

@@ -267,6 +267,12 @@ def _header_of(file: Any, path: Path | str) -> _Header:
     return header
 
 
+def image_kind(path: Path) -> str | None:
+    """Return the format of an image file by its first bytes, or None for other files."""
+    with path.open("rb") as file:
+        return _kind_of(file.read(16))
+
+
 def _kind_of(start: bytes) -> str | None:
     """Return the format by the first 16 bytes, or None if unknown."""
     return next((kind for signature, kind in _SIGNATURES if start.startswith(signature)), None)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LiaamError
+from liaam.io.images import image_kind
 
 Shapes = dict[str, tuple[int, ...]]
 """Shapes of a file's tensors."""
@@ -47,6 +48,9 @@ def read_tensors(
             header = parse((file.metadata() or {}).get("liaam", ""), shapes)
             return header, {key: file.get_tensor(key) for key in keys}
     except (SafetensorError, AttributeError, TypeError) as fault:  # the last two for number types that numpy lacks
+        if image := image_kind(path):
+            remedy = f"give a {kind} in its place, or make one with '{make}'"
+            raise error(f"{path} is a {image} image, not a {kind}; {remedy}") from fault
         raise error(f"{path}: {broken.format(fault=fault)}") from fault
     except OSError as fault:
-        raise error(f"{path}: the {kind} cannot be read ({fault.strerror or fault})") from fault
+        raise error(f"{path}: the {kind} cannot be read ({fault.strerror or fault}); check its permissions") from fault

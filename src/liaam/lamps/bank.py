@@ -17,6 +17,7 @@ from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.files import json_object
 from liaam.io.tensors import Shapes, read_tensors
+from liaam.model.file import LAMPS_FORMAT
 from liaam.model.light import BRIGHTEST, SIDE, LightBasis
 from liaam.model.shape import align
 from liaam.photometry import Response, is_grey
@@ -44,7 +45,7 @@ MODES, TINT = 16, 0.1
 STRIDE = 4
 """Spacing of the pixels for which the map is computed; it is interpolated in between."""
 
-FORMAT, SCHEMA_VERSION = "liaam-lamps", 1
+SCHEMA_VERSION = 1
 
 MAKE = "liaam lamps FOLDER -o LAMPS"
 """The command that makes a lamp file."""
@@ -153,7 +154,7 @@ class Lamps:
         """
         from safetensors.numpy import save
 
-        about = {"format": FORMAT, "schema": SCHEMA_VERSION, "names": list(self.names)}
+        about = {"format": LAMPS_FORMAT, "schema": SCHEMA_VERSION, "names": list(self.names)}
         write_bytes_atomically(path, save({"mean": self.mean, "fields": self.fields}, {"liaam": json.dumps(about)}))
 
 
@@ -314,7 +315,7 @@ _CONTRADICTORY = "the lamp file contradicts itself; copy it again or make it aga
 def _names(path: Path, text: str, shapes: Shapes) -> list[str]:
     """Read the names of the lamps from a file's header, and check them against the tensors' shapes."""
     about = json_object(text) or {}
-    if (about.get("format"), about.get("schema")) != (FORMAT, SCHEMA_VERSION):
+    if (about.get("format"), about.get("schema")) != (LAMPS_FORMAT, SCHEMA_VERSION):
         raise LiaamError(f"{path}: this file contains no lamps; make one with '{MAKE}'")
     names: Any = about.get("names")
     if not _are_lamps(names, shapes.get("mean", ()), shapes.get("fields", ())):

@@ -58,7 +58,8 @@ OWN_PARTS = {
 MOST_WEIGHT = 1e6
 """Largest weight of such a point."""
 
-FORMAT = "liaam-aam"
+FORMAT, LAMPS_FORMAT = "liaam-aam", "liaam-lamps"
+"""Formats in the headers of model files and of lamp files."""
 
 
 def file_bytes(model: "AAM") -> bytes:
@@ -135,6 +136,11 @@ def _parts(view: View) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
 
 def _checked_header(path: Path, text: str) -> dict:
     header = json_object(text) or {}
+    if header.get("format") == LAMPS_FORMAT:
+        raise ModelFileError(
+            f"{path} is a lamp file, not a model; draw it with 'liaam show', or train a model under its lamps with "
+            "'liaam train FOLDER --lamps LAMPS -o MODEL'"
+        )
     if header.get("format") != FORMAT:
         raise ModelFileError(f"{path}: this safetensors file is not a liaam model; make one with 'liaam train'")
     if header.get("schema") != SCHEMA_VERSION:
