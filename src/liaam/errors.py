@@ -3,6 +3,14 @@
 A failed fit does not raise. It returns a :class:`liaam.fitting.FitResult` with a ``status``.
 """
 
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+
+
+def installing(extra: str) -> str:
+    """Return the command that installs an optional dependency, for messages."""
+    return f'pip install ".[{extra}]" in a checkout of liaam'
+
 
 class LiaamError(Exception):
     """Base class of every error that liaam raises on purpose."""
@@ -38,3 +46,24 @@ class CameraError(LiaamError):
 
 class VideoError(LiaamError):
     """A video or camera cannot be read, or a video cannot be written."""
+
+
+def check_options(
+    given: Iterable[str], known: Sequence[str], error: type[LiaamError], remedies: Mapping[str, str] | None = None
+) -> None:
+    """Raise `error` for the first given option that is not known, and suggest a known one.
+
+    Parameters
+    ----------
+    given, known : names of options
+    error : type of LiaamError
+    remedies : mapping of str to str, optional
+        Remedies for some unknown names.
+    """
+    for name in given:
+        if name in known:
+            continue
+        close = difflib.get_close_matches(name, known, n=1)
+        remedy = (remedies or {}).get(name) or (f"did you mean {close[0]!r}?" if close else "")
+        listed = f"option {name!r} does not exist; there are {', '.join(known)}"
+        raise error(f"{listed}; {remedy}" if remedy else listed)

@@ -593,9 +593,9 @@ def test_refuses_a_model_that_is_missing_and_a_table_of_others(world, tmp_path):
 def test_says_which_extra_is_missing(world, tmp_path, monkeypatch):
     monkeypatch.setattr("liaam.batch.tables.find_spec", lambda name: None)
     monkeypatch.setattr("liaam.batch.run.find_spec", lambda name: None)
-    with pytest.raises(LiaamError, match=r'pip install "liaam\[batch\]"'):
+    with pytest.raises(LiaamError, match=r'pip install "\.\[batch\]"'):
         batch_of(world, tmp_path / "r.parquet")
-    with pytest.raises(LiaamError, match=r'pip install "liaam\[cluster\]"'):
+    with pytest.raises(LiaamError, match=r'pip install "\.\[cluster\]"'):
         batch_of(world, tmp_path / "r.csv", jobs=None, scheduler="tcp://127.0.0.1:1")
 
 

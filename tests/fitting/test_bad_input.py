@@ -66,10 +66,11 @@ def test_an_overexposed_picture_is_saturated(model, lit_scene, start):
     assert result.status == FitStatus.SATURATED
 
 
-@pytest.mark.parametrize("method", ["li", "rgb"])
+@pytest.mark.parametrize("method", ["li", "rgb", "soft-li"])
 def test_a_picture_of_nan_gives_a_status(model, start, method):
     result = Fitter(model, method).fit(np.full((240, 180, 3), np.nan, np.float32), start)
-    assert not result.status.ok
+    assert result.status == FitStatus.NO_TEXTURE
+    assert "no valid values" in result.message
 
 
 @pytest.mark.parametrize("method", ["li", "rgb"])

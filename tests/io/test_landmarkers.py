@@ -65,5 +65,5 @@ def test_training_asks_the_landmarker(seen, scenes):
 def test_without_the_package_the_message_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "mediapipe", None)
     monkeypatch.setattr(module, "_OWN", SimpleNamespace())
-    with pytest.raises(StartError, match=r'install it with pip install "liaam\[mediapipe\]"'):
+    with pytest.raises(StartError, match=r'install it with pip install "\.\[mediapipe\]"'):
         face_mesh(np.zeros((40, 80, 3), np.uint8))

@@ -214,7 +214,7 @@ def test_memory_errors_are_no_damage(fake, dng, monkeypatch):
 def test_without_rawpy_the_remedy_is_named(dng, monkeypatch):
     monkeypatch.setitem(sys.modules, "rawpy", None)
     for read in (read_raw, read_image, image_size):
-        with pytest.raises(ImageError, match=r'a\.dng is a RAW file.*pip install "liaam\[raw\]"'):
+        with pytest.raises(ImageError, match=r'a\.dng is a RAW file.*pip install "\.\[raw\]"'):
             read(dng)
 
 
@@ -237,7 +237,7 @@ def test_raw_files_are_not_written(tmp_path):
 
 @pytest.fixture
 def libraw() -> None:
-    pytest.importorskip("rawpy", reason='RAW files are decoded by rawpy: pip install "liaam[raw]"')
+    pytest.importorskip("rawpy", reason='RAW files are decoded by rawpy: pip install ".[raw]"')
 
 
 def written(tmp_path: Path, light: np.ndarray, **options) -> Path:

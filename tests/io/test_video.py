@@ -301,9 +301,9 @@ def test_without_pyav(monkeypatch, tmp_path, video):
         raise ImportError(name)
 
     monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(VideoError, match=r'pip install "liaam\[video\]"'):
+    with pytest.raises(VideoError, match=r'pip install "\.\[video\]"'):
         VideoReader(video)
-    with pytest.raises(VideoError, match=r'pip install "liaam\[video\]"'):
+    with pytest.raises(VideoError, match=r'pip install "\.\[video\]"'):
         write(tmp_path / "film.mp4", [picture(0)])
 
 

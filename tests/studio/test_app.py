@@ -415,7 +415,9 @@ def test_a_missing_extra_is_one_line(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     status, _, error = run("studio", tmp_path, "--no-browser")
     assert status == 1
-    assert error.strip() == 'error: the studio needs starlette and uvicorn: pip install "liaam[studio]"'
+    assert (
+        error.strip() == 'error: the studio needs starlette and uvicorn: pip install ".[studio]" in a checkout of liaam'
+    )
 
 
 def test_other_machines_are_let_in_with_a_warning_only(tmp_path, monkeypatch):

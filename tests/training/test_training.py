@@ -476,6 +476,8 @@ def test_options_come_as_an_object_by_name_or_both(pairs):
     assert by_object.to_bytes() == by_name.to_bytes()
     assert train(pairs, options, diagonal=50.0).diagonal == pytest.approx(50.0)
     refused(pairs, "option 'size' does not exist; there are diagonal, variance", size=3)
+    refused(pairs, ".* camera, lamps, .*; did you mean 'features'", featurs=None)
+    refused(pairs, "option 'response' .*; give camera=CameraModel", response="linear")
 
 
 def rod(rng: np.random.Generator, ratio: float) -> tuple[np.ndarray, np.ndarray]:

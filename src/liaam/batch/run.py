@@ -18,7 +18,7 @@ from liaam.batch.pictures import find_pictures
 from liaam.batch.pools import Chunk, Finished, in_processes
 from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_table
 from liaam.batch.work import Job, Settings, fit_chunk
-from liaam.errors import LiaamError
+from liaam.errors import LiaamError, installing
 from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
 from liaam.progress import Progress
@@ -135,7 +135,7 @@ def _check_workers(jobs: int | None, chunk: int | None, scheduler: str | None) -
     if scheduler is not None and jobs is not None:
         raise LiaamError(f"scheduler {scheduler}: its workers determine the number of jobs; leave --jobs out")
     if scheduler is not None and find_spec("distributed") is None:
-        raise LiaamError(f'scheduler {scheduler}: a cluster needs Dask; run pip install "liaam[cluster]"')
+        raise LiaamError(f"scheduler {scheduler}: a cluster needs Dask; run {installing('cluster')}")
 
 
 @dataclass(frozen=True)

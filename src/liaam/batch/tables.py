@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import LiaamError
+from liaam.errors import LiaamError, installing
 from liaam.fitting.result import USABLE
 from liaam.io import Contour, Landmarks, atomic_path
 from liaam.io.files import json_object
@@ -91,8 +91,7 @@ def check_format(output: Path) -> None:
         raise LiaamError(f"{output}: give a table that ends in {', '.join(_WRITERS)}")
     if output.suffix.lower() == ".parquet" and find_spec("pyarrow") is None:
         raise LiaamError(
-            f'{output}: Parquet needs pyarrow; run pip install "liaam[batch]", or give a name that ends in .csv or '
-            ".jsonl"
+            f"{output}: Parquet needs pyarrow; run {installing('batch')}, or give a name that ends in .csv or .jsonl"
         )
 
 
@@ -165,7 +164,7 @@ def read_rows(path: Path) -> Iterator[dict[str, Any]]:
             n_read += 1
             yield row | facts
     except ImportError as fault:
-        raise LiaamError(f'{path}: Parquet needs pyarrow; run pip install "liaam[batch]"') from fault
+        raise LiaamError(f"{path}: Parquet needs pyarrow; run {installing('batch')}") from fault
     except (ValueError, KeyError, TypeError, OSError, csv.Error, RecursionError) as fault:
         raise LiaamError(
             f"{path}: row {n_read + 1} is not one of 'liaam batch' ({fault}): run the batch again"

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 
 def fit(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Images to fit.")],
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="Images to fit.")],
     init: Annotated[
         str | None,
         typer.Option(
@@ -107,7 +107,7 @@ def fit(
                 if not result.status.ok:
                     failed += 1
                     advice.setdefault(f"{result.status}: {result.message}", []).append(name)
-                if result.detection_doubtful:
+                if result.detection_doubtful and not result.status.unusable:
                     advice.setdefault(low_score, []).append(name)
     if table.row_count:
         show_table(table)

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 
 def relight(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Images to relight.")],
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="Images to relight.")],
     flat: Annotated[
         bool, typer.Option("--flat", help="Show the object under the training light, without shading (default).")
     ] = False,
@@ -173,7 +173,7 @@ def add_advice(advice: dict[str, list[str]], image: Path, result: "FitResult", w
         advice.setdefault(
             f"{result.status}: {result.message.rstrip('.')}; {what} from this fit all the same", []
         ).append(image.name)
-    if result.detection_doubtful:
+    if result.detection_doubtful and not result.status.unusable:
         advice.setdefault(LOW_SCORE, []).append(image.name)
     elif np.isnan(result.quality):
         place = "" if result.found is None else f", search score {result.found.score:.2f}"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from liaam.errors import ImageError, MethodError, ModelFileError, StartError
+from liaam.errors import ImageError, MethodError, ModelFileError, StartError, check_options
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.level import GAIN
 from liaam.fitting.levels import Stage, Target, is_sane, solve_levels, trace
@@ -109,11 +109,8 @@ class Fitter:
         **options,
     ) -> "Fitter":
         """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name."""
-        known = [option.name for option in fields(SolverOptions)]
-        for name in options:
-            if name not in known:
-                own = "camera, rotations, restarts, margin, kernel"
-                raise MethodError(f"option {name!r} does not exist; there are {own}, {', '.join(known)}")
+        own = ("camera", "rotations", "restarts", "margin", "kernel")
+        check_options(options, [*own, *(option.name for option in fields(SolverOptions))], MethodError)
         return cls(model, method, SolverOptions(**options), kernel, camera, margin, restarts, rotations)
 
     def __post_init__(self) -> None:
@@ -457,9 +454,13 @@ class Fitter:
         return float((np.abs(shape_model.parameters(upright)[:-4]) / allowed).max(initial=0.0))
 
     def _why_unusable(self, image: np.ndarray, points: np.ndarray) -> FitStatus:
-        """Return whether most unusable pixels are dark or saturated."""
+        """Return whether most unusable pixels are without values, dark or saturated."""
         x, y = np.rint(points).astype(int).T
-        dark, clipped = exposure_faults(image[y, x])
+        pixels = image[y, x]
+        valid = np.isfinite(pixels).all(axis=1)
+        dark, clipped = exposure_faults(pixels[valid]) if valid.any() else (0.0, 0.0)
+        if 1.0 - valid.mean() >= max(dark, clipped) * valid.mean():
+            return FitStatus.NO_TEXTURE
         return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED
 
 

@@ -84,7 +84,9 @@ _MESSAGES = {
         "Most of the object is overexposed, so its colour cannot be measured; use method 'soft-li' or 'grey', or a "
         "darker image."
     ),
-    FitStatus.NO_TEXTURE: ("The image has no texture where the fit started; check the start and the file."),
+    FitStatus.NO_TEXTURE: (
+        "The image has no texture, or no valid values, where the fit started; check the start and the file."
+    ),
 }
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from liaam.errors import StartError
+from liaam.errors import StartError, installing
 
 _OWN = threading.local()
 """A face mesh for each thread, because it takes one image at a time."""
@@ -14,7 +14,8 @@ _OWN = threading.local()
 def face_mesh(image: np.ndarray) -> np.ndarray | None:
     """Return the 478 points of MediaPipe's face mesh on the most certain face of an image.
 
-    It needs ``pip install "liaam[mediapipe]"``, which includes the networks; nothing is downloaded when it runs.
+    It needs ``pip install ".[mediapipe]"`` in a checkout of liaam, which includes the networks; nothing
+    is downloaded when it runs.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ def _make_face_mesh():
         from mediapipe.python.solutions.face_mesh import FaceMesh  # type: ignore
     except ImportError as error:
         raise StartError(
-            f'MediaPipe\'s face mesh is not available ({error}); install it with pip install "liaam[mediapipe]" '
+            f"MediaPipe's face mesh is not available ({error}); install it with {installing('mediapipe')} "
             "(Python 3.11 or 3.12)"
         ) from error
     return FaceMesh(static_image_mode=True, max_num_faces=1, refine_landmarks=True)

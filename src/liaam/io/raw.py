@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import ImageError
+from liaam.errors import ImageError, installing
 from liaam.io.files import existing_file
 from liaam.io.pixels import MAX_PIXELS, as_three_channels, check_size
 
@@ -109,7 +109,7 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
         rawpy = importlib.import_module("rawpy")  # optional
     except ImportError as fault:
         raise ImageError(
-            f'{path} is a RAW file, and rawpy, which reads them, is not installed: pip install "liaam[raw]".'
+            f"{path} is a RAW file, and rawpy, which reads them, is not installed: {installing('raw')}."
         ) from fault
     try:
         with rawpy.imread(str(path)) as raw:

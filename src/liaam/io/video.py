@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import VideoError
+from liaam.errors import VideoError, installing
 from liaam.io.atomic import atomic_path
 from liaam.io.files import existing_file
 
@@ -622,5 +622,5 @@ def _pyav(what: str) -> Any:
         return importlib.import_module("av")  # optional
     except ImportError as error:
         raise VideoError(
-            f'{what}, but PyAV, which reads and writes videos, is not installed: pip install "liaam[video]"'
+            f"{what}, but PyAV, which reads and writes videos, is not installed: {installing('video')}"
         ) from error

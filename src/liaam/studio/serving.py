@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from liaam.errors import LiaamError
+from liaam.errors import LiaamError, installing
 from liaam.studio.settings import DEFAULT_PORT, Settings
 from liaam.workers import one_blas_thread
 
@@ -227,7 +227,7 @@ def _uvicorn() -> Any:
         import starlette  # noqa: F401
         import uvicorn
     except ImportError as fault:
-        raise LiaamError('the studio needs starlette and uvicorn: pip install "liaam[studio]"') from fault
+        raise LiaamError(f"the studio needs starlette and uvicorn: {installing('studio')}") from fault
     return uvicorn
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import TrainingError
+from liaam.errors import TrainingError, check_options
 from liaam.model import MESH, SURROUNDINGS
 from liaam.model.file import MAX_BLUR, MAX_DIAGONAL, MAX_LEVELS
 from liaam.model.pca import Variance, check_variance
@@ -29,6 +29,15 @@ COPIES, MOST_COPIES = 3, 20
 KEPT = 0.85
 """Default fraction of the variance kept by appearances of the surroundings. Their coordinates have a prior, and the
 variance that is left out counts as error: 0.85 is as accurate as 0.98 on IMM and under hard flashes, and faster."""
+
+ARGUMENTS = ("camera", "lamps", "training_lamp", "points", "features", "name", "progress")
+"""Arguments of :func:`liaam.train` by name besides the options, for messages."""
+
+CAMERA_OPTIONS = {
+    "response": "give camera=CameraModel(response=...)",
+    "theta": "give camera=CameraModel(theta=...), in radians",
+}
+"""Remedies for options of the command line that belong to the camera in Python."""
 
 MOST_SMOOTH = 200
 """Largest number of landmarks for which the ``smooth`` prior is the default. It takes seconds for 200 landmarks, half a
@@ -98,10 +107,8 @@ class TrainingOptions:
 
     def changed(self, changes: Mapping[str, Any]) -> "TrainingOptions":
         """Return a copy with some options replaced by name; raises for unknown names."""
-        known = [field.name for field in fields(self)]
-        for name in changes:
-            if name not in known:
-                raise TrainingError(f"option {name!r} does not exist; there are {', '.join(known)}")
+        known = [*(field.name for field in fields(self)), *ARGUMENTS]
+        check_options(changes, known, TrainingError, CAMERA_OPTIONS)
         return replace(self, **changes)
 
     @property
