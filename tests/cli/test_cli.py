@@ -258,7 +258,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
     code, out, err = run("fit", model_file, tmp_path / "black.png", "--init", portraits[2], "-o", tmp_path, "-m", "rgb")
     assert code == 1
     assert "no texture" in out
-    assert "has no texture where the fit started; check the start" in err
+    assert "no valid values, where the fit started; check the start" in err
 
 
 @pytest.mark.parametrize(
@@ -275,7 +275,9 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{portraits}", "-o", "m", "--theta", "2.13"), "in degrees"),
         (("train", "{portraits}", "-o", "m", "--images", "face0*"), "too few"),
         (("info", "{missing}"), "does not exist; make one with 'liaam train"),
-        (("info", "{image}"), "not a complete liaam model"),
+        (("info", "{image}"), "is a PNG image, not a model file; give a model file in its place"),
+        (("fit", "{image}", "{model}"), "is a PNG image, not a model file"),
+        (("train", "{portraits}", "-o", "m", "--lamps", "no"), "a lamp file, a folder, 'auto' or 'none'"),
         (("show", "{model}", "-o", "x.gif"), "ends in .png, .svg or .pdf"),
         (("fit", "{model}", "{missing}.png", "--init", "1,2,3,4"), "missing"),
         (("fit", "{model}", "{image}", "--init", "nowhere.pts"), "no such file"),

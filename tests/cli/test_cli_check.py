@@ -110,7 +110,7 @@ def test_a_picture_that_cannot_be_read_costs_its_picture_only(run, scenes, order
     code, text, err = run("check", folder, "-o", tmp_path / "o")
     assert code == 1
     assert f"{SPOILT}.png" in err
-    assert "1 landmark files in the corrected order" in " ".join(text.split())
+    assert "1 landmark file in the corrected order" in " ".join(text.split())
     assert [path.name for path in (tmp_path / "o").iterdir()] == [f"{SPOILT}.pts"]
 
 
@@ -133,7 +133,7 @@ def test_names_are_printed_as_they_are(run, scenes, order, tmp_path):
 def test_check_needs_some_pictures(run, good, tmp_path):
     code, _, err = run("check", good, "--images", "face[0-3]*")
     assert code == 1
-    assert "4 landmarked images are too few" in err
+    assert "too few landmarked images to find unusual landmarks (4)" in err
     assert "does not exist" in run("check", tmp_path / "none")[2]
 
 

@@ -116,7 +116,8 @@ def test_a_landmark_far_off_is_told_and_not_moved(shapes):
     (fault,) = find_label_faults(made)
     assert (fault.picture, fault.kind, fault.points) == (7, "stray", (11,))
     assert np.array_equal(fault.order, np.arange(len(made[7])))
-    assert "point 12 is misplaced" in fault.message
+    assert "point 12 may be misplaced" in fault.message
+    assert "from where it is expected" in fault.message
     assert not fault.is_order
 
 

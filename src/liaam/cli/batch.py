@@ -12,10 +12,11 @@ import typer
 from liaam.cli.inputs import TURNED, CameraOption, ResponseOption, RotationsOption
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
+from liaam.io.files import count_of
 
 
 def batch(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Table to write: .parquet, .csv or .jsonl. Only landmarks: .tps.")
     ],
@@ -83,12 +84,12 @@ def batch(
         say(f"{output} is complete; nothing to do")
     else:
         rate = summary.fitted / summary.seconds
-        say(f"{output}: {_count(summary.fitted, 'image')} done in {summary.seconds:.0f} s, {rate:.1f} per second")
-    say(f"{_count(summary.total, 'row')}: {in_words(summary.statuses)}")
+        say(f"{output}: {count_of(summary.fitted, 'image')} done in {summary.seconds:.0f} s, {rate:.1f} per second")
+    say(f"{count_of(summary.total, 'row')}: {in_words(summary.statuses)}")
     for folder in sorted(set(closed)):
         complain(f"skipped {folder}: it cannot be read; check its permissions")
     if errors := summary.statuses.get(ERROR, 0):
-        complain(f"{_count(errors, 'image')} could not be fitted; see the column 'message'")
+        complain(f"{count_of(errors, 'image')} could not be fitted; see the column 'message'")
     if doubtful := summary.statuses.get(FitStatus.DOUBTFUL, 0):
         turned = TURNED if init is None and rotations == "upright" else ""
         complain(f"doubtful fits: {doubtful}; check those, by the column 'status'{turned}")
@@ -113,7 +114,3 @@ def input_paths(
         path = existing_file(listed, LiaamError, "list of images")
         named.append(listed_pictures(files.enter_context(path.open("rb"))))
     return chain(*named)
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"

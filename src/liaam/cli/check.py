@@ -9,7 +9,7 @@ import typer
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, read_folder
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
-from liaam.io.files import real_path
+from liaam.io.files import count_of, real_path
 from liaam.progress import Progress
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def check_pixels(data: "Dataset") -> bool:
     """
     from liaam.photometry import is_grey
     from liaam.photometry.encoding import as_colour
-    from liaam.training.images import GREY_USE, describe_outside
+    from liaam.training.images import describe_outside, grey_use
     from liaam.workers import in_threads
 
     def look(sample: "Sample") -> bool | str:
@@ -85,9 +85,9 @@ def check_pixels(data: "Dataset") -> bool:
     unusable = [each for each in found if isinstance(each, str)]
     for fault in unusable:
         complain(fault)
-    grey = [sample.name for sample, each in zip(data, found, strict=True) if each is True]
-    if grey and len(grey) + len(unusable) < len(data):
-        say(f"{len(grey)} of {len(data)} images are grey ({', '.join(grey)}): {GREY_USE}")
+    grey, colour = ([sample.name for sample, each in zip(data, found, strict=True) if each is g] for g in (True, False))
+    if grey and colour:
+        say(grey_use(grey, colour))
     return bool(unusable)
 
 
@@ -127,7 +127,7 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
             complain(str(error))
             continue
         write_image(place.with_name(f"{place.name}_faults.png"), picture)
-    said = f", and {reordered} landmark files in the corrected order to review" if reordered else ""
+    said = f", and {count_of(reordered, 'landmark file')} in the corrected order to review" if reordered else ""
     say(f"written to {output}: an image of each fault{said}")
 
 

@@ -27,7 +27,8 @@ TURNED = "; if the object is rotated against the training images, add --rotation
 """Ending of warnings, if only upright objects were searched for."""
 
 
-LandmarkedFolder = Annotated[Path, typer.Argument(help="Folder of images with landmarks beside them.")]
+LandmarkedFolder = Annotated[Path, typer.Argument(readable=False, help="Folder of images with landmarks beside them.")]
+"""Not checked by typer, because the readers' messages say what to do."""
 ImagesOption = Annotated[
     list[str] | None,
     typer.Option("--images", help="Use only images whose name matches, such as '07-[12346]*'; may be repeated."),

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from liaam.cli.inputs import read_sample
 from liaam.cli.lamps import LAMPS_SUFFIX, draw_lamps, read_lamps
-from liaam.cli.terminal import cell, say, show_table, table_of
+from liaam.cli.terminal import cell, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
 
 if TYPE_CHECKING:
@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 
 def show(
-    file: Annotated[Path, typer.Argument(help="Model file of 'liaam train', or lamp file of 'liaam lamps'.")],
+    file: Annotated[
+        Path, typer.Argument(readable=False, help="Model file of 'liaam train', or lamp file of 'liaam lamps'.")
+    ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Figure to write. By default beside the input file.")
     ] = None,
@@ -36,18 +38,20 @@ def show(
     path = output or file.with_name(f"{file.stem}_{'lamps' if lit else 'model'}.png")
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise LiaamError(f"{path}: give a name that ends in .png, .svg or .pdf")
-    if lit:
-        draw_lamps(read_lamps(file), path, None if image is None else read_sample(image))
-    else:
-        from liaam.model import load_model
-        from liaam.plotting import figure_of_model, save_figure
+    with progress_bar() as progress:
+        progress(0, 1, f"drawing {file.name}")
+        if lit:
+            draw_lamps(read_lamps(file), path, None if image is None else read_sample(image))
+        else:
+            from liaam.model import load_model
+            from liaam.plotting import figure_of_model, save_figure
 
-        save_figure(figure_of_model(load_model(file)), path)
+            save_figure(figure_of_model(load_model(file)), path)
     say(f"written to {path}")
 
 
 def info(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
 ) -> None:
     """Describe a model file."""
     from liaam.model import load_model

@@ -36,7 +36,7 @@ calibrate = typer.Typer(
     no_args_is_help=True,
 )
 
-Pictures = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Images of one camera.")]
+Pictures = Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="Images of one camera.")]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Camera file to write.")]
 Start = Annotated[
     Path | None,
@@ -200,7 +200,7 @@ def image(
 
 @calibrate.command()
 def faces(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
     images: Pictures,
     init: Annotated[str, typer.Option(help="Where to start; see 'liaam fit'.")],
     method: Annotated[

@@ -111,6 +111,8 @@ def train(
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
     if theta is not None:
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
+    if str(lamps) not in LAMP_WORDS and not lamps.exists():
+        raise LiaamError(f"--lamps {lamps}: this does not exist; give a lamp file, a folder, 'auto' or 'none'")
     if str(lamps) in LAMP_WORDS:
         light = LAMP_WORDS[str(lamps)]
     else:
@@ -133,6 +135,8 @@ def train(
     model.save(output)
     modes = f"shape modes: {count_modes(model)}; pixels: {model.n_pixels}"
     say(f"{output}: trained on {model.n_images} images{count_copies(model)}; {modes}")
+    if not len(model.shape_model.modes):
+        say("the shape is rigid, because the variance is 0: fits find position, size and rotation only")
     if light == AUTO and model.n_lamps:
         say("the objects are faces, so the lamps are those of generated heads (--lamps none for none)")
     view = model.views[METHODS[DEFAULT_METHOD].view]

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def track(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file of 'liaam train'.")],
+    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
     video: Annotated[str, typer.Argument(metavar="VIDEO", help="Video file, or a camera number such as 0.")],
     output: Annotated[
         Path | None,

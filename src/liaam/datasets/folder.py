@@ -29,7 +29,7 @@ from liaam.datasets.advice import (
     unread_landmarks,
 )
 from liaam.errors import ImageError, LandmarkError, LiaamError
-from liaam.io.files import natural_key, some_names
+from liaam.io.files import count_of, natural_key, some_names
 from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image
 from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
 from liaam.io.raw import RAW_SUFFIXES
@@ -73,6 +73,8 @@ class LeftOut:
     path: Path
     reason: str
     """One sentence; the part before the first colon groups files in the report."""
+    partly: bool = False
+    """Whether other parts of the file are used."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,9 +129,12 @@ class Dataset:
     def report(self) -> str:
         """Summarise the number of samples, their formats, and the files left out with reasons, as text."""
         source = f" from {self.source}" if self.source else ""
-        lines = [f"{len(self)} samples{source}", *self._landmark_lines(), *self._shared_lines()]
+        lines = [f"{count_of(len(self), 'sample')}{source}", *self._landmark_lines(), *self._shared_lines()]
         groups: dict[str, list[LeftOut]] = defaultdict(list)
+        lines += [f"{left.path.name}: {left.reason}" for left in self.left_out if left.partly]
         for left in self.left_out:
+            if left.partly:
+                continue
             groups[left.reason.partition(":")[0]].append(left)
         for reason, members in groups.items():
             detail = members[0].reason.partition(": ")[2]
@@ -375,8 +380,12 @@ class _Pairing:
                 absent.append(entry)
             else:
                 self._add_option(file, image, landmarks, own=False)
-        if absent:
+        if len(absent) == len(collection):
             self._leave_out(file, f"{ABSENT}: {some_names(absent)}")
+        elif absent:
+            verb = "is" if len(absent) == 1 else "are"
+            some = f"{len(absent)} of its {len(collection)} images {verb} not in the folder ({some_names(absent)})"
+            self.left_out.append(LeftOut(file, f"{some}; the others are used", partly=True))
 
     def _add_option(self, file: Path, image: Path, landmarks: Landmarks, own: bool) -> None:
         """Add candidate landmarks of an image, in pixels."""

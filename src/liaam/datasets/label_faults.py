@@ -87,15 +87,17 @@ class LabelFault:
     def message(self) -> str:
         """Description of the error; landmarks are counted from 1."""
         numbers = ranges_of([point + 1 for point in self.points], most=len(self.points))
+        several = len(self.points) > 1
         fault = {
             "mirrored": "left and right are exchanged",
             "reversed": f"points {numbers} are in reverse order",
             "shifted": f"points {numbers} start at another point",
             "exchanged": f"points {numbers} are exchanged",
-            "stray": f"points {numbers} are misplaced" if len(self.points) > 1 else f"point {numbers} is misplaced",
+            "stray": f"{'points' if several else 'point'} {numbers} may be misplaced",
         }[self.kind]
         corrected = f", {self.corrected_distance:.1f} px in the corrected order" if self.is_order else ""
-        return f"{fault} ({self.distance:.1f} px from where they are expected{corrected})"
+        they = "they are" if several else "it is"
+        return f"{fault} ({self.distance:.1f} px from where {they} expected{corrected})"
 
 
 def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = None) -> list[LabelFault]:
@@ -119,8 +121,7 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
     """
     if len(shapes) < LEAST_PICTURES:
         raise LiaamError(
-            f"{len(shapes)} landmarked images are too few to find unusual landmarks; at least {LEAST_PICTURES} are "
-            "needed"
+            f"too few landmarked images to find unusual landmarks ({len(shapes)}); at least {LEAST_PICTURES} are needed"
         )
     pictures = [i for i, shape in enumerate(shapes) if diagonal_of(shape) > 0]  # coincident points have no order
     if len(pictures) < LEAST_PICTURES:

@@ -27,6 +27,11 @@ def some_names(names: Sequence[str], most: int = 6, joint: str = ", ") -> str:
     return joint.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
+def count_of(number: int, what: str) -> str:
+    """Return a number and what it counts, in the plural unless it is 1."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
 def is_number(text: str) -> bool:
     """Return whether a table cell holds a finite number."""
     try:

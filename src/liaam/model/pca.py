@@ -31,7 +31,7 @@ def check_variance(variance: Variance) -> None:
     if is_count or (isinstance(variance, float) and 0.0 < variance <= 1.0) or variance == "auto":
         return
     raise TrainingError(
-        f"variance {variance!r}: give a fraction in (0, 1] such as 0.98, an integer number of modes, or 'auto'"
+        f"variance {variance!r}: give a fraction in (0, 1] such as 0.98, a number of modes (0 for none), or 'auto'"
     )
 
 

@@ -30,8 +30,19 @@ LEAST_USABLE = 0.2
 LEAST_COLOUR = 3
 """Least number of colour images to learn colours from."""
 
-GREY_USE = "soft-li learns from their brightness, the other methods leave them out"
-"""What grey images among colour images are used for."""
+
+def grey_use(grey: Sequence[str], colour: Sequence[str]) -> str:
+    """Describe what training does with images of which some are grey, from the names of both."""
+    total = len(grey) + len(colour)
+    if len(colour) < LEAST_COLOUR:
+        few = f"only {len(colour)} of {total} images {_is(colour)} in colour ({', '.join(colour)})"
+        return f"{few}; all are used as grey"
+    use = "soft-li learns from their brightness, the other methods leave them out"
+    return f"{len(grey)} of {total} images {_is(grey)} grey ({some_names(grey, 20)}): {use}"
+
+
+def _is(names: Sequence[str]) -> str:
+    return "is" if len(names) == 1 else "are"
 
 
 @dataclass(frozen=True)
@@ -84,17 +95,11 @@ def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[l
     grey = np.array([look.grey for look in looks])
     if not grey.any() or grey.all():
         return list(entries), grey
-    names = [entry.name for entry, own in zip(entries, grey, strict=True) if own]
-    others = [entry.name for entry, own in zip(entries, grey, strict=True) if not own]
+    names, others = ([entry.name for entry, own in zip(entries, grey, strict=True) if own == g] for g in (True, False))
+    warnings.warn(grey_use(names, others), stacklevel=3)  # the caller of train
     if len(others) < LEAST_COLOUR:
-        _warn(f"only {len(others)} of {len(entries)} images are in colour ({', '.join(others)}); all are used as grey")
         return [replace(entry, read_image=partial(_read_grey, entry)) for entry in entries], np.ones(len(entries), bool)
-    _warn(f"{len(names)} of {len(entries)} images are grey ({some_names(names, 20)}): {GREY_USE}")
     return list(entries), grey
-
-
-def _warn(text: str) -> None:
-    warnings.warn(text, stacklevel=4)  # the caller of train
 
 
 def _look(warp: PiecewiseAffineWarp, entry: Entry) -> _Look:
