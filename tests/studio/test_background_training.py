@@ -122,6 +122,19 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     assert store.current is None and not (again.root / STATE / "model.liaam").exists()
 
 
+def test_a_fault_in_the_server_ends_the_training(setting, caplog):
+    _, models, _, trainer = setting(5, 4)
+
+    def fail(_):
+        raise ValueError("a bug")
+
+    models.listeners.append(fail)
+    trainer.start()
+    ended = trainer.wait(120)
+    assert (ended.state, "the training failed (ValueError)" in ended.error) == ("failed", True)
+    assert "a bug" in caplog.text
+
+
 def test_too_few_pictures_are_refused(setting):
     *_, trainer = setting(4, 2)
     with pytest.raises(Refusal, match="only 2 pictures have all their points: complete at least 3") as caught:

@@ -35,8 +35,7 @@ def check(
     """Find landmarks that are swapped, in reverse order, or far from their expected positions.
 
     Also names grey images among colour images, damaged images, landmarks outside of their image, and files that do not
-    match. Changes nothing in the
-    folder. The exit status is 1 if faults are found.
+    match. Changes nothing in the folder. The exit status is 1 if faults are found.
     """
     data = read_folder(folder, images, recursive)
     unusable = check_pixels(data)
@@ -46,9 +45,9 @@ def check(
     with progress_bar() as progress:
         faults = faults_by_sample(complete, progress)
     if not faults:
+        say(f"no {'other ' if unusable else ''}faults found in the landmarks of single images")
         if unusable:
             raise typer.Exit(1)
-        say("no faults found in the landmarks of single images")
         return
     table = table_of("image", "landmarks")
     for sample, own in faults:

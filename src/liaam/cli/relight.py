@@ -111,7 +111,7 @@ def relight(
                 failed = True
                 continue
             written.append(path)
-            failed |= add_advice(advice, image, result, "relit")
+            failed |= add_advice(advice, image, result, "the image was relit")
         progress(len(inputs), len(inputs), images[-1].name)
     if written:
         say(f"written to {output or names_of(written)}")
@@ -142,7 +142,7 @@ def output_paths(images: list[Path], output: Path | None, ending: str) -> list[P
     if output is not None and len(images) == 1 and not output.is_dir():
         check_image_name(output)
         return [output]
-    if len(images) > 1 and (folder.is_file() or folder.suffix.lower() in IMAGE_SUFFIXES):
+    if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in IMAGE_SUFFIXES):
         raise LiaamError(f"{folder} is not a folder; for several images, give a folder with -o")
     return [folder / f"{stem}_{ending}.png" for stem in unique_stems(images)]
 
@@ -170,9 +170,8 @@ def add_advice(advice: dict[str, list[str]], image: Path, result: "FitResult", w
     import numpy as np
 
     if not result.status.ok:
-        advice.setdefault(
-            f"{result.status}: {result.message.rstrip('.')}; {what} from this fit all the same", []
-        ).append(image.name)
+        text = f"{result.status}: {result.message.rstrip('.')}; {what} although the fit may be wrong"
+        advice.setdefault(text, []).append(image.name)
     if result.detection_doubtful and not result.status.unusable:
         advice.setdefault(LOW_SCORE, []).append(image.name)
     elif np.isnan(result.quality):

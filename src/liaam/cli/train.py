@@ -105,7 +105,7 @@ def train(
     if output.exists() and output.suffix.lower() != MODEL_SUFFIX:
         raise LiaamError(
             f"{output} exists and is not a {MODEL_SUFFIX} file, so it is kept; give another name for the model, such "
-            f"as {folder.name}{MODEL_SUFFIX}"
+            f"as {folder.resolve().name}{MODEL_SUFFIX}"
         )
     data = read_folder(folder, images, recursive)
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
@@ -136,7 +136,7 @@ def train(
     modes = f"shape modes: {count_modes(model)}; pixels: {model.n_pixels}"
     say(f"{output}: trained on {model.n_images} images{count_copies(model)}; {modes}")
     if not len(model.shape_model.modes):
-        say("the shape is rigid, because the variance is 0: fits find position, size and rotation only")
+        say("the shape is rigid, without shape modes: fits find position, size and rotation only")
     if light == AUTO and model.n_lamps:
         say("the objects are faces, so the lamps are those of generated heads (--lamps none for none)")
     view = model.views[METHODS[DEFAULT_METHOD].view]

@@ -10,6 +10,7 @@ atomic.
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -154,6 +155,11 @@ class Trainer:
                         end = self._handle(job, message)
         except LiaamError as fault:  # such as a missing folder or a full disk
             end = Training("failed", error=self.project.plain(fault))
+        except Exception as fault:  # a bug: without an end, the training would run for ever
+            logging.getLogger(__name__).exception("the training failed")
+            process.terminate()
+            text = f"the training failed ({type(fault).__name__}): see the studio's terminal for details"
+            end = Training("failed", error=text)
         with self._waiting:
             process.join()
         with self._lock:

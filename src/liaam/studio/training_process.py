@@ -154,7 +154,7 @@ class _Worker:
                     model = train(
                         items,
                         leave_out=leave_out,
-                        lamps="auto" if leave_out else None,  # they take time, and a person waits for the quick model
+                        lamps="auto" if leave_out else None,  # slower, and a person waits for the quick model
                         name=self.job.name,
                         progress=self._progress("training"),
                         **OPTIONS,

@@ -121,7 +121,7 @@ def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.n
     shape : tuple of int
         Height and width of the image come first.
     points : (k, 2) float, optional
-        Pixels of the mesh; by default the landmarks.
+        Pixels of the mesh, of which most must lie inside; by default the landmarks, which is less strict.
     """
     points, inside = landmarks if points is None else points, np.array(shape[1::-1]) - 0.5
     beyond = np.maximum(-0.5 - landmarks, landmarks - inside).max(axis=1)

@@ -308,6 +308,21 @@ test("keys move, scale and rotate the mean shape, which hides the fit until it i
   closePoints([tool.start.shape[0]], [[130, 35]], 0.1);
 });
 
+test("a click on the mean shape keeps the fit in sight, and it cannot be shrunk to nothing", () => {
+  const tool = new MeanTool(viewer);
+  tool.use({ mean: [[-1, -2], [1, -2], [1, 2], [-1, 2]], contours: [], triangles: [] });
+  tool.fitted = true;
+  const event = { pointerType: "mouse", at: viewer.toScreen([100, 50]) };
+  assert.ok(tool.down(event, [100, 50]));
+  tool.up();
+  assert.ok(tool.down(event, [100, 50]));
+  tool.cancel();
+  assert.ok(!tool.hidesFit);
+  for (let i = 0; i < 60; i += 1) tool.key({ key: "<", shiftKey: true });
+  const [[x0, y0], , [x1, y1]] = tool.start.shape;
+  assert.ok(y1 - y0 >= 12 && Math.abs((y1 - y0) / (x1 - x0) - 2) < 0.01);
+});
+
 test("a box is drawn, moved and resized by its corners; a click draws none", () => {
   const made = [];
   const tool = new BoxTool(viewer, () => made.push(tool.box));
@@ -509,6 +524,35 @@ test("a fit is remembered by picture, method and model only", async () => {
   assert.notEqual(store.recall(source, "soft-li"), null);
   state.dispatchEvent(Object.assign(new Event("landmarks"), { detail: { name: "a" } }));
   assert.equal(store.recall(source, "soft-li"), null);
+});
+
+test("a fit that is answered after its landmarks or its model have changed is not kept as theirs", async () => {
+  const state = Object.assign(new EventTarget(), {
+    project: { model: { number: 1 } },
+    send: (request) => request("here"),
+  });
+  const source = { key: "picture a", name: "a", ofFolder: true, ready: Promise.resolve(), reference: { picture: "a" } };
+  const answers = [];
+  globalThis.fetch = () => new Promise((resolve) => {
+    answers.push(() => resolve(new Response(JSON.stringify(fit({ picture: "a" })), { status: 200 })));
+  });
+  const store = new FitStore(state);
+  const first = store.run(source, "soft-li");
+  assert.equal(store.run(source, "soft-li"), first);
+  await settled();
+  state.dispatchEvent(Object.assign(new Event("landmarks"), { detail: { name: "a" } }));
+  const second = store.run(source, "soft-li");
+  assert.notEqual(second, first);
+  await settled();
+  answers[0]();
+  await first;
+  assert.equal(store.recall(source, "soft-li"), null);
+  state.project.model.number = 2;
+  answers[1]();
+  const made = await second;
+  assert.equal(store.recall(source, "soft-li"), null);
+  state.project.model.number = 1;
+  assert.equal(store.recall(source, "soft-li"), made);
 });
 
 test("the picture that is selected is shown, although another one was opening", async () => {

@@ -146,7 +146,9 @@ export function createAssist({ app, accept, skip, confirm }) {
     try {
       state.project.training = await state.send((folder) => api.post(api.url("training"), { folder }));
     } catch (error) {
-      if (error.status !== 409) fail(error.message); // 409: another tab has started the training already
+      // 409: another tab has started the training already. 422: it cannot start with this data.
+      if (error.status !== 409) fail(error.message, error.status === 422);
+      if (![409, 422].includes(error.status)) known = null; // try again when the server answers
     } finally {
       asking = false;
       refresh();
@@ -163,9 +165,9 @@ export function createAssist({ app, accept, skip, confirm }) {
     }
   }
 
-  /** Show why training failed, and do not retry automatically; "": it did not fail. */
-  function fail(text) {
-    if (text) failedAt = situation(state.project);
+  /** Show why training failed, and do not retry automatically if it is for good; "": it did not fail. */
+  function fail(text, forGood = true) {
+    if (text && forGood) failedAt = situation(state.project);
     failure.textContent = text;
     failure.hidden = !text;
   }
@@ -243,8 +245,8 @@ export function createAssist({ app, accept, skip, confirm }) {
 
   /** Train on opening, once the states of all pictures are known, and when pictures are left out or taken in. */
   function watch() {
-    const { pictures } = state.project;
-    if (pictures.some((picture) => picture.state === "reading")) return;
+    const { pictures, training } = state.project;
+    if (asking || training?.state === "running" || pictures.some(({ state: is }) => is === "reading")) return;
     const now = JSON.stringify(pictures.filter(({ left_out: who }) => who).map(({ name }) => name));
     if (now !== known) trainIfNeeded();
     known = now;

@@ -14,27 +14,39 @@ export class FitStore {
 
   constructor(state) {
     this.state = state;
-    // Errors of cached fits refer to the earlier landmarks.
-    state.addEventListener("landmarks", ({ detail }) => this.#drop((fit) => fit.picture === detail.name));
+    // Errors of fits refer to the earlier landmarks.
+    state.addEventListener("landmarks", ({ detail }) => {
+      this.#drop((fit) => fit.picture === detail.name);
+      for (const [key, { picture }] of this.#running) if (picture === detail.name) this.#running.delete(key);
+    });
   }
 
   /** Fit a source; start: null, {box} or {shape}. A request is not sent again while it is answered. */
   run(source, method, start = null) {
-    const key = `${this.#key(source, method)}|${JSON.stringify(start)}`;
-    if (!this.#running.has(key))
-      this.#running.set(key, this.#fit(source, method, start).finally(() => this.#running.delete(key)));
-    return this.#running.get(key);
+    const kept = this.#key(source, method); // of the model that is asked, which may be replaced meanwhile
+    const key = `${kept}|${JSON.stringify(start)}`;
+    if (this.#running.has(key)) return this.#running.get(key).answer;
+    const answer = this.#ask(source, method, start);
+    this.#running.set(key, { answer, picture: source.ofFolder ? source.name : null });
+    const end = (fit) => {
+      if (this.#running.get(key)?.answer !== answer) return; // its landmarks have changed
+      this.#running.delete(key);
+      if (fit) this.#keep(kept, fit);
+    };
+    answer.then(end, () => end(null));
+    return answer;
   }
 
-  async #fit(source, method, start) {
+  async #ask(source, method, start) {
     await source.ready;
     const asked = { ...source.reference, method, start };
-    const fit = cleaned(await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
-    const key = this.#key(source, method);
+    return cleaned(await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
+  }
+
+  #keep(key, fit) {
     this.#kept.delete(key);
     this.#kept.set(key, fit);
     if (this.#kept.size > KEPT) this.#kept.delete(this.#kept.keys().next().value);
-    return fit;
   }
 
   /** The newest fit of a source with a method and the current model, or null. */

@@ -7,6 +7,7 @@ import { drawContours, drawMesh, drawPoints, stroked } from "./overlays.js";
 import { ARROWS, bounds, fitInto, indicesOf, middleOf, move, nearest, turn } from "./points.js";
 
 const COLOUR = "#5ad1ff";
+const SMALLEST = 12; // longer side of the placed mean shape, picture pixels
 
 const isInside = (/** @type {number[]} */ [x0, y0, x1, y1], /** @type {number[]} */ [x, y]) =>
   x > x0 && x < x1 && y > y0 && y < y1;
@@ -125,12 +126,17 @@ export class MeanTool {
 
   preview(points) {
     this.shown = points;
-    this.fitted = false;
+    if (points) this.fitted = false; // null: a click, or a gesture that was cancelled
     this.viewer.redraw();
   }
 
   commit(points) {
-    this.placed = points;
+    const [x0, y0, x1, y1] = bounds(points);
+    // Points are rounded, so a smaller shape would not keep its form.
+    if (Math.max(x1 - x0, y1 - y0) >= SMALLEST) {
+      this.placed = points;
+      this.fitted = false;
+    }
     this.preview(null);
   }
 

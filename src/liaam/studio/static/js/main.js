@@ -268,9 +268,8 @@ function status() {
 }
 
 addEventListener("unhandledrejection", (event) => {
-  if (!(event.reason instanceof ApiError)) return;
-  event.preventDefault();
-  toast(event.reason.message, "bad");
+  if (event.reason instanceof ApiError) event.preventDefault(); // others are faults of the page, for its console
+  if (event.reason?.message) toast(event.reason.message, "bad");
 });
 
 start();
