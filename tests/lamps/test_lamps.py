@@ -307,7 +307,7 @@ def test_slips_are_told(run, folder, tmp_path):
     assert "--training-lamp" in run("lamps", folder, "-o", tmp_path / "heads.lamps")[2]
     assert "--image works with lamp" in run("show", tmp_path / "m.liaam", "--image", folder / "head2-day.png")[2]
     code, _, err = run("train", folder, "-o", tmp_path / "m.liaam", "--lamps", tmp_path / "none.lamps")
-    assert (code, "does not exist; make one with 'liaam lamps" in err) == (1, True)
+    assert (code, "does not exist; give a lamp file, a folder, 'auto' or 'none'" in err) == (1, True)
 
 
 # The light basis of a model
