@@ -244,7 +244,7 @@ def test_grey_pictures_are_learnt_from_and_named(setting):
     ended = trainer.wait(240)
     assert ended.state == "done", ended
     assert models.current.model.n_images == 5 and models.current.model.is_colour
-    assert "1 of 5 images are grey (p2.png)" in ended.what
+    assert "1 of 5 images is grey (p2.png)" in ended.what
 
 
 def test_what_cannot_be_learnt_from_is_told(setting):
