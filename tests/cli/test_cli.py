@@ -486,6 +486,19 @@ def test_a_folder_is_not_drawn(run, name):
     assert status == 1 and "is a folder" in err
 
 
+def test_an_image_without_texture_gets_no_advice_on_the_search(run, model_file, tmp_path):
+    write_image(tmp_path / "black.png", np.zeros((200, 150, 3), np.uint8))
+    code, out, err = run("fit", model_file, tmp_path / "black.png", "-o", tmp_path / "fits")
+    assert code == 1 and "no texture" in out
+    assert "black.png: no texture: " in err and "the search" not in err
+
+
+def test_a_rigid_shape_is_announced(run, portraits, tmp_path):
+    options = ("--diagonal", 40, "--no-leave-out", "--prior", "sample", "--variance", 0)
+    code, out, _ = run("train", portraits[0], "-o", tmp_path / "m.liaam", *options)
+    assert code == 0 and "the shape is rigid" in out
+
+
 def test_tables_that_go_to_a_file_are_not_cut(capsys):
     from liaam.cli.terminal import show_table, table_of
 

@@ -1,5 +1,6 @@
 """Training: what comes out, and what is refused by name."""
 
+import inspect
 from dataclasses import fields
 
 import numpy as np
@@ -15,6 +16,7 @@ from liaam.model.mesh import delaunay, signed_areas
 from liaam.photometry import CameraModel, invariant
 from liaam.training import TrainingOptions, train
 from liaam.training.left_out import folds_of
+from liaam.training.options import ARGUMENTS
 from setups import disturb, model_pixels, train_on
 
 LINEAR = CameraModel(response="linear")
@@ -478,6 +480,11 @@ def test_options_come_as_an_object_by_name_or_both(pairs):
     refused(pairs, "option 'size' does not exist; there are diagonal, variance", size=3)
     refused(pairs, ".* camera, lamps, .*; did you mean 'features'", featurs=None)
     refused(pairs, "option 'response' .*; give camera=CameraModel", response="linear")
+
+
+def test_messages_list_all_arguments_of_train():
+    given = set(inspect.signature(train).parameters) - {"data", "options", "changes"}
+    assert set(ARGUMENTS) == given
 
 
 def rod(rng: np.random.Generator, ratio: float) -> tuple[np.ndarray, np.ndarray]:

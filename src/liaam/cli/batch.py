@@ -9,14 +9,14 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.inputs import TURNED, CameraOption, ResponseOption, RotationsOption
+from liaam.cli.inputs import TURNED, CameraOption, ModelFile, ResponseOption, RotationsOption
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io.files import count_of
 
 
 def batch(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
+    model_file: ModelFile,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Table to write: .parquet, .csv or .jsonl. Only landmarks: .tps.")
     ],

@@ -1,5 +1,6 @@
 """The command ``liaam fit``."""
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +12,7 @@ from liaam.cli.inputs import (
     TURNED,
     CameraOption,
     EllipsesOption,
+    ModelFile,
     ResponseOption,
     RotationsOption,
     camera_for,
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def fit(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
+    model_file: ModelFile,
     images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="Images to fit.")],
     init: Annotated[
         str | None,
@@ -73,7 +75,7 @@ def fit(
     fitter = Fitter(model, method, options, camera=camera, rotations=rotations)
     make_folder(output)
     table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
-    advice: dict[str, list[str]] = {}
+    advice: defaultdict[str, list[str]] = defaultdict(list)
     failed = 0
     outputs = Outputs(output, history, ellipses)
     low_score = LOW_SCORE + (TURNED if rotations == "upright" else "")
@@ -100,15 +102,15 @@ def fit(
                 continue
             fits, others = results
             if others:
-                advice.setdefault(SEVERAL, []).append(image.name)
+                advice[SEVERAL].append(image.name)
             for stem, result in fits.items():
                 name = image.name if stem == image.stem else stem  # of several, as their files
                 table.add_row(cell(name), *row_of(result))
                 if not result.status.ok:
                     failed += 1
-                    advice.setdefault(f"{result.status}: {result.message}", []).append(name)
+                    advice[f"{result.status}: {result.message}"].append(name)
                 if result.detection_doubtful and not result.status.unusable:
-                    advice.setdefault(low_score, []).append(name)
+                    advice[low_score].append(name)
     if table.row_count:
         show_table(table)
         say(f"written to {output}")

@@ -28,7 +28,8 @@ TURNED = "; if the object is rotated against the training images, add --rotation
 
 
 LandmarkedFolder = Annotated[Path, typer.Argument(readable=False, help="Folder of images with landmarks beside them.")]
-"""Not checked by typer, because the readers' messages say what to do."""
+"""Its permissions are not checked by typer, because the readers' messages say what to do. So for the next one."""
+ModelFile = Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")]
 ImagesOption = Annotated[
     list[str] | None,
     typer.Option("--images", help="Use only images whose name matches, such as '07-[12346]*'; may be repeated."),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from liaam.cli.inputs import read_sample
+from liaam.cli.inputs import ModelFile, read_sample
 from liaam.cli.lamps import LAMPS_SUFFIX, draw_lamps, read_lamps
 from liaam.cli.terminal import cell, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
@@ -51,7 +51,7 @@ def show(
 
 
 def info(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
+    model_file: ModelFile,
 ) -> None:
     """Describe a model file."""
     from liaam.model import load_model

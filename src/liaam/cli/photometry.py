@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from liaam.cli.inputs import (
+    ModelFile,
     camera_for,
     check_camera_output,
     check_output,
@@ -200,7 +201,7 @@ def image(
 
 @calibrate.command()
 def faces(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
+    model_file: ModelFile,
     images: Pictures,
     init: Annotated[str, typer.Option(help="Where to start; see 'liaam fit'.")],
     method: Annotated[

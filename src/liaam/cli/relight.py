@@ -1,5 +1,6 @@
 """The command ``liaam relight``."""
 
+from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,6 +9,7 @@ import typer
 from liaam.cli.inputs import (
     LOW_SCORE,
     CameraOption,
+    ModelFile,
     ResponseOption,
     camera_for,
     check_output,
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def relight(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
+    model_file: ModelFile,
     images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="Images to relight.")],
     flat: Annotated[
         bool, typer.Option("--flat", help="Show the object under the training light, without shading (default).")
@@ -91,7 +93,7 @@ def relight(
     fitter = Fitter(model, method, camera=camera_for(inputs, camera_file, response, model.camera))
     make_folder(outputs[0].parent)
     written, failed, other = [], False, None
-    advice: dict[str, list[str]] = {}
+    advice: defaultdict[str, list[str]] = defaultdict(list)
     with progress_bar() as progress:
         progress(0, len(inputs), inputs[-1].name)
         if like is not None:
@@ -165,17 +167,17 @@ def fit_relighter(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Reli
     return Relighter.of(fitter, pixels, result, name=str(path)), result
 
 
-def add_advice(advice: dict[str, list[str]], image: Path, result: "FitResult", what: str) -> bool:
+def add_advice(advice: defaultdict[str, list[str]], image: Path, result: "FitResult", what: str) -> bool:
     """Add what may be wrong with a fit, and what was done with it. Return whether it failed."""
     import numpy as np
 
     if not result.status.ok:
         text = f"{result.status}: {result.message.rstrip('.')}; {what} although the fit may be wrong"
-        advice.setdefault(text, []).append(image.name)
+        advice[text].append(image.name)
     if result.detection_doubtful and not result.status.unusable:
-        advice.setdefault(LOW_SCORE, []).append(image.name)
+        advice[LOW_SCORE].append(image.name)
     elif np.isnan(result.quality):
         place = "" if result.found is None else f", search score {result.found.score:.2f}"
         text = f"quality unknown{place}: the model has no calibrated quality; check the result"
-        advice.setdefault(text, []).append(image.name)
+        advice[text].append(image.name)
     return not result.status.ok

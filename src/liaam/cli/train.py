@@ -111,10 +111,10 @@ def train(
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
     if theta is not None:
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
-    if str(lamps) not in LAMP_WORDS and not lamps.exists():
-        raise LiaamError(f"--lamps {lamps}: this does not exist; give a lamp file, a folder, 'auto' or 'none'")
     if str(lamps) in LAMP_WORDS:
         light = LAMP_WORDS[str(lamps)]
+    elif not lamps.exists():
+        raise LiaamError(f"--lamps {lamps}: this does not exist; give a lamp file, a folder, 'auto' or 'none'")
     else:
         light = read_lamps(lamps, training_lamp, recursive, camera.response)
     warn_of_faults(data, folder)

@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from liaam.cli.inputs import CameraOption, EllipsesOption, ResponseOption, camera_for, check_output, read_init
+from liaam.cli.inputs import (
+    CameraOption,
+    EllipsesOption,
+    ModelFile,
+    ResponseOption,
+    camera_for,
+    check_output,
+    read_init,
+)
 from liaam.cli.terminal import StoppedError, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.io.files import real_path
@@ -27,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def track(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
+    model_file: ModelFile,
     video: Annotated[str, typer.Argument(metavar="VIDEO", help="Video file, or a camera number such as 0.")],
     output: Annotated[
         Path | None,

@@ -131,11 +131,11 @@ class Dataset:
         source = f" from {self.source}" if self.source else ""
         lines = [f"{count_of(len(self), 'sample')}{source}", *self._landmark_lines(), *self._shared_lines()]
         groups: dict[str, list[LeftOut]] = defaultdict(list)
-        lines += [f"{left.path.name}: {left.reason}" for left in self.left_out if left.partly]
         for left in self.left_out:
             if left.partly:
-                continue
-            groups[left.reason.partition(":")[0]].append(left)
+                lines.append(f"{left.path.name}: {left.reason}")
+            else:
+                groups[left.reason.partition(":")[0]].append(left)
         for reason, members in groups.items():
             detail = members[0].reason.partition(": ")[2]
             lines.append(f"left out {len(members)}: {reason} ({some_names([left.path.name for left in members])})")
