@@ -12,7 +12,7 @@ the result of each function.
 
 import numpy as np
 
-from liaam.fitting.equations import clear
+from liaam.fitting.equations import add_product, clear
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2, Long1, Long2, Single1, Single2, Single3
 from liaam.kernels.jit import F
@@ -202,19 +202,23 @@ def add_squares(
         store(room, 24, bb)
         store(room, 32, bc)
         store(room, 40, cc)
+        a, b, c = 2 * triangles[t, 0], 2 * triangles[t, 1], 2 * triangles[t, 2]
+        xa, ya, xb, yb, xc, yc = basis[a], basis[a + 1], basis[b], basis[b + 1], basis[c], basis[c + 1]
         for corner in range(3):
             for axis in range(2):
-                own = lines[2 * triangles[t, corner] + axis]
-                for other in range(3):
-                    at = SIZE * PAIR[corner][other] + 4 * axis
-                    by_x, by_y = np.float64(room[at]), np.float64(room[at + 1])
-                    vertex = triangles[t, other]
-                    xs, ys = basis[2 * vertex], basis[2 * vertex + 1]
-                    for j in range(n_p):
-                        own[j] += by_x * xs[j] + by_y * ys[j]
-                    # Barycentric weights sum to 1, so the sum over the other corner drops out.
-                    own[n_p] += room[at + 2]
-                    own[n_p + 1] += room[at + 3]
+                own, (pa, pb, pc) = lines[2 * triangles[t, corner] + axis], PAIR[corner]
+                pa, pb, pc = SIZE * pa + 4 * axis, SIZE * pb + 4 * axis, SIZE * pc + 4 * axis
+                by_xa, by_ya, by_xb = np.float64(room[pa]), np.float64(room[pa + 1]), np.float64(room[pb])
+                by_yb, by_xc, by_yc = np.float64(room[pb + 1]), np.float64(room[pc]), np.float64(room[pc + 1])
+                for j in range(n_p):
+                    own[j] += (
+                        (by_xa * xa[j] + by_ya * ya[j])
+                        + (by_xb * xb[j] + by_yb * yb[j])
+                        + (by_xc * xc[j] + by_yc * yc[j])
+                    )
+                # Barycentric weights sum to 1, so the sum over the other corner drops out.
+                own[n_p] += np.float64(room[pa + 2]) + room[pb + 2] + room[pc + 2]
+                own[n_p + 1] += np.float64(room[pa + 3]) + room[pb + 3] + room[pc + 3]
 
 
 @compiled
@@ -276,9 +280,4 @@ def add_modes(
 def to_parameters(lines: Double2, basis: Double2, out: Double2) -> None:
     """Map sums by vertex (2 v, b) to the warp's parameters (n_p, b): basis' lines."""
     clear(out)
-    for v in range(len(lines)):
-        own, row = lines[v], basis[v]
-        for j in range(len(out)):
-            scale, to = row[j], out[j]
-            for b in range(len(own)):
-                to[b] += scale * own[b]
+    add_product(basis, lines, 1.0, out)

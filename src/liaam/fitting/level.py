@@ -274,8 +274,10 @@ class Work(NamedTuple):
     """(n_q, n_q) float64: ``base`` plus the prior; damping is relative to it."""
     small: Double3
     """(2, n_q, n_q) float64."""
-    cubes: Double3
-    """(3, n_q, n_q) float64."""
+    spectrum: Double2
+    """(4, n_q) float64."""
+    rotations: Double2
+    """(2 n_q^2, 3) float64."""
     eliminated: Double2
     """(m, n_q) float64."""
     along: Double2

@@ -186,6 +186,13 @@ def solve(factor: np.ndarray, right: np.ndarray) -> None:
     right[:] = np.linalg.solve(lower.T, np.linalg.solve(lower, right))
 
 
+def solve_raised(matrix: np.ndarray, least: float, lines: np.ndarray, rotations: np.ndarray, right: np.ndarray) -> bool:
+    """Replace r by (M+ + least)^-1 r, with 0 in place of the negative eigenvalues of M."""
+    values, vectors = np.linalg.eigh(matrix)
+    right[:] = vectors @ ((vectors.T @ right) / (np.maximum(values, 0.0) + least))
+    return True
+
+
 def eliminate(
     factor: np.ndarray,
     aj: np.ndarray,

@@ -9,10 +9,10 @@ its symmetric part, raised to a fraction of E'E in directions in which it is sma
 
 import numpy as np
 
-from liaam.fitting.equations import cholesky, multiply, solve, solve_lower
+from liaam.fitting.equations import cholesky, solve, solve_lower, solve_raised
 from liaam.fitting.level import LEAST, Work
 from liaam.kernels.compiled import compiled
-from liaam.kernels.fields import Bool1, Double1, Double2, Double3, Single1
+from liaam.kernels.fields import Bool1, Double1, Double2, Single1
 
 DAMPING_FLOOR = 1e-9
 """Lower bound on the curvature that damping is relative to, as a fraction of the largest curvature."""
@@ -26,9 +26,6 @@ ROUNDING = 1e-7
 OBSERVABLE_APART = 2.0
 """As ``SolverOptions.observable``, for the image's angle relative to the model's. The object's colours determine it
 even without a change of light."""
-
-SIGN_STEPS = 12
-"""Iterations of Newton and Schulz. They resolve the sign of eigenvalues down to 1.5 ** -SIGN_STEPS of the largest."""
 
 LEAST_PRECISION = 1e-9
 """Lower bound on the precision of a parameter, as a fraction of the largest precision."""
@@ -77,7 +74,8 @@ def raised_step(
     damping: float,
     factor: Double2,
     matrix: Double2,
-    room: Double3,
+    lines: Double2,
+    rotations: Double2,
     step: Double1,
 ) -> bool:
     """Compute the Newton step of a symmetric matrix H whose curvature is raised to a fraction of that of B.
@@ -92,8 +90,9 @@ def raised_step(
         Entries that may move; the step of the others is 0.
     least, damping : float
         Lower bound (:data:`liaam.fitting.level.LEAST_CURVATURE`) and damping, as fractions of B.
-    factor, matrix, room, step : (n, n), (n, n), (3, n, n), (n,) float64
-        Scratch, and the step.
+    factor, matrix, lines, rotations : (n, n), (n, n), (4, n), (ROOM n^2, 3) float64
+        Scratch.
+    step : (n,) float64
     """
     n, largest = len(free), 0.0
     for i in range(n):
@@ -116,7 +115,7 @@ def raised_step(
             solve(matrix, step)
         return found
     _take_free(hessian, free, 0.0, matrix)
-    return cholesky(factor) and _lifted_step(factor, matrix, least, damping, room, step)
+    return cholesky(factor) and _whitened_step(factor, matrix, least, damping, lines, rotations, step)
 
 
 @compiled
@@ -129,52 +128,36 @@ def _take_free(source: Double2, free: Bool1, more: float, out: Double2) -> None:
 
 
 @compiled
-def _lifted_step(factor: Double2, matrix: Double2, least: float, damping: float, room: Double3, step: Double1) -> bool:
-    """Compute the step with H + (|H - least B| - (H - least B)) / 2, in coordinates in which B = L L' is the identity.
+def _whitened_step(
+    factor: Double2, matrix: Double2, least: float, damping: float, lines: Double2, rotations: Double2, step: Double1
+) -> bool:
+    """Compute the step with max(H, least B) + damping B, in coordinates in which B = L L' is the identity.
 
-    |M| = M sign(M), with the sign from the Newton-Schulz iteration, which needs no eigenvalue solver. Raising the
-    pivots of a Cholesky factorisation instead (Gill and Murray) takes two steps more. Shifting all of H makes fits of
-    unseen persons of IMM 0.1 % worse.
+    Raising the pivots of a Cholesky factorisation instead (Gill and Murray) takes two steps more. Shifting all of H
+    makes fits of unseen persons of IMM 0.1 % worse.
     """
-    n, most, sign, square, cube = len(step), 0.0, room[0], room[1], room[2]
+    n, finite = len(step), True
     solve_lower(factor, matrix)
     for i in range(n):
         for j in range(i):
             matrix[i, j], matrix[j, i] = matrix[j, i], matrix[i, j]
     solve_lower(factor, matrix)
     for i in range(n):
-        total = 0.0
-        for j in range(n):
-            mean = 0.5 * (matrix[i, j] + matrix[j, i])
-            matrix[i, j] = matrix[j, i] = mean if i != j else mean - least
-            total += abs(matrix[i, j])
-        most = total if total > most else most
-    if not most < np.inf:
-        return False
-    for i in range(n):
-        for j in range(n):
-            sign[i, j] = matrix[i, j] / most
-    for _ in range(SIGN_STEPS):
-        multiply(sign, sign, square)
-        multiply(sign, square, cube)
-        for i in range(n):
-            for j in range(n):
-                sign[i, j] = 1.5 * sign[i, j] - 0.5 * cube[i, j]
-    multiply(matrix, sign, square)
-    for i in range(n):
-        for j in range(n):
-            matrix[i, j] = 0.5 * (matrix[i, j] + square[i, j]) + (least + damping if i == j else 0.0)
+        for j in range(i):
+            matrix[i, j] = matrix[j, i] = 0.5 * (matrix[i, j] + matrix[j, i])
+            finite = finite and np.isfinite(matrix[i, j])
+        finite = finite and np.isfinite(matrix[i, i])
+        matrix[i, i] -= least
         for j in range(i):  # L^-1 times the right side
             step[i] -= factor[i, j] * step[j]
         step[i] /= factor[i, i]
-    found = cholesky(matrix)
-    if found:
-        solve(matrix, step)
+    if not finite or not solve_raised(matrix, least + damping, lines, rotations, step):
+        return False
     for i in range(n - 1, -1, -1):  # L'^-1 times that
         step[i] /= factor[i, i]
         for j in range(i):
             step[j] -= factor[i, j] * step[i]
-    return found
+    return True
 
 
 @compiled
@@ -480,4 +463,5 @@ def raised(work: Work, damping: float) -> bool:
     """Write the step with the expected gradient to ``work.step``; return False if there is none."""
     expected, least, step = work.damper, work.scales[LEAST], work.step
     hessian, gradient, free, factor, matrix = work.hessian, work.gradient, work.free, work.small[0], work.small[1]
-    return raised_step(expected, hessian, gradient, free, least, damping, factor, matrix, work.cubes, step)
+    lines, rotations = work.spectrum, work.rotations
+    return raised_step(expected, hessian, gradient, free, least, damping, factor, matrix, lines, rotations, step)
