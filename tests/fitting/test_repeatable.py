@@ -46,13 +46,30 @@ def test_a_fit_to_the_same_picture_is_the_same(model, same_light_scene, method):
     np.testing.assert_array_equal(first.covariance, again.covariance)
 
 
+FIELDS = ("landmarks", "p", "lam", "covariance", "landmark_covariances", "evidence", "residual_variance", "cost")
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_nothing_of_a_fit_is_left_in_the_next(model, same_light_scene, method):
+    """A fitter reuses the arrays of earlier fits, also of those that diverged or saw nothing."""
+    image, start = same_light_scene.image, disturb(same_light_scene.landmarks)
+    noise = np.random.default_rng(0).integers(0, 255, image.shape).astype(np.uint8)
+    pictures = [image, noise, np.zeros_like(image), np.full(image.shape, np.nan, np.float32), image]
+    fitter = Fitter(model, method, restarts=False)
+    for picture in pictures:
+        own, fresh = (each.fit(picture, start) for each in (fitter, Fitter(model, method, restarts=False)))
+        assert own.status == fresh.status
+        for name in FIELDS:
+            np.testing.assert_array_equal(getattr(own, name), getattr(fresh, name), err_msg=name)
+
+
 @pytest.mark.parametrize("method", NAMES)
 def test_a_copy_of_a_row_is_the_same_method(model, same_light_scene, method):
     copy, start = replace(get_method(method), name="mine", summary="a copy"), disturb(same_light_scene.landmarks)
     ours, theirs = (Fitter(model, row).fit(same_light_scene.image, start) for row in (method, copy))
     assert theirs.method.name == "mine"
     assert (ours.status, ours.cost, ours.n_iterations) == (theirs.status, theirs.cost, theirs.n_iterations)
-    for name in ("landmarks", "p", "lam", "covariance", "landmark_covariances", "evidence", "theta"):
+    for name in (*FIELDS, "theta"):
         np.testing.assert_array_equal(getattr(theirs, name), getattr(ours, name), err_msg=name)
 
 

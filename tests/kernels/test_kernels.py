@@ -330,6 +330,13 @@ class Pixels:
 counts = st.sampled_from([1, 2, 30, PLANE - 1, PLANE, PLANE + 1, 2 * PLANE + 1])
 
 
+@given(n=counts, k=st.integers(1, 3), rows=st.integers(1, 3), seed=seeds)
+def test_squares_are_summed_as_the_reference_says(n, k, rows, seed):
+    given = Pixels(np.random.default_rng(seed), n, k)
+    pixels = given.values, given.residual, given.metric, given.own, given.usable
+    both("sum_squares", *pixels, 1.7, np.full((min(rows, k), 4), np.nan), written=[6])
+
+
 @given(n=counts, k=st.integers(1, 3), colours=st.booleans(), seed=seeds)
 def test_variances_of_rows_are_what_the_reference_says(n, k, colours, seed):
     rng = np.random.default_rng(seed)

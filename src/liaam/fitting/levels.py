@@ -33,6 +33,10 @@ class Stage:
     pose: Similarity
     solution: Solution
 
+    def release(self) -> None:
+        """Let other fits use the arrays of the solution, which is then no longer valid."""
+        self.objective.release(self.solution.work, self.solution.given)
+
     def shape(self, state: State) -> np.ndarray:
         """Return the shape of a state, (n, 2) float64, image pixels."""
         return self.pose(self.objective.warp.shape(state.p))
@@ -41,8 +45,8 @@ class Stage:
     def path(self) -> list[tuple[float, np.ndarray, float]]:
         """Cost, shape (n, 2) and theta_2 at the start and after every accepted step."""
         solution = self.solution
-        states = zip(solution.costs, solution.path, solution.angles[:, 1], strict=True)
-        return [(float(cost), self.pose(self.objective.warp.shape(p)), float(theta)) for cost, p, theta in states]
+        shapes = self.pose(self.objective.warp.shape(solution.path))
+        return list(zip(solution.costs.tolist(), shapes, solution.angles[:, 1].tolist(), strict=True))
 
     @property
     def reached(self) -> np.ndarray:

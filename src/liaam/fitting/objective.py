@@ -163,7 +163,7 @@ class Objective:
 
     def __getstate__(self) -> dict:
         """Leave out compiled functions and addresses, which are valid in this process only."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("row", "given")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("row", "given", "_idle")}
 
     @cached_property
     def given(self) -> tuple[Any, Any]:
@@ -174,6 +174,38 @@ class Objective:
     def _turns(self) -> bool:
         """Whether theta_1, and so the model's side, changes during a fit."""
         return bool(self.method.angle_directions[0].any())
+
+    @cached_property
+    def _idle(self) -> list[tuple[Work, Any]]:
+        """Works that fits have released, and their form for the kernel: making both takes 0.1 ms a level."""
+        return []
+
+    def borrow(self, state: State, max_iterations: int) -> tuple[Work, Any]:
+        """Return the arrays of a fit (see :meth:`work`), perhaps of an earlier fit, and their form for the kernel."""
+        try:
+            work, given = self._idle.pop()
+        except IndexError:
+            work = self.work(state, max_iterations)
+            return work, get_kernel(self.kernel).by_reference(work)
+        if len(work.costs) <= max_iterations:
+            return self.borrow(state, max_iterations)
+        return self._begin(work, state), given
+
+    def release(self, work: Work, given: Any) -> None:
+        """Let another fit use the arrays of :meth:`borrow`."""
+        if given is not None:
+            self._idle.append((work, given))
+
+    def _begin(self, work: Work, state: State) -> Work:
+        """Set the arrays of a fit to a state, to the model's weights, and to what is unknown before the first step."""
+        own, gram = self.template.own, self.template.gram
+        begins = [state.p, state.angles, state.lam, own, own, gram, np.nan, np.nan, 0.0, 0.0, 0.0, 1.0]
+        fields = [work.p, work.angles, work.lam, work.own, work.weighed, work.gram, work.known, work.unexplained]
+        for field, value in zip([*fields, work.last_step, work.base, work.noise, work.by_model], begins, strict=True):
+            field[:] = value
+        unit = 1.0 if self.method.weights == "noise" else np.nan
+        work.scales[:] = unit, 1.0, 0.0, 1.0, 1.0, LEAST_CURVATURE, 0.0
+        return work
 
     def work(self, state: State, max_iterations: int = 0) -> Work:
         """Allocate the arrays of a fit, at a state and with the model's weights."""
@@ -188,10 +220,10 @@ class Objective:
         def single(*shape: int) -> np.ndarray:
             return np.empty(shape, np.float32)
 
-        return Work(
-            p=np.array(state.p, np.float64),
-            angles=np.array(state.angles, np.float64),
-            lam=np.array(state.lam, np.float64),
+        work = Work(
+            p=np.empty(n_p),
+            angles=np.empty(2),
+            lam=np.empty(m),
             before=np.empty(n_p + 2 + m),
             metric=single(WIDE * k),
             slope=single(WIDE * k),
@@ -205,18 +237,18 @@ class Objective:
             residual=single(e),
             image_slopes=single(2 * e),
             usable=single(n),
-            weighed=template.own.copy(),
-            own=template.own.copy(),
+            weighed=single(e),
+            own=single(e),
             own_derivative=single(e if noisy and n_free else 0),
             root=single(e),
-            noise=np.zeros(WIDE * noisy, np.float32),
-            by_model=np.ones(noisy),
+            noise=single(WIDE * noisy),
+            by_model=np.empty(noisy),
             variance=single(e if known else 0),
-            known=np.full(n if known else 0, np.nan, np.float32),
+            known=single(n if known else 0),
             known_now=single(n if known else 0),
-            unexplained=np.full((2, 2), np.nan),
-            scales=np.array([1.0 if noisy else np.nan, 1.0, 0.0, 1.0, 1.0, LEAST_CURVATURE, 0.0]),
-            gram=template.gram.copy(),
+            unexplained=np.empty((2, 2)),
+            scales=np.empty(7),
+            gram=np.empty((m, m)),
             factor=np.empty((m, m)),
             ar=np.empty(m),
             sums=np.zeros(2),
@@ -226,9 +258,9 @@ class Objective:
             aj=np.zeros((m, n_q)),
             hessian=np.zeros((n_q, n_q)),
             gradient=np.zeros(n_q),
-            base=np.zeros((n_q, n_q)),
+            base=np.empty((n_q, n_q)),
             step=np.zeros(n_q),
-            last_step=np.zeros(n_q),
+            last_step=np.empty(n_q),
             lam_step=np.zeros(m),
             free=np.ones(n_q, np.bool_),
             precision=np.zeros(n_p),
@@ -254,6 +286,7 @@ class Objective:
             turns=np.empty((max_iterations + 1, 2)),
             outcome=np.zeros(6),
         )
+        return self._begin(work, state)
 
     def _rows_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
         """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
@@ -364,8 +397,11 @@ class Objective:
             return float(work.scales[UNIT])
         return float(self.correlated * work.sums[0] / work.sums[1]) if work.sums[1] > 0 else 0.0
 
-    def solve(self, problem: FitProblem, work: Work, controls: Controls) -> Outcome:
-        """Minimise the cost over one image from the state in ``work``: one call of the loop."""
+    def solve(self, problem: FitProblem, work: Work, controls: Controls, given: Any = None) -> Outcome:
+        """Minimise the cost over one image from the state in ``work``: one call of the loop.
+
+        ``given`` is the form of ``work`` that the kernel takes, if known (:meth:`borrow`).
+        """
         kernel = get_kernel(self.kernel)
         expects = controls.expected or self.method.step == "expected"
         if expects > self.method.expects or controls.reweigh > self.method.reweighs:
@@ -373,8 +409,8 @@ class Objective:
         if expects and not controls.expected and controls.max_iterations:
             raise MethodError(f"method {self.method.name} takes no steps with the image's own gradient")
         template, row = self.given
-        picture, controls, there = map(kernel.by_reference, (self.picture(problem), controls, work))
-        kernel.solve_level(template, picture, row, controls, there)
+        picture, controls = map(kernel.by_reference, (self.picture(problem), controls))
+        kernel.solve_level(template, picture, row, controls, kernel.by_reference(work) if given is None else given)
         n_taken, n_tried, moved, converged, held, flat = work.outcome.tolist()
         return Outcome(int(n_taken), int(n_tried), moved, bool(converged), bool(held), bool(flat))
 

@@ -67,6 +67,24 @@ def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
     return int((usable == 0).sum())
 
 
+def sum_squares(
+    values: np.ndarray,
+    residual: np.ndarray,
+    metric: np.ndarray,
+    own: np.ndarray,
+    usable: np.ndarray,
+    gain: float,
+    sums: np.ndarray,
+) -> None:
+    """Sum weights, weighted samples and their squares, and weighted squares of the residual."""
+    n, rows = len(usable), len(sums)
+    weights = usable[:, None] * np.square(own.reshape(n, -1)[:, :rows], dtype=np.float64)
+    samples = gain * (values.reshape(n, 8) @ metric.reshape(-1, 8)[:rows].T).astype(np.float64)
+    left = residual.reshape(n, -1)[:, :rows].astype(np.float64)
+    parts = weights, weights * samples, weights * np.square(samples), weights * np.square(left)
+    sums[:] = np.stack([part.sum(axis=0) for part in parts], axis=1)
+
+
 def with_modes(rows: np.ndarray, root: np.ndarray, column: np.ndarray, line: np.ndarray, out: np.ndarray) -> None:
     """Compute weighted products of a column with the modes, A'c."""
     out[: len(rows) - 1] = rows[1:].astype(np.float64) @ (np.square(root.astype(np.float64)) * column)

@@ -199,6 +199,37 @@ def mask(own: Single1, usable: Single1, root: Single1) -> int:
 
 
 @compiled
+def sum_squares(
+    values: Single1, residual: Single1, metric: Single1, own: Single1, usable: Single1, gain: float, sums: Double2
+) -> None:
+    """Sum weights, weighted samples and their squares, and weighted squares of the residual, over the pixels.
+
+    Parameters
+    ----------
+    values, residual, metric
+        See :func:`sample`.
+    own, usable : (n k,), (n,) float32
+        Square root of the weights, and 0 at unusable pixels.
+    gain : float
+        Factor on the samples.
+    sums : (rows, 4) float64
+        Output, for the first rows of the metric.
+    """
+    k = len(own) // len(usable)
+    clear(sums)
+    for i in range(len(usable)):
+        value = load(values, SIZE * i)
+        for r in range(len(sums)):
+            e = i * k + r
+            weight = np.float64(usable[i]) * own[e] * own[e]
+            sample, left = gain * total(load(metric, SIZE * r) * value), np.float64(residual[e])
+            sums[r, 0] += weight
+            sums[r, 1] += weight * sample
+            sums[r, 2] += weight * sample * sample
+            sums[r, 3] += weight * left * left
+
+
+@compiled
 def with_modes(rows: Single2, root: Single1, column: Single1, line: Single1, out: Double1) -> None:
     """Compute A'c: weighted products of a column (e,) with the modes (all rows but the first)."""
     for j in range(len(rows) - 1):

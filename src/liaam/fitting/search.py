@@ -466,11 +466,13 @@ class Finder:
         problem = FitProblem.at(image, start, pose, self.objective.method, response, blur, margin=VISITED)
         solution = solve(self.objective, problem, self.objective.start(template.p), SETTINGS)
         shape = pose(warp.shape(solution.state.p))
-        sane = np.isfinite(shape).all() and GROWTH[0] < diagonal_of(shape) / diagonal_of(start) < GROWTH[1]
-        if not sane:
-            return self._candidate(start, 0.0)
-        strength = field.strength(pose(warp.points(solution.state.p)))
-        return self._candidate(shape, self._score(solution, strength))
+        score, growth = 0.0, diagonal_of(shape) / diagonal_of(start)
+        if not (np.isfinite(shape).all() and GROWTH[0] < growth < GROWTH[1]):
+            shape = start
+        else:
+            score = self._score(solution, field.strength(pose(warp.points(solution.state.p))))
+        self.objective.release(solution.work, solution.given)
+        return self._candidate(shape, score)
 
     def _score(self, solution: Solution, strength: np.ndarray) -> float:
         """Return the mean cosine between image and fitted appearance, minus a penalty for an unusual shape."""

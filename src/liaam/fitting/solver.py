@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 
@@ -147,6 +148,8 @@ class Solution:
         An angle, or the common turn of both, was unobservable at the end and kept fixed.
     flat : bool
         The image has no texture under the model.
+    given : optional
+        The form of ``work`` that the kernel takes, if other fits may use its arrays (:meth:`Objective.release`).
     """
 
     work: Work
@@ -158,6 +161,7 @@ class Solution:
     converged: bool
     held: bool
     flat: bool
+    given: Any = None
 
     @property
     def state(self) -> State:
@@ -197,7 +201,7 @@ def solve(
     most = min(_scoring_steps(method, options), options.max_iterations)
     early = expected or not evaluate_last or most > 0
     controls = options.controls(expected, method.reweighs, evaluate_last, problem.blur if early else 0.0)
-    solution = _run(objective, problem, objective.work(start, controls.max_iterations), controls)
+    solution = _run(objective, problem, *objective.borrow(start, controls.max_iterations), controls)
     if not most or solution.flat:
         return solution
     # With fixed weights, unless ``scoring`` was set.
@@ -206,7 +210,7 @@ def solve(
     work = solution.work._replace(
         **{name: getattr(solution.work, name).copy() for name in _KEPT}, **_trace(most, start)
     )
-    ended = _run(objective, problem, work, controls)
+    ended = _run(objective, problem, work, None, controls)
     if not ended.costs[-1] <= EXPECTED_RISE * solution.costs[-1]:
         # The steps raised the cost: restore the solution before them, whose residual was overwritten.
         controls = options.controls(False, False, True, max_iterations=0)
@@ -220,6 +224,7 @@ def solve(
         n_iterations=solution.n_iterations + ended.n_iterations,
         converged=solution.converged,
         flat=False,
+        given=None,
     )
 
 
@@ -252,15 +257,16 @@ def _trace(n: int, start: State) -> dict[str, np.ndarray]:
     return {"costs": np.empty(n + 1), "path": np.empty((n + 1, len(start.p))), "turns": np.empty((n + 1, 2))}
 
 
-def _run(objective: Objective, problem: FitProblem, work: Work, controls: Controls) -> Solution:
+def _run(objective: Objective, problem: FitProblem, work: Work, given: Any, controls: Controls) -> Solution:
     """Run the loop and collect its solution."""
-    outcome = objective.solve(problem, work, controls)
+    outcome = objective.solve(problem, work, controls, given)
     n = outcome.n_taken + 1
     seen = work.costs[:n], work.path[:n], work.turns[:n]
-    return Solution(work, *seen, outcome.n_tried, outcome.moved, outcome.converged, outcome.held, outcome.flat)
+    ended = outcome.moved, outcome.converged, outcome.held, outcome.flat
+    return Solution(work, *seen, outcome.n_tried, *ended, given=given)
 
 
 def solve_at(objective: Objective, problem: FitProblem, state: State, options: SolverOptions) -> Solution:
     """Solve for lambda at fixed p and angles, under updated weights, and evaluate the residual there."""
     controls = options.controls(False, objective.method.reweighs, True, max_iterations=0)
-    return _run(objective, problem, objective.work(state), controls)
+    return _run(objective, problem, objective.work(state), None, controls)

@@ -155,8 +155,9 @@ class ShapeModel:
         return np.nan if self.unexplained is None else float(np.sqrt(np.trace(self.unexplained, 0, 1, 2).mean()))
 
     def shape(self, p: np.ndarray) -> np.ndarray:
-        """Return the shape s(p), (n, 2) float64, for p of length m + 4."""
-        return self.mean + (np.asarray(p) @ self.basis).reshape(-1, 2)
+        """Return the shapes s(p), (..., n, 2) float64, for p (..., m + 4)."""
+        moved = np.asarray(p) @ self.basis
+        return self.mean + moved.reshape(*moved.shape[:-1], -1, 2)
 
     def parameters(self, shape: np.ndarray) -> np.ndarray:
         """Return the coordinates p of a shape's orthogonal projection on the model, (m + 4,) float64."""

@@ -57,7 +57,7 @@ class PiecewiseAffineWarp:
         return self.shape_model.mean
 
     def shape(self, p: np.ndarray) -> np.ndarray:
-        """Landmarks s(p), (n_points, 2) float64."""
+        """Landmarks s(p), (..., n_points, 2) float64."""
         return self.shape_model.shape(p)
 
     def parameters(self, shape: np.ndarray) -> np.ndarray:
@@ -278,7 +278,9 @@ class HomographyWarp:
         return jacobian
 
     def shape(self, p: np.ndarray) -> np.ndarray:
-        """Handles at p, (n, 2) float64; NaN behind the image plane."""
+        """Handles at p, (..., n, 2) float64; NaN behind the image plane."""
+        if np.ndim(p) > 1:
+            return np.array([self.shape(each) for each in p])
         return apply_homography(self.matrix(p), self.rest)
 
     def parameters(self, shape: np.ndarray) -> np.ndarray:
