@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import Candidate, FitStatus, Fitter
+from liaam.fitting.fitter import BRIEF
 from liaam.fitting.search import LARGE
 from liaam.model.shape import diagonal_of
 
@@ -29,11 +30,29 @@ def place(calibrated, lit_scene, monkeypatch):
         }
         fitter = Fitter(calibrated, restarts=False)
         vars(fitter)["finder"] = SimpleNamespace(find=lambda *_, **__: found[:1], others=lambda *_: found[1:])
-        monkeypatch.setattr(Fitter, "_fit_from", lambda self, target: fits[target.start.tobytes()])
+        call.briefly = []
+
+        def fit_from(_self, target, options=None):
+            fit, brief = fits[target.start.tobytes()], options is not None and options.max_iterations == BRIEF
+            call.briefly.append(brief)
+            return replace(fit, status=FitStatus.MAX_ITERATIONS) if brief and fit.quality < call.slow else fit
+
+        monkeypatch.setattr(Fitter, "_fit_from", fit_from)
         result = fitter.fit(image)
         return next(i for i, shape in enumerate(shapes) if shape is result.landmarks), result
 
+    call.slow = 0.0
     return call
+
+
+def test_other_places_are_fitted_briefly_and_the_best_to_its_end(place):
+    place((0.4, 0.1), (0.8, 0.7), (0.8, 0.3))
+    assert place.briefly == [False, True, True]
+    place.slow = 0.8
+    which, result = place((0.4, 0.1), (0.8, 0.7), (0.8, 0.3))
+    assert place.briefly == [False, True, True, False]
+    assert (which, result.n_starts) == (1, 3)
+    assert result.status is FitStatus.CONVERGED
 
 
 def test_a_large_place_of_high_quality_is_believed_and_ends_the_search(place):

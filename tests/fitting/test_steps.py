@@ -8,9 +8,8 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize_scalar
 
 from liaam.fitting import METHODS
-from liaam.fitting.equations import ROOM
 from liaam.fitting.kernel import KERNELS
-from liaam.fitting.level import LEAST_CURVATURE
+from liaam.fitting.level import LEAST_CURVATURE, ROTATIONS
 from liaam.fitting.steps import DAMPING_FLOOR, OBSERVABLE_APART, ROUNDING, TO_AND_FRO
 from setups import Kernel
 
@@ -35,7 +34,7 @@ def damped(kernel, hessian, gradient, free, damping) -> tuple[bool, np.ndarray]:
 
 def raised(kernel, base, hessian, gradient, free, damping, least=LEAST_CURVATURE) -> tuple[bool, np.ndarray]:
     step = np.full(len(free), np.nan)
-    room = np.empty_like(base), np.empty_like(base), np.empty((4, len(free))), np.empty((ROOM * len(free) ** 2, 3))
+    room = np.empty_like(base), np.empty_like(base), np.empty((4, len(free))), np.empty((ROTATIONS * len(free) ** 2, 3))
     return kernel.raised_step(base, hessian, gradient, free, least, damping, *room, step), step
 
 

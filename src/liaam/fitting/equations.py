@@ -94,9 +94,6 @@ def solve(factor: Double2, right: Double1) -> None:
             right[j] -= factor[i, j] * right[i]
 
 
-ROOM = 3
-"""Rotations that :func:`diagonalise` may take, as a multiple of n^2. It takes about n^2."""
-
 TINY = 1e-8
 """Entries beside the diagonal that count as 0, as a fraction of the largest entry."""
 
@@ -158,7 +155,7 @@ def diagonalise(lines: Double2, rotations: Double2, right: Double1) -> int:
     ----------
     lines : (4, n) float64
         See :func:`tridiagonalise`; the first becomes the diagonal of D.
-    rotations : (ROOM n^2, 3) float64
+    rotations : (3 n^2, 3) float64
         Output: cosine, sine and index of each rotation of two neighbours, whose product is S.
     right : (n,) float64
 

@@ -21,6 +21,9 @@ BLOCK = 2048
 PLANE = 512
 """Number of pixels whose variances are computed together, channel by channel."""
 
+ROTATIONS = 3
+"""Room for rotations (:func:`liaam.fitting.equations.diagonalise`), as a multiple of n_q^2. About n_q^2 are used."""
+
 RIDGE = 1e-6
 """Ridge on A'A relative to the mode's squared norm before projection by the metric. It keeps modes that the metric
 cannot observe, such as pure shading under L(theta), at the mean; otherwise rounding errors determine them."""
@@ -277,7 +280,7 @@ class Work(NamedTuple):
     spectrum: Double2
     """(4, n_q) float64."""
     rotations: Double2
-    """(2 n_q^2, 3) float64."""
+    """(3 n_q^2, 3) float64."""
     eliminated: Double2
     """(m, n_q) float64."""
     along: Double2

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.fitting.equations import ROOM
 from liaam.fitting.kernel import get_kernel
 from liaam.fitting.level import (
     BLOCK,
@@ -17,6 +16,7 @@ from liaam.fitting.level import (
     LEAST_CURVATURE,
     PLANE,
     RIDGE,
+    ROTATIONS,
     UNIT,
     WIDE,
     Controls,
@@ -278,7 +278,7 @@ class Objective:
             damper=np.zeros((n_q, n_q)),
             small=np.empty((2, n_q, n_q)),
             spectrum=np.empty((4, n_q)),
-            rotations=np.empty((ROOM * n_q**2, 3)),
+            rotations=np.empty((ROTATIONS * n_q**2, 3)),
             eliminated=np.empty((m, n_q)),
             along=np.empty((m, 1)),
             costs=np.empty(max_iterations + 1),

@@ -75,12 +75,15 @@ def other_starts(
     mean = state.p.copy()
     mean[:n_modes] = 0.0
     directions = ((0.0, 0.0), (-SHIFT, 0.0), (SHIFT, 0.0), (0.0, SHIFT), (0.0, -SHIFT))
-    shapes = [bent(mean, 0, by) for by in (-BENT, 0.0, BENT)] if n_modes else [mean]
-    stages = [reached(p, moved) for p in shapes for moved in directions]
+    bends = [bent(mean, 0, by) for by in (-BENT, 0.0, BENT)] if n_modes else [mean]
+    stages = [reached(p, moved) for p in bends for moved in directions]
     for stage in _best(stages, BEST, target.start):
         p = stage.solution.state.p
         stages += [reached(bent(p, mode, by)) for mode in range(min(MODES, n_modes)) for by in (-BENT_ON, BENT_ON)]
-    return [stage.reached for stage in _best(stages, kept, target.start)]
+    shapes = [stage.reached for stage in _best(stages, kept, target.start)]
+    for stage in stages:
+        stage.release()
+    return shapes
 
 
 def _best(stages: Sequence[Stage], count: int, start: np.ndarray) -> list[Stage]:

@@ -90,7 +90,7 @@ def raised_step(
         Entries that may move; the step of the others is 0.
     least, damping : float
         Lower bound (:data:`liaam.fitting.level.LEAST_CURVATURE`) and damping, as fractions of B.
-    factor, matrix, lines, rotations : (n, n), (n, n), (4, n), (ROOM n^2, 3) float64
+    factor, matrix, lines, rotations : (n, n), (n, n), (4, n), (3 n^2, 3) float64
         Scratch.
     step : (n,) float64
     """
