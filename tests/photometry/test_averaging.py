@@ -28,8 +28,8 @@ def test_stored_means_are_means_of_areas(blocks, seed):
     image = np.random.default_rng(seed).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     rows, columns = overlap(HEIGHT, y, size, shape[0]), overlap(WIDTH, x, size, shape[1])
     usable = ((image >= 20) & (image <= 240)).all(axis=2, keepdims=True)
-    expected = np.einsum("ry,cx,yxk->krc", rows, columns, np.concatenate([TABLE[image], usable], axis=2))
-    found = averaging.stored_means(image, TABLE, (20, 240), (x, y), size, shape)
+    expected = np.einsum("ry,cx,yxk->rck", rows, columns, np.concatenate([TABLE[image], usable], axis=2))
+    found = averaging.stored_means(image, averaging.light_tables(TABLE, (20, 240)), (x, y), size, shape)
     np.testing.assert_allclose(found, expected, atol=2e-6)
     assert found.dtype == np.float32
 
@@ -39,16 +39,16 @@ def test_means_of_values_are_those_of_stored_pixels(blocks, seed):
     x, y, size = blocks
     shape = int((HEIGHT - y) / size), int((WIDTH - x) / size)
     image = np.random.default_rng(seed).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-    stored = averaging.stored_means(image, TABLE, (20, 240), (x, y), size, shape)
+    stored = averaging.stored_means(image, averaging.light_tables(TABLE, (20, 240)), (x, y), size, shape)
     usable = ((image >= 20) & (image <= 240)).all(axis=2, keepdims=True)
-    planes = np.moveaxis(np.concatenate([TABLE[image], usable], axis=2, dtype=np.float32), -1, 0)
-    np.testing.assert_allclose(averaging.value_means(planes, (x, y), size, shape), stored, atol=2e-6)
+    values = np.concatenate([TABLE[image], usable], axis=2, dtype=np.float32)
+    np.testing.assert_allclose(averaging.value_means(values, (x, y), size, shape), stored, atol=2e-6)
 
 
 def test_blocks_of_one_pixel_are_the_picture(rng):
     image = rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-    found = averaging.stored_means(image, TABLE, (0, 255), (0.0, 0.0), 1.0, (HEIGHT, WIDTH))
-    np.testing.assert_array_equal(np.moveaxis(found, 0, -1)[..., :3], TABLE[image])
+    found = averaging.stored_means(image, averaging.light_tables(TABLE, (0, 255)), (0.0, 0.0), 1.0, (HEIGHT, WIDTH))
+    np.testing.assert_array_equal(found[..., :3], TABLE[image])
 
 
 @given(rows=st.integers(1, HEIGHT), columns=st.integers(1, WIDTH), seed=st.integers(0, 99))
@@ -77,10 +77,8 @@ def test_stored_luminance_is_that_of_the_table(rng):
 @given(sigma=st.floats(0.2, 4.0), seed=st.integers(0, 99))
 def test_planes_are_blurred_by_a_gaussian_whose_border_goes_on(sigma, seed):
     planes = np.random.default_rng(seed).random((2, HEIGHT, WIDTH), np.float32)
-    blurred = np.empty_like(planes)
-    averaging.blur_planes(planes, sigma, blurred)
+    blurred = averaging.blur_planes(planes, sigma)
     expected = gaussian_filter(planes, (0, sigma, sigma), mode="nearest", truncate=8.0)
     np.testing.assert_allclose(blurred, expected, atol=3e-3)  # what lies beyond three standard deviations is left out
     flat = np.full_like(planes, 0.7)
-    averaging.blur_planes(flat, sigma, blurred)
-    np.testing.assert_allclose(blurred, flat, rtol=1e-6)
+    np.testing.assert_allclose(averaging.blur_planes(flat, sigma), flat, rtol=1e-6)

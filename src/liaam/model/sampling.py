@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 
-from liaam.model.shape import Similarity, diagonal_of
+from liaam.model.shape import Similarity, corners_of
 from liaam.photometry import Response
 from liaam.photometry.encoding import Encoding, Means, block_means, encode_means, width_of
 
@@ -52,7 +53,7 @@ class _Blocks(NamedTuple):
             return None
         first = _first_block(low, joined)
         start, count = first * times - self.first, (high / joined + 1e-9).astype(int) - first
-        if (start < 0).any() or (start + times * count > self.means.light.shape[:0:-1]).any() or count.min() < 2:
+        if (start < 0).any() or (start + times * count > self.means.light.shape[1::-1]).any() or count.min() < 2:
             return None
         means = self.means.averaged((start[0], start[1]), times, (count[1], count[0]))
         return _Blocks(means, first, joined)
@@ -158,10 +159,10 @@ def corners_around(image: np.ndarray, shape: np.ndarray, margin: float, size: fl
 
     ``margin`` is a fraction of the shape's diagonal; twice ``size`` (image pixels) is added.
     """
-    limits = np.array(image.shape[1::-1])
-    pad = margin * diagonal_of(shape) + 2 * size
-    low = np.clip(np.floor(shape.min(axis=0) - pad), 0, limits - 2)
-    high = np.clip(np.ceil(shape.max(axis=0) + pad) + 1, low + 2, limits)
+    (low, high), limits = corners_of(shape), np.array(image.shape[1::-1])
+    pad = margin * hypot(*(high - low).tolist()) + 2 * size
+    low = np.minimum(np.maximum(np.floor(low - pad), 0), limits - 2)
+    high = np.minimum(np.maximum(np.ceil(high + pad) + 1, low + 2), limits)
     return low.astype(int), high.astype(int)
 
 

@@ -1,15 +1,20 @@
 """Compiled loops over pixels: means of blocks of any size, blurs, and directions of gradients (numba)."""
 
-from typing import NamedTuple
+from math import prod
 
 import numpy as np
 
 from liaam.kernels.compiled import Compiled, compiled
-from liaam.kernels.fields import Byte1, Byte2, Long1, Short1, Single1, Single2, Single3, Word1, Word2
+from liaam.kernels.fields import Byte2, Double1, Long1, Short1, Single1, Single2, Single3, Word2
 from liaam.kernels.jit import F as _F
 from liaam.kernels.jit import jit as _jit
+from liaam.kernels.vectors import SIZE, both, interleave, load, pair, store
 
-# Callers allocate the arrays: compiling np.empty takes as long as compiling a loop.
+# Callers allocate the arrays: compiling np.empty takes as long as compiling a loop. Loops with vectors of eight numbers
+# may write beyond a row: the next row overwrites that, and arrays have room after the last.
+
+ROOM = SIZE * SIZE
+"""Room after the last row, numbers."""
 
 
 @compiled
@@ -26,143 +31,134 @@ def _taps(n_in: int, start: float, size: float, first: Long1, shares: Single2) -
             shares[j, k] = (right - left) / size if right > left else 0.0
 
 
-class _Cuts(NamedTuple):
-    """Weights of pixels in blocks along both axes, and buffers for sums of rows of pixels."""
-
-    first_x: np.ndarray
-    shares_x: np.ndarray
-    first_y: np.ndarray
-    shares_y: np.ndarray
-    light: np.ndarray
-    sums: np.ndarray
-
-    @classmethod
-    def of(cls, size_in: tuple[int, int], start: tuple[float, float], size: float, shape: tuple[int, int]) -> "_Cuts":
-        """Make the weights for an image of size (rows, columns)."""
-        n_taps, arrays = int(np.ceil(size)) + 1, []
-        for axis in (1, 0):
-            first, shares = np.empty(shape[axis], np.int64), np.empty((shape[axis], n_taps), np.float32)
-            _taps(size_in[axis], start[1 - axis], size, first, shares)
-            arrays += [first, shares]
-        # Blocks at the border read pixels outside, with weight 0.
-        return cls(*arrays, *np.zeros((2, 4 * (size_in[1] + n_taps)), np.float32))
-
-
 @compiled
-def _cut(
-    sums: Single1, across: int, between: int, known_at: int, first: Long1, shares: Single2, means: Single3, row: int
-) -> None:
-    """Average a sum of rows of pixels, with strides ``across`` of pixels and ``between`` colours, into a row of blocks.
-
-    The fourth channel is contiguous from ``known_at``.
-    """
-    n_taps = shares.shape[1]
-    reds, greens, blues, knowns = sums[0:], sums[between:], sums[2 * between :], sums[known_at:]
-    for j in range(len(first)):
-        at = first[j]
-        red = green = blue = known = _F(0.0)
-        for k in range(n_taps):
-            w, x = shares[j, k], at + k
-            own = across * x
-            red += w * reds[own]
-            green += w * greens[own]
-            blue += w * blues[own]
-            known += w * knowns[x]
-        means[0, row, j], means[1, row, j], means[2, row, j], means[3, row, j] = red, green, blue, known
+def _cut(sums: Single1, first: Long1, shares: Single2, means: Single1, to: int) -> None:
+    """Average a sum of rows of pixels, four numbers each, into a row of blocks, two at a time."""
+    for j in range(0, len(first), 2):
+        a, b = 4 * first[j], 4 * first[j + 1]
+        total = both(shares[j, 0], shares[j + 1, 0]) * pair(sums, a, b)
+        for k in range(1, shares.shape[1]):
+            total = total + both(shares[j, k], shares[j + 1, k]) * pair(sums, a + 4 * k, b + 4 * k)
+        store(means, to + 4 * j, total)
 
 
 def _stored_means(
     lines: Byte2,
-    table: Single1,
-    limits: Byte1,
+    tables: Single2,
+    grid: Double1,
     first_x: Long1,
     shares_x: Single2,
     first_y: Long1,
     shares_y: Single2,
-    light: Single1,
     sums: Single1,
-    means: Single3,
+    light: Single1,
+    means: Single1,
+    columns: int,
 ) -> None:
-    # Whole rows of pixels are converted to linear light and summed, which the compiler vectorises; only the sums are
-    # averaged into blocks.
-    width, reach, at, low, high = lines.shape[1] // 3, len(sums) // 4, -1, limits[0], limits[1]
-    known = light[3 * reach :]
+    # Rows of pixels are converted to linear light and summed; only the sums are averaged into blocks.
+    width, at, reds, greens, blues = lines.shape[1] // 3, -1, tables[0], tables[1], tables[2]
+    _taps(width, grid[0], grid[2], first_x, shares_x)
+    _taps(lines.shape[0], grid[1], grid[2], first_y, shares_y)
     for i in range(len(first_y)):
-        for x in range(4 * reach):
+        for x in range(len(sums)):
             sums[x] = _F(0.0)
         for k in range(shares_y.shape[1]):
             y, share = first_y[i] + k, shares_y[i, k]
             if share <= _F(0.0):
                 continue
-            if y != at:  # blocks that cut through pixels share a row
-                at, row = y, lines[y]
-                for x in range(3 * width):
-                    light[x] = table[row[x]]
-                for x in range(width):
-                    r, g, b = row[3 * x], row[3 * x + 1], row[3 * x + 2]
-                    known[x] = _F((low <= r) & (low <= g) & (low <= b) & (r <= high) & (g <= high) & (b <= high))
-            for x in range(4 * reach):
-                sums[x] += share * light[x]
-        _cut(sums, 3, 1, 3 * reach, first_x, shares_x, means, i)
+            if y == at:  # blocks that cut through pixels share a row
+                for x in range(len(sums)):
+                    sums[x] += share * light[x]
+                continue
+            at, row = y, lines[y]
+            for x in range(0, width, 2):
+                a = 3 * x
+                b = a + 3 if x + 1 < width else a
+                both_reds = pair(reds, 4 * row[a], 4 * row[b])
+                both_greens = pair(greens, 4 * row[a + 1], 4 * row[b + 1])
+                own = both_reds * both_greens * pair(blues, 4 * row[a + 2], 4 * row[b + 2])
+                store(light, 4 * x, own)
+                store(sums, 4 * x, load(sums, 4 * x) + share * own)
+        _cut(sums, first_x, shares_x, means, 4 * columns * i)
 
 
 _MEANS_OF = {
     np.dtype(np.uint8): Compiled(_stored_means),
-    np.dtype(np.uint16): Compiled(_stored_means, lines=Word2, limits=Word1),
+    np.dtype(np.uint16): Compiled(_stored_means, lines=Word2),
 }
 
 
-def stored_means(
-    image: np.ndarray,
-    table: np.ndarray,
-    usable: tuple[int, int],
-    start: tuple[float, float],
-    size: float,
-    shape: tuple[int, int],
-) -> np.ndarray:
-    """Average blocks of integer pixels (h, w, 3) in linear light, by a table of the light of each stored value.
+def light_tables(light: np.ndarray, usable: tuple[int, int]) -> np.ndarray:
+    """Make the tables for :func:`stored_means`, (3, 4 n) float32, from the light (n,) of each stored value.
 
-    ``usable`` is the range of usable stored values, both included. The first block starts at ``start`` (x, y), where 0
-    is the border of the first pixel. Blocks of side ``size``, at least 1, may cut through pixels, and ``shape`` is
-    their number. Returns the mean R, G, B, and the fraction of usable pixels, (4, rows, columns) float32.
+    ``usable`` is the range of usable stored values, both included. The product of the entries of a pixel's R, G and B
+    is its light R, G and B, and 1 if all three are usable, else 0.
     """
-    means = np.empty((4, *shape), np.float32)
-    limits, lines = np.array(usable, image.dtype), np.ascontiguousarray(image).reshape(len(image), -1)
-    _MEANS_OF[image.dtype](lines, table, limits, *_Cuts.of(image.shape[:2], start, size, shape), means)
-    return means
+    tables, values = np.ones((3, len(light), 4), np.float32), np.arange(len(light))
+    for channel in range(3):
+        tables[channel, :, channel] = light
+        tables[channel, :, 3] = (usable[0] <= values) & (values <= usable[1])
+    return tables.reshape(3, -1)
+
+
+def stored_means(
+    image: np.ndarray, tables: np.ndarray, start: tuple[float, float], size: float, shape: tuple[int, int]
+) -> np.ndarray:
+    """Average blocks of integer pixels (h, w, 3) in linear light, by tables from :func:`light_tables`.
+
+    The first block starts at ``start`` (x, y), where 0 is the border of the first pixel. Blocks of side ``size``, at
+    least 1, may cut through pixels, and ``shape`` is their number. Returns the mean R, G, B, and the fraction of usable
+    pixels, (rows, columns, 4) float32.
+    """
+    lines = np.ascontiguousarray(image).reshape(len(image), -1)
+    return _averaged(_MEANS_OF[image.dtype], (lines, tables), image.shape[1], start, size, shape)
+
+
+def _averaged(
+    loop: Compiled, given: tuple, width: int, start: tuple[float, float], size: float, shape: tuple[int, int]
+) -> np.ndarray:
+    """Call a loop that averages blocks of pixels, with space for weights, for sums of rows of pixels and for means."""
+    (rows, columns), n_taps = shape, int(np.ceil(size)) + 1
+    even, means = columns + columns % 2, np.empty(4 * (rows * columns + 1), np.float32)
+    # Blocks at the border read pixels outside, with weight 0.
+    buffers = np.zeros((2, 4 * (width + n_taps + 1)), np.float32)
+    taps = [np.empty(of, kind) for n in (even, rows) for of, kind in ((n, np.int64), ((n, n_taps), np.float32))]
+    loop(*given, np.array([*start, size], np.float64), *taps, *buffers, means, columns)
+    return means[:-4].reshape(rows, columns, 4)
 
 
 @compiled
 def _value_means(
-    values: Single3,
+    values: Single2,
+    grid: Double1,
     first_x: Long1,
     shares_x: Single2,
     first_y: Long1,
     shares_y: Single2,
     sums: Single1,
-    means: Single3,
+    _light: Single1,
+    means: Single1,
+    columns: int,
 ) -> None:
-    width, reach = values.shape[2], len(sums) // 4
+    width = values.shape[1]
+    _taps(width // 4, grid[0], grid[2], first_x, shares_x)
+    _taps(values.shape[0], grid[1], grid[2], first_y, shares_y)
     for i in range(len(first_y)):
-        for x in range(4 * reach):
+        for x in range(width):
             sums[x] = _F(0.0)
         for k in range(shares_y.shape[1]):
             y, share = first_y[i] + k, shares_y[i, k]
-            if share <= _F(0.0):
-                continue
-            for c in range(4):
-                total, row = sums[c * reach :], values[c, y]
+            if share > _F(0.0):
+                row = values[y]
                 for x in range(width):
-                    total[x] += share * row[x]
-        _cut(sums, 1, reach, 3 * reach, first_x, shares_x, means, i)
+                    sums[x] += share * row[x]
+        _cut(sums, first_x, shares_x, means, 4 * columns * i)
 
 
 def value_means(values: np.ndarray, start: tuple[float, float], size: float, shape: tuple[int, int]) -> np.ndarray:
-    """Average blocks of four planes (4, h, w) float32 to (4, rows, columns); see :func:`stored_means`."""
-    means = np.empty((4, *shape), np.float32)
-    cuts = _Cuts.of(values.shape[1:], start, size, shape)
-    _value_means(np.ascontiguousarray(values), *cuts[:4], cuts.sums, means)
-    return means
+    """Average blocks of pixels of four numbers (h, w, 4) float32 to (rows, columns, 4); see :func:`stored_means`."""
+    lines = np.ascontiguousarray(values).reshape(len(values), -1)
+    return _averaged(_value_means, (lines,), values.shape[1], start, size, shape)
 
 
 @_jit
@@ -256,33 +252,42 @@ def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _soft_row(picture: Single2, y: int, turn: Single2, softness: float, across: Single1, down: Single1) -> None:
+def _soft_row(
+    own: Single1,
+    above: Single1,
+    below: Single1,
+    half: float,
+    turn: Single2,
+    softness: float,
+    across: Single1,
+    down: Single1,
+) -> None:
     """Rotated gradient g along a row, by differences of neighbours, normalised to g / sqrt(|g|^2 + softness^2).
 
-    Rows are contiguous, so that the compiler can vectorise.
+    ``half`` is the weight of the difference of the rows above and below. Rows are contiguous, so that the compiler can
+    vectorise.
     """
-    last, right = len(picture) - 1, picture.shape[1] - 1
-    own, above, below = picture[y], picture[y - 1 if y > 0 else 0], picture[y + 1 if y < last else last]
-    half, square = _F(1.0 if y == 0 or y == last else 0.5), _F(softness * softness)
+    right, square, factor = len(own) - 1, _F(softness * softness), _F(half)
     xx, xy, yx, yy = turn[0, 0], turn[0, 1], turn[1, 0], turn[1, 1]
     for x in range(1, right):
         across[x] = _F(0.5) * (own[x + 1] - own[x - 1])
     across[0], across[right] = own[1 if right > 0 else 0] - own[0], own[right] - own[right - 1 if right > 0 else 0]
     for x in range(right + 1):
-        gx, gy = across[x], half * (below[x] - above[x])
+        gx, gy = across[x], factor * (below[x] - above[x])
         tx, ty = xx * gx + xy * gy, yx * gx + yy * gy
         scale = _F(1.0) / np.sqrt(tx * tx + ty * ty + square)
         across[x], down[x] = tx * scale, ty * scale
 
 
 @compiled
-def _soft_directions(
-    picture: Single2, turn: Single2, softness: float, across: Single1, down: Single1, out: Single3
-) -> None:
-    for y in range(picture.shape[0]):
-        _soft_row(picture, y, turn, softness, across, down)
+def _soft_directions(picture: Single2, turn: Single2, softness: float, lines: Single2, out: Single3) -> None:
+    last = len(picture) - 1
+    for y in range(last + 1):
+        above, below = y - 1 if y > 0 else 0, y + 1 if y < last else last
+        half = 1.0 if y == 0 or y == last else 0.5
+        _soft_row(picture[y], picture[above], picture[below], half, turn, softness, lines[0], lines[1])
         for x in range(picture.shape[1]):
-            out[y, x, 0], out[y, x, 1] = across[x], down[x]
+            out[y, x, 0], out[y, x, 1] = lines[0, x], lines[1, x]
 
 
 def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> np.ndarray:
@@ -293,126 +298,210 @@ def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> n
     """
     out = np.empty((*picture.shape, 2), np.float32)
     turn = np.ascontiguousarray(turn, dtype=np.float32)
-    across, down = np.empty((2, picture.shape[1]), np.float32)
-    _soft_directions(np.ascontiguousarray(picture, dtype=np.float32), turn, softness, across, down, out)
+    lines = np.empty((2, picture.shape[1]), np.float32)
+    _soft_directions(np.ascontiguousarray(picture, dtype=np.float32), turn, softness, lines, out)
     return out
 
 
 @compiled
-def _light_planes(
-    means: Single3, weights: Single1, limits: Single1, grey: bool, planes: Single3, known: Single2
-) -> bool:
-    every, by_red, by_green, by_blue = True, weights[0], weights[1], weights[2]
-    least, floor, dark, unusable = limits[0], limits[1], limits[2], limits[3]
-    for y in range(means.shape[1]):
-        for x in range(means.shape[2]):
-            red, green, blue = means[0, y, x], means[1, y, x], means[2, y, x]
-            planes[0, y, x] = by_red * red + by_green * green + by_blue * blue + dark
-            planes[1, y, x] = red if red > floor else floor
-            planes[2, y, x] = green if green > floor else floor
-            planes[3, y, x] = blue if blue > floor else floor
-            own = (means[3, y, x] > least) & (not grey)
-            known[y, x] = _F(own)
-            planes[4, y, x] = _F(own) + unusable
-            every &= own
-    return every
+def _light_planes(means: Single1, weights: Single1, limits: Single1, planes: Single1) -> float:
+    n, by_red, by_green, by_blue, count = len(means) // 4, weights[0], weights[1], weights[2], _F(0.0)
+    least, floor, dark = limits[0], limits[1], limits[2]
+    bright, reds, greens = planes[0:n], planes[n : 2 * n], planes[2 * n : 3 * n]
+    blues, known, usable = planes[3 * n : 4 * n], planes[4 * n : 5 * n], planes[5 * n : 6 * n]
+    for i in range(n):
+        red, green, blue = means[4 * i], means[4 * i + 1], means[4 * i + 2]
+        own = _F(1.0) if means[4 * i + 3] > least else _F(0.0)
+        bright[i] = by_red * red + by_green * green + by_blue * blue + dark
+        reds[i], greens[i], blues[i] = max(red, floor), max(green, floor), max(blue, floor)
+        known[i], usable[i] = own, _F(1.0)
+        count += own
+    return float(count)
 
 
 def light_planes(
-    means: np.ndarray, weights: np.ndarray, least: float, grey: bool, floor: float, dark: float, unusable: float
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Prepare linear light (4, h, w) of blocks for logarithms, and mask unusable colours.
+    means: np.ndarray, weights: np.ndarray, least: float, grey: bool, floor: float, dark: float
+) -> tuple[np.ndarray, bool]:
+    """Prepare linear light (h, w, 4) of blocks for logarithms, and mask unusable colours.
 
-    Colours are usable where the fraction of usable pixels exceeds ``least``, unless the image is grey; otherwise they
-    have weight ``unusable`` in a blur. ``weights`` are those of R, G and B in brightness, ``floor`` their lower bound,
-    and ``dark`` is added to brightness. Returns brightness, R, G, B and the weights of the colours in a blur, (5, h, w)
-    float32; 1 where colours are usable, else 0, (h, w) float32; and whether they are usable everywhere.
+    Colours are usable where the fraction of usable pixels exceeds ``least``, unless the image is grey. ``weights`` are
+    those of R, G and B in brightness, ``floor`` their lower bound, and ``dark`` is added to brightness. Returns planes
+    from :func:`new_planes`, all pixels usable, and whether the colours are usable everywhere.
     """
-    planes, known = np.empty((5, *means.shape[1:]), np.float32), np.empty(means.shape[1:], np.float32)
-    means, weights = np.ascontiguousarray(means), np.asarray(weights, np.float32)
-    limits = np.array([least, floor, dark, unusable], np.float32)
-    return planes, known, _light_planes(means, weights, limits, bool(grey), planes, known)
+    planes, limits = new_planes(means.shape[:2]), np.array([np.inf if grey else least, floor, dark], np.float32)
+    means = np.ascontiguousarray(means).reshape(-1)
+    n_known = _light_planes(means, np.asarray(weights, np.float32), limits, planes.base)
+    return planes, n_known == len(means) // 4
+
+
+def new_planes(shape: tuple[int, int]) -> np.ndarray:
+    """Allocate the planes that :func:`lay_out` takes, (6, h, w) float32."""
+    return _with_room((6, *shape))
+
+
+def _with_room(shape: tuple[int, ...]) -> np.ndarray:
+    """Allocate an array, whose base is flat and has room for eight vectors more."""
+    n = prod(shape)
+    return np.empty(n + ROOM, np.float32)[:n].reshape(shape)
 
 
 @compiled
-def _blur(planes: Single3, taps: Single1, line: Single1, blurred: Single3) -> None:
-    # Blur along columns into a line, then along the line.
-    reach, height, width = len(taps) - 1, planes.shape[1], planes.shape[2]
-    middle = line[reach:]
-    for p in range(planes.shape[0]):
-        for y in range(height):
-            own, to, tap = planes[p, y], blurred[p, y], taps[0]
-            for x in range(width):
-                middle[x] = tap * own[x]
-            for k in range(1, reach, 2):  # two at a time halves the reads and writes of the line
-                near, far = taps[k], taps[k + 1]
-                above, below = planes[p, y - k if y > k else 0], planes[p, y + k if y + k < height else height - 1]
-                top, bottom = (
-                    planes[p, y - k - 1 if y > k else 0],
-                    planes[p, y + k + 1 if y + k + 1 < height else height - 1],
-                )
-                for x in range(width):
-                    middle[x] += near * (above[x] + below[x]) + far * (top[x] + bottom[x])
-            for k in range(reach):
-                line[k], line[reach + width + k] = line[reach], line[reach + width - 1]
-            for x in range(width):
-                to[x] = tap * middle[x]
-            for k in range(1, reach, 2):
-                near, far, left, right = taps[k], taps[k + 1], line[reach - k :], line[reach + k :]
-                first, last = line[reach - k - 1 :], line[reach + k + 1 :]
-                for x in range(width):
-                    to[x] += near * (left[x] + right[x]) + far * (first[x] + last[x])
+def _blur_row(
+    planes: Single1, plane: int, height: int, width: int, y: int, taps: Single1, line: Single1, to: Single1, at: int
+) -> None:
+    """Blur a row of the plane that begins at an index: along columns into a line, then along the line."""
+    reach, begin = len(taps) - 1, plane + y * width
+    for x in range(0, width, 2 * SIZE):
+        up = down = begin + x
+        low, high = taps[0] * load(planes, up), taps[0] * load(planes, up + SIZE)
+        for k in range(1, reach + 1):
+            up -= width if k <= y else 0
+            down += width if y + k < height else 0
+            low = low + taps[k] * (load(planes, up) + load(planes, down))
+            high = high + taps[k] * (load(planes, up + SIZE) + load(planes, down + SIZE))
+        store(line, reach + x, low)
+        store(line, reach + x + SIZE, high)
+    for k in range(reach):
+        line[k], line[reach + width + k] = line[reach], line[reach + width - 1]
+    for x in range(0, width, 2 * SIZE):
+        left = right = reach + x
+        low, high = taps[0] * load(line, left), taps[0] * load(line, left + SIZE)
+        for k in range(1, reach + 1):
+            left, right = left - 1, right + 1
+            low = low + taps[k] * (load(line, left) + load(line, right))
+            high = high + taps[k] * (load(line, left + SIZE) + load(line, right + SIZE))
+        store(to, at + x, low)
+        store(to, at + x + SIZE, high)
+
+
+@compiled
+def _blur(
+    planes: Single1, height: int, width: int, sigma: float, taps: Single1, line: Single1, blurred: Single1
+) -> None:
+    _gaussian(sigma, taps)
+    for row in range((len(planes) - ROOM) // width):
+        y = row % height
+        _blur_row(planes, (row - y) * width, height, width, y, taps, line, blurred, row * width)
 
 
 REACH = 3.0
 """Standard deviations at which a blur kernel is truncated."""
 
 
-def blur_planes(planes: np.ndarray, sigma: float, blurred: np.ndarray) -> None:
-    """Blur planes (n, h, w) with standard deviation ``sigma`` above 0 to ``blurred``; border pixels are replicated."""
+@compiled
+def _gaussian(sigma: float, taps: Single1) -> None:
+    """Half of a blur kernel, from the centre on."""
+    total = -0.5
+    for k in range(len(taps)):
+        share = np.exp(-0.5 * (k / sigma) ** 2) if k > 0 else 1.0
+        total += share
+        taps[k] = share
+    for k in range(len(taps)):
+        taps[k] = taps[k] / (2.0 * total)
+
+
+def _buffers(sigma: float, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Allocate half of a blur kernel, with an even number of taps beside the centre, and a row to blur."""
     reach = int(np.ceil(REACH * sigma))
-    # An even number of taps on each side, for the loop over pairs.
-    taps = np.exp(-0.5 * np.square(np.arange(reach + reach % 2 + 1) / sigma))
-    taps /= 2.0 * taps.sum() - taps[0]
-    _blur(planes, taps.astype(np.float32), np.empty(planes.shape[2] + 2 * len(taps), np.float32), blurred)
+    reach += reach % 2
+    return np.empty(reach + 1, np.float32), np.empty(width + 2 * (reach + SIZE), np.float32)
+
+
+def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:
+    """Blur planes (n, h, w) with standard deviation ``sigma``; border pixels are replicated."""
+    given, blurred = _with_room(planes.shape), _with_room(planes.shape)
+    given[...] = planes
+    _blur(given.base, *planes.shape[1:], sigma, *_buffers(sigma, planes.shape[2]), blurred.base)
+    return blurred
+
+
+@compiled
+def _multiply(planes: Single1, plane: int, by: int, n: int, more: float) -> None:
+    """Multiply a plane by the weights in another one, plus ``more``."""
+    own, weights, extra = planes[plane : plane + n], planes[by : by + n], _F(more)
+    for x in range(n):
+        own[x] *= weights[x] + extra
 
 
 @compiled
 def _lay_out(
-    planes: Single3,
-    known: Single2,
-    usable: Single2,
+    planes: Single1,
+    height: int,
+    width: int,
     soft: bool,
+    by_usable: bool,
+    by_known: bool,
+    unusable: float,
     turn: Single2,
     softness: float,
-    across: Single1,
-    down: Single1,
-    channels: Single3,
+    sigma: float,
+    taps: Single1,
+    line: Single1,
+    bright: Single1,
+    lines: Single1,
+    channels: Single1,
 ) -> None:
-    height, width, zero = known.shape[0], known.shape[1], _F(0.0)
+    n, stride, last, least = height * width, len(lines) // 9, height - 1, _F(unusable)
+    across, down, colours = lines[0:], lines[stride:], 2 if soft else 0
+    known, usable, weights = lines[5 * stride :], lines[7 * stride :], lines[8 * stride :]
+    _gaussian(sigma, taps)
+    if soft:
+        if by_usable:
+            _multiply(planes, 0, 5 * n, n, unusable)
+        for y in range(height):
+            _blur_row(planes, 0, height, width, y, taps, line, bright, y * width)
+            if by_usable:
+                _blur_row(planes, 5 * n, height, width, y, taps, line, weights, 0)
+                own = bright[y * width : (y + 1) * width]
+                for x in range(width):
+                    own[x] /= weights[x] + least
+    if by_known:
+        for c in range(1, 4):
+            _multiply(planes, c * n, 4 * n, n, unusable)
     for y in range(height):
+        for c in range(3):
+            _blur_row(planes, (c + 1) * n, height, width, y, taps, line, lines, (colours + c) * stride)
+        if by_known:
+            _blur_row(planes, 4 * n, height, width, y, taps, line, weights, 0)
+            for c in range(3):
+                own = lines[(colours + c) * stride :]
+                for x in range(width):
+                    own[x] /= weights[x] + least
+        own, above, below = y * width, (y - 1 if y > 0 else 0) * width, (y + 1 if y < last else last) * width
         if soft:
-            _soft_row(planes[0], y, turn, softness, across, down)
+            half = 1.0 if y == 0 or y == last else 0.5
+            rows = bright[own : own + width], bright[above : above + width], bright[below : below + width]
+            _soft_row(rows[0], rows[1], rows[2], half, turn, softness, across, down)
+            for x in range(width):
+                known[x] = planes[4 * n + own + x]
         for x in range(width):
-            own = channels[y, x]
-            red, green, blue = planes[1, y, x], planes[2, y, x], planes[3, y, x]
-            if soft:
-                own[0], own[1], own[2], own[3], own[4], own[5] = across[x], down[x], red, green, blue, known[y, x]
-            else:
-                own[0], own[1], own[2], own[3], own[4], own[5] = red, green, blue, zero, zero, zero
-            own[6], own[7] = zero, usable[y, x]
+            usable[x] = planes[(5 if soft else 4) * n + own + x]
+        for x in range(0, width, SIZE):
+            interleave(channels, SIZE * (own + x), lines, x, stride)
 
 
 def lay_out(
-    planes: np.ndarray, known: np.ndarray, usable: np.ndarray, soft: bool, turn: np.ndarray, softness: float
+    planes: np.ndarray,
+    sigma: float,
+    unusable: float,
+    *,
+    soft: bool,
+    by_usable: bool,
+    by_known: bool,
+    turn: np.ndarray,
+    softness: float,
 ) -> np.ndarray:
-    """Interleave planes (4, h, w) to the eight channels (h, w, 8) float32 that the kernels sample, last ``usable``.
+    """Blur planes (6, h, w) and interleave them to the channels (h, w, 8) float32 that the kernels sample.
 
-    The planes are brightness and three colours, and ``known`` is the weight of the colours. If ``soft``, the channels
-    are directions (see :func:`soft_directions`), colours and ``known``, otherwise only the colours.
+    The planes, from :func:`new_planes`, are overwritten: brightness, three colours, the weight of the colours, and the
+    weight of the pixel. If ``soft``, the channels are directions (see :func:`soft_directions`), colours, their weight,
+    0, and the weight of the pixel. Otherwise they are the colours, zeros, and the weight of the colours. ``sigma`` is
+    the standard deviation of the blur. With ``by_usable`` and ``by_known`` pixels have their weights plus ``unusable``
+    in the blur of brightness and of colours, otherwise 1.
     """
-    channels = np.empty((*known.shape, 8), np.float32)
-    turn = np.ascontiguousarray(turn, np.float32)
-    across, down = np.empty(known.shape[1], np.float32), np.empty(known.shape[1], np.float32)
-    _lay_out(planes, known, usable, bool(soft), turn, softness, across, down, channels)
+    height, width = planes.shape[1:]
+    channels, switches = _with_room((height, width, 8)), (soft, by_usable and sigma > 0.0, by_known and sigma > 0.0)
+    bright, lines = np.empty(height * width + ROOM, np.float32), np.zeros(9 * (width + -width % (2 * SIZE)), np.float32)
+    blur, turn = (sigma, *_buffers(sigma, width)), np.ascontiguousarray(turn, np.float32)
+    _lay_out(planes.base, height, width, *switches, unusable, turn, softness, *blur, bright, lines, channels.base)
     return channels

@@ -213,7 +213,7 @@ class Means(NamedTuple):
     """Linear light of blocks of pixels."""
 
     light: np.ndarray
-    """(4, rows, columns) float32: R, G, B, and the fraction of usable pixels."""
+    """(rows, columns, 4) float32: R, G, B, and the fraction of usable pixels."""
     finite: np.ndarray | None = None
     """(rows, columns) float32: the fraction of finite pixels; None if all are finite."""
     grey: bool = False
@@ -223,13 +223,13 @@ class Means(NamedTuple):
         """Average blocks of ``size`` by ``size`` blocks; the first starts at ``start`` (x, y)."""
         if size == 1 and start[0] == int(start[0]) and start[1] == int(start[1]):
             x, y = int(start[0]), int(start[1])
-            part = np.s_[..., y : y + shape[0], x : x + shape[1]]
+            part = np.s_[y : y + shape[0], x : x + shape[1]]
             return self._replace(light=self.light[part], finite=None if self.finite is None else self.finite[part])
         from liaam.photometry import averaging  # numba: imported when first needed
 
         light, finite = averaging.value_means(self.light, start, size, shape), self.finite
         if finite is not None:
-            finite = averaging.value_means(np.repeat(finite[None], 4, axis=0), start, size, shape)[0]
+            finite = averaging.value_means(np.repeat(finite[..., None], 4, axis=2), start, size, shape)[..., 0]
         return self._replace(light=light, finite=finite)
 
 
@@ -250,8 +250,8 @@ def block_means(
     if image.dtype.kind == "u":
         top = np.iinfo(image.dtype).max
         limits = (int(np.ceil(DARK * top)), int(np.floor(SATURATED * top))) if encoding in LOGARITHMIC else (0, top)
-        table = _table(image.dtype.str, "linear", response)
-        return Means(averaging.stored_means(image, table, limits, start, size, (rows, columns)), None, grey)
+        tables = _light_tables(image.dtype.str, response, limits)
+        return Means(averaging.stored_means(image, tables, start, size, (rows, columns)), None, grey)
     at_once = max(1, int(FLOATS_AT_ONCE / (image.shape[1] * size)))  # rows of blocks
     parts = []
     for first in range(0, max(rows, 1), at_once):
@@ -275,7 +275,7 @@ def _light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) 
         usable = finite & np.asarray(((stored >= DARK) & (stored <= SATURATED)).all(axis=-1))
     # A curve may map highlights of float images beyond the range of single precision.
     linear = np.minimum(to_linear(stored, response), BRIGHTEST).astype(np.float32, copy=False)
-    light = np.concatenate([np.moveaxis(linear, -1, 0), usable[None]], axis=0, dtype=np.float32)
+    light = np.concatenate([linear, usable[..., None]], axis=2, dtype=np.float32)
     return Means(light, None if finite.all() else finite.astype(np.float32))
 
 
@@ -283,10 +283,10 @@ def _stacked(parts: Sequence[Means]) -> Means:
     """Means of parts of a picture, one below the other."""
     if len(parts) == 1:
         return parts[0]
-    light = np.concatenate([part.light for part in parts], axis=1)
+    light = np.concatenate([part.light for part in parts], axis=0)
     if all(part.finite is None for part in parts):
         return Means(light)
-    finite = [np.ones(part.light.shape[1:], np.float32) if part.finite is None else part.finite for part in parts]
+    finite = [np.ones(part.light.shape[:2], np.float32) if part.finite is None else part.finite for part in parts]
     return Means(light, np.concatenate(finite, axis=0))
 
 
@@ -307,16 +307,29 @@ def encode_means(
 
     if callable(encoding):
         return _own_channels(means, encoding, blur)
-    planes, known, usable = _planes(means, encoding, response, blur)
-    turn, soft = np.eye(2) if turn is None else turn, encoding in ("soft", "orientation")
-    softness = SOFTNESS * pixel if encoding == "soft" else FLAT
-    return averaging.lay_out(planes, known, usable, soft, turn, softness)
+    of = _log_planes(means, encoding, response) if encoding in LOGARITHMIC else _value_planes(means, encoding)
+    return averaging.lay_out(
+        of.planes,
+        blur,
+        UNUSABLE,
+        soft=encoding in ("soft", "orientation"),
+        by_usable=of.by_usable,
+        by_known=of.by_known,
+        turn=np.eye(2) if turn is None else turn,
+        softness=SOFTNESS * pixel if encoding == "soft" else FLAT,
+    )
 
 
-def _planes(means: Means, encoding: str, response: Response, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Blurred brightness (for gradients) and colours, the weight of the colours, and the weight of the pixel."""
-    if encoding not in LOGARITHMIC:
-        return _value_planes(means, encoding, blur)
+class _Planes(NamedTuple):
+    """What :func:`liaam.photometry.averaging.lay_out` takes: planes, and which weights the blur needs."""
+
+    planes: np.ndarray
+    by_usable: bool
+    by_known: bool
+
+
+def _log_planes(means: Means, encoding: str, response: Response) -> _Planes:
+    """Logarithms of brightness (for gradients) and colours, and weights."""
     import cv2  # heavy: imported when first needed
 
     from liaam.photometry import averaging
@@ -324,45 +337,42 @@ def _planes(means: Means, encoding: str, response: Response, blur: float) -> tup
     # A lower bound of linear light keeps logarithms finite, below every usable pixel.
     floor = 0.5 * float(to_linear(np.array(DARK), response))
     # The colours of a grey image have no weight: it has no invariant.
-    planes, known, every = averaging.light_planes(
-        means.light, BRIGHTNESS, ALL, means.grey, floor, LOG_FLOOR, float(UNUSABLE)
-    )
-    logs = planes[:4] if encoding == "soft" else planes[1:4]
-    flat = logs.reshape(-1, planes.shape[2])
+    planes, every = averaging.light_planes(means.light, BRIGHTNESS, ALL, means.grey, floor, LOG_FLOOR)
+    flat = planes[:4].reshape(-1, planes.shape[2])
     cv2.log(flat, flat)
-    if encoding == "log":
-        return (_blurred(planes, every, None, blur, 1) if blur > 0.0 else planes), known, known
-    usable = np.ones_like(known) if means.finite is None else (means.finite > ALL).astype(np.float32)
-    return (_blurred(planes, every, means.finite, blur) if blur > 0.0 else planes), known, usable
+    if means.finite is None:
+        return _Planes(planes, False, not every)
+    planes[5] = means.finite > ALL
+    return _Planes(planes, True, True)
 
 
-def _value_planes(means: Means, encoding: str, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Planes and weights for ``value`` and for ``orientation``, which uses gradients of blurred values."""
-    usable = (means.light[3] > ALL).astype(np.float32)
-    planes = np.zeros((5, *usable.shape), np.float32)
-    planes[1:4], planes[4] = linear_to_srgb(means.light[:3]), usable + UNUSABLE
-    if blur > 0.0:
-        planes = _blurred(planes, bool(usable.all()), None, blur, 1)
+def _value_planes(means: Means, encoding: str) -> _Planes:
+    """Planes for ``value`` and for ``orientation``, which uses gradients of luminance."""
+    from liaam.photometry import averaging  # numba: imported when first needed
+
+    planes, usable = averaging.new_planes(means.light.shape[:2]), means.light[..., 3] > ALL
+    values, partial = linear_to_srgb(means.light[..., :3]), not usable.all()
+    planes[5] = usable
     if encoding == "orientation":
-        planes[0] = np.tensordot(LUMINANCE[0].astype(np.float32), planes[1:4], axes=1)
-        planes[1:] = 0.0
-        return planes, planes[3], usable
-    return planes, usable, usable
+        planes[0], planes[1:5] = values @ LUMINANCE[0].astype(np.float32), 0.0
+        return _Planes(planes, partial, False)
+    planes[1:4], planes[4] = np.moveaxis(values, -1, 0), usable
+    return _Planes(planes, False, partial)
 
 
 def _own_channels(means: Means, encoding: Encoder, blur: float) -> np.ndarray:
     """Eight channels by a function of the user; unusable pixels hardly count in the blur."""
     from liaam.photometry import averaging  # numba: imported when first needed
 
-    usable = (means.light[3] > ALL).astype(np.float32)
-    values = encoding(np.ascontiguousarray(np.moveaxis(linear_to_srgb(means.light[:3]), 0, -1), np.float32))
+    usable = (means.light[..., 3] > ALL).astype(np.float32)
+    values = encoding(np.ascontiguousarray(linear_to_srgb(means.light[..., :3]), np.float32))
     channels = np.zeros((*usable.shape, 8), np.float32)
     channels[..., : values.shape[2]], channels[..., -1] = values, usable
     if blur > 0.0:
-        weight = usable + UNUSABLE
-        planes = np.ascontiguousarray(np.moveaxis(channels, -1, 0)) * weight
-        planes[-1], blurred = weight, np.empty_like(planes)
-        averaging.blur_planes(planes, blur, blurred)
+        weight = usable + np.float32(UNUSABLE)
+        planes = np.moveaxis(channels, -1, 0) * weight
+        planes[-1] = weight
+        blurred = averaging.blur_planes(planes, blur)
         channels[..., :-1] = np.moveaxis(blurred[:-1] / blurred[-1], 0, -1)
     return channels
 
@@ -379,6 +389,14 @@ def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
     return (linear if encoding == "linear" else linear_to_srgb(linear)).astype(np.float32)
 
 
+@lru_cache(maxsize=16)
+def _light_tables(dtype: str, response: Response, usable: tuple[int, int]) -> np.ndarray:
+    """Tables of linear light and usable values for :func:`liaam.photometry.averaging.stored_means`."""
+    from liaam.photometry import averaging  # numba: imported when first needed
+
+    return averaging.light_tables(_table(dtype, "linear", response), usable)
+
+
 def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarray:
     """Luminance of the encoding ``value``, (h, w) float32; see :func:`encode`."""
     from liaam.photometry import averaging  # numba: imported when first needed
@@ -389,31 +407,5 @@ def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarra
     return averaging.stored_luminance(image, _table(image.dtype.str, "value", response), LUMINANCE[0])
 
 
-UNUSABLE = np.float32(1e-3)
+UNUSABLE = 1e-3
 """Weight of an unusable pixel in a blur; usable pixels have about 1."""
-
-
-def _blurred(planes: np.ndarray, every: bool, finite: np.ndarray | None, sigma: float, first: int = 0) -> np.ndarray:
-    """Gaussian blur of planes (5, h, w) float32, which are overwritten; unusable pixels have hardly any weight.
-
-    The planes are brightness, three colours, and the colours' weights. ``every`` is whether these are usable
-    everywhere, ``finite`` the fraction of pixels with finite brightness or None if all are, and ``first`` 1 to skip the
-    brightness.
-    """
-    from liaam.photometry import averaging  # numba: imported when first needed
-
-    if every and finite is None:
-        planes = planes[:4]
-    else:
-        planes[1:4] *= planes[4]
-    if finite is not None:
-        weight = (finite > ALL) + UNUSABLE
-        planes[0] *= weight
-        planes = np.concatenate([planes, weight[None]])
-    blurred = np.empty_like(planes)
-    averaging.blur_planes(planes[first:], sigma, blurred[first:])
-    if len(planes) > 4:
-        blurred[1:4] /= blurred[4]
-    if finite is not None:
-        blurred[0] /= blurred[5]
-    return blurred
