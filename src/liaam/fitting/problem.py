@@ -8,7 +8,7 @@ import numpy as np
 from liaam.fitting.level import Picture
 from liaam.fitting.methods import Method
 from liaam.model.sampling import Light, Patch, make_patch
-from liaam.model.shape import Similarity
+from liaam.model.shape import Similarity, corners_of
 from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
 
 MARGIN = 0.4
@@ -169,6 +169,7 @@ def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel
 
 def noise_around(image: np.ndarray, shape: np.ndarray) -> float:
     """Measure the standard deviation of the noise around a shape, in stored values of [0, 1]."""
-    low = np.maximum(shape.min(axis=0).astype(int), 0)
-    high = np.maximum(shape.max(axis=0).astype(int) + 2, low + 8)
+    low, high = (corner.astype(int) for corner in corners_of(shape))
+    low = np.maximum(low, 0)
+    high = np.maximum(high + 2, low + 8)
     return noise_deviation(image[low[1] : high[1], low[0] : high[0]])

@@ -4,7 +4,7 @@ import numpy as np
 
 from liaam.errors import StartError
 from liaam.model import AAM
-from liaam.model.shape import align, diagonal_of
+from liaam.model.shape import align, corners_of
 
 WIDEST = 10.0
 """Largest size of a start, relative to the larger side of the image."""
@@ -36,21 +36,24 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
     """
     shape = _shape(model, _numbers(init, name), name)
     width, height = image_size
-    centre = 0.5 * (shape.min(axis=0) + shape.max(axis=0))
-    inside = ((shape >= 0) & (shape <= [width - 1, height - 1])).all(axis=1).mean()
-    if inside < 0.2:
-        raise StartError(
-            f"{name}: the start lies outside the image (centre {centre[0]:.0f}, {centre[1]:.0f}; the image is "
-            f"{width}×{height} pixels); give a start in pixels of this image"
-        )
-    extent = np.ptp(shape / max(width, height), axis=0).max()
+    low, high = corners_of(shape)
+    if low.min() < 0 or (high > (width - 1, height - 1)).any():
+        inside = ((shape >= 0) & (shape <= (width - 1, height - 1))).all(axis=1).mean()
+        if inside < 0.2:
+            x, y = 0.5 * (low + high)
+            raise StartError(
+                f"{name}: the start lies outside the image (centre {x:.0f}, {y:.0f}; the image is {width}×{height} "
+                "pixels); give a start in pixels of this image"
+            )
+    longest = max(width, height)
+    extent = (high / longest - low / longest).max()
     if not extent <= WIDEST:
         raise StartError(
             f"{name}: the start is {extent:.3g} times as large as the image ({width}×{height} pixels), but at most "
             f"{WIDEST:g} times is allowed; give a start in pixels of this image"
         )
     # Size of the aligned mean shape: it is 0 if all points coincide.
-    size = diagonal_of(model.shape_model.mean) * align(model.shape_model.mean, shape).scale
+    size = model.diagonal * align(model.shape_model.mean, shape).scale
     if not size >= 4.0:
         raise StartError(f"{name}: the start is only {size:.1f} pixels large; give a start as large as the object")
     return shape
@@ -125,6 +128,5 @@ def _from_point(model: AAM, given: np.ndarray, name: str) -> np.ndarray:
 
 def _place(model: AAM, centre: np.ndarray, diagonal: float) -> np.ndarray:
     """Return the mean shape with its bounding box at a centre and of a diagonal."""
-    mean = model.shape_model.mean
-    middle = 0.5 * (mean.min(axis=0) + mean.max(axis=0))
-    return (mean - middle) * (diagonal / diagonal_of(mean)) + centre
+    low, high = corners_of(model.shape_model.mean)
+    return (model.shape_model.mean - 0.5 * (low + high)) * (diagonal / model.diagonal) + centre

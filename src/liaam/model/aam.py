@@ -10,7 +10,7 @@ from liaam.model.file import file_bytes, read_fields
 from liaam.model.light import LightBasis
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.point_map import PointMap
-from liaam.model.shape import ShapeModel, diagonal_of
+from liaam.model.shape import ShapeModel
 from liaam.model.views import MESH, Level, View
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import CameraModel, Response
@@ -110,7 +110,7 @@ class AAM:
     @property
     def diagonal(self) -> float:
         """Diagonal of the mean shape's bounding box, pixels of the reference frame."""
-        return diagonal_of(self.shape_model.mean)
+        return self.shape_model.diagonal
 
     @property
     def is_colour(self) -> bool:

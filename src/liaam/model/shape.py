@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import hypot, isfinite, nan
 
 import numpy as np
 
@@ -21,9 +22,16 @@ from liaam.model.pca import (
 from liaam.model.shape_prior import Deviations, SmoothPrior, covariance, fit_freedom, fit_prior, modes_of
 
 
+def corners_of(shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner (x, y) of a shape's bounding box; NaN if a point is."""
+    across = np.ascontiguousarray(shape.T)  # long rows: twice as fast
+    return np.minimum.reduce(across, axis=1), np.maximum.reduce(across, axis=1)
+
+
 def diagonal_of(shape: np.ndarray) -> float:
     """Length of the diagonal of a shape's bounding box."""
-    return float(np.hypot(*(shape.max(axis=0) - shape.min(axis=0))))
+    low, high = corners_of(shape)
+    return hypot(*(high - low).tolist())
 
 
 def rotation(angle: float) -> np.ndarray:
@@ -62,16 +70,22 @@ def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
     """
     # A similarity without reflection is a complex factor: z_b = factor * z_a.
     za, zb = _as_complex(shape), _as_complex(target)
-    if not np.isfinite(za.sum() + zb.sum()):
+    a_mean, b_mean = _mean(za), _mean(zb)
+    if not isfinite(abs(a_mean) + abs(b_mean)):
         known = np.isfinite(za) & np.isfinite(zb)
         za, zb = za[known], zb[known]
-    a_mean, b_mean = za.mean(), zb.mean()
+        a_mean, b_mean = _mean(za), _mean(zb)
     za = za - a_mean
     power = float(np.vdot(za, za).real)
     factor = complex(np.vdot(za, zb - b_mean)) / power if power > 0 else 1.0 + 0j
-    offset = complex(b_mean - factor * a_mean)
+    offset = b_mean - factor * a_mean
     matrix = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
     return Similarity(matrix, np.array([offset.real, offset.imag]))
+
+
+def _mean(points: np.ndarray) -> complex:
+    """Mean of complex numbers; NaN without any."""
+    return complex(np.add.reduce(points)) / (len(points) or nan)
 
 
 def _as_complex(shape: np.ndarray) -> np.ndarray:
@@ -143,6 +157,11 @@ class ShapeModel:
     def basis(self) -> np.ndarray:
         """All shape vectors, PCA modes first and the four similarity vectors last, (m + 4, 2 n)."""
         return np.concatenate([self.modes, similarity_modes(self.mean)])
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Diagonal of the mean shape's bounding box, pixels of the reference frame."""
+        return diagonal_of(self.mean)
 
     @property
     def n_points(self) -> int:
