@@ -23,7 +23,7 @@ infer_global: Any = _infer_global
 
 SIZE = 8
 
-_INDEX, _LLVM, _HALF = ir.IntType(32), ir.VectorType(ir.FloatType(), SIZE), ir.VectorType(ir.FloatType(), SIZE // 2)
+_INDEX, _LLVM = ir.IntType(32), ir.VectorType(ir.FloatType(), SIZE)
 _FLAGS = ("contract", "reassoc", "nsz")  # a product and a sum may be one instruction
 
 
@@ -114,34 +114,6 @@ def total(_context, numbers):
         return builder.extract_element(rest, _INDEX(0))
 
     return types.float32(vector), codegen
-
-
-@intrinsic
-def pair(_context, span, first, second):
-    """Load four numbers of a float32 span from each of two indices."""
-
-    def codegen(context, builder, sig, args):
-        loaded = []
-        for at in args[1:]:
-            if context.enable_boundscheck:
-                pointer_to(context, builder, sig.args[0], args[0], [builder.add(at, at.type(SIZE // 2 - 1))])
-            place = pointer_to(context, builder, sig.args[0], args[0], [at])
-            loaded.append(builder.load(builder.bitcast(place, _HALF.as_pointer())))
-            loaded[-1].align = 4
-        return _mixed(builder, loaded[0], loaded[1], range(SIZE))
-
-    return vector(span, types.intp, types.intp), codegen
-
-
-@intrinsic
-def both(_context, first, second):
-    """Make a vector with one float32 in the first four lanes and another in the others."""
-
-    def codegen(_context, builder, _signature, args):
-        low, high = (_every(builder, number) for number in args)
-        return _mixed(builder, low, high, [0, 1, 2, 3, 8, 9, 10, 11])
-
-    return vector(types.float32, types.float32), codegen
 
 
 @intrinsic

@@ -8,7 +8,7 @@ from liaam.kernels.compiled import Compiled, compiled
 from liaam.kernels.fields import Byte2, Double1, Long1, Short1, Single1, Single2, Single3, Word2
 from liaam.kernels.jit import F as _F
 from liaam.kernels.jit import jit as _jit
-from liaam.kernels.vectors import SIZE, both, interleave, load, pair, store
+from liaam.kernels.vectors import SIZE, every, halves, interleave, load, store
 
 # Callers allocate the arrays: compiling np.empty takes as long as compiling a loop. Loops with vectors of eight numbers
 # may write beyond a row: the next row overwrites that, and arrays have room after the last.
@@ -18,10 +18,10 @@ ROOM = SIZE * SIZE
 
 
 @compiled
-def _taps(n_in: int, start: float, size: float, first: Long1, shares: Single2) -> None:
-    """First pixel of each block, and the weights of that pixel and the following ones in the block's mean."""
-    for j in range(shares.shape[0]):
-        low = start + j * size
+def _taps(n_in: int, start: float, size: float, first: Long1, shares: Single2, begin: int, end: int) -> None:
+    """First pixel of blocks ``begin`` to ``end``, and the weights of it and the following ones in the block's mean."""
+    for j in range(begin, end):
+        low = start + (j - begin) * size
         high = low + size if low + size < n_in else float(n_in)
         at = int(low) if low < n_in - 1 else n_in - 1
         first[j] = at
@@ -32,72 +32,66 @@ def _taps(n_in: int, start: float, size: float, first: Long1, shares: Single2) -
 
 
 @compiled
-def _cut(sums: Single1, first: Long1, shares: Single2, means: Single1, to: int) -> None:
-    """Average a sum of rows of pixels, four numbers each, into a row of blocks, two at a time."""
-    for j in range(0, len(first), 2):
-        a, b = 4 * first[j], 4 * first[j + 1]
-        total = both(shares[j, 0], shares[j + 1, 0]) * pair(sums, a, b)
-        for k in range(1, shares.shape[1]):
-            total = total + both(shares[j, k], shares[j + 1, k]) * pair(sums, a + 4 * k, b + 4 * k)
+def _cut(sums: Single1, first: Long1, shares: Single2, n: int, means: Single1, to: int) -> None:
+    """Average a sum of rows of pixels, four numbers each, into a row of n blocks, two at a time."""
+    for j in range(0, n, 2):
+        total = _F(0.0) * load(sums, 0)
+        for k in range(shares.shape[1]):
+            weights, a, b = halves(every(shares[j, k]), every(shares[j + 1, k])), first[j] + k, first[j + 1] + k
+            total = total + weights * halves(load(sums, 4 * a), load(sums, 4 * b))
         store(means, to + 4 * j, total)
 
 
-def _stored_means(
-    lines: Byte2,
-    tables: Single2,
-    grid: Double1,
-    first_x: Long1,
-    shares_x: Single2,
-    first_y: Long1,
-    shares_y: Single2,
-    sums: Single1,
-    light: Single1,
-    means: Single1,
-    columns: int,
+def _block_means(
+    lines: Byte2, tables: Single2, grid: Double1, first: Long1, shares: Single2, rows: Single2, means: Single1, n: int
 ) -> None:
     # Rows of pixels are converted to linear light and summed; only the sums are averaged into blocks.
-    width, at, reds, greens, blues = lines.shape[1] // 3, -1, tables[0], tables[1], tables[2]
-    _taps(width, grid[0], grid[2], first_x, shares_x)
-    _taps(lines.shape[0], grid[1], grid[2], first_y, shares_y)
-    for i in range(len(first_y)):
+    plain, even, at, sums, light = tables.shape[1] == 0, n + n % 2, -1, rows[0], rows[1]
+    width, reds, greens, blues = lines.shape[1] // (4 if plain else 3), tables[0], tables[1], tables[2]
+    _taps(width, grid[0], grid[2], first, shares, 0, even)
+    _taps(lines.shape[0], grid[1], grid[2], first, shares, even, len(first))
+    for i in range(even, len(first)):
         for x in range(len(sums)):
             sums[x] = _F(0.0)
-        for k in range(shares_y.shape[1]):
-            y, share = first_y[i] + k, shares_y[i, k]
+        for k in range(shares.shape[1]):
+            y, share = first[i] + k, shares[i, k]
             if share <= _F(0.0):
                 continue
-            if y == at:  # blocks that cut through pixels share a row
-                for x in range(len(sums)):
-                    sums[x] += share * light[x]
-                continue
-            at, row = y, lines[y]
-            for x in range(0, width, 2):
-                a = 3 * x
-                b = a + 3 if x + 1 < width else a
-                both_reds = pair(reds, 4 * row[a], 4 * row[b])
-                both_greens = pair(greens, 4 * row[a + 1], 4 * row[b + 1])
-                own = both_reds * both_greens * pair(blues, 4 * row[a + 2], 4 * row[b + 2])
-                store(light, 4 * x, own)
-                store(sums, 4 * x, load(sums, 4 * x) + share * own)
-        _cut(sums, first_x, shares_x, means, 4 * columns * i)
+            known, at, row = y == at, y, lines[y]  # blocks that cut through pixels share a row
+            if not known:
+                for x in range(0, 0 if plain else width, 2):
+                    a = 3 * x
+                    b = a + 3 if x + 1 < width else a
+                    two = halves(load(reds, 4 * int(row[a])), load(reds, 4 * int(row[b])))
+                    two = two * halves(load(greens, 4 * int(row[a + 1])), load(greens, 4 * int(row[b + 1])))
+                    two = two * halves(load(blues, 4 * int(row[a + 2])), load(blues, 4 * int(row[b + 2])))
+                    store(light, 4 * x, two)
+                    store(sums, 4 * x, load(sums, 4 * x) + share * two)
+                for x in range(4 * width if plain else 0):
+                    light[x] = _F(row[x])
+            for x in range(len(sums) if known or plain else 0):
+                sums[x] += share * light[x]
+        _cut(sums, first, shares, n, means, 4 * n * (i - even))
 
 
 _MEANS_OF = {
-    np.dtype(np.uint8): Compiled(_stored_means),
-    np.dtype(np.uint16): Compiled(_stored_means, lines=Word2),
+    np.dtype(np.uint8): Compiled(_block_means),
+    np.dtype(np.uint16): Compiled(_block_means, lines=Word2),
+    np.dtype(np.float32): Compiled(_block_means, lines=Single2),
 }
 
 
 def light_tables(light: np.ndarray, usable: tuple[int, int]) -> np.ndarray:
-    """Make the tables for :func:`stored_means`, (3, 4 n) float32, from the light (n,) of each stored value.
+    """Make the tables for :func:`stored_means`, (3, 4 n + 4) float32, from the light (n,) of each stored value.
 
     ``usable`` is the range of usable stored values, both included. The product of the entries of a pixel's R, G and B
     is its light R, G and B, and 1 if all three are usable, else 0.
     """
-    tables, values = np.ones((3, len(light), 4), np.float32), np.arange(len(light))
+    n, values = len(light), np.arange(len(light))
+    tables = np.ones((3, n + 1, 4), np.float32)  # room for a vector after the last entry
     for channel in range(3):
-        tables[channel, :, channel] = light
-        tables[channel, :, 3] = (usable[0] <= values) & (values <= usable[1])
+        tables[channel, :n, channel] = light
+        tables[channel, :n, 3] = (usable[0] <= values) & (values <= usable[1])
     return tables.reshape(3, -1)
 
 
@@ -110,55 +104,19 @@ def stored_means(
     least 1, may cut through pixels, and ``shape`` is their number. Returns the mean R, G, B, and the fraction of usable
     pixels, (rows, columns, 4) float32.
     """
-    lines = np.ascontiguousarray(image).reshape(len(image), -1)
-    return _averaged(_MEANS_OF[image.dtype], (lines, tables), image.shape[1], start, size, shape)
-
-
-def _averaged(
-    loop: Compiled, given: tuple, width: int, start: tuple[float, float], size: float, shape: tuple[int, int]
-) -> np.ndarray:
-    """Call a loop that averages blocks of pixels, with space for weights, for sums of rows of pixels and for means."""
-    (rows, columns), n_taps = shape, int(np.ceil(size)) + 1
-    even, means = columns + columns % 2, np.empty(4 * (rows * columns + 1), np.float32)
+    (rows, columns), n_taps, width = shape, int(np.ceil(size)) + 1, image.shape[1]
+    n, means = columns + columns % 2 + rows, np.empty(4 * (rows * columns + 1), np.float32)
     # Blocks at the border read pixels outside, with weight 0.
-    buffers = np.zeros((2, 4 * (width + n_taps + 1)), np.float32)
-    taps = [np.empty(of, kind) for n in (even, rows) for of, kind in ((n, np.int64), ((n, n_taps), np.float32))]
-    loop(*given, np.array([*start, size], np.float64), *taps, *buffers, means, columns)
+    sums = np.zeros((2, 4 * (width + n_taps + 2)), np.float32)
+    buffers = np.empty(n, np.int64), np.empty((n, n_taps), np.float32), sums, means
+    lines, grid = np.ascontiguousarray(image).reshape(len(image), -1), np.array([*start, size], np.float64)
+    _MEANS_OF[image.dtype](lines, tables, grid, *buffers, columns)
     return means[:-4].reshape(rows, columns, 4)
-
-
-@compiled
-def _value_means(
-    values: Single2,
-    grid: Double1,
-    first_x: Long1,
-    shares_x: Single2,
-    first_y: Long1,
-    shares_y: Single2,
-    sums: Single1,
-    _light: Single1,
-    means: Single1,
-    columns: int,
-) -> None:
-    width = values.shape[1]
-    _taps(width // 4, grid[0], grid[2], first_x, shares_x)
-    _taps(values.shape[0], grid[1], grid[2], first_y, shares_y)
-    for i in range(len(first_y)):
-        for x in range(width):
-            sums[x] = _F(0.0)
-        for k in range(shares_y.shape[1]):
-            y, share = first_y[i] + k, shares_y[i, k]
-            if share > _F(0.0):
-                row = values[y]
-                for x in range(width):
-                    sums[x] += share * row[x]
-        _cut(sums, first_x, shares_x, means, 4 * columns * i)
 
 
 def value_means(values: np.ndarray, start: tuple[float, float], size: float, shape: tuple[int, int]) -> np.ndarray:
     """Average blocks of pixels of four numbers (h, w, 4) float32 to (rows, columns, 4); see :func:`stored_means`."""
-    lines = np.ascontiguousarray(values).reshape(len(values), -1)
-    return _averaged(_value_means, (lines,), values.shape[1], start, size, shape)
+    return stored_means(values, np.empty((3, 0), np.float32), start, size, shape)
 
 
 @_jit
@@ -253,40 +211,33 @@ def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 @compiled
 def _soft_row(
-    own: Single1,
-    above: Single1,
-    below: Single1,
-    half: float,
-    turn: Single2,
-    softness: float,
-    across: Single1,
-    down: Single1,
+    flat: Single1, height: int, width: int, y: int, turn: Single2, softness: float, across: Single1, down: Single1
 ) -> None:
     """Rotated gradient g along a row, by differences of neighbours, normalised to g / sqrt(|g|^2 + softness^2).
 
-    ``half`` is the weight of the difference of the rows above and below. Rows are contiguous, so that the compiler can
-    vectorise.
+    Rows are contiguous, so that the compiler can vectorise.
     """
-    right, square, factor = len(own) - 1, _F(softness * softness), _F(half)
+    right, square, at = width - 1, _F(softness * softness), y * width
+    over, under = at - (width if y > 0 else 0), at + (width if y < height - 1 else 0)
+    own, above, below = flat[at : at + width], flat[over : over + width], flat[under : under + width]
+    half = _F(0.5 if 0 < y < height - 1 else 1.0)
     xx, xy, yx, yy = turn[0, 0], turn[0, 1], turn[1, 0], turn[1, 1]
     for x in range(1, right):
         across[x] = _F(0.5) * (own[x + 1] - own[x - 1])
     across[0], across[right] = own[1 if right > 0 else 0] - own[0], own[right] - own[right - 1 if right > 0 else 0]
-    for x in range(right + 1):
-        gx, gy = across[x], factor * (below[x] - above[x])
+    for x in range(width):
+        gx, gy = across[x], half * (below[x] - above[x])
         tx, ty = xx * gx + xy * gy, yx * gx + yy * gy
         scale = _F(1.0) / np.sqrt(tx * tx + ty * ty + square)
         across[x], down[x] = tx * scale, ty * scale
 
 
 @compiled
-def _soft_directions(picture: Single2, turn: Single2, softness: float, lines: Single2, out: Single3) -> None:
-    last = len(picture) - 1
-    for y in range(last + 1):
-        above, below = y - 1 if y > 0 else 0, y + 1 if y < last else last
-        half = 1.0 if y == 0 or y == last else 0.5
-        _soft_row(picture[y], picture[above], picture[below], half, turn, softness, lines[0], lines[1])
-        for x in range(picture.shape[1]):
+def _soft_directions(flat: Single1, turn: Single2, softness: float, lines: Single2, out: Single3) -> None:
+    height, width = out.shape[0], out.shape[1]
+    for y in range(height):
+        _soft_row(flat, height, width, y, turn, softness, lines[0], lines[1])
+        for x in range(width):
             out[y, x, 0], out[y, x, 1] = lines[0, x], lines[1, x]
 
 
@@ -299,7 +250,7 @@ def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> n
     out = np.empty((*picture.shape, 2), np.float32)
     turn = np.ascontiguousarray(turn, dtype=np.float32)
     lines = np.empty((2, picture.shape[1]), np.float32)
-    _soft_directions(np.ascontiguousarray(picture, dtype=np.float32), turn, softness, lines, out)
+    _soft_directions(np.ascontiguousarray(picture, dtype=np.float32).reshape(-1), turn, softness, lines, out)
     return out
 
 
@@ -326,21 +277,16 @@ def light_planes(
 
     Colours are usable where the fraction of usable pixels exceeds ``least``, unless the image is grey. ``weights`` are
     those of R, G and B in brightness, ``floor`` their lower bound, and ``dark`` is added to brightness. Returns planes
-    from :func:`new_planes`, all pixels usable, and whether the colours are usable everywhere.
+    from :func:`with_room`, all pixels usable, and whether the colours are usable everywhere.
     """
-    planes, limits = new_planes(means.shape[:2]), np.array([np.inf if grey else least, floor, dark], np.float32)
+    planes, limits = with_room((6, *means.shape[:2])), np.array([np.inf if grey else least, floor, dark], np.float32)
     means = np.ascontiguousarray(means).reshape(-1)
     n_known = _light_planes(means, np.asarray(weights, np.float32), limits, planes.base)
     return planes, n_known == len(means) // 4
 
 
-def new_planes(shape: tuple[int, int]) -> np.ndarray:
-    """Allocate the planes that :func:`lay_out` takes, (6, h, w) float32."""
-    return _with_room((6, *shape))
-
-
-def _with_room(shape: tuple[int, ...]) -> np.ndarray:
-    """Allocate an array, whose base is flat and has room for eight vectors more."""
+def with_room(shape: tuple[int, ...]) -> np.ndarray:
+    """Allocate an array of float32, whose base is flat and has room for eight vectors more."""
     n = prod(shape)
     return np.empty(n + ROOM, np.float32)[:n].reshape(shape)
 
@@ -409,69 +355,48 @@ def _buffers(sigma: float, width: int) -> tuple[np.ndarray, np.ndarray]:
 
 def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:
     """Blur planes (n, h, w) with standard deviation ``sigma``; border pixels are replicated."""
-    given, blurred = _with_room(planes.shape), _with_room(planes.shape)
+    given, blurred = with_room(planes.shape), with_room(planes.shape)
     given[...] = planes
     _blur(given.base, *planes.shape[1:], sigma, *_buffers(sigma, planes.shape[2]), blurred.base)
     return blurred
 
 
 @compiled
-def _multiply(planes: Single1, plane: int, by: int, n: int, more: float) -> None:
-    """Multiply a plane by the weights in another one, plus ``more``."""
-    own, weights, extra = planes[plane : plane + n], planes[by : by + n], _F(more)
+def _divide(line: Single1, weights: Single1, least: float, n: int) -> None:
     for x in range(n):
-        own[x] *= weights[x] + extra
+        line[x] /= weights[x] + _F(least)
 
 
 @compiled
 def _lay_out(
-    planes: Single1,
-    height: int,
-    width: int,
-    soft: bool,
-    by_usable: bool,
-    by_known: bool,
-    unusable: float,
-    turn: Single2,
-    softness: float,
-    sigma: float,
-    taps: Single1,
-    line: Single1,
-    bright: Single1,
-    lines: Single1,
-    channels: Single1,
-) -> None:
-    n, stride, last, least = height * width, len(lines) // 9, height - 1, _F(unusable)
-    across, down, colours = lines[0:], lines[stride:], 2 if soft else 0
+    planes: Single1, height: int, width: int, soft: bool, by_usable: bool, by_known: bool, least: float, turn: Single2,
+    softness: float, sigma: float, taps: Single1, line: Single1, bright: Single1, lines: Single1, channels: Single1,
+) -> None:  # fmt: skip
+    n, stride, colours, room = height * width, len(lines) // 9, 2 if soft else 0, _F(least)
     known, usable, weights = lines[5 * stride :], lines[7 * stride :], lines[8 * stride :]
     _gaussian(sigma, taps)
-    if soft:
+    for x in range(n):  # pixels count in the blur by their weight, but for a little
+        if soft and by_usable:
+            planes[x] *= planes[5 * n + x] + room
+        if by_known:
+            planes[n + x] *= planes[4 * n + x] + room
+            planes[2 * n + x] *= planes[4 * n + x] + room
+            planes[3 * n + x] *= planes[4 * n + x] + room
+    for y in range(height if soft else 0):
+        _blur_row(planes, 0, height, width, y, taps, line, bright, y * width)
         if by_usable:
-            _multiply(planes, 0, 5 * n, n, unusable)
-        for y in range(height):
-            _blur_row(planes, 0, height, width, y, taps, line, bright, y * width)
-            if by_usable:
-                _blur_row(planes, 5 * n, height, width, y, taps, line, weights, 0)
-                own = bright[y * width : (y + 1) * width]
-                for x in range(width):
-                    own[x] /= weights[x] + least
-    if by_known:
-        for c in range(1, 4):
-            _multiply(planes, c * n, 4 * n, n, unusable)
+            _blur_row(planes, 5 * n, height, width, y, taps, line, weights, 0)
+            _divide(bright[y * width : (y + 1) * width], weights, least, width)
     for y in range(height):
+        own = y * width
         for c in range(3):
             _blur_row(planes, (c + 1) * n, height, width, y, taps, line, lines, (colours + c) * stride)
         if by_known:
             _blur_row(planes, 4 * n, height, width, y, taps, line, weights, 0)
             for c in range(3):
-                own = lines[(colours + c) * stride :]
-                for x in range(width):
-                    own[x] /= weights[x] + least
-        own, above, below = y * width, (y - 1 if y > 0 else 0) * width, (y + 1 if y < last else last) * width
+                _divide(lines[(colours + c) * stride :], weights, least, width)
         if soft:
-            half = 1.0 if y == 0 or y == last else 0.5
-            rows = bright[own : own + width], bright[above : above + width], bright[below : below + width]
-            _soft_row(rows[0], rows[1], rows[2], half, turn, softness, across, down)
+            _soft_row(bright, height, width, y, turn, softness, lines[0:], lines[stride:])
             for x in range(width):
                 known[x] = planes[4 * n + own + x]
         for x in range(width):
@@ -482,25 +407,23 @@ def _lay_out(
 
 def lay_out(
     planes: np.ndarray,
+    weighed: tuple[bool, bool],
     sigma: float,
     unusable: float,
-    *,
     soft: bool,
-    by_usable: bool,
-    by_known: bool,
     turn: np.ndarray,
     softness: float,
 ) -> np.ndarray:
     """Blur planes (6, h, w) and interleave them to the channels (h, w, 8) float32 that the kernels sample.
 
-    The planes, from :func:`new_planes`, are overwritten: brightness, three colours, the weight of the colours, and the
+    The planes, from :func:`with_room`, are overwritten: brightness, three colours, the weight of the colours, and the
     weight of the pixel. If ``soft``, the channels are directions (see :func:`soft_directions`), colours, their weight,
     0, and the weight of the pixel. Otherwise they are the colours, zeros, and the weight of the colours. ``sigma`` is
-    the standard deviation of the blur. With ``by_usable`` and ``by_known`` pixels have their weights plus ``unusable``
-    in the blur of brightness and of colours, otherwise 1.
+    the standard deviation of the blur, ``weighed`` whether brightness, and colours, are blurred with the weights of the
+    pixels plus ``unusable``.
     """
     height, width = planes.shape[1:]
-    channels, switches = _with_room((height, width, 8)), (soft, by_usable and sigma > 0.0, by_known and sigma > 0.0)
+    channels, switches = with_room((height, width, 8)), (soft, *(each and sigma > 0.0 for each in weighed))
     bright, lines = np.empty(height * width + ROOM, np.float32), np.zeros(9 * (width + -width % (2 * SIZE)), np.float32)
     blur, turn = (sigma, *_buffers(sigma, width)), np.ascontiguousarray(turn, np.float32)
     _lay_out(planes.base, height, width, *switches, unusable, turn, softness, *blur, bright, lines, channels.base)

@@ -307,29 +307,14 @@ def encode_means(
 
     if callable(encoding):
         return _own_channels(means, encoding, blur)
-    of = _log_planes(means, encoding, response) if encoding in LOGARITHMIC else _value_planes(means, encoding)
-    return averaging.lay_out(
-        of.planes,
-        blur,
-        UNUSABLE,
-        soft=encoding in ("soft", "orientation"),
-        by_usable=of.by_usable,
-        by_known=of.by_known,
-        turn=np.eye(2) if turn is None else turn,
-        softness=SOFTNESS * pixel if encoding == "soft" else FLAT,
-    )
+    planes = _log_planes(means, response) if encoding in LOGARITHMIC else _value_planes(means, encoding)
+    turn, soft = np.eye(2) if turn is None else turn, encoding in ("soft", "orientation")
+    softness = SOFTNESS * pixel if encoding == "soft" else FLAT
+    return averaging.lay_out(*planes, blur, UNUSABLE, soft, turn, softness)
 
 
-class _Planes(NamedTuple):
-    """What :func:`liaam.photometry.averaging.lay_out` takes: planes, and which weights the blur needs."""
-
-    planes: np.ndarray
-    by_usable: bool
-    by_known: bool
-
-
-def _log_planes(means: Means, encoding: str, response: Response) -> _Planes:
-    """Logarithms of brightness (for gradients) and colours, and weights."""
+def _log_planes(means: Means, response: Response) -> tuple[np.ndarray, tuple[bool, bool]]:
+    """Logarithms of brightness (for gradients) and colours, weights, and which of them the blur needs."""
     import cv2  # heavy: imported when first needed
 
     from liaam.photometry import averaging
@@ -341,23 +326,23 @@ def _log_planes(means: Means, encoding: str, response: Response) -> _Planes:
     flat = planes[:4].reshape(-1, planes.shape[2])
     cv2.log(flat, flat)
     if means.finite is None:
-        return _Planes(planes, False, not every)
+        return planes, (False, not every)
     planes[5] = means.finite > ALL
-    return _Planes(planes, True, True)
+    return planes, (True, True)
 
 
-def _value_planes(means: Means, encoding: str) -> _Planes:
+def _value_planes(means: Means, encoding: str) -> tuple[np.ndarray, tuple[bool, bool]]:
     """Planes for ``value`` and for ``orientation``, which uses gradients of luminance."""
     from liaam.photometry import averaging  # numba: imported when first needed
 
-    planes, usable = averaging.new_planes(means.light.shape[:2]), means.light[..., 3] > ALL
+    planes, usable = averaging.with_room((6, *means.light.shape[:2])), means.light[..., 3] > ALL
     values, partial = linear_to_srgb(means.light[..., :3]), not usable.all()
     planes[5] = usable
     if encoding == "orientation":
         planes[0], planes[1:5] = values @ LUMINANCE[0].astype(np.float32), 0.0
-        return _Planes(planes, partial, False)
+        return planes, (partial, False)
     planes[1:4], planes[4] = np.moveaxis(values, -1, 0), usable
-    return _Planes(planes, False, partial)
+    return planes, (False, partial)
 
 
 def _own_channels(means: Means, encoding: Encoder, blur: float) -> np.ndarray:
