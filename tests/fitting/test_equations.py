@@ -61,12 +61,12 @@ class Dense:
     def eliminated(self, kernel) -> tuple[np.ndarray, np.ndarray]:
         hessian, gradient = self.J.T @ self.J, self.J.T @ self.r
         m, n_q = self.aj.shape
-        room = np.empty((m, n_q)), np.empty((m, 1))
+        room = np.empty((m, n_q)), np.empty((m, 1)), np.empty((n_q, n_q))
         kernel.eliminate(self.factor, self.aj, self.ar, hessian, gradient, *room)
         return hessian, gradient
 
 
-@given(n_q=st.integers(1, 7), m=st.sampled_from([0, 1, 3, 8, 13]), seed=seeds)
+@given(n_q=st.integers(1, 19), m=st.sampled_from([0, 1, 3, 8, 13]), seed=seeds)
 def test_the_reduced_system_is_that_of_projected_columns(kernel, n_q, m, seed):
     """J'QJ and J'Qr: the Schur complement of A'A."""
     dense = Dense(np.random.default_rng(seed), n_q, m)

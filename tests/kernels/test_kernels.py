@@ -25,7 +25,7 @@ from liaam.model.appearance import CHANNELS, AppearanceModel
 from liaam.model.mesh import barycentric
 from liaam.model.sampling import Patch
 from liaam.model.shape import Similarity
-from liaam.model.warp import FLAT, Mesh
+from liaam.model.warp import FLAT, Mesh, padded
 from setups import Kernel, differentiate, disturb, look_again, model_pixels, stands_light
 
 HEIGHT, WIDTH = 9, 12
@@ -435,7 +435,8 @@ class AnyMesh:
         return np.repeat(np.arange(len(self.triangles)), np.diff(self.starts))
 
     def mesh(self) -> Mesh:
-        return Mesh(self.beta, self.starts, self.triangles, self.rest, self.basis, 0.5)
+        basis = np.pad(self.basis, ((0, 0), (0, padded(self.n_parameters) - self.n_parameters)))
+        return Mesh(self.beta, self.starts, self.triangles, self.rest, basis, 0.5)
 
     def vertices(self, p: np.ndarray) -> np.ndarray:
         return self.rest + (self.basis @ p).reshape(-1, 2)

@@ -16,6 +16,7 @@ import numpy as np
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2
 from liaam.kernels.jit import jit
+from liaam.kernels.vectors import SIZE, every, load, store
 
 
 @compiled
@@ -67,17 +68,30 @@ def solve_lower(factor: Double2, right: Double2) -> None:
 
 
 @compiled
-def add_product(left: Double2, right: Double2, scale: float, out: Double2) -> None:
-    """Add ``scale`` times the product L'R of L (n, a) and R (n, b) to a matrix (a, b)."""
-    n = len(left)
-    even = n - n % 4
-    for i in range(0, even, 4):
-        a, b, c, d = left[i], left[i + 1], left[i + 2], left[i + 3]
-        for j in range(len(out)):
-            add_rows(out[j], right, i, scale * a[j], scale * b[j], scale * c[j], scale * d[j])
-    for i in range(even, n):
-        for j in range(len(out)):
-            add_row(out[j], right[i], scale * left[i, j])
+def multiply(left: Double2, right: Double2, out: Double2) -> None:
+    """Write the product L'R of L (n, a or more) and R (n, b) to a matrix (a, b).
+
+    Blocks of four rows and eight columns are summed in registers. The last block begins earlier, to fit in.
+    """
+    n, last, wide = len(left), len(out) - 1, right.shape[1]
+    if wide < SIZE:
+        clear(out)
+        for i in range(n):
+            for j in range(len(out)):
+                add_row(out[j], right[i], left[i, j])
+        return
+    for j in range(0, len(out), 4):
+        k, m, o = j + 1 if j < last else last, j + 2 if j + 1 < last else last, j + 3 if j + 2 < last else last
+        for column in range(0, wide, SIZE):
+            at = column if column + SIZE <= wide else wide - SIZE
+            a = b = c = d = every(0.0)
+            for i in range(n):
+                scales, row = left[i], load(right[i], at)
+                a, b, c, d = a + scales[j] * row, b + scales[k] * row, c + scales[m] * row, d + scales[o] * row
+            store(out[j], at, a)
+            store(out[k], at, b)
+            store(out[m], at, c)
+            store(out[o], at, d)
 
 
 @compiled
@@ -225,6 +239,7 @@ def eliminate(
     gradient: Double1,
     whitened: Double2,
     along: Double2,
+    room: Double2,
 ) -> None:
     """Replace J'J (n_q, n_q) and J'r (n_q,) by the symmetrised Hessian J'QJ and the gradient J'Qr (eq 5), in place.
 
@@ -235,8 +250,8 @@ def eliminate(
     aj, ar : (m, n_q), (m,) float64
         A'J and A'r.
     hessian, gradient : (n_q, n_q), (n_q,) float64
-    whitened, along : (m, n_q), (m, 1) float64
-        Scratch: L^-1 A'J and L^-1 A'r.
+    whitened, along, room : (m, n_q), (m, 1), (n_q, n_q) float64
+        Scratch: L^-1 A'J, L^-1 A'r, and the product of the first with itself.
     """
     n = len(gradient)
     for i in range(len(ar)):
@@ -246,10 +261,10 @@ def eliminate(
     solve_lower(factor, along)
     for i in range(len(ar)):
         add_row(gradient, whitened[i], -along[i, 0])
-    add_product(whitened, whitened, -1.0, hessian)
+    multiply(whitened, whitened, room)
     for a in range(n):
-        for b in range(a):
-            hessian[a, b] = hessian[b, a] = 0.5 * (hessian[a, b] + hessian[b, a])
+        for b in range(a + 1):
+            hessian[a, b] = hessian[b, a] = 0.5 * (hessian[a, b] + hessian[b, a]) - room[a, b]
 
 
 @compiled

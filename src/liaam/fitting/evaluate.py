@@ -3,7 +3,7 @@
 A method's :class:`liaam.fitting.level.Row` lists the functions below that it uses.
 """
 
-from liaam.fitting.equations import copy, eliminate, length, solve
+from liaam.fitting.equations import copy, eliminate, length, multiply, solve
 from liaam.fitting.jacobian import (
     add_modes,
     add_squares,
@@ -11,7 +11,6 @@ from liaam.fitting.jacobian import (
     combine,
     dots,
     pull,
-    to_parameters,
     weigh_columns,
 )
 from liaam.fitting.level import SHOWN, UNIT, Picture, Row, Template, Work
@@ -179,17 +178,18 @@ def expect(template: Template, work: Work) -> None:
 def sum_products(template: Template, work: Work, image_slopes: Single1, expected: Single1) -> None:
     """Sum the products E'J, A'J and E'r of the derivatives by p, and those of E with the columns of the angles."""
     mesh, n_p, n_free = template.warp, len(work.p), len(work.columns)
+    wide = mesh.basis.shape[1]
     fours, room = work.fours, work.room
     for f in range(n_free if n_free else 1):
         weigh_columns(image_slopes, work.root, work.residual, work.columns, f, fours)
         add_squares(mesh.beta, mesh.starts, mesh.triangles, mesh.basis, fours, expected, room, work.squares)
-        to_parameters(work.squares, mesh.basis, work.carried_squares)
+        multiply(mesh.basis, work.squares, work.carried_squares)  # to the warp's parameters
         for i in range(n_p if n_free else 0):
-            work.hessian[i, n_p + f] = work.hessian[n_p + f, i] = work.carried_squares[i, n_p + 1]
+            work.hessian[i, n_p + f] = work.hessian[n_p + f, i] = work.carried_squares[i, wide + 1]
     add_modes(mesh.beta, mesh.starts, mesh.triangles, fours, work.lines, room, work.products)
-    to_parameters(work.products, mesh.basis, work.carried_products)
+    multiply(mesh.basis, work.products, work.carried_products)
     for i in range(n_p):
-        work.gradient[i] = work.carried_squares[i, n_p]
+        work.gradient[i] = work.carried_squares[i, wide]
         for j in range(n_p):
             work.hessian[i, j] = work.carried_squares[i, j]
         for j in range(len(work.lam)):
@@ -206,7 +206,7 @@ def differentiate(template: Template, row: Row, work: Work, image_slopes: Single
     if len(work.columns):
         row.add_angles(template, row, work)
     sum_products(template, work, image_slopes, expected)
-    eliminate(work.factor, work.aj, work.ar, work.hessian, work.gradient, work.eliminated, work.along)
+    eliminate(work.factor, work.aj, work.ar, work.hessian, work.gradient, work.eliminated, work.along, work.small[0])
 
 
 @compiled

@@ -12,7 +12,7 @@ the result of each function.
 
 import numpy as np
 
-from liaam.fitting.equations import add_product, clear
+from liaam.fitting.equations import clear
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2, Long1, Long2, Single1, Single2, Single3
 from liaam.kernels.jit import F
@@ -175,11 +175,11 @@ def add_squares(
         Expected spatial gradients of the residuals.
     room : (48,) float32
         Scratch.
-    lines : (2 v, n_p + 2) float64
+    lines : (2 v, w + 8) float64, with w columns in ``basis``
         For x and y of each vertex: E'J by the warp's parameters, E'r, and E' times the angle column.
     """
     clear(lines)
-    n_p, n = basis.shape[1], starts[len(starts) - 1]
+    wide, n = basis.shape[1], starts[len(starts) - 1]
     k = len(expected) // (2 * n) if n else 0
     for t in range(len(triangles)):
         if starts[t] == starts[t + 1]:
@@ -210,15 +210,12 @@ def add_squares(
                 pa, pb, pc = SIZE * pa + 4 * axis, SIZE * pb + 4 * axis, SIZE * pc + 4 * axis
                 by_xa, by_ya, by_xb = np.float64(room[pa]), np.float64(room[pa + 1]), np.float64(room[pb])
                 by_yb, by_xc, by_yc = np.float64(room[pb + 1]), np.float64(room[pc]), np.float64(room[pc + 1])
-                for j in range(n_p):
-                    own[j] += (
-                        (by_xa * xa[j] + by_ya * ya[j])
-                        + (by_xb * xb[j] + by_yb * yb[j])
-                        + (by_xc * xc[j] + by_yc * yc[j])
-                    )
+                for j in range(0, wide, SIZE):
+                    total = load(own, j) + by_xa * load(xa, j) + by_ya * load(ya, j) + by_xb * load(xb, j)
+                    store(own, j, total + by_yb * load(yb, j) + by_xc * load(xc, j) + by_yc * load(yc, j))
                 # Barycentric weights sum to 1, so the sum over the other corner drops out.
-                own[n_p] += np.float64(room[pa + 2]) + room[pb + 2] + room[pc + 2]
-                own[n_p + 1] += np.float64(room[pa + 3]) + room[pb + 3] + room[pc + 3]
+                own[wide] += np.float64(room[pa + 2]) + room[pb + 2] + room[pc + 2]
+                own[wide + 1] += np.float64(room[pa + 3]) + room[pb + 3] + room[pc + 3]
 
 
 @compiled
@@ -274,10 +271,3 @@ def add_modes(
                     own = room[at : at + SIZE]
                     for j in range(SIZE):
                         out[j] += own[j]
-
-
-@compiled
-def to_parameters(lines: Double2, basis: Double2, out: Double2) -> None:
-    """Map sums by vertex (2 v, b) to the warp's parameters (n_p, b): basis' lines."""
-    clear(out)
-    add_product(basis, lines, 1.0, out)

@@ -256,11 +256,11 @@ class Work(NamedTuple):
     room: Single1
     """(48,) float32."""
     squares: Double2
-    """(2 v, n_p + 2) float64."""
+    """(2 v, w + 8) float64, with w columns in the mesh's basis."""
     products: Double2
     """(2 v, w) float64."""
     carried_squares: Double2
-    """(n_p, n_p + 2) float64."""
+    """(n_p, w + 8) float64."""
     carried_products: Double2
     """(n_p, w) float64."""
     line: Single1

@@ -33,7 +33,7 @@ from liaam.fitting.problem import FitProblem, correlated_pixels
 from liaam.model import AAM, Level
 from liaam.model.appearance import AppearanceModel
 from liaam.model.shape import ShapeModel
-from liaam.model.warp import Mesh, Warp
+from liaam.model.warp import Mesh, Warp, padded
 from liaam.photometry.features import Encoder, name_of
 
 
@@ -140,7 +140,7 @@ class Objective:
         at = np.array([1.0, np.cos(self.theta_model), np.sin(self.theta_model)], np.float32)
         rows, slopes_now = (np.ascontiguousarray(np.tensordot(at, each, axes=1)) for each in (parts, slopes))
         m, nothing = len(rows) - 1, np.zeros((0, 0, 0), np.float32)
-        lines = np.zeros((n * k, -(-m // WIDE) * WIDE), np.float32)
+        lines = np.zeros((n * k, padded(m)), np.float32)
         lines[:, :m] = rows[1:].T
         own = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
         weighted = rows[1:].astype(np.float64) * own
@@ -266,9 +266,9 @@ class Objective:
             precision=np.zeros(n_p),
             fours=np.zeros(4 * e + WIDE, np.float32),
             room=single(6 * WIDE),
-            squares=np.empty((n_lines, n_p + 2)),
+            squares=np.empty((n_lines, padded(n_p) + WIDE)),
             products=np.empty((n_lines, lines)),
-            carried_squares=np.empty((n_p, n_p + 2)),
+            carried_squares=np.empty((n_p, padded(n_p) + WIDE)),
             carried_products=np.empty((n_p, lines)),
             line=single(BLOCK),
             block=single(m, BLOCK),

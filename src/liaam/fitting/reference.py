@@ -219,6 +219,7 @@ def eliminate(
     gradient: np.ndarray,
     whitened: np.ndarray,
     along: np.ndarray,
+    room: np.ndarray,
 ) -> None:
     """Compute the symmetrised J'QJ, and J'Qr (eq 5)."""
     inverse = np.linalg.inv(np.tril(factor) @ np.tril(factor).T) if len(ar) else np.zeros((0, 0))

@@ -1,4 +1,4 @@
-"""Vectors of eight float32 as values in compiled loops: ``total = total + a * load(span, at)``.
+"""Vectors of eight float32 or float64 as values in compiled loops: ``total = total + a * load(span, at)``.
 
 The loops over pixels are short (a few dozen pixels per triangle, eight channels per pixel), and automatic vectorisation
 is slow for short loops. Measured with 10,000 pixels, 20 modes and three rows: sampling takes 0.12 ms with these vectors
@@ -23,28 +23,34 @@ infer_global: Any = _infer_global
 
 SIZE = 8
 
-_INDEX, _LLVM = ir.IntType(32), ir.VectorType(ir.FloatType(), SIZE)
+_INDEX = ir.IntType(32)
+_LLVM = {types.float32: ir.VectorType(ir.FloatType(), SIZE), types.float64: ir.VectorType(ir.DoubleType(), SIZE)}
 _FLAGS = ("contract", "reassoc", "nsz")  # a product and a sum may be one instruction
 
 
 class _Vector(types.Type):
-    """Numba's type of eight float32."""
+    """Numba's type of eight numbers."""
+
+    def __init__(self, number: Any) -> None:
+        self.number = number
+        super().__init__(f"{number}x8")
 
 
 @register_model(_Vector)
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _LLVM)
+        super().__init__(manager, kind, _LLVM[kind.number])
 
 
-vector = _Vector("float32x8")
+VECTORS = {number: _Vector(number) for number in _LLVM}
+vector = VECTORS[types.float32]
 
 
 def _place(context: Any, builder: Any, kind: Any, span: Any, at: Any) -> Any:
     if context.enable_boundscheck:
         last = builder.add(at, at.type(SIZE - 1))
         pointer_to(context, builder, kind, span, [last])
-    return builder.bitcast(pointer_to(context, builder, kind, span, [at]), _LLVM.as_pointer())
+    return builder.bitcast(pointer_to(context, builder, kind, span, [at]), _LLVM[kind.dtype].as_pointer())
 
 
 def _mixed(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
@@ -52,41 +58,42 @@ def _mixed(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
 
 
 def _every(builder: Any, number: Any) -> Any:
-    nothing = ir.Constant(_LLVM, ir.Undefined)
+    nothing = ir.Constant(ir.VectorType(number.type, SIZE), ir.Undefined)
     return _mixed(builder, builder.insert_element(nothing, number, _INDEX(0)), nothing, [0] * SIZE)
 
 
 @intrinsic
 def load(_context, span, at):
-    """Load eight numbers of a float32 span, from index ``at``."""
+    """Load eight numbers of a span, from index ``at``."""
 
     def codegen(context, builder, sig, args):
         loaded = builder.load(_place(context, builder, sig.args[0], *args))
-        loaded.align = 4
+        loaded.align = span.dtype.bitwidth // 8
         return loaded
 
-    return vector(span, types.intp), codegen
+    return VECTORS[span.dtype](span, types.intp), codegen
 
 
 @intrinsic
 def store(_context, span, at, numbers):
-    """Store eight numbers to a float32 span, from index ``at``."""
+    """Store eight numbers to a span, from index ``at``."""
 
     def codegen(context, builder, sig, args):
-        builder.store(args[2], _place(context, builder, sig.args[0], *args[:2])).align = 4
+        stored = builder.store(args[2], _place(context, builder, sig.args[0], *args[:2]))
+        stored.align = span.dtype.bitwidth // 8
         return context.get_dummy_value()
 
-    return types.void(span, types.intp, vector), codegen
+    return types.void(span, types.intp, VECTORS[span.dtype]), codegen
 
 
 @intrinsic
 def every(_context, number):
-    """Make a vector with one float32 in all lanes."""
+    """Make a vector with one number in all lanes."""
 
     def codegen(_context, builder, _signature, args):
         return _every(builder, args[0])
 
-    return vector(types.float32), codegen
+    return VECTORS[number](number), codegen
 
 
 @intrinsic(prefer_literal=True)
@@ -150,20 +157,19 @@ def halves(_context, low, high):
 
 
 def _define(operation: Any, instruction: str) -> None:
-    """Define an operator for two vectors, and for a float32 and a vector."""
+    """Define an operator for two vectors, and for a number and a vector."""
 
     @infer_global(operation)
     class _Template(AbstractTemplate):
         def generic(self, args, _kws):
-            if tuple(args) in ((vector, vector), (types.float32, vector)):
-                return signature(vector, *args)
-            return None
+            known = len(args) == 2 and isinstance(args[1], _Vector) and args[0] in (args[1], args[1].number)
+            return signature(args[1], *args) if known else None
 
-    @lower_builtin(operation, vector, vector)
+    @lower_builtin(operation, _Vector, _Vector)
     def _both(_context, builder, _signature, args):
         return getattr(builder, instruction)(*args, flags=_FLAGS)
 
-    @lower_builtin(operation, types.float32, vector)
+    @lower_builtin(operation, types.Float, _Vector)
     def _scaled(_context, builder, _signature, args):
         return getattr(builder, instruction)(_every(builder, args[0]), args[1], flags=_FLAGS)
 

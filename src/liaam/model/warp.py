@@ -27,9 +27,14 @@ class Mesh(NamedTuple):
     rest: Double2
     """(v, 2) float64: vertices at p = 0, model pixels."""
     basis: Double2
-    """(2 v, n_p) float64: derivative of the vertices x0, y0, x1, y1, ... by p."""
+    """(2 v, w) float64: derivative of the vertices x0, y0, x1, y1, ... by p, padded with zeros to a multiple of 8."""
     movement: float
     """Root mean square movement of the landmarks by a step of p of unit length, model pixels."""
+
+
+def padded(n: int) -> int:
+    """Return the next multiple of 8, the width of the compiled loops' vectors."""
+    return -(-n // 8) * 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +109,14 @@ class PiecewiseAffineWarp:
 
     def mesh(self) -> Mesh:
         """Return the warp's arrays for compiled loops; its pixels must be sorted by triangle."""
-        triangles = self.frame.triangles.astype(np.int64)
+        triangles, modes = self.frame.triangles.astype(np.int64), self._vertex_modes.reshape(self.n_parameters, -1)
         assert not (np.diff(self._owners) < 0).any()
         return Mesh(
             self._corners[1].astype(np.float32),
             np.searchsorted(self._owners, np.arange(len(triangles) + 1)).astype(np.int64),
             triangles,
             np.ascontiguousarray(self._vertices(self.shape_model.mean), np.float64),
-            np.ascontiguousarray(self._vertex_modes.reshape(self.n_parameters, -1).T),
+            np.ascontiguousarray(np.pad(modes.T, ((0, 0), (0, padded(len(modes)) - len(modes))))),
             1.0 / sqrt(self.shape_model.n_points),
         )
 
