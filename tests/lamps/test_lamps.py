@@ -14,6 +14,7 @@ from liaam.fitting import Fitter
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.lamps import Copies, Lamps, learn_lamps, load_lamps
 from liaam.lamps.bank import FADED, GAMMA, SHARP, SIDE, _away_from, as_srgb
+from liaam.lamps.copies import mirrored
 from liaam.model import load_model
 from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import from_linear, srgb_to_linear
@@ -218,21 +219,32 @@ def test_copies_are_as_many_as_asked_for_and_fewer_of_many_pictures(lamps):
     np.testing.assert_array_equal(Copies(lamps, np.array([2, 0, 1])).owners, [0, 0, 0, 1, 2, 2])
 
 
-def test_copies_show_the_object_where_their_landmarks_say(pictures):
-    """Mirrored and reduced without a lamp, a copy is the picture itself."""
+@pytest.mark.parametrize("offset", [0.0, -10.0, 15.0])
+def test_copies_show_the_object_where_their_landmarks_say(pictures, offset):
+    """Mirrored and reduced without a lamp, a copy is the picture itself; landmarks keep their offset to the right."""
     day = pictures[0]
     points = day.landmarks.points
     order = mirror_order(render(Head(2), Pose(), size=SIZE).landmarks)
     assert order is not None
     wide = np.repeat(np.repeat(day.image, 5, axis=0), 5, axis=1)
-    ((copy, moved),) = Copies.of(None, 1, 1, order).of_picture(0, wide, 5.0 * points + 2.0, "srgb", 60.0)
+    shifted = 5.0 * points + [2.0 + offset, 2.0]
+    copies = replace(Copies.of(None, 1, 1, order), offset=offset)
+    ((copy, moved),) = copies.of_picture(0, wide, shifted, "srgb", 60.0)
     assert max(copy.shape) < max(day.image.shape) * 3
+    moved = moved - offset * align(shifted, moved).matrix[:, 0]
     pose = align((points * [-1.0, 1.0])[order], moved)
     np.testing.assert_allclose(pose((points * [-1.0, 1.0])[order]), moved, atol=1e-6)
     x, y = np.rint(moved).astype(int).T
     for counterparts, least, most in ((order, 0, 3), (np.arange(len(order)), 6, 255)):
         own = np.rint(points[counterparts]).astype(int)
         assert least <= np.median(np.abs(copy[y, x].astype(float) - day.image[own[:, 1], own[:, 0]])) <= most
+
+
+def test_an_offset_of_landmarks_stays_on_the_same_side_of_a_mirrored_object():
+    image, order, upright = np.zeros((50, 50, 3)), np.array([1, 0, 2]), np.array([[10.0, 10], [30, 10], [20, 40]])
+    for points, move in ((upright, 2.0), (upright[:, ::-1], 0.0)):
+        plain, moved = (mirrored(image, points, order, offset)[1] for offset in (0.0, 1.0))
+        np.testing.assert_allclose(moved - plain, np.tile([move, 0.0], (3, 1)), atol=1e-9)
 
 
 # Models

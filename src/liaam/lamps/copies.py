@@ -7,7 +7,7 @@ import numpy as np
 
 from liaam.lamps.bank import Lamps
 from liaam.model.sampling import corners_around
-from liaam.model.shape import diagonal_of
+from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
 
 AROUND = 0.5
@@ -33,11 +33,15 @@ class Copies:
     order : (n_points,) int, optional
         Index of each landmark's mirror image (:func:`liaam.model.shape.mirror_order`), for symmetric objects: half of
         the copies are mirrored.
+    offset : float
+        Distance by which landmarks lie to the right of where they should, in image pixels. Those of mirrored copies
+        are moved to lie on the same side of the object.
     """
 
     lamps: Lamps | None
     counts: np.ndarray
     order: np.ndarray | None = None
+    offset: float = 0.0
 
     @classmethod
     def of(cls, lamps: Lamps | None, n: int, each: int, order: np.ndarray | None) -> "Copies":
@@ -63,13 +67,14 @@ class Copies:
         count, known = int(self.counts[i]), 1 if self.lamps is None else len(self.lamps)
         if not count:
             return
+        size = diagonal_of(points)
         image, points = close_up(image, points, diagonal)
+        offset = self.offset * diagonal_of(points) / size
         which = np.random.default_rng([30, i]).choice(known, count, replace=count > known)
         if self.order is not None:
-            other = np.ascontiguousarray(image[:, ::-1])
-            moved = (points * [-1.0, 1.0] + [image.shape[1] - 1.0, 0.0])[self.order]
-            mirrored, which = np.split(which, [(count + 1) // 2])
-            yield from ((copy, moved) for copy in self._relit(other, moved, mirrored, response))
+            other, moved = mirrored(image, points, self.order, offset)
+            first, which = np.split(which, [(count + 1) // 2])
+            yield from ((copy, moved) for copy in self._relit(other, moved, first, response))
         yield from ((copy, points) for copy in self._relit(image, points, which, response))
 
     def relit(self, i: int, image: np.ndarray, points: np.ndarray, response: Response) -> list[np.ndarray]:
@@ -80,6 +85,19 @@ class Copies:
 
     def _relit(self, image: np.ndarray, points: np.ndarray, which: np.ndarray, response: Response) -> list[np.ndarray]:
         return [image] * len(which) if self.lamps is None else self.lamps.relit(image, points, which, response)
+
+
+def mirrored(
+    image: np.ndarray, points: np.ndarray, order: np.ndarray, offset: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mirror an image and its landmarks left to right, given the index of each landmark's mirror image.
+
+    If the landmarks have an offset to the right, those of the mirror image have it on the same side of the object.
+    """
+    moved = (points * [-1.0, 1.0] + [image.shape[1] - 1.0, 0.0])[order]
+    # Mirroring turns the offset to the left. On a turned object it must turn as the object does.
+    moved += offset * (align(points, moved).matrix[:, 0] + np.array([1.0, 0.0]))
+    return np.ascontiguousarray(image[:, ::-1]), moved
 
 
 def close_up(image: np.ndarray, points: np.ndarray, diagonal: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,6 @@
 """Train an active appearance model from landmarked images."""
 
+import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -23,6 +24,7 @@ from liaam.training.left_out import fitted_of, folds_of, reliability_of
 from liaam.training.options import TrainingOptions
 from liaam.training.points import Points, map_of_points
 from liaam.training.steps import Steps, learning_cost, total_cost
+from liaam.training.symmetry import describe_offset, sideways_offset
 from liaam.training.textures import sample_all
 
 AUTO = "auto"
@@ -115,6 +117,12 @@ def train(
     symmetric, each = mirror_order(mean), options.n_copies
     lit = _lamps(lamps, training_lamp, checked, mean, camera) if each else None
     copied = Copies.of(lit, len(entries), each, symmetric if each else None)
+    blurs, kept = options.blurs_by_view, options.appearance_variances
+    if copied.order is not None:
+        warp, blur = model.views[SURROUNDINGS].warp, float(blurs[SURROUNDINGS][-1])
+        copied = replace(copied, offset=sideways_offset(checked, copied.order, warp, camera, blur))
+    if copied.offset:
+        warnings.warn(describe_offset(copied.offset), stacklevel=2)
     model = replace(
         model,
         n_textures=len(copied.owners),
@@ -123,7 +131,6 @@ def train(
         points=None if points is None else map_of_points(points, entries, mean),
         features=None if encoder is None else encoder.features,
     )
-    blurs, kept = options.blurs_by_view, options.appearance_variances
     left_out = folds if options.leave_out else []
     n_levels, n_fitted = sum(map(len, blurs.values())), sum(len(fitted_of(fold, folds)) for fold in left_out)
     steps = Steps(progress, total_cost(len(copied.owners), n_levels, len(left_out), n_fitted))
