@@ -61,8 +61,10 @@ def test_an_underexposed_picture_is_too_dark_for_the_log(model, lit_scene, start
     assert result.status == FitStatus.TOO_DARK
 
 
-def test_an_overexposed_picture_is_saturated(model, lit_scene, start):
-    result = Fitter(model, "li").fit(np.minimum(lit_scene.image * 50, 1), start)
+@pytest.mark.parametrize("gain", [30, 50, 50.001, 60, 200])
+def test_an_overexposed_picture_is_saturated(model, lit_scene, start, gain):
+    """Also where a fit to the few pixels left grows without end."""
+    result = Fitter(model, "li").fit(np.minimum(lit_scene.image * gain, 1), start)
     assert result.status == FitStatus.SATURATED
 
 

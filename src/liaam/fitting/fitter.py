@@ -439,17 +439,20 @@ class Fitter:
 
     def _status(self, image: np.ndarray, history: tuple[Iteration, ...], stage: Stage) -> FitStatus:
         shape, objective, solution = history[-1].landmarks, stage.objective, stage.solution
-        if not is_sane(shape, history[0].landmarks):
-            return FitStatus.DIVERGED
-        usable = solution.work.usable
-        if not usable.all():  # some pixels are outside the image, dark or saturated
+        usable, sane = solution.work.usable, is_sane(shape, history[0].landmarks)
+        if not usable.all() and np.isfinite(shape).all():  # some pixels are outside the image, dark or saturated
             points = stage.pose(objective.warp.points(solution.state.p))
             inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
-            if inside.mean() < 0.5:
+            if sane and inside.mean() < 0.5:
                 return FitStatus.LEFT_IMAGE
-            if usable[inside].mean() < USABLE_LIMIT:
+            # Few usable pixels are a better reason than the size that a fit to them happens to reach.
+            if inside.any() and usable[inside].mean() < USABLE_LIMIT:
                 return self._why_unusable(image, points[inside])
-        if folded_share(shape, self.model.triangles) > FOLD_LIMIT or self._largest_mode(shape) > SHAPE_LIMIT:
+        if (
+            not sane
+            or folded_share(shape, self.model.triangles) > FOLD_LIMIT
+            or self._largest_mode(shape) > SHAPE_LIMIT
+        ):
             return FitStatus.DIVERGED
         if solution.flat:
             return FitStatus.NO_TEXTURE
