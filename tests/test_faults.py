@@ -270,6 +270,7 @@ def test_a_journal_that_is_whole_goes_on(world, half_done, known_rows, tmp_path)
     assert outcome(world, half_done, tmp_path / "x", half_done.files) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["journal.sqlite", "journal.sqlite-wal"])
 def test_a_journal_that_is_cut_is_refused_or_goes_on(world, half_done, known_rows, tmp_path, name):
     content = half_done.files[name]

@@ -93,6 +93,7 @@ def all_targets():
     return run([Job(name, 1, 0, n) for name, n in cases.items()], n_children=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
 def test_hostile_inputs_are_read_or_refused(all_targets, name):
     tally = all_targets[name]
@@ -150,6 +151,7 @@ def test_an_input_is_read_again_alone(tmp_path, capsys, monkeypatch):
     assert "refused: " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_guided_fuzzing_runs(tmp_path):
     pytest.importorskip("atheris", reason="Atheris is not installed: pip install atheris")
     status, what = guided.fuzz("landmarks.pts", 2, tmp_path)

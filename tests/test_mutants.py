@@ -99,6 +99,7 @@ def test_the_living_are_read_from_a_report():
     assert living(report) == {"liaam.io.pts 1 -> 2", "liaam.io.tem a  b -> c"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="mutants are tried in forked processes, and their memory is read")
 def test_mutants_of_a_module_are_killed():
     command = [sys.executable, "-m", "fuzz.mutants", "liaam.io.results", "--sample", "8", "--at-least", "50"]

@@ -485,6 +485,7 @@ def statuses_of(finished):
     return {path: json.loads(row) for chunk, rows in finished for path, (_, row) in zip(chunk, rows, strict=True)}
 
 
+@pytest.mark.slow
 def test_a_picture_that_kills_its_worker_is_a_row(world):
     rows = statuses_of(in_processes(job_of(world, Deadly), CHUNKS, 1))
     assert set(rows) == set(chain(*CHUNKS))

@@ -88,6 +88,7 @@ def small_heads(monkeypatch):
     fit.make_model.cache_clear()
 
 
+@pytest.mark.slow
 def test_our_own_rows_and_the_floor_can_be_timed(small_heads, monkeypatch, capsys):
     monkeypatch.setattr(peers, "ROUNDS", 1)
     monkeypatch.setattr(peers, "METHODS", ("soft-li",))
