@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import ImageError, LiaamError, MethodError, StartError
-from liaam.fitting import METHODS, FitStatus, Fitter
+from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions
 from liaam.photometry import CameraModel
 from liaam.training import train
 from setups import disturb, model_pixels, train_on
@@ -66,6 +66,19 @@ def test_an_overexposed_picture_is_saturated(model, lit_scene, start, gain):
     """Also where a fit to the few pixels left grows without end."""
     result = Fitter(model, "li").fit(np.minimum(lit_scene.image * gain, 1), start)
     assert result.status == FitStatus.SATURATED
+
+
+def test_a_fit_that_grows_beyond_its_patch_says_nothing_about_exposure(model, lit_scene, rng, monkeypatch):
+    """The surroundings of the patch are not unusable, however far a fit gets."""
+    monkeypatch.setattr(Fitter, "_why_unusable", lambda *_: pytest.fail("all pixels are usable"))
+    image = np.full((720, 960, 3), 0.4, np.float32)
+    image += 0.05 * cv2.GaussianBlur(rng.normal(size=image.shape), (0, 0), 6.0).astype(np.float32) * 20
+    image[240:480, 380:560] = lit_scene.image
+    image, truth = np.clip(image, 0.15, 0.9), lit_scene.landmarks + np.array([380.0, 240.0])
+    fitter, seen = Fitter(model, "rgb", SolverOptions(damping=0.0), restarts=False), set()
+    for _ in range(40):
+        seen.add(fitter.fit(image, disturb(truth, rng.uniform(0.5, 1.6), tuple(rng.uniform(-0.6, 0.6, 2)))).status)
+    assert FitStatus.DIVERGED in seen
 
 
 @pytest.mark.parametrize("method", ["li", "rgb", "soft-li"])

@@ -108,7 +108,7 @@ def solve(factor: Double2, right: Double1) -> None:
             right[j] -= factor[i, j] * right[i]
 
 
-TINY = 1e-8
+TINY = 1e-13
 """Entries beside the diagonal that count as 0, as a fraction of the largest entry."""
 
 
@@ -176,7 +176,7 @@ def diagonalise(lines: Double2, rotations: Double2, right: Double1) -> int:
     Returns
     -------
     int
-        Number of rotations; -1 if they are too few.
+        Number of rotations; -1 if there is no room for more.
     """
     n, d, e, count, least = len(right), lines[0], lines[1], 0, 0.0
     for i in range(n):
@@ -227,7 +227,7 @@ def solve_raised(matrix: Double2, least: float, lines: Double2, rotations: Doubl
         right[i], right[i + 1] = c * right[i] + s * right[i + 1], c * right[i + 1] - s * right[i]
     for k in range(n - 1, -1, -1):
         reflect(matrix[k], k + 1, lines[2, k], right)
-    return count >= 0
+    return count >= 0 and np.isfinite(right[0])
 
 
 @compiled

@@ -268,14 +268,19 @@ class Fitter:
             return (diagonal_of(result.landmarks) / large) ** 2 if result.quality > 0 else 0.0
 
         if not _with_prior(first, min(prior(first), 1.0)).quality >= self._low:
-            brief = replace(self.options, max_iterations=min(BRIEF, self.options.max_iterations))
+            brief = replace(self.options, max_iterations=BRIEF)
             for other in self.finder.others(target.image[low[1] : high[1], low[0] : high[0]], target.response):
                 there = target._replace(start=other.landmarks + low)
                 tried.append((self._fit_from(there, brief), there, None if found is None else other))
-        odds = [prior(each) * _odds(each.quality) for each, *_ in tried]
-        best, its_target, its_start = tried[int(np.argmax(odds))]
-        if best is not first and best.status is FitStatus.MAX_ITERATIONS:
-            best = self._fit_from(its_target)
+        unfinished = {i for i, (each, *_) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
+        while True:
+            odds = [prior(each) * _odds(each.quality) for each, *_ in tried]
+            at = int(np.argmax(odds))
+            best, its_target, its_start = tried[at]
+            if at not in unfinished:
+                break
+            unfinished.remove(at)
+            tried[at] = self._fit_from(its_target), its_target, its_start
         others = sum(o for o, (each, *_) in zip(odds, tried, strict=True) if are_apart(best.landmarks, each.landmarks))
         own = prior(best)
         shared = own / (own + others) if own > 0 else 1.0
@@ -445,7 +450,9 @@ class Fitter:
             inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
             if sane and inside.mean() < 0.5:
                 return FitStatus.LEFT_IMAGE
-            # Few usable pixels are a better reason than the size that a fit to them happens to reach.
+            # Few usable pixels are a better reason than the size that a fit to them happens to reach. Pixels beyond the
+            # patch do not count: they are not usable, whatever their exposure.
+            inside &= stage.problem.patch.holds(points)
             if inside.any() and usable[inside].mean() < USABLE_LIMIT:
                 return self._why_unusable(image, points[inside])
         if (
@@ -494,11 +501,13 @@ def covariance(stage: Stage, strength: float = 1.0) -> np.ndarray:
     if len(stage.problem.pull):
         precision[:n_p, :n_p] += stage.problem.pull
     try:
-        pivots = np.linalg.cholesky(precision).diagonal()
+        factor = np.linalg.cholesky(precision)
     except np.linalg.LinAlgError:
-        pivots = np.zeros(1)
+        factor = np.zeros((1, 1))
+    pivots = factor.diagonal()
     if pivots.min() > 1e-5 * pivots.max():  # everything is observable; takes a quarter of the time
-        return np.linalg.inv(precision)
+        half = np.linalg.inv(factor)
+        return half.T @ half
     values, vectors = np.linalg.eigh(precision)
     inverse = np.divide(1.0, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
     return (vectors * inverse) @ vectors.T

@@ -278,7 +278,7 @@ class Work(NamedTuple):
     small: Double3
     """(2, n_q, n_q) float64."""
     spectrum: Double2
-    """(4, n_q) float64."""
+    """(4, n_q) float64; see :func:`liaam.fitting.equations.tridiagonalise`."""
     rotations: Double2
     """(3 n_q^2, 3) float64."""
     eliminated: Double2

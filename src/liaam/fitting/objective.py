@@ -184,16 +184,16 @@ class Objective:
         """Return the arrays of a fit (see :meth:`work`), perhaps of an earlier fit, and their form for the kernel."""
         try:
             work, given = self._idle.pop()
-        except IndexError:
-            work = self.work(state, max_iterations)
-            return work, get_kernel(self.kernel).by_reference(work)
-        if len(work.costs) <= max_iterations:
-            return self.borrow(state, max_iterations)
-        return self._begin(work, state), given
+            if len(work.costs) > max_iterations:
+                return self._begin(work, state), given
+        except IndexError:  # another thread may have taken the last
+            pass
+        work = self.work(state, max_iterations)
+        return work, get_kernel(self.kernel).by_reference(work)
 
     def release(self, work: Work, given: Any) -> None:
         """Let another fit use the arrays of :meth:`borrow`."""
-        if given is not None:
+        if given is not None and len(self._idle) < MOST_IDLE:
             self._idle.append((work, given))
 
     def _begin(self, work: Work, state: State) -> Work:
@@ -414,6 +414,9 @@ class Objective:
         n_taken, n_tried, moved, converged, held, flat = work.outcome.tolist()
         return Outcome(int(n_taken), int(n_tried), moved, bool(converged), bool(held), bool(flat))
 
+
+MOST_IDLE = 8
+"""Number of works kept for later fits; more are in use only while more threads fit at the same time."""
 
 THINNING = 1.5
 """Distance between sampled pixels, in standard deviations of a level's blur. Closer pixels are redundant. On the spot

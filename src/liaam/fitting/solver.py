@@ -149,7 +149,8 @@ class Solution:
     flat : bool
         The image has no texture under the model.
     given : optional
-        The form of ``work`` that the kernel takes, if other fits may use its arrays (:meth:`Objective.release`).
+        The form of ``work`` that the kernel takes, if other fits may use its arrays (:meth:`Objective.release`). None
+        after further steps with the expected gradient, which have arrays of their own.
     """
 
     work: Work

@@ -95,8 +95,8 @@ def mirrored(
     If the landmarks have an offset to the right, those of the mirror image have it on the same side of the object.
     """
     moved = (points * [-1.0, 1.0] + [image.shape[1] - 1.0, 0.0])[order]
-    # Mirroring turns the offset to the left. On a turned object it must turn as the object does.
-    moved += offset * (align(points, moved).matrix[:, 0] + np.array([1.0, 0.0]))
+    if offset:  # Mirroring turns it to the left. On a turned object it must turn as the object does.
+        moved += offset * (align(points, moved).matrix[:, 0] + np.array([1.0, 0.0]))
     return np.ascontiguousarray(image[:, ::-1]), moved
 
 

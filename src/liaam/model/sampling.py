@@ -25,6 +25,11 @@ class Patch:
     from_image: Similarity
     n_channels: int
 
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """Return whether image points (n, 2) lie within the patch, (n,) bool."""
+        at = self.from_image(points)
+        return np.asarray(((at >= 0) & (at <= np.array(self.channels.shape[1::-1]) - 1)).all(axis=1))
+
 
 class _Blocks(NamedTuple):
     """Averages over blocks of an image's pixels; block 0 begins at the border of the first pixel."""

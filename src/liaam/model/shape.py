@@ -1,9 +1,10 @@
 """Statistical shape models: Procrustes alignment, PCA, and the four similarity vectors (paper eq 1-2)."""
 
+from cmath import isfinite
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import hypot, isfinite, nan
+from math import hypot, nan
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
     # A similarity without reflection is a complex factor: z_b = factor * z_a.
     za, zb = _as_complex(shape), _as_complex(target)
     a_mean, b_mean = _mean(za), _mean(zb)
-    if not isfinite(abs(a_mean) + abs(b_mean)):
+    if not isfinite(a_mean + b_mean):
         known = np.isfinite(za) & np.isfinite(zb)
         za, zb = za[known], zb[known]
         a_mean, b_mean = _mean(za), _mean(zb)

@@ -14,8 +14,8 @@ from liaam.training.entries import Entry
 from liaam.training.textures import sample_appearance
 from liaam.workers import in_threads
 
-MOST = 120
-"""Largest number of images to compare with their mirror images."""
+FEWEST, MOST = 5, 120
+"""Smallest and largest number of images to compare with their mirror images."""
 
 LEAST, LEAST_ERRORS = 0.2, 4.0
 """Smallest offset that counts, in image pixels and in standard errors."""
@@ -35,6 +35,8 @@ def sideways_offset(
     mirror images then differ by a shift of twice the offset. The result is 0 if the offset is small, uncertain, or
     explains too little of this difference. ``order`` is that of :func:`liaam.model.shape.mirror_order`.
     """
+    if len(entries) < FEWEST:
+        return 0.0
     some = np.unique(np.linspace(0, len(entries) - 1, MOST).astype(int))
     compared = in_threads(partial(_compare, order, warp, camera, blur), [entries[i] for i in some])
     means, differences, moves = (np.array(each) for each in zip(*compared, strict=True))
@@ -44,7 +46,8 @@ def sideways_offset(
     if not powers.any():
         return 0.0
     offset = float(products.sum() / powers.sum())
-    error = np.linalg.norm(products - offset * powers) / powers.sum()
+    n = len(some)
+    error = np.linalg.norm(products - offset * powers) / powers.sum() * np.sqrt(n / (n - 1))
     mean = differences.mean(axis=0)
     unexplained = np.square(mean - offset * shifted.mean(axis=0)).sum()
     clear = abs(offset) > max(LEAST, LEAST_ERRORS * error) and unexplained < (1.0 - EXPLAINED) * np.square(mean).sum()
