@@ -539,17 +539,23 @@ def explains_more_than_noise(stage: Stage) -> bool:
     objective, work = stage.objective, stage.solution.work
     contrast, left = _contrast(stage, work.root)
     count = objective.n_q + objective.n_lambda
-    by_chance = BY_CHANCE * count * objective.correlated / max(np.count_nonzero(work.root), 1)
+    counted = np.count_nonzero(work.root.reshape(-1, objective.method.n_rows)[:, : _rows_shown(objective)])
+    by_chance = BY_CHANCE * count * objective.correlated / max(counted, 1)
     return left < (1.0 - min(by_chance, MOST_BY_CHANCE)) * contrast
 
 
+def _rows_shown(objective: Objective) -> int:
+    """Return the number of rows that count as contrast: for ``soft-li`` those of the gradients only."""
+    return 2 if objective.method.weights == "rows" else objective.method.n_rows
+
+
 def _contrast(stage: Stage, own: np.ndarray) -> tuple[float, float]:
-    """Return the weighted squares of a fit's samples and of its residual; for ``soft-li`` of the gradients only.
+    """Return the weighted squares of a fit's samples and of its residual, over the rows that count.
 
     ``own`` (n k,) is the square root of the weights. Values and logarithms count relative to their mean.
     """
     objective, work = stage.objective, stage.solution.work
-    sums = np.empty((2 if objective.method.weights == "rows" else objective.method.n_rows, 4))
+    sums = np.empty((_rows_shown(objective), 4))
     kernel, gain = get_kernel(objective.kernel), float(work.scales[GAIN])
     kernel.sum_squares(work.values, work.residual, work.metric, own, work.usable, gain, sums)
     weight, total, squares, left = sums.T
