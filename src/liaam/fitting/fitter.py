@@ -24,6 +24,7 @@ from liaam.fitting.solver import Solution, SolverOptions, scored, solve_at
 from liaam.fitting.start import mapped_points, start_shape
 from liaam.model import AAM, Level, Reliability, View
 from liaam.model.mesh import folded_share
+from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, Similarity, align, diagonal_of
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.encoding import stored_values
@@ -447,12 +448,12 @@ class Fitter:
         usable, sane = solution.work.usable, is_sane(shape, history[0].landmarks)
         if not usable.all() and np.isfinite(shape).all():  # some pixels are outside the image, dark or saturated
             points = stage.pose(objective.warp.points(solution.state.p))
-            inside = ((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
+            inside, patch = within(points, image), stage.problem.patch
             if sane and inside.mean() < 0.5:
                 return FitStatus.LEFT_IMAGE
             # Few usable pixels are a better reason than the size that a fit to them happens to reach. Pixels beyond the
             # patch do not count: they are not usable, whatever their exposure.
-            inside &= stage.problem.patch.holds(points)
+            inside &= within(patch.from_image(points), patch.channels)
             if inside.any() and usable[inside].mean() < USABLE_LIMIT:
                 return self._why_unusable(image, points[inside])
         if (

@@ -23,6 +23,7 @@ from liaam.fitting.solver import Solution, SolverOptions, solve
 from liaam.model import AAM, MESH, Level, View
 from liaam.model.appearance import AppearanceModel
 from liaam.model.mesh import ReferenceFrame, signed_areas
+from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, Similarity, align, diagonal_of, rotation
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import Response
@@ -768,7 +769,7 @@ def _strongest(peaks: _Peaks, apart: float, count: int) -> np.ndarray:
 
 def _is_inside(shape: np.ndarray, image: np.ndarray) -> bool:
     """Return whether at least half of the landmarks lie in the image."""
-    inside = ((shape >= 0) & (shape <= np.array(image.shape[1::-1]) - 1)).all(axis=1)
+    inside = within(shape, image)
     return bool(inside.mean() >= 0.5)
 
 

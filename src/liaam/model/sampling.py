@@ -25,11 +25,6 @@ class Patch:
     from_image: Similarity
     n_channels: int
 
-    def holds(self, points: np.ndarray) -> np.ndarray:
-        """Return whether image points (n, 2) lie within the patch, (n,) bool."""
-        at = self.from_image(points)
-        return np.asarray(((at >= 0) & (at <= np.array(self.channels.shape[1::-1]) - 1)).all(axis=1))
-
 
 class _Blocks(NamedTuple):
     """Averages over blocks of an image's pixels; block 0 begins at the border of the first pixel."""
@@ -157,6 +152,11 @@ def make_patch(
     # The centre of the first block of pixels is at first * size + (size - 1) / 2.
     from_image = Similarity(np.eye(2) / size, -first - 0.5 * (size - 1) / size)
     return Patch(channels, from_image, width_of(encoding))
+
+
+def within(points: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Return whether points (n, 2) lie within an image or a patch (h, w, c), (n,) bool."""
+    return np.asarray(((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1)).all(axis=1))
 
 
 def corners_around(image: np.ndarray, shape: np.ndarray, margin: float, size: float) -> tuple[np.ndarray, np.ndarray]:
