@@ -87,3 +87,11 @@ def test_the_benchmark_of_a_day_in_the_studio_runs(monkeypatch):
     memory = soak.measure(1, hour, lambda *facts: told.append(facts))
     assert memory[0] > 100_000_000
     assert told[0][0] == 1 and told[0][3] > 50
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_the_first_fit_runs(head_model, moving, monkeypatch, capsys):
+    monkeypatch.setattr(fit, "make_model", lambda: head_model)
+    monkeypatch.setattr(fit, "make_pictures", lambda: ([], [(moving[0].image, moving[0].landmarks)]))
+    fit.measure_start()
+    assert "later_process_s" in capsys.readouterr().out

@@ -13,9 +13,8 @@ Compiled loops write to arrays passed to them: allocating inside them takes long
 
 import numpy as np
 
-from liaam.kernels.compiled import compiled
+from liaam.kernels.compiled import compiled, inlined
 from liaam.kernels.fields import Double1, Double2
-from liaam.kernels.jit import jit
 from liaam.kernels.vectors import SIZE, every, load, store
 
 
@@ -38,14 +37,14 @@ def cholesky(matrix: Double2) -> bool:
     return True
 
 
-@jit
+@inlined
 def add_row(out, row, scale):
     """Add a multiple of a row."""
     for j in range(len(out)):
         out[j] += scale * row[j]
 
 
-@jit
+@inlined
 def add_rows(out, rows, i, a, b, c, d):
     """Add multiples of rows i to i + 3: each number of the sum is loaded and stored once for four products."""
     row_a, row_b, row_c, row_d = rows[i], rows[i + 1], rows[i + 2], rows[i + 3]
@@ -276,7 +275,7 @@ def length(numbers: Double1, n: int) -> float:
     return np.sqrt(squares)
 
 
-@jit
+@inlined
 def copy(source: np.ndarray, out: np.ndarray) -> None:
     """Copy an array (n,) of float32 or float64."""
     for i in range(len(source)):

@@ -14,8 +14,7 @@ import numpy as np
 
 from liaam.fitting.equations import clear
 from liaam.kernels.compiled import compiled
-from liaam.kernels.fields import Double1, Double2, Long1, Long2, Single1, Single2, Single3
-from liaam.kernels.jit import F
+from liaam.kernels.fields import Double1, Double2, F, Long1, Long2, Single1, Single2, Single3
 from liaam.kernels.vectors import SIZE, every, halves, load, store
 
 FLAT = 0.05

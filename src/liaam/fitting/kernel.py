@@ -10,8 +10,13 @@ from types import FunctionType, SimpleNamespace
 from typing import Any
 
 from liaam.errors import MethodError
+from liaam.fitting import equations, evaluate, jacobian, loop, proposal, reference, residual, steps, weights
+from liaam.kernels.compiled import Record
 
 KERNELS = ("fast", "reference")
+
+CORE = (equations, weights, residual, jacobian, evaluate, steps, proposal, loop)
+"""Modules of the loop."""
 
 
 @lru_cache(maxsize=len(KERNELS))
@@ -25,12 +30,7 @@ def get_kernel(name: str = "fast") -> SimpleNamespace:
     """
     if name not in KERNELS:
         raise MethodError(f"kernel {name!r} does not exist; there are {', '.join(KERNELS)}")
-    # Imported here: numba is slow to import.
-    from liaam.fitting import equations, evaluate, jacobian, loop, proposal, reference, residual, steps, weights
-    from liaam.kernels.compiled import Record
-
-    core = (equations, weights, residual, jacobian, evaluate, steps, proposal, loop)
-    names = {key: value for module in core for key, value in vars(module).items() if not key.startswith("__")}
+    names = {key: value for module in CORE for key, value in vars(module).items() if not key.startswith("__")}
     names["by_reference"] = Record
     if name == "fast":
         return SimpleNamespace(**names)

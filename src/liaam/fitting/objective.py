@@ -136,10 +136,9 @@ class Objective:
     def template(self) -> Template:
         """The model's side of the residual, P(theta_1) A0 and P(theta_1) A_i."""
         n, k = len(self.appearance.mean), self.method.n_rows
-        parts, slopes = self._rows_of(self.appearance, self.illumination).reshape(3, -1, n * k), self._slopes
-        at = np.array([1.0, np.cos(self.theta_model), np.sin(self.theta_model)], np.float32)
-        rows, slopes_now = (np.ascontiguousarray(np.tensordot(at, each, axes=1)) for each in (parts, slopes))
-        m, nothing = len(rows) - 1, np.zeros((0, 0, 0), np.float32)
+        parts = self._rows_of(self.appearance, self.illumination)
+        rows = self._at_model_angle(parts).reshape(-1, n * k)
+        slope_parts, m = self._slope_parts, len(rows) - 1
         lines = np.zeros((n * k, padded(m)), np.float32)
         lines[:, :m] = rows[1:].T
         own = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
@@ -148,9 +147,9 @@ class Objective:
             warp=self.warp if self.kernel == "reference" else self._mesh(),
             rows=rows,
             lines=lines.ravel(),
-            slopes=slopes_now,
-            parts=parts if self._turns else nothing,
-            slope_parts=slopes if self._turns else nothing,
+            slopes=self._at_model_angle(slope_parts) if self._turns else slope_parts[0],
+            parts=parts.reshape(3, -1, n * k) if self._turns else np.zeros((0, 0, 0), np.float32),
+            slope_parts=slope_parts if self._turns else np.zeros((0, 0, 0), np.float32),
             own=own,
             gram=weighted @ weighted.T,
             ridge=self._ridge(),
@@ -342,12 +341,21 @@ class Objective:
     def _knows_colours(self) -> bool:
         return bool(self.appearance.mean[:, -1].any())
 
+    def _at_model_angle(self, parts: np.ndarray) -> np.ndarray:
+        """Combine parts (3, ...) float32 that are constant and multiplied by cos and sin of theta_1."""
+        at = np.array([1.0, np.cos(self.theta_model), np.sin(self.theta_model)], np.float32)
+        return np.ascontiguousarray(np.tensordot(at, parts, axes=1))
+
     @cached_property
-    def _slopes(self) -> np.ndarray:
-        """Spatial gradients of mean and modes, (3, 1 + m, 2 n k) float32; empty for methods that do not use them."""
+    def _slope_parts(self) -> np.ndarray:
+        """Spatial gradients of mean and modes, (1 or 3, 1 + m, 2 n k) float32; empty for methods that use none.
+
+        Three parts, as of :meth:`_rows_of`, if theta_1 is free; else one at the model's angle.
+        """
         parts = self._rows_of(*(self.in_frame or (self.appearance, self.illumination)))
+        parts = parts if self._turns else self._at_model_angle(parts)[None]
         if not self.method.expects:
-            return np.zeros((3, parts.shape[1], 0), np.float32)
+            return np.zeros((*parts.shape[:2], 0), np.float32)
         n_parts, n_modes, n_all, k = parts.shape
         columns = parts.transpose(2, 0, 1, 3).reshape(n_all, -1)
         slopes = self.warp.slopes(columns).reshape(-1, 2, n_parts, n_modes, k)

@@ -18,8 +18,7 @@ from liaam.fitting.steps import (
     squared_length,
 )
 from liaam.fitting.weights import BY_ROWS
-from liaam.kernels.compiled import compiled
-from liaam.kernels.jit import jit
+from liaam.kernels.compiled import compiled, inlined
 
 TRUSTED_DAMPING = 1e-2
 """Largest damping at which a small step means convergence."""
@@ -99,14 +98,14 @@ def propose(
     return found, held, negligible
 
 
-@jit
+@inlined
 def raised_damping(damping, expected):
     """Return the damping after a refused step."""
     first = FIRST_EXPECTED_DAMPING if expected else FIRST_DAMPING
     return 10.0 * damping if 10.0 * damping > first else first
 
 
-@jit
+@inlined
 def eased_damping(damping, expected, asked):
     """Return the damping after an accepted step; 0 if undamped steps were asked for."""
     if expected:

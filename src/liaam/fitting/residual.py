@@ -11,8 +11,7 @@ import numpy as np
 from liaam.fitting.equations import cholesky, clear
 from liaam.fitting.level import BLOCK
 from liaam.kernels.compiled import compiled
-from liaam.kernels.fields import Double1, Double2, Int1, Long1, Long2, Single1, Single2, Single3
-from liaam.kernels.jit import F
+from liaam.kernels.fields import Double1, Double2, F, Int1, Long1, Long2, Single1, Single2, Single3
 from liaam.kernels.vectors import SIZE, lane, load, store, total
 
 

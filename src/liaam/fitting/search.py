@@ -20,6 +20,7 @@ from liaam.fitting.objective import THINNING, Objective, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import FitProblem
 from liaam.fitting.solver import Solution, SolverOptions, solve
+from liaam.kernels.fast import best_peaks, correlate
 from liaam.model import AAM, MESH, Level, View
 from liaam.model.appearance import AppearanceModel
 from liaam.model.mesh import ReferenceFrame, signed_areas
@@ -27,6 +28,7 @@ from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, Similarity, align, diagonal_of, rotation
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import Response
+from liaam.photometry.averaging import area_means
 from liaam.photometry.encoding import value_luminance
 from liaam.workers import in_threads
 
@@ -245,8 +247,6 @@ class Grey:
     @staticmethod
     def of(image: np.ndarray, response: Response, factor: float) -> "Grey":
         """Make the luminance of an image (h, w, 3), reduced by about ``factor`` but at least eight pixels across."""
-        from liaam.photometry.averaging import area_means  # numba: imported when first needed
-
         reduce = max(1, min(int(factor), min(image.shape[:2]) // 8))
         # Sixteen samples of a block suffice, so large images need not be decoded in full.
         stride = max(1, reduce // 4)
@@ -264,8 +264,6 @@ class Grey:
     def field(self, size: float, small: AAM) -> Field:
         """Compute the orientations at the resolution where objects of ``size`` image pixels match the reduced model."""
         import cv2  # heavy: imported when first needed
-
-        from liaam.photometry.averaging import area_means  # numba: imported when first needed
 
         grey = self.values
         covered = np.array(grey.shape[::-1]) * self.reduce  # an incomplete block at the border was dropped
@@ -421,8 +419,6 @@ class Finder:
         """
         import cv2  # heavy: imported when first needed
 
-        from liaam.kernels import fast as kernel
-
         pad = int(PADDING * self.small.diagonal)
         sizes = [(template.field.shape, template.origin) for template in self.templates]
         size = np.maximum(np.array(field.values.shape) + 2 * pad, np.max([shape for shape, _ in sizes], axis=0))
@@ -431,9 +427,9 @@ class Finder:
         places, responses, floor = [], [], LEAST_RESPONSE
         for (shape, origin), own in zip(sizes, self._spectra_of(fast), strict=True):
             # The cosine between both orientations times their lengths.
-            cosine = cv2.idft(kernel.correlate(spectra, own, product), correlated)
+            cosine = cv2.idft(correlate(spectra, own, product), correlated)
             inside = cosine[: size[0] - shape[0] + 1, : size[1] - shape[1] + 1]
-            best, values = kernel.best_peaks(inside, count, floor, SURROUNDINGS)
+            best, values = best_peaks(inside, count, floor, SURROUNDINGS)
             floor = max(floor, worth * float(values[0])) if len(values) else floor
             places.append(best[:, ::-1] - origin)
             responses.append(values)

@@ -8,9 +8,8 @@ import numpy as np
 
 from liaam.fitting.equations import clear
 from liaam.fitting.level import COLOUR, CORRELATED, GRADIENTS, PLANE
-from liaam.kernels.compiled import compiled
-from liaam.kernels.fields import Double1, Double2, Single1, Single2
-from liaam.kernels.jit import F, jit
+from liaam.kernels.compiled import compiled, inlined
+from liaam.kernels.fields import Double1, Double2, F, Single1, Single2
 from liaam.kernels.vectors import SIZE
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
@@ -39,7 +38,7 @@ LEARNT = 5
 """Index of the loss ``learnt``."""
 
 
-@jit
+@inlined
 def exponential(x: np.float32) -> np.float32:
     """Return the exponential of a logarithm of light, branch-free, to a few millionths between -8 and 8."""
     y = x if x < F(20.0) else F(20.0)
@@ -53,7 +52,7 @@ def exponential(x: np.float32) -> np.float32:
     return F(y * y)
 
 
-@jit
+@inlined
 def log_noise(logs: np.ndarray, table: np.ndarray, first: float, steps: float, out: np.ndarray) -> None:
     """Interpolate standard deviations of logarithms due to noise in a table, constant beyond its ends."""
     last, top = len(table) - 2, F(len(table) - 1)

@@ -2,37 +2,41 @@
 
 import numpy as np
 
-from liaam.kernels.jit import F as _F
-from liaam.kernels.jit import jit as _jit
+from liaam.kernels.compiled import compiled
+from liaam.kernels.fields import Byte1, Double2, Double3, F, Int2, Long2, Single1, Single2, Single3, Wide1
 from liaam.kernels.reference import ON_EDGE as _ON_EDGE
 
 
-@_jit
-def _add_line(a, b, total):
-    """Add a conj(b) to ``total``, all packed as 1 real number, pairs of real and imaginary part, and 1 real if even."""
-    n = len(a)
-    total[0] += a[0] * b[0]
-    for i in range(1, n - 1, 2):
-        total[i] += a[i] * b[i] + a[i + 1] * b[i + 1]
-        total[i + 1] += a[i + 1] * b[i] - a[i] * b[i + 1]
-    if n % 2 == 0:
-        total[n - 1] += a[n - 1] * b[n - 1]
-
-
-@_jit
-def _correlate(left, right, total):
-    height, width = total.shape
+@compiled
+def _correlate(left: Single3, right: Single3, total: Single2) -> None:
+    height, width = total.shape[0], total.shape[1]
     for y in range(height):
         # Slices instead of indices let the compiler see that the inner loop's indices are never negative.
-        a, b, c, d, out = left[0, y, 1:], right[0, y, 1:], left[1, y, 1:], right[1, y, 1:], total[y, 1:]
+        a, b, c, d = left[0, y][1:width], right[0, y][1:width], left[1, y][1:width], right[1, y][1:width]
+        out = total[y][1:width]
         for i in range((width - 1) // 2):
             re, im = 2 * i, 2 * i + 1
             out[re] = a[re] * b[re] + a[im] * b[im] + c[re] * d[re] + c[im] * d[im]
             out[im] = a[im] * b[re] - a[re] * b[im] + c[im] * d[re] - c[re] * d[im]
-    for x in (0, width - 1) if width % 2 == 0 else (0, 0):
-        total[:, x] = _F(0.0)
-        for c in range(2):
-            _add_line(left[c, :, x], right[c, :, x], total[:, x])
+    _correlate_column(left, right, total, 0)
+    if width % 2 == 0:
+        _correlate_column(left, right, total, width - 1)
+
+
+@compiled
+def _correlate_column(left: Single3, right: Single3, total: Single2, x: int) -> None:
+    """Correlate a column: 1 real number, pairs of real and imaginary part, and 1 real number if there are even many."""
+    n = total.shape[0]
+    for y in range(n):
+        total[y, x] = F(0.0)
+    for c in range(2):
+        a, b = left[c], right[c]
+        total[0, x] += a[0, x] * b[0, x]
+        for y in range(1, n - 1, 2):
+            total[y, x] += a[y, x] * b[y, x] + a[y + 1, x] * b[y + 1, x]
+            total[y + 1, x] += a[y + 1, x] * b[y, x] - a[y, x] * b[y + 1, x]
+        if n % 2 == 0:
+            total[n - 1, x] += a[n - 1, x] * b[n - 1, x]
 
 
 def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarray:
@@ -46,16 +50,16 @@ def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarra
     return out
 
 
-@_jit
-def _best_peaks(picture, least, reach, places, values):
-    height, width = picture.shape
-    count, found, limit = len(values), 0, least
-    above = np.zeros(8 * ((width + 7) // 8), np.uint8)
-    eights = above.view(np.uint64)
+@compiled
+def _best_peaks(
+    picture: Single2, least: float, reach: int, above: Byte1, eights: Wide1, places: Long2, values: Single1
+) -> int:
+    # ``eights`` is ``above`` as numbers of eight bytes: most are 0, and skipped at once.
+    height, width, count, found, limit = picture.shape[0], picture.shape[1], len(values), 0, F(least)
     for y in range(height):
         row = picture[y]
         for x in range(width):
-            above[x] = row[x] > limit
+            above[x] = 1 if row[x] > limit else 0
         for chunk in range(len(eights)):
             if eights[chunk] == 0:
                 continue
@@ -74,9 +78,9 @@ def _best_peaks(picture, least, reach, places, values):
     return found
 
 
-@_jit
-def _is_peak(picture, y, x, reach):
-    value, (height, width) = picture[y, x], picture.shape
+@compiled
+def _is_peak(picture: Single2, y: int, x: int, reach: int) -> bool:
+    value, height, width = picture[y, x], picture.shape[0], picture.shape[1]
     # Two direct neighbours rule out most pixels.
     if picture[y, min(x + 1, width - 1)] > value or picture[min(y + 1, height - 1), x] > value:
         return False
@@ -94,12 +98,14 @@ def best_peaks(picture: np.ndarray, count: int, least: float, reach: int) -> tup
     (k,).
     """
     places, values = np.empty((count, 2), np.int64), np.empty(count, np.float32)
-    found = _best_peaks(picture, np.float32(least), reach, places, values)
+    above = np.zeros(picture.shape[1] + -picture.shape[1] % 8, np.uint8)
+    picture = np.ascontiguousarray(picture, np.float32)
+    found = _best_peaks(picture, least, reach, above, above.view(np.uint64), places, values)
     return places[:found], values[:found]
 
 
-@_jit
-def _carry(points, triangles, values, owner, carried):
+@compiled
+def _carry(points: Double2, triangles: Int2, values: Double2, owner: Int2, carried: Double3) -> None:
     for t in range(len(triangles)):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         a, b, c = points[i], points[j], points[k]
@@ -130,5 +136,6 @@ def carry(
     float64, 0 outside the mesh. Vertices (n, 2) may lie outside the image.
     """
     owner, carried = np.full((height, width), -1, np.int32), np.zeros((height, width, values.shape[1]))
-    _carry(np.ascontiguousarray(points, np.float64), np.ascontiguousarray(triangles, np.int32), values, owner, carried)
+    points, values = (np.ascontiguousarray(each, np.float64) for each in (points, values))
+    _carry(points, np.ascontiguousarray(triangles, np.int32), values, owner, carried)
     return owner, carried

@@ -108,13 +108,13 @@ class Surroundings:
 
 def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURROUND) -> Surroundings:
     """Add a ring of vertices around the mesh of a mean shape (n, 2); its width is a fraction of their distance."""
-    from scipy.spatial import ConvexHull, QhullError
+    import cv2
 
-    try:
-        hull = np.asarray(ConvexHull(points).vertices)  # counter-clockwise: the ring's triangles have positive areas
-    except QhullError as error:
-        raise TrainingError(_NO_MESH) from error
+    # Counter-clockwise: the ring's triangles have positive areas.
+    hull = cv2.convexHull(points.astype(np.float32), clockwise=False, returnPoints=False).ravel().astype(int)
     n, r = len(points), len(hull)
+    if r < 3:
+        raise TrainingError(_NO_MESH)
     beyond = np.full((r, n), -width / n)
     beyond[np.arange(r), hull] += 1.0 + width
     own, nxt = np.arange(r), np.roll(np.arange(r), -1)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liaam.kernels.bilinear import sample
 from liaam.model.shape import Similarity, corners_of
 from liaam.photometry import Response
 from liaam.photometry.encoding import Encoding, Means, block_means, encode_means, width_of
@@ -193,7 +194,5 @@ pixels. Measured on a generated head: with a size of 1, 22 of 70 distant starts 
 
 def sample_texture(patch: Patch, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sample a patch at image points (n, 2): values (n, c) float32, and whether usable, (n,) float32 in {0, 1}."""
-    from liaam.kernels.bilinear import sample  # numba: imported when first needed
-
     values, usable = sample(patch.channels, patch.from_image(points))
     return values[:, : patch.n_channels], usable

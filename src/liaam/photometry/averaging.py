@@ -5,9 +5,7 @@ from math import prod
 import numpy as np
 
 from liaam.kernels.compiled import Compiled, compiled
-from liaam.kernels.fields import Byte2, Double1, Long1, Short1, Single1, Single2, Single3, Word2
-from liaam.kernels.jit import F as _F
-from liaam.kernels.jit import jit as _jit
+from liaam.kernels.fields import Byte2, Byte3, Double1, F, Long1, Long2, Short1, Single1, Single2, Single3, Word2, Word3
 from liaam.kernels.vectors import SIZE, every, halves, interleave, load, store
 
 # Callers allocate the arrays: compiling np.empty takes as long as compiling a loop. Loops with vectors of eight numbers
@@ -35,7 +33,7 @@ def _taps(n_in: int, start: float, size: float, first: Long1, shares: Single2, b
 def _cut(sums: Single1, first: Long1, shares: Single2, n: int, means: Single1, to: int) -> None:
     """Average a sum of rows of pixels, four numbers each, into a row of n blocks, two at a time."""
     for j in range(0, n, 2):
-        total = _F(0.0) * load(sums, 0)
+        total = F(0.0) * load(sums, 0)
         for k in range(shares.shape[1]):
             weights, a, b = halves(every(shares[j, k]), every(shares[j + 1, k])), first[j] + k, first[j + 1] + k
             total = total + weights * halves(load(sums, 4 * a), load(sums, 4 * b))
@@ -52,10 +50,10 @@ def _block_means(
     _taps(lines.shape[0], grid[1], grid[2], first, shares, even, len(first))
     for i in range(even, len(first)):
         for x in range(len(sums)):
-            sums[x] = _F(0.0)
+            sums[x] = F(0.0)
         for k in range(shares.shape[1]):
             y, share = first[i] + k, shares[i, k]
-            if share <= _F(0.0):
+            if share <= F(0.0):
                 continue
             known, at, row = y == at, y, lines[y]  # blocks that cut through pixels share a row
             if not known:
@@ -68,7 +66,7 @@ def _block_means(
                     store(light, 4 * x, two)
                     store(sums, 4 * x, load(sums, 4 * x) + share * two)
                 for x in range(4 * width if plain else 0):
-                    light[x] = _F(row[x])
+                    light[x] = F(row[x])
             for x in range(len(sums) if known or plain else 0):
                 sums[x] += share * light[x]
         _cut(sums, first, shares, n, means, 4 * n * (i - even))
@@ -119,32 +117,33 @@ def value_means(values: np.ndarray, start: tuple[float, float], size: float, sha
     return stored_means(values, np.empty((3, 0), np.float32), start, size, shape)
 
 
-@_jit
-def _area_shares(n_in, n_out):
-    """First and last pixel of each block that tiles a side, and their weights; pixels in between have full weight."""
-    ends, shares = np.empty((n_out, 2), np.int64), np.empty((n_out, 2), np.float32)
+@compiled
+def _area_shares(n_in: int, n_out: int, at: int, ends: Long2, shares: Single2) -> None:
+    """First and last pixel of each block that tiles a side, and their weights; pixels in between have full weight.
+
+    The results are written from row ``at`` on.
+    """
     size = n_in / n_out
-    for i in range(n_out):
-        low, high = i * size, min((i + 1) * size, float(n_in))
+    for j in range(n_out):
+        i = at + j
+        low, high = j * size, min((j + 1) * size, float(n_in))
         first = min(int(low + 1e-9), n_in - 1)
         last = max(min(int(np.ceil(high - 1e-9)) - 1, n_in - 1), first)
         ends[i, 0], ends[i, 1] = first, last
         # A block inside one pixel has only that pixel.
         shares[i, 0] = (min(first + 1.0, high) - low) / size
         shares[i, 1] = (high - last) / size if last > first else 0.0
-    return ends, shares
 
 
-@_jit
-def _area_means(image, means):
-    rows, columns = means.shape
-    ends_y, shares_y = _area_shares(image.shape[0], rows)
-    ends_x, shares_x = _area_shares(image.shape[1], columns)
-    full_y, full_x = _F(rows / image.shape[0]), _F(columns / image.shape[1])
-    line = np.empty(image.shape[1], np.float32)
+@compiled
+def _area_means(image: Single2, ends: Long2, shares: Single2, line: Single1, means: Single2) -> None:
+    rows, columns = means.shape[0], means.shape[1]
+    _area_shares(image.shape[0], rows, 0, ends, shares)
+    _area_shares(image.shape[1], columns, rows, ends, shares)
+    full_y, full_x = F(rows / image.shape[0]), F(columns / image.shape[1])
     for i in range(rows):
-        first, last = ends_y[i, 0], ends_y[i, 1]  # unpacking a row would count references, which takes 40 ns
-        top, bottom, w0, w1 = image[first], image[last], shares_y[i, 0], shares_y[i, 1]
+        first, last = ends[i, 0], ends[i, 1]
+        top, bottom, w0, w1 = image[first], image[last], shares[i, 0], shares[i, 1]
         for x in range(len(line)):
             line[x] = w0 * top[x] + w1 * bottom[x]
         for y in range(first + 1, last):
@@ -152,11 +151,12 @@ def _area_means(image, means):
             for x in range(len(line)):
                 line[x] += full_y * between[x]
         for j in range(columns):
-            left, right = ends_x[j, 0], ends_x[j, 1]
-            total = _F(0.0)
+            at = rows + j
+            left, right = ends[at, 0], ends[at, 1]
+            total = F(0.0)
             for x in range(left + 1, right):
                 total += line[x]
-            means[i, j] = shares_x[j, 0] * line[left] + full_x * total + shares_x[j, 1] * line[right]
+            means[i, j] = shares[at, 0] * line[left] + full_x * total + shares[at, 1] * line[right]
 
 
 def area_means(picture: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -164,23 +164,30 @@ def area_means(picture: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
     Equivalent to OpenCV's ``INTER_AREA``; averaging rows first takes a fifth of its time.
     """
-    means = np.empty(shape, np.float32)
-    _area_means(np.ascontiguousarray(picture), means)
+    means, line = np.empty(shape, np.float32), np.empty(picture.shape[1], np.float32)
+    ends, shares = np.empty((sum(shape), 2), np.int64), np.empty((sum(shape), 2), np.float32)
+    _area_means(np.ascontiguousarray(picture, np.float32), ends, shares, line, means)
     return means
 
 
-@_jit
-def _stored_luminance(image, tables, luminance):
+def _stored_luminance(image: Byte3, tables: Single2, luminance: Single2) -> None:
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             r, g, b = image[y, x, 0], image[y, x, 1], image[y, x, 2]
             luminance[y, x] = tables[0, r] + tables[1, g] + tables[2, b]
 
 
+_LUMINANCE_OF = {
+    np.dtype(np.uint8): Compiled(_stored_luminance),
+    np.dtype(np.uint16): Compiled(_stored_luminance, image=Word3),
+}
+
+
 def stored_luminance(image: np.ndarray, table: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Weighted sum (h, w) float32 of the encoded channels of integer pixels, by a table of encoded values."""
     luminance = np.empty(image.shape[:2], np.float32)
-    _stored_luminance(np.ascontiguousarray(image), np.outer(weights, table).astype(np.float32), luminance)
+    tables = np.outer(weights, table).astype(np.float32)
+    _LUMINANCE_OF[image.dtype](np.ascontiguousarray(image), tables, luminance)
     return luminance
 
 
@@ -217,18 +224,18 @@ def _soft_row(
 
     Rows are contiguous, so that the compiler can vectorise.
     """
-    right, square, at = width - 1, _F(softness * softness), y * width
+    right, square, at = width - 1, F(softness * softness), y * width
     over, under = at - (width if y > 0 else 0), at + (width if y < height - 1 else 0)
     own, above, below = flat[at : at + width], flat[over : over + width], flat[under : under + width]
-    half = _F(0.5 if 0 < y < height - 1 else 1.0)
+    half = F(0.5 if 0 < y < height - 1 else 1.0)
     xx, xy, yx, yy = turn[0, 0], turn[0, 1], turn[1, 0], turn[1, 1]
     for x in range(1, right):
-        across[x] = _F(0.5) * (own[x + 1] - own[x - 1])
+        across[x] = F(0.5) * (own[x + 1] - own[x - 1])
     across[0], across[right] = own[1 if right > 0 else 0] - own[0], own[right] - own[right - 1 if right > 0 else 0]
     for x in range(width):
         gx, gy = across[x], half * (below[x] - above[x])
         tx, ty = xx * gx + xy * gy, yx * gx + yy * gy
-        scale = _F(1.0) / np.sqrt(tx * tx + ty * ty + square)
+        scale = F(1.0) / np.sqrt(tx * tx + ty * ty + square)
         across[x], down[x] = tx * scale, ty * scale
 
 
@@ -256,16 +263,16 @@ def soft_directions(picture: np.ndarray, turn: np.ndarray, softness: float) -> n
 
 @compiled
 def _light_planes(means: Single1, weights: Single1, limits: Single1, planes: Single1) -> float:
-    n, by_red, by_green, by_blue, count = len(means) // 4, weights[0], weights[1], weights[2], _F(0.0)
+    n, by_red, by_green, by_blue, count = len(means) // 4, weights[0], weights[1], weights[2], F(0.0)
     least, floor, dark = limits[0], limits[1], limits[2]
     bright, reds, greens = planes[0:n], planes[n : 2 * n], planes[2 * n : 3 * n]
     blues, known, usable = planes[3 * n : 4 * n], planes[4 * n : 5 * n], planes[5 * n : 6 * n]
     for i in range(n):
         red, green, blue = means[4 * i], means[4 * i + 1], means[4 * i + 2]
-        own = _F(1.0) if means[4 * i + 3] > least else _F(0.0)
+        own = F(1.0) if means[4 * i + 3] > least else F(0.0)
         bright[i] = by_red * red + by_green * green + by_blue * blue + dark
         reds[i], greens[i], blues[i] = max(red, floor), max(green, floor), max(blue, floor)
-        known[i], usable[i] = own, _F(1.0)
+        known[i], usable[i] = own, F(1.0)
         count += own
     return float(count)
 
@@ -364,7 +371,7 @@ def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:
 @compiled
 def _divide(line: Single1, weights: Single1, least: float, n: int) -> None:
     for x in range(n):
-        line[x] /= weights[x] + _F(least)
+        line[x] /= weights[x] + F(least)
 
 
 @compiled
@@ -372,7 +379,7 @@ def _lay_out(
     planes: Single1, height: int, width: int, soft: bool, by_usable: bool, by_known: bool, least: float, turn: Single2,
     softness: float, sigma: float, taps: Single1, line: Single1, bright: Single1, lines: Single1, channels: Single1,
 ) -> None:  # fmt: skip
-    n, stride, colours, room = height * width, len(lines) // 9, 2 if soft else 0, _F(least)
+    n, stride, colours, room = height * width, len(lines) // 9, 2 if soft else 0, F(least)
     known, usable, weights = lines[5 * stride :], lines[7 * stride :], lines[8 * stride :]
     _gaussian(sigma, taps)
     for x in range(n):  # pixels count in the blur by their weight, but for a little

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam.errors import ImageError, LiaamError, MethodError
+from liaam.photometry import averaging
 from liaam.photometry.features import Encoder
 from liaam.photometry.invariant import LUMINANCE
 from liaam.photometry.response import Response, linear_to_srgb, to_linear
@@ -225,8 +226,6 @@ class Means(NamedTuple):
             x, y = int(start[0]), int(start[1])
             part = np.s_[y : y + shape[0], x : x + shape[1]]
             return self._replace(light=self.light[part], finite=None if self.finite is None else self.finite[part])
-        from liaam.photometry import averaging  # numba: imported when first needed
-
         light, finite = averaging.value_means(self.light, start, size, shape), self.finite
         if finite is not None:
             finite = averaging.value_means(np.repeat(finite[..., None], 4, axis=2), start, size, shape)[..., 0]
@@ -240,8 +239,6 @@ def block_means(
 
     Blocks of side ``size``, at least 1, may cut through pixels; for all parameters see :func:`encode`.
     """
-    from liaam.photometry import averaging  # numba: imported when first needed
-
     if not callable(encoding) and encoding not in ENCODINGS:
         raise MethodError(f"encoding {encoding!r} does not exist; there are {', '.join(ENCODINGS)}")
     image = _three_channels(image)
@@ -303,8 +300,6 @@ def encode_means(
     These are the encoding's channels (:data:`WIDTHS`), zeros, and last the weight of the pixel in {0, 1}. The means are
     from :func:`block_means` for the same encoding; for the other parameters see :func:`encode`.
     """
-    from liaam.photometry import averaging  # numba: imported when first needed
-
     if callable(encoding):
         return _own_channels(means, encoding, blur)
     planes = _log_planes(means, response) if encoding in LOGARITHMIC else _value_planes(means, encoding)
@@ -333,8 +328,6 @@ def _log_planes(means: Means, response: Response) -> tuple[np.ndarray, tuple[boo
 
 def _value_planes(means: Means, encoding: str) -> tuple[np.ndarray, tuple[bool, bool]]:
     """Planes for ``value`` and for ``orientation``, which uses gradients of luminance."""
-    from liaam.photometry import averaging  # numba: imported when first needed
-
     planes, usable = averaging.with_room((6, *means.light.shape[:2])), means.light[..., 3] > ALL
     values, partial = linear_to_srgb(means.light[..., :3]), not usable.all()
     planes[5] = usable
@@ -347,8 +340,6 @@ def _value_planes(means: Means, encoding: str) -> tuple[np.ndarray, tuple[bool, 
 
 def _own_channels(means: Means, encoding: Encoder, blur: float) -> np.ndarray:
     """Eight channels by a function of the user; unusable pixels hardly count in the blur."""
-    from liaam.photometry import averaging  # numba: imported when first needed
-
     usable = (means.light[..., 3] > ALL).astype(np.float32)
     values = encoding(np.ascontiguousarray(linear_to_srgb(means.light[..., :3]), np.float32))
     channels = np.zeros((*usable.shape, 8), np.float32)
@@ -377,15 +368,11 @@ def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
 @lru_cache(maxsize=16)
 def _light_tables(dtype: str, response: Response, usable: tuple[int, int]) -> np.ndarray:
     """Tables of linear light and usable values for :func:`liaam.photometry.averaging.stored_means`."""
-    from liaam.photometry import averaging  # numba: imported when first needed
-
     return averaging.light_tables(_table(dtype, "linear", response), usable)
 
 
 def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarray:
     """Luminance of the encoding ``value``, (h, w) float32; see :func:`encode`."""
-    from liaam.photometry import averaging  # numba: imported when first needed
-
     image = _three_channels(image)
     if image.dtype.kind != "u":
         return encode(image, "value", response)[..., :3] @ LUMINANCE[0].astype(np.float32)

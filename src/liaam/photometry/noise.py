@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from liaam.photometry import averaging
 from liaam.photometry.encoding import stored_values
 
 ENOUGH = 600
@@ -35,8 +36,6 @@ def noise_deviation(image: np.ndarray) -> float:
     whole = image.dtype.kind == "u"  # differences of integers are exact
     top = np.iinfo(image.dtype).max if whole else 1.0
     if image.dtype == np.uint8:
-        from liaam.photometry import averaging  # numba: imported when first needed
-
         middle = _median_of_counts(averaging.bent_counts(image, rows))
     else:
         above, own, below = (

@@ -3,12 +3,14 @@
 from functools import lru_cache
 
 import cv2
+import numba
 import numpy as np
 
-from liaam.kernels.jit import jit
 from liaam.photometry import Response, from_linear
 from liaam.photometry.encoding import stored_values
 from liaam.relighting.painting import box_around, log_light
+
+_njit = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 FARTHEST = 2.5
 """Distance beyond the weights to which shading is removed, in reaches."""
@@ -68,7 +70,7 @@ def _stored(response: Response) -> np.ndarray:
     return np.rint(255 * np.clip(from_linear(light, response), 0.0, 1.0)).astype(np.uint8)
 
 
-@jit
+@_njit
 def _reduce(own, painted, step, sums):
     """Sum the weighted shading, the weighted light, and the weights of blocks of pixels."""
     for y in range(own.shape[0]):
@@ -83,7 +85,7 @@ def _reduce(own, painted, step, sums):
             total[6] += weight
 
 
-@jit
+@_njit
 def _blend(own, seen, painted, sums, step, away, farthest, stored, picture):
     """Write the stored values of light without its shading."""
     height, width = sums.shape[:2]

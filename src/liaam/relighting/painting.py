@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from liaam.kernels.bilinear import sample
+from liaam.kernels.fast import carry
 from liaam.model import AAM
 from liaam.model.mesh import signed_areas
 from liaam.photometry import Response, from_linear, to_linear
@@ -38,9 +40,6 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     inside : (h, w) bool
         Where ``picture`` has values.
     """
-    from liaam.kernels.bilinear import sample  # numba: imported when first needed
-    from liaam.kernels.fast import carry
-
     height, width = image.shape[:2]
     picture, inside = np.zeros((height, width, values.shape[1]), np.float32), np.zeros((height, width), bool)
     triangles = seen_triangles(image, shape, model)
